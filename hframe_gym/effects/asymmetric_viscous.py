@@ -1,0 +1,21 @@
+"""Viscous friction that differs by direction: b (1 + a) forwards, b (1 - a) backwards.
+
+Seals, wipers and one-sided bearing preload; the declared b is the mean of both directions.
+"""
+
+from ..machine.effect import Effect, EffectParameter
+
+
+def viscous(b, direction, a):  # type: ignore[no-untyped-def]
+    return b * (1.0 + direction * a)
+
+
+EFFECT = Effect(
+    name="asymmetric_viscous",
+    family="friction",
+    site="coordinate",
+    formula="b(v) = b (1 + a sign v)",
+    source="seals and wipers with a lip; Bona and Indri 2005",
+    viscous=viscous,
+    parameters=(EffectParameter("a", "1", -0.99, 0.99, scale=0.1, grid=(0.0,), amplitude=True),),
+)

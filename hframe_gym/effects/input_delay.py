@@ -1,0 +1,18 @@
+"""Voltage that arrives late, V'(t) = V(t - d): the control computer's and the amplifier's dead time, all drives alike."""
+
+from ..machine.effect import Effect, EffectParameter
+
+
+def delay(d):  # type: ignore[no-untyped-def]
+    return d
+
+
+EFFECT = Effect(
+    name="input_delay",
+    family="drive",
+    site="drives",
+    formula="V'(t) = V(t - d)",
+    source="dead time of sampled control",
+    delay=delay,
+    parameters=(EffectParameter("d", "s", 0.0, 0.1, scale=1e-3, grid=(0.0,), amplitude=True),),
+)

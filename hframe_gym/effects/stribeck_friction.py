@@ -1,0 +1,27 @@
+"""Stribeck friction: the Coulomb level changes at low speed, F(v) = Fc + dF exp(-(v/vs)^2).
+
+Armstrong-Helouvry, Dupont and Canudas de Wit (1994), Automatica 30(7), eq. 8 with exponent 2.  dF < 0 is friction that
+rises with speed.
+"""
+
+from ..machine.effect import Effect, EffectParameter
+from ..machine.vector_math import exp
+
+
+def coulomb(q, v, t, dF, vs):  # type: ignore[no-untyped-def]
+    z = v / vs
+    return dF * exp(-z * z)
+
+
+EFFECT = Effect(
+    name="stribeck_friction",
+    family="friction",
+    site="coordinate",
+    formula="F(v) = Fc + dF exp(-(v/vs)^2)",
+    source="Armstrong-Helouvry et al. 1994",
+    coulomb=coulomb,
+    parameters=(
+        EffectParameter("dF", "force", -1e3, 1e3, scale=0.3, grid=(0.0,), amplitude=True),
+        EffectParameter("vs", "speed", 1e-5, 1e3, scale=0.3, grid=(0.005, 0.015, 0.04, 0.1, 0.25)),
+    ),
+)

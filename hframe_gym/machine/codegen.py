@@ -1,0 +1,358 @@
+"""Writes the source of a machine's kernel from its tables.
+
+What is the same for all machines of one *shape* (which coordinates, rows of G and of the belt lengths, where drives
+and effects sit) becomes text: zeros vanish, ones become additions, an effect that is not there costs nothing.  What
+differs between them (every number of `Machine.parameters`) is data, a row of lanes each.
+
+One step of length h, from travel q and velocity v (SI, travel in m):
+
+    1. forces f at the half-way point q + h/2 v; from them the acceleration a (zero where friction holds).
+    2. forces again at q + h/2 v + h^2/12 a.  Position Verlet's frequency error, (omega h)^2/24, cancels
+       (Takahashi and Imada 1984; Chin 1997); speed-dependent friction is taken at v + h/2 a.
+    3. exact flow of m v' = f - b v - F sign v (friction.py), and its exact travel: weights `first` and `last` of the
+       two velocities instead of Verlet's halves, so that strong damping costs no accuracy.
+
+Second order, symmetric but for the weights, two force evaluations and one division for the belts.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+
+from .tables import Machine
+
+# Rows of derived numbers that `prepare` writes for each coordinate; those of PER_DIRECTION twice where they differ.
+PER_COORDINATE = ("mass", "coulomb", "curve")
+PER_DIRECTION = ("viscous", "decay", "gain", "first", "last")
+
+
+def identifier(name: str) -> str:
+    """A name as it may stand in source."""
+    return re.sub(r"\W", "_", name)
+
+
+def combination(row: Mapping[str, float], term: Callable[[str], str]) -> str:
+    """sum(coefficient * term(name)) as an expression without zeros or ones."""
+    text = ""
+    for name, factor in row.items():
+        if factor == 0.0:
+            continue
+        size = term(name) if abs(factor) == 1.0 else f"{abs(factor)!r} * {term(name)}"
+        text += f" - {size}" if factor < 0 else f" + {size}" if text else size
+    return text.lstrip() or "0.0"
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where each number lies: rows of the parameter block P and of the derived block C."""
+
+    parameters: dict[str, int]
+    derived: dict[str, int]
+
+
+class KernelSource:
+    """The source text of one machine shape.  `text` is complete but for imports and contributions' sources."""
+
+    def __init__(self, machine: Machine, *, forced: bool) -> None:
+        self.machine = machine
+        self.forced = forced
+        self.names = [identifier(n) for n in machine.coordinate_names]
+        self.parameters = {name: i for i, name in enumerate(machine.parameters)}
+        self.directional = {e.site for e in machine.effects if e.definition.viscous}
+        self.moving_friction = {e.site for e in machine.effects if e.definition.coulomb or e.definition.force}
+        self.delayed = any(e.definition.delay for e in machine.effects)
+        self.timed = bool(self.moving_friction)
+        self.derived: dict[str, int] = {}
+        for c in machine.coordinate_names:
+            keys = PER_COORDINATE + tuple(f"{k}{s}" for s in self.signs(c) for k in PER_DIRECTION)
+            for key in keys:
+                self.derived[f"{c}.{key}"] = len(self.derived)
+        for d in machine.drives:
+            self.derived[f"{d.name}.force"] = len(self.derived)
+        for b in machine.belts:
+            if not b.length:
+                self.derived[f"{b.name}.stiffness"] = len(self.derived)
+
+    @property
+    def layout(self) -> Layout:
+        return Layout(self.parameters, self.derived)
+
+    @property
+    def text(self) -> str:
+        return f"{self.prepare()}\n\n{self.delays()}\n\n{self.advance()}\n"
+
+    # -- names -----------------------------------------------------------------------------------------------------
+
+    def signs(self, coordinate: str) -> tuple[str, ...]:
+        return ("", "_back") if coordinate in self.directional else ("",)
+
+    def p(self, name: str) -> str:
+        return f"load(P, {self.parameters[name]})"
+
+    def is_rotary(self, coordinate: str) -> bool:
+        return self.machine.coordinate(coordinate).kind == "rotary"
+
+    def arguments(self, label: str) -> str:
+        own = [n for n in self.parameters if n.rpartition(".")[0] == label]
+        return "".join(f", {identifier(n)}" for n in own)
+
+    # -- derived numbers -------------------------------------------------------------------------------------------
+
+    def prepare(self) -> str:
+        """C from P for a step of length h: everything that does not change while parameters and h do not."""
+        lines = ["@inlined", "def prepare(P, C, h):"]
+        add = lines.append
+        for d in self.machine.drives:
+            radius = f" / {self.p(d.coordinate + '.radius')}" if self.is_rotary(d.coordinate) else ""
+            gear, Kt, Ke, R = (self.p(f"{d.name}.{k}") for k in ("gear_ratio", "Kt", "Ke", "resistance"))
+            name = identifier(d.name)
+            add(f"    gain_{name} = {gear} * {Kt} / {R}")
+            add(f"    emf_{name} = gain_{name} * {gear} * {Ke}")
+            add(f"    store(C, {self.derived[d.name + '.force']}, gain_{name}{radius})")
+        for c in self.machine.coordinate_names:
+            lines += self.prepare_coordinate(c)
+        for b in self.machine.belts:
+            if not b.length:
+                ratio = f"{self.p(b.name + '.EA')} / {self.p(b.name + '.rest_length')}"
+                add(f"    store(C, {self.derived[b.name + '.stiffness']}, {ratio})")
+        return "\n".join(lines)
+
+    def prepare_coordinate(self, c: str) -> Iterable[str]:
+        yield f"    radius = {self.p(c + '.radius') if self.is_rotary(c) else '1.0'}"
+        yield f"    mass = {self.p(c + '.mass')} / (radius * radius)"
+        yield f"    store(C, {self.derived[c + '.mass']}, mass)"
+        yield f"    store(C, {self.derived[c + '.coulomb']}, {self.p(c + '.coulomb')} / radius)"
+        yield f"    store(C, {self.derived[c + '.curve']}, h * h / 12.0 / mass)"
+        for sign in self.signs(c):
+            friction = self.p(c + ".viscous")
+            for k, e in enumerate(self.machine.effects):
+                if e.definition.viscous and e.site == c:
+                    own = "".join(f", {self.p(n)}" for n in self.parameters if n.rpartition(".")[0] == e.label)
+                    friction = f"viscous_{k}({friction}, {'-1.0' if sign else '1.0'}{own})"
+            emf = "".join(f" + emf_{identifier(d.name)}" for d in self.machine.drives if d.coordinate == c)
+            yield f"    viscous = ({friction}{emf}) / (radius * radius)"
+            yield "    z = viscous * h / mass"
+            yield "    weight = end_weight(z)"
+            values = ("viscous", "exp(-z)", "h / mass * decay_integral(z)", "h * (1.0 - weight)", "h * weight")
+            for key, value in zip(PER_DIRECTION, values, strict=True):
+                yield f"    store(C, {self.derived[f'{c}.{key}{sign}']}, {value})"
+
+    def delays(self) -> str:
+        """D, the time by which each input's voltage arrives late, s."""
+        lines = ["@inlined", "def delays(P, D):"]
+        for i, d in enumerate(self.machine.drives):
+            terms = [
+                f"delay_{k}({', '.join(self.p(n) for n in self.parameters if n.rpartition('.')[0] == e.label)})"
+                for k, e in enumerate(self.machine.effects)
+                if e.definition.delay and e.site in (d.name, "drives")
+            ]
+            lines.append(f"    store(D, {i}, {' + '.join(terms) or '0.0'})")
+        return "\n".join(lines)
+
+    # -- the step --------------------------------------------------------------------------------------------------
+
+    def advance(self) -> str:
+        """`steps` steps of length h of one block of lanes, in place."""
+        lines = ["@inlined", "def advance(S, P, C, U, W, h, steps):"]
+        lines += [f"    {line}" for line in self.read()]
+        lines += ["    for step in range(steps):"]
+        lines += [f"        {line}" for line in self.step()]
+        lines += [f"    {line}" for line in self.write()]
+        return "\n".join(lines)
+
+    def read(self) -> Iterable[str]:
+        n = len(self.names)
+        for i, c in enumerate(self.names):
+            yield f"q_{c} = load(S, {i})"
+            yield f"v_{c} = load(S, {n + i})"
+        yield f"time = load(S, {2 * n})"
+        for name, row in self.derived.items():
+            yield f"{identifier(name)} = load(C, {row})"
+        for e in self.machine.effects:
+            for name in self.parameters:
+                if name.rpartition(".")[0] == e.label:
+                    yield f"{identifier(name)} = {self.p(name)}"
+        for b in self.machine.belts:
+            if b.length:
+                yield f"{identifier(b.name)}_EA = {self.p(b.name + '.EA')}"
+                yield f"{identifier(b.name)}_rest_length = {self.p(b.name + '.rest_length')}"
+        for c in self.moving_friction:
+            if self.is_rotary(c):
+                yield f"{identifier(c)}_per_radius = 1.0 / {self.p(c + '.radius')}"
+        yield "half = 0.5 * h"
+
+    def write(self) -> Iterable[str]:
+        n = len(self.names)
+        for i, c in enumerate(self.names):
+            yield f"store(S, {i}, q_{c})"
+            yield f"store(S, {n + i}, v_{c})"
+        yield f"store(S, {2 * n}, time{'' if self.timed else ' + h * steps'})"
+
+    def step(self) -> Iterable[str]:
+        yield "# half-way"
+        for c in self.names:
+            yield f"m_{c} = fma(half, v_{c}, q_{c})"
+        yield from self.belts()
+        yield "# forces at the half-way point, and the acceleration they give"
+        for c in self.machine.coordinate_names:
+            yield f"f_{identifier(c)} = {self.force(c)}"
+        yield from self.contributions("m", "v", "half", first=True)
+        for c in self.machine.coordinate_names:
+            yield from self.acceleration(c)
+        yield "# forces again, where that acceleration leads"
+        yield from self.correction()
+        yield from self.contributions("k", "w", "half", first=False)
+        yield "# exact flow with friction"
+        for c in self.names:
+            yield from self.flow(c)
+        yield f"if any_of({' | '.join(f'stop_{c}' for c in self.names)}):"
+        for c in self.names:
+            yield from (f"    {line}" for line in self.event(c))
+        for c in self.names:
+            yield f"q_{c} = n_{c}"
+            yield f"v_{c} = u_{c}"
+        if self.timed:
+            yield "time = time + h"
+
+    def belts(self) -> Iterable[str]:
+        """Tension, stiffness and the pull towards longer belts, by 1/2 s^2 dk/dq = -T s / (2 length)."""
+        lengths = []
+        for b in self.machine.belts:
+            name = identifier(b.name)
+            rest = dict(b.extension)
+            shared = ""
+            if b.length and all(b.extension.get(c) == factor for c, factor in b.length.items()):
+                # s and length share the carriage's part: worked out once.
+                yield f"run_{name} = {combination(b.length, self.half_way)}"
+                rest = {c: factor for c, factor in b.extension.items() if c not in b.length}
+                shared = f"run_{name}"
+            own = combination(rest, self.half_way)
+            yield f"s_{name} = {f'{shared} + ({own})' if shared and rest else shared or own}"
+            if b.length:
+                along = shared or combination(b.length, self.half_way)
+                yield f"length_{name} = {name}_rest_length + {along}"
+                lengths.append(name)
+        yield from self.reciprocals(lengths)
+        for b in self.machine.belts:
+            name = identifier(b.name)
+            if b.length:
+                yield f"stiffness_{name} = {name}_EA * per_{name}"
+            else:
+                yield f"stiffness_{name} = {name}_stiffness"
+            yield f"T_{name} = stiffness_{name} * s_{name}"
+            if b.length:
+                yield f"e_{name} = (0.5 * T_{name}) * (s_{name} * per_{name})"
+                if any(b.extension.get(c) == factor for c, factor in b.length.items()):
+                    yield f"net_{name} = T_{name} - e_{name}"
+
+    def half_way(self, coordinate: str) -> str:
+        return f"m_{identifier(coordinate)}"
+
+    def reciprocals(self, lengths: list[str]) -> Iterable[str]:
+        """1/length of up to three belts at a time by one division, which costs as much as ten products."""
+        for group in (lengths[i : i + 3] for i in range(0, len(lengths), 3)):
+            if len(group) == 1:
+                yield f"per_{group[0]} = 1.0 / length_{group[0]}"
+                continue
+            a, b, *rest = group
+            yield f"pair_{a} = length_{a} * length_{b}"
+            if rest:
+                yield f"whole_{a} = 1.0 / (pair_{a} * length_{rest[0]})"
+                yield f"per_{rest[0]} = whole_{a} * pair_{a}"
+                yield f"rest_{a} = whole_{a} * length_{rest[0]}"
+            else:
+                yield f"rest_{a} = 1.0 / pair_{a}"
+            yield f"per_{a} = rest_{a} * length_{b}"
+            yield f"per_{b} = rest_{a} * length_{a}"
+
+    def force(self, c: str) -> str:
+        """Force on a coordinate: -G' T + L' (T s / 2 length) + drives (+ what the caller adds)."""
+        row: dict[str, float] = {}
+        for b in self.machine.belts:
+            name = identifier(b.name)
+            stretch, grow = b.extension.get(c, 0.0), b.length.get(c, 0.0)
+            if grow and grow == stretch:
+                row[f"net_{name}"] = -stretch
+            else:
+                row |= {f"T_{name}": -stretch, f"e_{name}": grow}
+        text = combination(row, str)
+        for i, d in enumerate(self.machine.drives):
+            if d.coordinate == c:
+                index = f"step * {len(self.machine.drives)} + {i}" if self.delayed else str(i)
+                gain = identifier(f"{d.name}.force")
+                text = f"fma({gain}, load(U, {index}), {text})"
+        if self.forced:
+            text += f" + load(W, {self.machine.coordinate_names.index(c)})"
+        return text
+
+    def contributions(self, at: str, speed: str, after: str, *, first: bool) -> Iterable[str]:
+        """Effects' forces and Coulomb levels: first at (half-way, v), then at the corrected point and speed."""
+        for c in self.machine.coordinate_names:
+            name = identifier(c)
+            level = f"{name}_coulomb"
+            yield f"F_{name} = {level}"
+            if c not in self.moving_friction:
+                continue
+            scale = f" * {name}_per_radius" if self.is_rotary(c) else ""
+            here = f"{at}_{name}{scale}, {speed}_{name}{scale}, time + {after}"
+            added = ""
+            for k, e in enumerate(self.machine.effects):
+                if e.site != c:
+                    continue
+                if e.definition.coulomb:
+                    yield f"F_{name} = F_{name} + coulomb_{k}({here}{self.arguments(e.label)}){scale}"
+                if e.definition.force:
+                    added += f" + force_{k}({here}{self.arguments(e.label)}){scale}"
+            yield f"F_{name} = maximum(F_{name}, 0.0)"
+            if added:
+                if first:
+                    yield f"bare_{name} = f_{name}"
+                yield f"f_{name} = f_{name}{added}"
+
+    def acceleration(self, c: str) -> Iterable[str]:
+        name = identifier(c)
+        yield f"d_{name} = direction(v_{name}, f_{name})"
+        yield f"b_{name} = {self.by_direction(c, 'viscous')}"
+        drag = f"fma(b_{name}, v_{name}, copysign(F_{name}, d_{name}))"
+        yield f"a_{name} = where(stays(v_{name}, f_{name}, F_{name}), 0.0, {name}_curve * (f_{name} - {drag}))"
+        if c in self.moving_friction:
+            yield f"k_{name} = m_{name} + a_{name}"
+            yield f"w_{name} = v_{name} + (6.0 / h) * a_{name}"
+
+    def correction(self) -> Iterable[str]:
+        """Belt forces after the displacement h^2/12 a, by the stiffness at the half-way point."""
+        for b in self.machine.belts:
+            name = identifier(b.name)
+            stretch = combination(b.extension, lambda c: f"a_{identifier(c)}")
+            yield f"g_{name} = stiffness_{name} * ({stretch})"
+        for c in self.machine.coordinate_names:
+            name = identifier(c)
+            row = {identifier(b.name): -b.extension.get(c, 0.0) for b in self.machine.belts}
+            has_force = any(e.site == c and e.definition.force for e in self.machine.effects)
+            base = f"bare_{name}" if has_force else f"f_{name}"
+            yield f"f_{name} = {base} + ({combination(row, lambda b: f'g_{b}')})"
+
+    def by_direction(self, c: str, key: str, *, back: bool = False) -> str:
+        name = identifier(c)
+        if c not in self.directional:
+            return f"{name}_{key}"
+        ahead, behind = (f"{name}_{key}", f"{name}_{key}_back")
+        return f"where(d_{name} >= 0.0, {behind if back else ahead}, {ahead if back else behind})"
+
+    def flow(self, name: str) -> Iterable[str]:
+        c = self.machine.coordinate_names[self.names.index(name)]
+        yield f"d_{name} = direction(v_{name}, f_{name})"
+        decay, gain = (self.by_direction(c, key) for key in ("decay", "gain"))
+        yield f"u_{name}, stop_{name} = kick(v_{name}, f_{name}, F_{name}, d_{name}, {decay}, {gain})"
+        first, last = (self.by_direction(c, key) for key in ("first", "last"))
+        yield f"n_{name} = fma({last}, u_{name}, fma({first}, v_{name}, q_{name}))"
+
+    def event(self, name: str) -> Iterable[str]:
+        c = self.machine.coordinate_names[self.names.index(name)]
+        viscous = f"{self.by_direction(c, 'viscous')}, {self.by_direction(c, 'viscous', back=True)}"
+        state = f"v_{name}, f_{name}, F_{name}, d_{name}"
+        yield f"after_{name}, travel_{name} = reverse({state}, {viscous}, {name}_mass, h)"
+        yield f"u_{name} = where(stop_{name}, after_{name}, u_{name})"
+        yield f"n_{name} = where(stop_{name}, q_{name} + travel_{name}, n_{name})"

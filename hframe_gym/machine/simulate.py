@@ -1,0 +1,169 @@
+"""Simulation of machines over recordings, in batches."""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .kernel import Kernel, kernel_for
+from .lanes import LANES
+from .tables import Machine
+
+LONGEST_STEP = 0.25e-3  # s; 0.2 um median error over 0.4 s of random voltages (benchmarks/accuracy.py)
+
+Array = NDArray[np.float64]
+_NOTHING = np.zeros((0, 0))
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """What a machine did.
+
+    time_s (n,); positions and velocities (n, coordinates) in m, rad and per second; outputs (n, sensors), noise-free,
+    with their channels' names.
+    """
+
+    time_s: Array
+    positions: Array
+    velocities: Array
+    outputs: Array
+    channels: tuple[str, ...]
+
+
+class NotFinite(ArithmeticError):
+    """A simulation left the numbers: the machine's parameters or inputs are impossible."""
+
+
+def threads() -> int:
+    """How many threads batches use: `$HFRAME_THREADS`, else every core that this process may use."""
+    explicit = os.environ.get("HFRAME_THREADS")
+    return max(1, int(explicit)) if explicit else len(os.sched_getaffinity(0))
+
+
+def in_parallel(run: object, blocks: int) -> None:
+    """Call run(first, last) on ranges that cover all blocks, one range a thread."""
+    count = min(threads(), blocks)
+    edges = np.linspace(0, blocks, count + 1).astype(int)
+    ranges = list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
+    if count == 1:
+        run(*ranges[0])  # type: ignore[operator]
+        return
+    with ThreadPoolExecutor(count - 1) as pool:
+        others = [pool.submit(run, *r) for r in ranges[1:]]  # type: ignore[arg-type]
+        run(*ranges[0])  # type: ignore[operator]
+        for other in others:
+            other.result()
+
+
+def rest_state(machine: Machine, position: ArrayLike | None = None) -> Array:
+    """State (2 n,) at rest with unstretched belts, from the positions of the coordinates that carry the tool.
+
+    position: the linear coordinates' positions in order, m (default zeros); rotary ones follow from s = 0.
+    """
+    n = len(machine.coordinates)
+    q = np.zeros(n)
+    linear = [i for i, c in enumerate(machine.coordinates) if c.kind == "linear"]
+    if position is not None:
+        q[linear] = np.asarray(position, float)
+    rotary = [i for i in range(n) if i not in linear]
+    if rotary and machine.belts:
+        G = np.array([machine.row(b.extension) for b in machine.belts]) * machine.radii
+        q[rotary] = np.linalg.lstsq(G[:, rotary], -G[:, linear] @ q[linear], rcond=None)[0]
+    return np.concatenate([q, np.zeros(n)])
+
+
+def parameter_batch(machine: Machine, changes: dict[str, Array] | None = None) -> Array:
+    """Parameters (B, P) of a batch of machines of one shape: the machine's own, with arrays (B,) in place of some."""
+    values = machine.parameters
+    changes = changes or {}
+    batch = max((len(v) for v in changes.values()), default=1)
+    table = np.tile(np.array(list(values.values())), (batch, 1))
+    for name, column in changes.items():
+        table[:, list(values).index(name)] = column
+    return table
+
+
+def rollout(
+    machine: Machine,
+    time_s: Array,
+    inputs: Array,
+    *,
+    parameters: Array | None = None,
+    start: Array | None = None,
+    extra_force: Array | None = None,
+    measured: Array | None = None,
+    gains: Array | None = None,
+    longest_step: float = LONGEST_STEP,
+    velocities: bool = False,
+) -> Array:
+    """Positions (B, n, coordinates), with velocities behind them if asked, of a batch over one time grid.
+
+    inputs (n, inputs) or (B, n, inputs), V; parameters (B, P) in the order of `Machine.parameters`; start (2 c,) or
+    (B, 2 c), own units; extra_force (n, c) or (B, n, c), N or Nm, held; measured (n, sensors) with gains
+    (2 c, sensors): output injection, state += gains @ (measured - reading) at every row, own units.
+    """
+    kernel: Kernel = kernel_for(machine, forced=extra_force is not None)
+    count = len(machine.coordinates)
+    radii = machine.radii
+    inputs = np.ascontiguousarray(inputs if np.ndim(inputs) == 3 else np.asarray(inputs)[None], float)
+    parameters = parameter_batch(machine) if parameters is None else parameters
+    start = rest_state(machine) if start is None else start
+    start = np.atleast_2d(start)
+    force = np.zeros((1, 1, count)) if extra_force is None else np.asarray(extra_force)
+    force = force[None] if force.ndim == 2 else force
+    batch = max(len(inputs), len(parameters), len(start), len(force))
+    parameters = np.ascontiguousarray(np.broadcast_to(parameters, (batch, parameters.shape[1])))
+    travel = np.ascontiguousarray(np.broadcast_to(start * np.tile(radii, 2), (batch, 2 * count)))
+    out = np.empty((batch, len(time_s), count * (2 if velocities else 1)))
+    sensors = machine.sensor_matrix / radii if measured is not None else _NOTHING
+    travel_gains = gains * np.tile(radii, 2)[:, None] if gains is not None else _NOTHING
+    observed = np.ascontiguousarray(measured, float) if measured is not None else _NOTHING
+    force = np.ascontiguousarray(force / radii, float)
+    grid = np.ascontiguousarray(time_s, float)
+
+    def run(first: int, last: int) -> None:
+        kernel.rollout(
+            grid, inputs, parameters, travel, observed, sensors, travel_gains, force, longest_step, first, last, out
+        )
+
+    in_parallel(run, -(-batch // LANES))
+    out /= np.tile(radii, 2 if velocities else 1)
+    return out
+
+
+def simulate(
+    machine: Machine,
+    time_s: ArrayLike,
+    inputs: ArrayLike,
+    initial: ArrayLike | None = None,
+    *,
+    longest_step: float = LONGEST_STEP,
+) -> Trajectory:
+    """The machine's free run under voltages inputs (n, inputs), each held from its time until the next.
+
+    initial: state (2 c,) (default: at rest, belts unstretched, at the origin).  longest_step: of the integrator, s.
+
+    Raises ValueError for arrays that do not fit, NotFinite when the motion does not stay finite.
+    """
+    grid = np.asarray(time_s, float)
+    voltages = np.asarray(inputs, float)
+    if grid.ndim != 1 or len(grid) == 0 or np.any(np.diff(grid) <= 0) or not np.all(np.isfinite(grid)):
+        raise ValueError("time_s must be a row of finite, strictly increasing times")
+    if voltages.shape != (len(grid), len(machine.drives)):
+        expected = (len(grid), len(machine.drives))
+        raise ValueError(f"inputs have shape {voltages.shape}, machine {machine.name!r} needs {expected}")
+    if not np.all(np.isfinite(voltages)):
+        row, column = map(int, np.argwhere(~np.isfinite(voltages))[0])
+        raise ValueError(f"inputs: row {row}, {machine.input_channels[column]} is {voltages[row, column]}")
+    start = None if initial is None else np.asarray(initial, float)
+    out = rollout(machine, grid, voltages, start=start, longest_step=longest_step, velocities=True)[0]
+    if not np.all(np.isfinite(out)):
+        row = int(np.argwhere(~np.isfinite(out))[0][0])
+        raise NotFinite(f"machine {machine.name!r}: the motion is not finite from t = {grid[row]:g} s on")
+    count = len(machine.coordinates)
+    positions, velocities = out[:, :count], out[:, count:]
+    return Trajectory(grid, positions, velocities, positions @ machine.sensor_matrix.T, machine.output_channels)
