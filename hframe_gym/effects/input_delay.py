@@ -1,4 +1,4 @@
-"""Voltage that arrives late, V'(t) = V(t - d): the control computer's and the amplifier's dead time, all drives alike."""
+"""Voltage that arrives late, V'(t) = V(t - d): dead time of the control computer and amplifiers, all drives alike."""
 
 from ..machine.effect import Effect, EffectParameter
 

@@ -3,7 +3,7 @@
 from .builtin import BUILTIN, with_constant_stiffness
 from .effect import AppliedEffect, Effect, EffectParameter
 from .linear import linearise, mode_frequencies
-from .simulate import NotFinite, Trajectory, rest_state, rollout, simulate
+from .simulate import NotFiniteError, Trajectory, rest_state, rollout, simulate
 from .tables import Belt, Coordinate, Drive, Machine, Sensor, Uncertainty
 
 __all__ = [
@@ -15,7 +15,7 @@ __all__ = [
     "Effect",
     "EffectParameter",
     "Machine",
-    "NotFinite",
+    "NotFiniteError",
     "Sensor",
     "Trajectory",
     "Uncertainty",

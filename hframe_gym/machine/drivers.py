@@ -113,7 +113,10 @@ def rollout(time, inputs, parameters, start, measured, sensors, gains, extra, lo
 
 
 def prepare_blocks(parameters, h, first, last, derived):
-    """Derived numbers (blocks, DERIVED, LANES) of blocks first..last-1 for steps of h, from (blocks, PARAMETERS, LANES)."""
+    """Derived numbers (blocks, DERIVED, LANES) of blocks first..last-1 for steps of h, s.
+
+    parameters (blocks, PARAMETERS, LANES).
+    """
     for block in range(first, last):
         prepare(parameters[block], derived[block], h)
 

@@ -11,8 +11,6 @@ All functions work on registers of lanes; SI units, travel of the coordinate in 
 
 from __future__ import annotations
 
-from typing import Any
-
 from numba import njit
 
 from .lanes import absolute, copysign, fma, where

@@ -1,7 +1,7 @@
 """Compiles a machine's shape to machine code, once, and keeps it on disk.
 
 The generated source of a shape is written to the cache folder as an ordinary Python file, named by the hash of its own
-text and of everything it inlines, with Numba's compiled object beside it; a changed formula is a new file and never a stale one.
+text and of everything it inlines, with Numba's compiled object beside it: a changed formula is a new file.
 The folder is `$HFRAME_CACHE`, else `$XDG_CACHE_HOME/hframe_gym`, else `~/.cache/hframe_gym`.
 """
 
@@ -25,6 +25,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from ..atomic import write_text
 from . import drivers, friction, lanes, vector_math
 from .codegen import KernelSource, Layout
 from .effect import CONTRIBUTIONS
@@ -73,14 +74,6 @@ def cache_folder() -> Path:
     return Path(tempfile.mkdtemp(prefix="hframe_gym-"))
 
 
-def write_whole(path: Path, text: str) -> None:
-    """Write a file so that a reader sees either nothing or all of it."""
-    handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
-    with os.fdopen(handle, "w") as file:
-        file.write(text)
-    os.replace(temporary, path)
-
-
 def generate(machine: Machine, *, forced: bool = False) -> tuple[str, KernelSource]:
     """The whole text of the kernel module of a machine's shape."""
     source = KernelSource(machine, forced=forced)
@@ -120,9 +113,10 @@ def _load(text: str) -> ModuleType:
     name = "kernel_" + hashlib.sha256((text + _foundation()).encode()).hexdigest()[:20]
     path = cache_folder() / f"{name}.py"
     if not path.exists():
-        write_whole(path, text)
+        write_text(path, text)
     spec = importlib.util.spec_from_file_location(f"hframe_gym_kernels.{name}", path)
-    assert spec is not None and spec.loader is not None
+    assert spec is not None
+    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module
     spec.loader.exec_module(module)

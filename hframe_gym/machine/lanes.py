@@ -2,7 +2,7 @@
 
 Numba's loop vectoriser does not survive a time-stepping loop with friction, so the kernels name the vector
 themselves.  A value of type `lane` is `LANES` float64 numbers, one a stage; `mask` is the result of comparing two.
-Arithmetic, comparisons, `where`, `fma`, `copysign`, `absolute` and `pow2` map to one LLVM vector instruction each, which
+Arithmetic, comparisons, `where`, `fma`, `copysign`, `absolute`, ... map to one LLVM vector instruction each, which
 LLVM lowers to whatever the processor has (AVX-512, AVX2, NEON).  Nothing is contracted or re-associated, and `fma` is
 asked for by name: so the same inputs give the same bits for every lane, batch size and thread count.
 
@@ -64,7 +64,7 @@ class _MaskModel(models.PrimitiveModel):
         super().__init__(dmm, fe_type, _BITS)
 
 
-# -- what a Python call does: the same formula on arrays ---------------------------------------------------------------
+# -- what a Python call does: the same formula on arrays -------------------------------------------------------------
 
 
 def where(condition: Any, yes: Any, no: Any) -> Any:
@@ -117,7 +117,7 @@ def store(rows: Any, k: Any, value: Any) -> Any:
     raise NotImplementedError
 
 
-# -- what a kernel does --------------------------------------------------------------------------------------------------
+# -- what a kernel does ------------------------------------------------------------------------------------------------
 
 _SCALAR = (types.Float, types.Integer)
 

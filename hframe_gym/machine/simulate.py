@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -34,7 +35,7 @@ class Trajectory:
     channels: tuple[str, ...]
 
 
-class NotFinite(ArithmeticError):
+class NotFiniteError(ArithmeticError):
     """A simulation left the numbers: the machine's parameters or inputs are impossible."""
 
 
@@ -44,17 +45,17 @@ def threads() -> int:
     return max(1, int(explicit)) if explicit else len(os.sched_getaffinity(0))
 
 
-def in_parallel(run: object, blocks: int) -> None:
+def in_parallel(run: Callable[[int, int], None], blocks: int) -> None:
     """Call run(first, last) on ranges that cover all blocks, one range a thread."""
     count = min(threads(), blocks)
     edges = np.linspace(0, blocks, count + 1).astype(int)
     ranges = list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
     if count == 1:
-        run(*ranges[0])  # type: ignore[operator]
+        run(*ranges[0])
         return
     with ThreadPoolExecutor(count - 1) as pool:
-        others = [pool.submit(run, *r) for r in ranges[1:]]  # type: ignore[arg-type]
-        run(*ranges[0])  # type: ignore[operator]
+        others = [pool.submit(run, *r) for r in ranges[1:]]
+        run(*ranges[0])
         for other in others:
             other.result()
 
@@ -99,12 +100,14 @@ def rollout(
     gains: Array | None = None,
     longest_step: float = LONGEST_STEP,
     velocities: bool = False,
+    parallel: bool = True,
 ) -> Array:
     """Positions (B, n, coordinates), with velocities behind them if asked, of a batch over one time grid.
 
     inputs (n, inputs) or (B, n, inputs), V; parameters (B, P) in the order of `Machine.parameters`; start (2 c,) or
     (B, 2 c), own units; extra_force (n, c) or (B, n, c), N or Nm, held; measured (n, sensors) with gains
-    (2 c, sensors): output injection, state += gains @ (measured - reading) at every row, own units.
+    (2 c, sensors): output injection, state += gains @ (measured - reading) at every row, own units.  parallel: spread
+    blocks of lanes over threads (off where the caller spreads recordings).
     """
     kernel: Kernel = kernel_for(machine, forced=extra_force is not None)
     count = len(machine.coordinates)
@@ -130,7 +133,11 @@ def rollout(
             grid, inputs, parameters, travel, observed, sensors, travel_gains, force, longest_step, first, last, out
         )
 
-    in_parallel(run, -(-batch // LANES))
+    blocks = -(-batch // LANES)
+    if parallel:
+        in_parallel(run, blocks)
+    else:
+        run(0, blocks)
     out /= np.tile(radii, 2 if velocities else 1)
     return out
 
@@ -141,13 +148,15 @@ def simulate(
     inputs: ArrayLike,
     initial: ArrayLike | None = None,
     *,
+    offset: ArrayLike = 0.0,
     longest_step: float = LONGEST_STEP,
 ) -> Trajectory:
     """The machine's free run under voltages inputs (n, inputs), each held from its time until the next.
 
-    initial: state (2 c,) (default: at rest, belts unstretched, at the origin).  longest_step: of the integrator, s.
+    initial: state (2 c,) (default: at rest, belts unstretched, at the origin).  offset: of the sensors' zeros
+    (sensors,), added to the outputs.  longest_step: of the integrator, s.
 
-    Raises ValueError for arrays that do not fit, NotFinite when the motion does not stay finite.
+    Raises ValueError for arrays that do not fit, NotFiniteError when the motion does not stay finite.
     """
     grid = np.asarray(time_s, float)
     voltages = np.asarray(inputs, float)
@@ -163,7 +172,8 @@ def simulate(
     out = rollout(machine, grid, voltages, start=start, longest_step=longest_step, velocities=True)[0]
     if not np.all(np.isfinite(out)):
         row = int(np.argwhere(~np.isfinite(out))[0][0])
-        raise NotFinite(f"machine {machine.name!r}: the motion is not finite from t = {grid[row]:g} s on")
+        raise NotFiniteError(f"machine {machine.name!r}: the motion is not finite from t = {grid[row]:g} s on")
     count = len(machine.coordinates)
     positions, velocities = out[:, :count], out[:, count:]
-    return Trajectory(grid, positions, velocities, positions @ machine.sensor_matrix.T, machine.output_channels)
+    outputs = positions @ machine.sensor_matrix.T + np.asarray(offset, float)
+    return Trajectory(grid, positions, velocities, outputs, machine.output_channels)

@@ -15,12 +15,15 @@ import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from .effect import AppliedEffect
+
+if TYPE_CHECKING:
+    from .simulate import Trajectory
 
 Row = Mapping[str, float]
 Kind = Literal["linear", "rotary"]
@@ -212,7 +215,8 @@ class Machine:
     def parameters(self) -> dict[str, float]:
         """Every number that may be fitted or randomised, by its full name, e.g. `x.coulomb`, `left.EA`."""
         values: dict[str, float] = {}
-        for item in (*self.coordinates, *self.belts, *self.drives):
+        tables: tuple[Any, ...] = (*self.coordinates, *self.belts, *self.drives)
+        for item in tables:
             values |= {f"{item.name}.{key}": getattr(item, key) for key in PARAMETERS[type(item)]}
         for e in self.effects:
             values |= {f"{e.label}.{key}": value for key, value in e.parameters.items()}
@@ -260,6 +264,12 @@ class Machine:
             "effects": effects,
         }
         return dataclasses.replace(self, **(tables | fields))  # type: ignore[arg-type]
+
+    def simulate(self, time_s: ArrayLike, inputs: ArrayLike, initial: ArrayLike | None = None) -> Trajectory:
+        """The machine's free run; see `hframe_gym.machine.simulate`."""
+        from .simulate import simulate  # the tables know nothing of kernels until one is asked for
+
+        return simulate(self, time_s, inputs, initial)
 
     def with_effects(self, *effects: AppliedEffect) -> Machine:
         """This machine with more effects."""

@@ -1,0 +1,37 @@
+# Every target makes what it needs; nothing is installed by hand.
+VENV := .venv
+BIN := $(VENV)/bin
+PYTHON ?= python3
+INSTALLED := $(VENV)/.installed
+
+.PHONY: demo test check bench docs clean
+
+demo: $(INSTALLED)  ## fit a recorded rig, find what its model lacks, drive the corrected machine
+	$(BIN)/hframe identify examples/rig_a --out out/demo
+	$(BIN)/hframe evaluate pid --machine out/demo/machine.json --randomize none --episodes 32 --out out/demo/pid
+	@echo "open out/demo/report.html and out/demo/pid/pid.png"
+
+test: $(INSTALLED)  ## the fast tests
+	$(BIN)/python -m pytest
+
+check: $(INSTALLED)  ## format, lint, types
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+bench: $(INSTALLED)  ## every number of RESULTS.md
+	$(BIN)/pip install -q -c constraints.txt -e '.[bench]'
+	$(BIN)/python -m benchmarks
+
+docs: $(INSTALLED)  ## tables that are made from the code
+	$(BIN)/python -m benchmarks.tables
+
+clean:
+	rm -rf $(VENV) out build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache
+
+# torch first and by itself: another package's requirement would pull the build with GPU libraries.
+$(INSTALLED): pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install -q --disable-pip-version-check -c constraints.txt torch==2.13.0
+	$(BIN)/pip install -q --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	touch $@

@@ -1,0 +1,20 @@
+"""Files from and to the outside: machines and recordings, checked on the way in, written whole."""
+
+from ..atomic import whole_file, write_text
+from .errors import InputError
+from .machine_file import load_machine, machine_to_dict, save_machine
+from .recording import Recording, read_recording, read_recordings, run_name, write_trajectory
+
+__all__ = [
+    "InputError",
+    "Recording",
+    "load_machine",
+    "machine_to_dict",
+    "read_recording",
+    "read_recordings",
+    "run_name",
+    "save_machine",
+    "whole_file",
+    "write_text",
+    "write_trajectory",
+]

@@ -1,0 +1,111 @@
+"""Recordings made ready for a machine: starts known, offsets removed, the sensors' noise estimated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..files import Recording
+from ..machine import Machine
+from .start import start_of
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Run:
+    """One recording of a machine.
+
+    time_s (n,); inputs (n, drives) V; outputs (n, sensors) with the resting offset removed, NaN where not measured;
+    start (2 coordinates,).
+    """
+
+    name: str
+    time_s: Array
+    inputs: Array
+    outputs: Array
+    start: Array
+    rest: int
+
+    @property
+    def count(self) -> int:
+        """How many numbers were measured."""
+        return int(np.isfinite(self.outputs).sum())
+
+
+@dataclass(frozen=True)
+class Data:
+    """Runs of one rig; for each sensor (sensors,) the standard deviation of its noise and its quantum (0: none)."""
+
+    runs: tuple[Run, ...]
+    noise: Array
+    quantum: Array
+
+    @property
+    def count(self) -> int:
+        return sum(run.count for run in self.runs)
+
+    @property
+    def period(self) -> float:
+        """Median sampling period, s."""
+        return float(np.median(np.concatenate([np.diff(run.time_s) for run in self.runs])))
+
+    def only(self, names: Sequence[str]) -> Data:
+        """The runs of these names, with the same noise."""
+        return Data(tuple(run for run in self.runs if run.name in names), self.noise, self.quantum)
+
+
+def prepare(recordings: Sequence[Recording], machine: Machine) -> Data:
+    """Runs ready for fitting a machine of this shape."""
+    runs = []
+    for recording in recordings:
+        start = start_of(recording, machine)
+        outputs = recording.outputs - start.offset
+        runs.append(Run(recording.name, recording.time_s, recording.inputs, outputs, start.state, start.rows))
+    quanta = np.array([_quantum(recordings, j, machine) for j in range(len(machine.sensors))])
+    noise = np.array([_noise(recordings, runs, j, machine, quanta[j]) for j in range(len(machine.sensors))])
+    return Data(tuple(runs), noise, quanta)
+
+
+def quantum_of(values: Array) -> float:
+    """The step of a quantised channel: the smallest change that nearly all changes are multiples of; 0 if none."""
+    steps = np.abs(np.diff(values[np.isfinite(values)]))
+    steps = steps[steps > 0]
+    if len(steps) < 10:
+        return 0.0
+    smallest = float(np.percentile(steps, 2))
+    fraction = np.abs(steps / smallest - np.rint(steps / smallest))
+    return smallest if np.mean(fraction < 0.1) > 0.95 else 0.0
+
+
+def _quantum(recordings: Sequence[Recording], j: int, machine: Machine) -> float:
+    step = float(np.median([quantum_of(recording.outputs[:, j]) for recording in recordings]))
+    return step or machine.sensors[j].resolution
+
+
+def _noise(recordings: Sequence[Recording], runs: Sequence[Run], j: int, machine: Machine, quantum: float) -> float:
+    """Standard deviation of sensor j from the resting rows if there are any, at least its quantum's."""
+    channel = [recording.outputs[:, j] for recording in recordings]
+    deviations, rows = 0.0, 0
+    for values, run in zip(channel, runs, strict=True):
+        first = values[: run.rest]
+        resting = first[np.isfinite(first)]
+        if len(resting) >= 10:
+            deviations += float(np.sum((resting - resting.mean()) ** 2))
+            rows += len(resting) - 1
+    least, declared = quantum / np.sqrt(12), machine.sensors[j].noise
+    if rows >= 30:
+        return max(float(np.sqrt(deviations / rows)), least) or declared or _difference_noise(channel)
+    return max(least, declared or _difference_noise(channel))
+
+
+def _difference_noise(channel: Sequence[Array]) -> float:
+    """Noise from third differences, which smooth motion hardly has (von Neumann 1941)."""
+    parts = [np.diff(values, n=3) for values in channel]
+    spread = np.concatenate([p[np.isfinite(p)] for p in parts])
+    if len(spread) == 0:
+        return 1.0
+    return max(1.4826 * float(np.median(np.abs(spread))) / np.sqrt(20.0), 1e-12)

@@ -1,0 +1,124 @@
+"""The loop: recordings -> fit -> residual -> trace -> verdict, each arrow a function on plain data."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from ..files import InputError, Recording
+from ..machine import Machine
+from .answer import Answer, Errors, Stage, Verdict
+from .data import Data, prepare
+from .fit import Fit, fit, own_parameters
+from .prediction import POLISH_STEP, Mode
+from .residual import channel_errors, depends_on, force_error, is_white
+from .trace import Found, trace
+from .uncertainty import with_uncertainty
+
+# A free run this far off, over the signal's own size, has drifted: then innovations judge, and the force error.
+_DRIFT = 0.3
+# Cost a sample up to which what is left is the sensors' noise.
+_EXPLAINED = 1.5
+
+
+def hold_out(recordings: Sequence[Recording], chosen: Sequence[str] = ()) -> tuple[str, ...]:
+    """Names of the runs kept for judging: those asked for, else every fourth, at least one.
+
+    Raises InputError for an unknown run or when no run would be left to fit.
+    """
+    names = [r.name for r in recordings]
+    unknown = [c for c in chosen if c not in names]
+    if unknown:
+        raise InputError(f"--hold-out {unknown[0]}: no such run; there are {', '.join(names)}")
+    kept = tuple(chosen) or tuple(names[3::4]) or tuple(names[-1:])
+    if len(set(kept)) >= len(names):
+        raise InputError(f"{len(names)} run(s), {len(set(kept))} held out: at least one must be left to fit")
+    return kept
+
+
+def identify(
+    recordings: Sequence[Recording],
+    machine: Machine,
+    *,
+    held_out: Sequence[str] = (),
+    say: Callable[[str], None] = lambda line: None,
+) -> Answer:
+    """Fit the machine to its recordings, find what it lacks, and judge on runs that nothing was fitted to.
+
+    held_out: names of the runs to judge on (default: every fourth).  say: called with a line at each stage.
+
+    Raises InputError when the runs cannot be split.
+    """
+    began = time.perf_counter()
+    everything = prepare(recordings, machine)
+    kept = hold_out(recordings, held_out)
+    judge = everything.only(kept)
+    data = everything.only([r.name for r in recordings if r.name not in kept])
+    say(f"fitting {machine.name} to {len(data.runs)} runs, {len(judge.runs)} held out")
+    base = fit(machine, own_parameters(machine), data, "innovations")
+    before = _polish(base, data)
+    mode = before.mode
+    say(f"refitted: chi2 a sample {base.chi2:.4g} by innovations, {before.chi2:.4g} in {mode} run")
+    say("searching for effects")
+    traced, found = trace(base, data, say)
+    after = _polish(traced, data, mode) if found else before
+    found = tuple(f.with_values(after.machine) for f in found)
+    verdict = _verdict(before, after, found)
+    if verdict != "effect_found":
+        found, after = (), before
+    say(f"verdict: {verdict}")
+    corrected = with_uncertainty(after, data).replace(name=f"{machine.name}-identified")
+    refitted = before.machine.replace(name=f"{machine.name}-refitted")
+    stages = [Stage(m, _errors(m, judge)) for m in (machine, refitted, corrected)]
+    return Answer(
+        verdict=verdict,
+        declared=stages[0],
+        before=stages[1],
+        after=stages[2],
+        found=found,
+        gains={f.effect.label: _gain(f, corrected, judge, mode) for f in found},
+        dependence=tuple(depends_on(before.machine, data)[:6]),
+        white=is_white(corrected, judge),
+        fitted=data,
+        held_out=judge,
+        seconds=time.perf_counter() - began,
+    )
+
+
+def _polish(fitted: Fit, data: Data, mode: Mode | None = None) -> Fit:
+    """The fit refined in free run, at the finer step; by innovations where the free run drifts away."""
+    if mode is None:
+        errors = channel_errors(fitted.machine, data)
+        outputs = np.concatenate([run.outputs for run in data.runs])
+        size = np.nanstd(outputs, axis=0)
+        worst = max(errors[c].rmse / max(s, 1e-12) for c, s in zip(fitted.machine.output_channels, size, strict=True))
+        mode = "free" if worst < _DRIFT else "innovations"
+    return fit(fitted.machine, fitted.free, data, mode, theta=fitted.theta, longest_step=POLISH_STEP)
+
+
+def _verdict(before: Fit, after: Fit, found: Sequence[Found]) -> Verdict:
+    if found and after.cost < before.cost:
+        return "effect_found"
+    return "no_effect" if before.chi2 < _EXPLAINED else "unexplained"
+
+
+def _errors(machine: Machine, data: Data) -> Errors:
+    return Errors(channel_errors(machine, data), force_error(machine, data))
+
+
+def _gain(found: Found, machine: Machine, judge: Data, mode: Mode) -> float:
+    """Share of the held-out squared error that the machine without this one effect has and with it has not.
+
+    Where the free run drifts it is the error of the force, if the machine has one.
+    """
+
+    def cost(m: Machine) -> float:
+        force = force_error(m, judge) if mode == "innovations" else None
+        if force is not None:
+            return force**2
+        return float(np.mean([e.noise_ratio**2 for e in channel_errors(m, judge).values()]))
+
+    without = machine.replace(effects=tuple(e for e in machine.effects if e.label != found.effect.label))
+    return 1.0 - cost(machine) / cost(without)

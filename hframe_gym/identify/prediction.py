@@ -1,0 +1,82 @@
+"""What a machine predicts for a run, for a batch of parameter values at once, and what is left.
+
+`innovations`: at every row the measured minus the predicted reading is fed back into position and velocity, so that a
+wrong model's error stays local in time.  `free run`: nothing is fed back.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..machine import Machine, rollout
+from .data import Data, Run
+
+Array = NDArray[np.float64]
+Mode = Literal["innovations", "free"]
+
+# Bandwidth of the feedback, rad/s: encoders are quiet, the slower lasers' noise must not shake the model.
+_ENCODER_RATE = 60.0
+_LASER_RATE = 25.0
+SEARCH_STEP = 0.5e-3  # s
+POLISH_STEP = 0.25e-3  # s
+
+
+def injection(machine: Machine, period: float) -> Array:
+    """Gains (2 coordinates, sensors) of the output injection at a sampling period, s: critically damped observers."""
+    count = len(machine.coordinates)
+    gains = np.zeros((2 * count, len(machine.sensors)))
+    geared = any(c.kind == "rotary" for c in machine.coordinates)
+    for j, sensor in enumerate(machine.sensors):
+        name = max(sensor.row, key=lambda n: abs(sensor.row[n]))
+        i = machine.coordinate_names.index(name)
+        slow = geared and machine.coordinate(name).kind == "linear"
+        rate = (_LASER_RATE if slow else _ENCODER_RATE) * min(period, 5e-3)
+        gains[i, j] = 2 * rate / sensor.row[name]
+        gains[count + i, j] = rate**2 / period / sensor.row[name]
+    return gains
+
+
+def predict(
+    machine: Machine,
+    run: Run,
+    mode: Mode,
+    *,
+    period: float,
+    parameters: Array | None = None,
+    extra_force: Array | None = None,
+    longest_step: float = SEARCH_STEP,
+    velocities: bool = False,
+) -> Array:
+    """Positions (B, n, coordinates) of a batch over a run, with velocities behind them if asked."""
+    observed = mode == "innovations"
+    return rollout(
+        machine,
+        run.time_s,
+        run.inputs,
+        parameters=parameters,
+        start=run.start,
+        extra_force=extra_force,
+        measured=run.outputs if observed else None,
+        gains=injection(machine, period) if observed else None,
+        longest_step=longest_step,
+        velocities=velocities,
+        parallel=False,
+    )
+
+
+def residuals(machine: Machine, run: Run, data: Data, positions: Array) -> Array:
+    """Measured minus predicted in units of the noise, (B, n * sensors): zero where not measured.
+
+    A channel's mean is taken off as far as half its quantum: closer the resting rows cannot place it.  Not further, for
+    under output injection a constant force shows as just such a mean.
+    """
+    reading = positions[..., : len(machine.coordinates)] @ machine.sensor_matrix.T
+    measured = np.isfinite(run.outputs)
+    left = np.where(measured, run.outputs - reading, 0.0)
+    mean = left.sum(axis=1) / np.maximum(measured.sum(axis=0), 1)
+    left -= np.clip(mean, -data.quantum / 2, data.quantum / 2)[:, None, :]
+    left *= measured / data.noise
+    return left.reshape(len(left), -1)

@@ -1,0 +1,198 @@
+"""What a fitted machine leaves unexplained: error per channel, force per coordinate, and what that force follows."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+from ..machine import Machine
+from .data import Data, Run
+from .fit import over_runs
+from .prediction import POLISH_STEP, injection, predict
+
+Array = NDArray[np.float64]
+
+_BINS = 16
+_FORCE_CUTOFF = 100.0  # Hz; the inverse dynamics' zero-phase low-pass, as in the EMPS benchmark (Janot et al. 2019)
+_FORCE_DECIMATION = 10
+
+
+class ChannelError(NamedTuple):
+    """rmse in the channel's unit and over its noise; the free run's error row by row is `free_run_error`."""
+
+    rmse: float
+    noise_ratio: float
+
+
+class Dependence(NamedTuple):
+    """Share of the variance of the force residual on `coordinate` that a curve over `variable` explains."""
+
+    variable: str
+    coordinate: str
+    share: float
+
+
+def free_run_error(machine: Machine, run: Run, data: Data) -> Array:
+    """Measured minus predicted (n, sensors) of a free run from the resting rows, own units; NaN where not measured.
+
+    Resting rows place a quantised channel only to within its quantum, so its mean error, up to half a quantum, is
+    taken off; from every machine alike.
+    """
+    positions = predict(machine, run, "free", period=data.period, longest_step=POLISH_STEP)
+    error = run.outputs - positions[0] @ machine.sensor_matrix.T
+    rows = np.maximum(np.isfinite(error).sum(axis=0), 1)
+    return error - np.clip(np.nansum(error, axis=0) / rows, -data.quantum / 2, data.quantum / 2)
+
+
+def channel_errors(machine: Machine, data: Data) -> dict[str, ChannelError]:
+    """Free-run error of each output channel over all runs; the offset is that of the resting rows, nothing fitted."""
+    errors = np.concatenate(list(over_runs(lambda run: free_run_error(machine, run, data), data)))
+    found = {}
+    for j, channel in enumerate(machine.output_channels):
+        column = errors[:, j][np.isfinite(errors[:, j])]
+        rmse = float(np.sqrt(np.mean(column**2))) if len(column) else float("nan")
+        found[channel] = ChannelError(rmse, rmse / float(data.noise[j]))
+    return found
+
+
+def smooth_force_residual(machine: Machine, run: Run, data: Data) -> Array:
+    """`force_residual` below 30 Hz, without phase: the answer to white noise is fast, a missing effect slow."""
+    low_pass = signal.butter(2, min(0.9, 60.0 * data.period), output="sos")
+    return signal.sosfiltfilt(low_pass, force_residual(machine, run, data), axis=0)
+
+
+def variables(machine: Machine, run: Run, data: Data) -> dict[str, Array]:
+    """What a missing effect may follow, each (n,): positions and speeds along the fitted motion, inputs, the clock."""
+    count = len(machine.coordinates)
+    states = predict(machine, run, "innovations", period=data.period, velocities=True)[0]
+    found = {f"position of {c}": states[:, i] for i, c in enumerate(machine.coordinate_names)}
+    found |= {f"velocity of {c}": states[:, count + i] for i, c in enumerate(machine.coordinate_names)}
+    found |= {c: run.inputs[:, j] for j, c in enumerate(machine.input_channels)}
+    return found | {"time": run.time_s}
+
+
+def force_residual(machine: Machine, run: Run, data: Data) -> Array:
+    """Force (n, coordinates), own units, that would have to be added for the machine to follow the data.
+
+    It is what the output injection puts into the velocities, a disturbance observer: right below its bandwidth.
+    """
+    count = len(machine.coordinates)
+    positions = predict(machine, run, "innovations", period=data.period)[0]
+    innovation = np.nan_to_num(run.outputs - positions @ machine.sensor_matrix.T)
+    gains = injection(machine, data.period)[count:]
+    mass = np.array([c.mass for c in machine.coordinates])
+    return innovation @ gains.T / data.period * mass
+
+
+def depends_on(machine: Machine, data: Data) -> list[Dependence]:
+    """What the force residual follows, best first: coordinates' positions and speeds, inputs, time."""
+    force = np.concatenate([smooth_force_residual(machine, run, data) for run in data.runs])
+    by_run = [variables(machine, run, data) for run in data.runs]
+    found = [
+        Dependence(name, coordinate, _explained(force[:, i], np.concatenate([v[name] for v in by_run])))
+        for i, coordinate in enumerate(machine.coordinate_names)
+        for name in by_run[0]
+    ]
+    return sorted((d for d in found if d.share > 0.05), key=lambda d: -d.share)
+
+
+def _explained(values: Array, by: Array) -> float:
+    """Share of the variance of `values` that its mean in bins of `by` explains (correlation ratio, Fisher 1925)."""
+    total = float(np.var(values))
+    if total == 0.0 or np.ptp(by) == 0.0:
+        return 0.0
+    ranks = np.argsort(np.argsort(by, kind="stable"), kind="stable")
+    bins = ranks * _BINS // len(by)
+    means = np.bincount(bins, values, _BINS) / np.maximum(np.bincount(bins, minlength=_BINS), 1)
+    return float(np.var(means[bins]) / total)
+
+
+def is_white(machine: Machine, data: Data) -> bool:
+    """Whether the free run's residual is only the sensors' noise.
+
+    Noise that is white has no memory: block means over 20 ms shrink with the root of their length.  A quantised channel
+    is held to its quantum instead.
+    """
+    rows = max(2, round(0.02 / data.period))
+    errors = [free_run_error(machine, run, data) for run in data.runs]
+    for j in range(len(machine.sensors)):
+        means = []
+        for e in errors:
+            column = e[: len(e) // rows * rows, j].reshape(-1, rows)
+            column = column[np.isfinite(column).all(axis=1)]
+            means.append(column.mean(axis=1) - column.mean() if len(column) else np.zeros(0))
+        spread = float(np.sqrt(np.mean(np.concatenate(means) ** 2))) if any(map(len, means)) else 0.0
+        if spread > 0.6 * data.noise[j]:
+            return False
+    return True
+
+
+def force_error(machine: Machine, data: Data) -> float | None:
+    """Relative error of the drives' force by inverse dynamics, |F_drive - F_model| / |F_drive|, over all runs.
+
+    For machines whose coordinates are all driven and measured by themselves, without belts; None for others.
+    Position is low-passed at 100 Hz without phase, differentiated centrally, forces decimated by ten, as the EMPS
+    benchmark does.
+    """
+    direct = {next(iter(s.row)): j for j, s in enumerate(machine.sensors) if len(s.row) == 1}
+    driven = {d.coordinate for d in machine.drives}
+    if machine.belts or driven != set(machine.coordinate_names) or not driven <= set(direct):
+        return None
+    wrong, size = 0.0, 0.0
+    for run in data.runs:
+        period = float(np.median(np.diff(run.time_s)))
+        low_pass = signal.butter(4, min(0.9, 2 * _FORCE_CUTOFF * period), output="sos")
+        for c in machine.coordinates:
+            position = run.outputs[:, direct[c.name]]
+            if not np.all(np.isfinite(position)):
+                continue
+            q = signal.sosfiltfilt(low_pass, position)
+            v = np.gradient(q, run.time_s)
+            a = np.gradient(v, run.time_s)
+            drive, model = _forces(machine, c.name, run, q, v, a)
+            trim = int(0.05 / period)
+            pair = [signal.decimate(f[trim:-trim], _FORCE_DECIMATION, ftype="fir") for f in (drive, model)]
+            wrong += float(np.sum((pair[0] - pair[1]) ** 2))
+            size += float(np.sum(pair[0] ** 2))
+    return float(np.sqrt(wrong / size)) if size else None
+
+
+def _held_mean(time_s: Array, values: Array, late: float) -> Array:
+    """Mean of an input, held from each row until the next, over one period around each row, `late` seconds ago (n,).
+
+    A central difference sees the force around its row, half of which the row before still sets.
+    """
+    period = float(np.median(np.diff(time_s)))
+    area = np.concatenate([[0.0], np.cumsum(values[:-1] * np.diff(time_s))])
+    edges = np.concatenate([time_s - late - period / 2, time_s - late + period / 2])
+    below, above = np.interp(edges, time_s, area).reshape(2, -1)
+    return (above - below) / period
+
+
+def _forces(machine: Machine, name: str, run: Run, q: Array, v: Array, a: Array) -> tuple[Array, Array]:
+    """(drive, model) force along a measured motion of one coordinate, with its effects."""
+    c = machine.coordinate(name)
+    drive = np.zeros_like(q)
+    for j, d in enumerate(machine.drives):
+        if d.coordinate == name:
+            delays = [
+                e.definition.delay(*e.parameters.values())
+                for e in machine.effects
+                if e.definition.delay and e.site in (d.name, "drives")
+            ]
+            drive += d.gain * _held_mean(run.time_s, run.inputs[:, j], sum(delays)) - d.back_emf * v
+    viscous, coulomb, force = np.full_like(q, c.viscous), np.full_like(q, c.coulomb), np.zeros_like(q)
+    for e in machine.effects:
+        own = tuple(e.parameters.values())
+        if e.site != name:
+            continue
+        if e.definition.viscous:
+            viscous = e.definition.viscous(viscous, np.sign(v), *own)
+        if e.definition.coulomb:
+            coulomb = coulomb + e.definition.coulomb(q, v, run.time_s, *own)
+        if e.definition.force:
+            force = force + e.definition.force(q, v, run.time_s, *own)
+    return drive, c.mass * a + viscous * v + np.maximum(coulomb, 0.0) * np.sign(v) - force
