@@ -23,6 +23,8 @@ from .screening import Screened, screen
 
 # Smaller savings are nothing, by share of samples.  Rigs without effects stay below 0.0005 (tests/identify).
 LEAST_GAIN = 0.01
+# ... and where the model misses by far more than the noise, by share of what is missed.
+LEAST_SHARE = 0.02
 # Candidates within this share of samples of the best are not told apart from it.
 RIVAL_GAIN = 0.002
 NOTHING_LEFT = 1.02
@@ -59,13 +61,17 @@ def trace(base: Fit, data: Data, say: Say) -> tuple[Fit, tuple[Found, ...]]:
         best, effect = trials[0], trials[0].machine.effects[-1]
         saved = (current.cost - best.cost) / data.count
         say(f"  {effect.label} saves {saved:.3g} of {current.chi2:.4g} (chi2 a sample)")
-        if saved < LEAST_GAIN * max(1.0, current.chi2):
+        if saved < _least(current):
             break
         rivals = tuple(t.machine.effects[-1].label for t in trials[1:] if t.cost - best.cost < RIVAL_GAIN * data.count)
         found.append(Found(effect, rivals + effect.definition.equivalent, saved))
         current = best
     current, found = _without_idle(current, found, data, say)
     return current, tuple(f.with_values(current.machine) for f in found)
+
+
+def _least(current: Fit) -> float:
+    return max(LEAST_GAIN, LEAST_SHARE * (current.chi2 - 1.0))
 
 
 def _without_idle(current: Fit, found: list[Found], data: Data, say: Say) -> tuple[Fit, list[Found]]:
@@ -78,7 +84,7 @@ def _without_idle(current: Fit, found: list[Found], data: Data, say: Say) -> tup
         )
         kept = [i for i, free in enumerate(current.free) if not free.name.startswith(f"{f.effect.label}.")]
         shorter = fit(machine, [current.free[i] for i in kept], data, current.mode, theta=current.theta[kept])
-        if (shorter.cost - current.cost) / data.count < LEAST_GAIN * max(1.0, current.chi2):
+        if (shorter.cost - current.cost) / data.count < _least(current):
             say(f"  {f.effect.label} is idle beside the others")
             current, found = shorter, [other for other in found if other is not f]
     return current, found
@@ -97,7 +103,7 @@ def _best(ranked: list[Screened], current: Fit) -> list[Screened]:
     """The few best, one shape of each effect and site, that could save enough."""
     chosen: dict[str, Screened] = {}
     for s in ranked:
-        if s.gain > 0.3 * LEAST_GAIN * current.count:
+        if s.gain > 0.3 * _least(current) * current.count:
             chosen.setdefault(s.candidate.label, s)
     return list(chosen.values())[:_FITTED_IN_FULL]
 

@@ -1,0 +1,102 @@
+"""Randomisation: rules, presets, limits, and draws that depend on the seed alone."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from hframe_gym.env import HFrameEnv, HFrameVectorEnv
+from hframe_gym.env.randomisation import DEFAULT, Identified, LogUniform, Normal, Sampler, Uniform, Vary
+from hframe_gym.machine import BUILTIN, Uncertainty
+
+MACHINE = BUILTIN["hframe"]()
+
+
+def draw(rules, k=1000, machine=MACHINE):
+    sampler = Sampler(machine, rules, "reset")
+    rng = np.random.default_rng(0)
+    base = np.tile(np.array(list(machine.parameters.values())), (k, 1))
+    values = sampler.draw(base, rng.random((k, sampler.uniforms)), rng.standard_normal((k, sampler.normals)))
+    return dict(zip(machine.parameters, values.T, strict=True)), sampler
+
+
+@pytest.mark.parametrize(
+    ("how", "low", "high"), [("scale", 4.07 * 0.5, 4.07 * 2.0), ("add", 4.57, 6.07), ("set", 0.5, 2.0)]
+)
+def test_scale_add_set(how, low, high):
+    values, sampler = draw([Vary("x.mass", Uniform(0.5, 2.0), how=how)])
+    assert sampler.names == ("x.mass",)
+    assert low <= values["x.mass"].min() < values["x.mass"].max() <= high
+    np.testing.assert_array_equal(values["y.mass"], MACHINE.parameters["y.mass"])
+
+
+def test_a_pattern_draws_each_unless_shared():
+    values, _ = draw([Vary("*.EA", Uniform(0.7, 1.3))])
+    assert not np.array_equal(values["left.EA"], values["right.EA"])
+    values, _ = draw([Vary("*.EA", Uniform(0.7, 1.3), shared=True)])
+    np.testing.assert_array_equal(values["left.EA"], values["right.EA"])
+
+
+def test_log_uniform_has_its_median_in_the_middle():
+    values, _ = draw([Vary("x.viscous", LogUniform(0.25, 4.0))])
+    assert np.median(values["x.viscous"] / MACHINE.parameters["x.viscous"]) == pytest.approx(1.0, rel=0.15)
+
+
+def test_default_is_what_it_says():
+    values, sampler = draw(DEFAULT)
+    nominal = MACHINE.parameters
+    ratio = {name: values[name] / nominal[name] for name in sampler.names}
+    ends = {"EA": (0.7, 1.3), "rest_length": (0.85, 1.2), "coulomb": (0.5, 2.0), "mass": (0.9, 1.2)}
+    assert len(ratio) == 3 + 3 + 4 + 4
+    for name, r in ratio.items():
+        low, high = ends[name.rpartition(".")[2]]
+        assert low <= r.min() < low + 0.02 * (high - low), name
+        assert high - 0.02 * (high - low) < r.max() <= high, name
+
+
+def test_normal_tails_are_clipped_to_what_can_be():
+    values, _ = draw([Vary("x.coulomb", Normal(0.0, 5.0), how="add"), Vary("y.mass", Normal(1.0, 2.0))])
+    assert values["x.coulomb"].min() == 0.0
+    assert values["y.mass"].min() == pytest.approx(0.05 * 1.0412)
+
+
+def identified():
+    names = ("x.coulomb", "y.viscous")
+    covariance = np.array([[0.04, 0.05], [0.05, 0.25]])
+    return dataclasses.replace(MACHINE, uncertainty=Uncertainty(names, covariance))
+
+
+def test_identified_draws_from_the_covariance():
+    values, sampler = draw([Identified()], k=20000, machine=identified())
+    assert sampler.names == ("x.coulomb", "y.viscous")
+    found = np.cov(values["x.coulomb"], values["y.viscous"])
+    np.testing.assert_allclose(found, [[0.04, 0.05], [0.05, 0.25]], rtol=0.05)
+    env = HFrameEnv(machine=identified(), randomize="identified")
+    assert set(env.reset(seed=0)[1]["parameters"]) == {"x.coulomb", "y.viscous"}
+
+
+def test_identified_is_alike_in_any_batch():
+    envs = HFrameVectorEnv(13, machine=identified(), randomize="identified")
+    _, info = envs.reset(seed=0)
+    env = HFrameEnv(machine=identified(), randomize="identified")
+    for b in range(13):
+        _, own = env.reset(seed=b)
+        for name, value in own["parameters"].items():
+            assert info["parameters"][name][b] == value
+
+
+@pytest.mark.parametrize(
+    ("rules", "message"),
+    [
+        ([Vary("z.mass", Uniform(1, 2))], "no parameter 'z.mass'"),
+        ([Vary("x.mass", Uniform(-1, 1))], "x.mass = -4.07"),
+        ([Vary("x.mass", Uniform(2, 1))], "empty"),
+        ([Vary("x.mass", LogUniform(0, 1))], "empty"),
+        ([Vary("x.mass", Uniform(1, 2), how="times")], "times"),
+        ([Vary("x.mass", Uniform(1, 2), when="never")], "never"),
+        (["x.mass"], "neither"),
+    ],
+)
+def test_rules_that_cannot_be_are_refused(rules, message):
+    with pytest.raises(ValueError, match=message):
+        HFrameEnv(randomize=rules)

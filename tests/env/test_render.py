@@ -1,0 +1,74 @@
+"""Pictures: shape, what moves in them, and the extra's name where pygame is missing."""
+
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from hframe_gym.env import HFrameEnv, HFrameVectorEnv
+from hframe_gym.env.render import HEIGHT, NEUTRAL, TARGET, TAUT, UNKNOWN, WIDTH, Geometry, tension_colour
+
+
+def test_picture_shows_the_target_and_the_motion():
+    env = HFrameEnv(render_mode="rgb_array")
+    env.reset(seed=0)
+    first = env.render()
+    assert first.shape == (HEIGHT, WIDTH, 3)
+    assert first.dtype == np.uint8
+    assert (first == np.array(TARGET)).all(axis=2).any()
+    for _ in range(10):
+        env.step(np.ones(2, np.float32))
+    second = env.render()
+    assert (first != second).any()
+    assert not np.shares_memory(first, second)
+
+
+def test_at_least_sixty_frames_a_second():
+    env = HFrameEnv(render_mode="rgb_array")
+    env.reset(seed=0)
+    env.render()
+    begin = time.perf_counter()
+    for _ in range(20):
+        env.render()
+    assert (time.perf_counter() - begin) / 20 < 1 / 60
+
+
+def test_vector_gives_a_picture_each():
+    envs = HFrameVectorEnv(3, render_mode="rgb_array")
+    envs.reset(seed=0)
+    frames = envs.render()
+    assert len(frames) == 3
+    assert (frames[0] != frames[1]).any()
+
+
+@pytest.mark.parametrize("position", [(0.0, 0.0), (0.2, -0.1)])
+def test_belt_is_one_closed_line(position):
+    sections = Geometry(np.array([[-0.28, 0.28], [-0.19, 0.19]])).sections(*position)
+    path = [sections[name] for name in ("s7", "s5", "s1", "s3", "s9", "s4", "s2", "s6", "s8")]
+    for a, b in zip(path, path[1:], strict=False):
+        np.testing.assert_allclose(a[-1], b[0], atol=1e-9)
+    assert path[0][0] == pytest.approx(path[-1][-1])
+
+
+def test_colours_follow_tension():
+    assert tension_colour(0.0) == NEUTRAL
+    assert tension_colour(1e4) == TAUT
+    assert tension_colour(None) == UNKNOWN
+
+
+def test_missing_pygame_names_the_extra(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pygame", None)
+    env = HFrameEnv(render_mode="rgb_array")
+    env.reset(seed=0)
+    with pytest.raises(ImportError, match=r"hframe-gym\[render\]"):
+        env.render()
+
+
+def test_copies_leave_the_window_behind():
+    import copy
+
+    env = HFrameEnv(render_mode="rgb_array")
+    env.reset(seed=0)
+    env.render()
+    np.testing.assert_array_equal(copy.deepcopy(env).render(), env.render())
