@@ -23,6 +23,7 @@ from benchmarks.rigs import Array, Rig, tables
 
 # A stuck coordinate lets go this much (relative) above its breakaway level, so that it leaves with
 # an acceleration of the right sign whatever the rounding of the event's time.
+_INSTANT_S = 1e-12  # less than this apart, two times of the clock are one
 _RELEASE = 1e-9
 _SAMPLES = 8  # points of every integration step at which events are looked for
 
@@ -122,10 +123,11 @@ class Stage:
         for j in range(2):
             start = self.time_s + self.rig.input_delay_s[j]
             self._pending[j].append((start, float(volts[j])))
-        while self.time_s < until_s:
+        while self.time_s < until_s - _INSTANT_S:
             due = until_s
             for j, queue in enumerate(self._pending):
-                while queue and queue[0][0] <= self.time_s:
+                # A delayed command due within rounding of now is due now: no piece is that short.
+                while queue and queue[0][0] <= self.time_s + _INSTANT_S:
                     self._volts[j] = queue.popleft()[1]
                 if queue:
                     due = min(due, queue[0][0])

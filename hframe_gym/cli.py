@@ -8,13 +8,17 @@ from __future__ import annotations
 import sys
 import webbrowser
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from rich.console import Console
 from rich.table import Table
 
 from .files import InputError
+
+if TYPE_CHECKING:
+    from .control import Controller
+    from .machine import Machine
 
 app = typer.Typer(
     help="H-frame stages: simulate, identify from measured data, train and evaluate controllers.",
@@ -23,15 +27,16 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
-out = Console(soft_wrap=True)
+console = Console(soft_wrap=True)
 
+Preset = Literal["none", "default", "wide", "identified"]
 MachineOption = Annotated[str, typer.Option(help="A machine.json or a built-in name (see `hframe machines`).")]
 OutOption = Annotated[Path, typer.Option(help="Folder for the results; made if it is not there.")]
 
 
 def say(line: str) -> None:
     """A plain line, at once, on a terminal or in a log."""
-    out.print(line, markup=False, highlight=False)
+    console.print(line, markup=False, highlight=False)
 
 
 def require_folder(path: Path) -> Path:
@@ -45,7 +50,8 @@ def require_folder(path: Path) -> Path:
 def simulate(
     inputs: Annotated[Path, typer.Option(help="A recording, or time_s and voltages alone.")],
     out: Annotated[Path, typer.Option(help="The predicted run (.csv or .csv.gz).")],
-    machine: MachineOption = "hframe",
+    machine: Preset = Literal["none", "default", "wide", "identified"]
+MachineOption = "hframe",
 ) -> None:
     """The recording's inputs through a machine: same columns, same times.
 
@@ -69,7 +75,8 @@ def simulate(
 def identify(
     runs_dir: Annotated[Path, typer.Argument(help="A folder of recordings, one run a file.")],
     out: OutOption,
-    machine: MachineOption = "hframe",
+    machine: Preset = Literal["none", "default", "wide", "identified"]
+MachineOption = "hframe",
     hold_out: Annotated[list[str] | None, typer.Option(help="A run to judge on; repeat for more.")] = None,
     jobs: Annotated[int | None, typer.Option(min=1, help="Threads (default: all cores).")] = None,
     seed: Annotated[int, typer.Option(help="Reserved for steps that draw; the search itself is deterministic.")] = 0,
@@ -110,7 +117,7 @@ def show_answer(report: dict[str, Any], channels: list[str]) -> None:
         table.add_row(c, *(f"{e[c]['rmse']:.3g} ({e[c]['noise_ratio']:.3g}x)" for e in stages))
     if "force_error" in stages[0]:
         table.add_row("force, relative", *(f"{100 * e['force_error']:.2f} %" for e in stages))
-    out.print(table)
+    console.print(table)
 
 
 @app.command()
@@ -131,6 +138,107 @@ def report(
 
 
 @app.command()
+def train(
+    algorithm: Annotated[str, typer.Argument(help="ppo or sac.")],
+    out: OutOption,
+    machine: Preset = Literal["none", "default", "wide", "identified"]
+MachineOption = "hframe",
+    task: Annotated[str, typer.Option(help="What to learn.")] = "reach",
+    steps: Annotated[int, typer.Option(min=1, help="Environment steps in all.")] = 1_000_000,
+    seed: Annotated[int, typer.Option(help="Of the network, the draws and the environment.")] = 0,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on from the checkpoint in the folder.")] = False,
+) -> None:
+    """Train an agent on the native vector environment, by the recipe of its algorithm and task.
+
+    Example:  hframe train ppo --steps 1000000 --out out/ppo
+    """
+    from .agents import train as run
+    from .files import load_machine
+
+    declared = load_machine(machine)
+    try:
+        run(algorithm, declared, task, steps, seed, resume, require_folder(out), say)
+    except ValueError as error:
+        raise InputError(str(error)) from None
+    say(f"wrote {out}")
+
+
+@app.command()
+def evaluate(
+    controllers: Annotated[list[str], typer.Argument(help="pid, textbook, or the folder of a trained agent.")],
+    out: OutOption,
+    machine: Preset = Literal["none", "default", "wide", "identified"]
+MachineOption = "hframe",
+    randomize: Annotated[Preset, typer.Option(help="What is drawn for each episode; identified: from the machine file.")] = "default",
+    episodes: Annotated[int, typer.Option(min=1, help="Draws; the same for every controller.")] = 512,
+    seed: Annotated[int, typer.Option(help="Of the draws: starts, goals, machine parameters.")] = 0,
+) -> None:
+    """Score controllers on identical draws: scores.json, and a picture of each one's first episode.
+
+    Example:  hframe evaluate pid textbook --episodes 64 --out out/scores
+    """
+    from .evaluate import evaluate as run
+    from .evaluate import write_scores
+    from .files import load_machine
+
+    declared = load_machine(machine)
+    require_folder(out)
+    chosen = {name: load_controller(name, declared) for name in dict.fromkeys(controllers)}
+    try:
+        answer, recorded = run(chosen, declared, randomize=randomize, episodes=episodes, seed=seed)
+    except ValueError as error:
+        raise InputError(str(error)) from None
+    path = write_scores(out, answer)
+    show_scores(answer)
+    say(f"wrote {path}")
+    try:
+        from .evaluate.picture import save
+
+        for name, episode in recorded.items():
+            picture = out / f"{Path(name).name}.png"
+            save(picture, episode, title=f"{Path(name).name} on {declared.name}")
+            say(f"wrote {picture}")
+    except ImportError as error:
+        say(f"no pictures: {error}")
+
+
+def load_controller(name: str, machine: Machine) -> Controller:
+    """A controller by name, or a trained agent by its folder, for a machine at the default control period.
+
+    Raises InputError for what is neither.
+    """
+    from .control import CONTROLLERS
+
+    if name in CONTROLLERS:
+        return CONTROLLERS[name](machine, 0.01)
+    if Path(name).is_dir():
+        from .agents.agent import Agent
+
+        try:
+            return Agent.load(name)
+        except ValueError as error:
+            raise InputError(str(error)) from None
+    raise InputError(f"controller {name!r} is none of {', '.join(CONTROLLERS)}, and no folder of a trained agent")
+
+
+def show_scores(answer: dict[str, Any]) -> None:
+    """Success and settling of each controller as a table."""
+    title = (
+        f"{answer['episodes']} episodes, {answer['machine']}, randomize {answer['randomize']}, seed {answer['seed']}"
+    )
+    table = Table(title=title, title_justify="left")
+    bands = ("1mm", "0.2mm", "0.05mm")
+    table.add_column("controller")
+    for column in (*(f"in {b}" for b in bands), *(f"s to {b}" for b in bands), "J"):
+        table.add_column(column, justify="right", no_wrap=True)
+    for name, score in answer["controllers"].items():
+        shares = (f"{100 * score['success'][b]:.1f} %" for b in bands)
+        times = (f"{score['settling_s'][b]['mean']:.3f}" for b in bands)
+        table.add_row(name, *shares, *times, f"{score['energy_J']['mean']:.2f}")
+    console.print(table)
+
+
+@app.command()
 def machines() -> None:
     """The built-in machines.
 
@@ -144,7 +252,7 @@ def machines() -> None:
         modes = [f for f in mode_frequencies(m) if f > 0]
         shown = ", ".join(f"{f:.1f}" for f in modes[:3]) + (", ..." if len(modes) > 3 else "")
         table.add_row(name, str(len(m.coordinates)), str(len(m.belts)), shown or "-", m.description)
-    out.print(table)
+    console.print(table)
 
 
 @app.command()
@@ -158,7 +266,7 @@ def effects() -> None:
     table = Table("effect", "family", "site", "formula", "parameters", "source")
     for e in LIBRARY.values():
         table.add_row(e.name, e.family, e.site, e.formula, ", ".join(p.name for p in e.parameters), e.source)
-    out.print(table)
+    console.print(table)
 
 
 def main() -> None:

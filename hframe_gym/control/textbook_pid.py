@@ -1,8 +1,8 @@
 """A plain PID for each axis, tuned by the book: the baseline that a careful user has in ten minutes.
 
-The stage is taken as a rigid mass with viscous friction on each axis, m v' = f - b v.  Position and speed gains place its
-poles at a double -w, the integral follows ten times slower, and w is a fifth of the slowest belt mode's frequency, or of
-the sampling's where that is lower: the rule of thumb that keeps clear of both.
+The stage is taken as a rigid mass with viscous friction on each axis, m v' = f - b v.  The three gains place its poles at a
+triple -w, and w is a fifth of the slowest belt mode's frequency, or of half the sampling's where that is lower: the rule of
+thumb that keeps clear of both.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from .model import MotionModel
 
 Array = NDArray[np.float64]
 CLEAR = 5.0  # of the closed loop's frequency, from the slowest belt mode and from half the sampling
-INTEGRAL = 10.0  # integral time over 1/w
 
 
 class TextbookPID:
@@ -38,10 +37,10 @@ class TextbookPID:
         w = 2.0 * np.pi * min([0.5 / period, *modes]) / CLEAR
         rigid = self.model.rigid**2
         mass, viscous = rigid.T @ self.model.mass, rigid.T @ self.model.viscous
-        self.proportional = mass * w**2  # N/m
-        # Where friction damps more than the double pole asks, the speed is left alone.
-        self.derivative = np.maximum(2.0 * mass * w - viscous, 0.0)  # Ns/m
-        self.integral = self.proportional * w / INTEGRAL  # N/(m s)
+        self.proportional = 3.0 * mass * w**2  # N/m
+        # Where friction damps more than the poles ask, the speed is left alone.
+        self.derivative = np.maximum(3.0 * mass * w - viscous, 0.0)  # Ns/m
+        self.integral = mass * w**3  # N/(m s)
         self._sum = np.zeros((0, 2))  # N
         self._axes = np.array([machine.coordinate_names.index(axis) for axis in ("x", "y")])
 

@@ -40,8 +40,8 @@ class Choice(NamedTuple):
 class Transfers:
     """Transfers to rest for every place of the goal and every time to go.
 
-    period: of control, s.  Attributes: shortest, longest, periods of a transfer; gains (9, 7, longest - shortest + 1,
-    8, 2, 2 n), V per m and m/s: the first period and the last seven, by place and time to go.
+    period: of control, s.  Attributes: shortest, longest, periods of a transfer; gains (63, longest - shortest + 1, 8,
+    2, 2 n), V per m and m/s: of the first period and the last seven, by place and time to go.
 
     Raises ValueError for a period that is not positive, or a machine whose workspace has no range.
     """
@@ -64,16 +64,14 @@ class Transfers:
         spans = np.array([p[-1] - p[0] for p in self._places])
         longest = MARGIN * np.sum(spans / speed) if speed.min() > 0.0 else SLOWEST
         self.longest = max(self.shortest + 1, int(np.ceil(min(longest, SLOWEST) / period)))
-        cells = [
-            model.discretise(np.array([x, y]), period) for x in self._places[0] for y in self._places[1]
-        ]
-        A, B = (np.stack(matrices) for matrices in zip(*cells, strict=True))
-        self.gains = self._gains(A, B).reshape(*GRID, -1, LAST + 1, inputs, states)
+        places = [np.array([x, y]) for x in self._places[0] for y in self._places[1]]
+        self._matrices = [model.discretise(place, period) for place in places]
+        self.gains = self._gains(*(np.stack(matrices) for matrices in zip(*self._matrices, strict=True)))
 
     def _gains(self, A: Array, B: Array) -> Array:
         """Gains (cells, times, 1 + LAST, inputs, 2 n) from A (cells, 2 n, 2 n) and B (cells, 2 n, inputs)."""
         states = A.shape[1]
-        scale = np.repeat([1.0, 1.0 / SPEED_SCALE], states // 2)
+        scale = _scale(states)
         A = A / scale[:, None] * scale
         scaled = B / scale[:, None]
         W = np.zeros_like(A)
@@ -98,40 +96,46 @@ class Transfers:
         error (B, 2 n): state less goal state, m and m/s; goal (B, 2), m; limit (B, 2), V; at_least (B,) periods.  Where no
         transfer keeps within the limit it is the longest.
         """
-        cells = tuple(np.abs(goal[:, i : i + 1] - p).argmin(axis=1) for i, p in enumerate(self._places))
-        gains = self.gains[cells]
-        volts = (gains @ error[:, None, None, :, None])[..., 0]
-        fits = np.all(np.abs(volts) <= limit[:, None, None, :], axis=(2, 3))
-        fits &= np.arange(self.shortest, self.longest + 1) >= at_least[:, None]
-        fits[:, -1] = True
-        first = fits.argmax(axis=1)
-        return Choice(first + self.shortest, volts[np.arange(len(error)), first, 0])
+        cells = self._cells(goal)
+        low, high = at_least - self.shortest, np.full(len(error), self.gains.shape[1] - 1)
+        # By bisection, for a longer transfer takes less voltage; where the belts still ring that may fail by a period,
+        # and the transfer found is a little longer than the fastest.
+        while np.any(low < high):
+            middle = (low + high) // 2
+            volts = np.einsum("bkij,bj->bki", self.gains[cells, middle], error)
+            fits = np.all(np.abs(volts) <= limit[:, None, :], axis=(1, 2))
+            low, high = np.where(fits | (low == high), low, middle + 1), np.where(fits, middle, high)
+        volts = np.einsum("bij,bj->bi", self.gains[cells, high, 0], error)
+        return Choice(high + self.shortest, volts)
 
     def reference(self, start: Array, goal: Array, limit: Array) -> tuple[Array, Array]:
         """The whole transfer of the frictionless model from rest at start (2,) to goal (2,), m, within limit (2,), V.
 
         Returns tool positions (N + 1, 2), m, one a period, and voltages (N, 2), V.
         """
-        goal = np.asarray(goal, np.float64)
-        origin = self.model.goal_state(np.asarray(start)[None]) - self.model.goal_state(goal[None])
-        A, B = self.model.discretise(self._nearest(goal), self.period)
-        error, volts, path = origin, [], [origin]
-        go = self.choose(error, goal[None], limit[None], np.array([self.shortest])).periods
-        for left in range(int(go[0]), 0, -1):
-            row = self.gains[self._cell(goal)][max(left, self.shortest) - self.shortest]
-            # The last periods of a transfer are kept as rows, for it is no longer a transfer of its own.
-            if left >= self.shortest:
-                u, final = error @ row[0].T, error
-            else:
-                u = final @ row[1 + LAST - left].T
-            volts.append(u[0])
-            error = error @ A.T + u @ B.T
-            path.append(error)
+        start, goal = (np.asarray(point, np.float64)[None] for point in (start, goal))
+        error = self.model.goal_state(start) - self.model.goal_state(goal)
+        N = int(self.choose(error, goal, limit[None], np.array([self.shortest])).periods[0])
+        A, B = self._matrices[int(self._cells(goal)[0])]
+        scale = _scale(len(A))
+        A, B = A / scale[:, None] * scale, B / scale[:, None]
+        powers = [np.eye(len(A))]
+        for _ in range(N):
+            powers.append(A @ powers[-1])
+        reach = np.hstack([powers[j] @ B for j in reversed(range(N))])
+        volts = -np.linalg.lstsq(reach, powers[N] @ (error[0] / scale), rcond=None)[0].reshape(N, -1)
+        states = [error[0] / scale]
+        for u in volts:
+            states.append(A @ states[-1] + B @ u)
         axes = [self.model.machine.coordinate_names.index(axis) for axis in AXES]
-        return np.concatenate(path)[:, axes] + goal, np.array(volts)
+        return np.array(states)[:, axes] + goal, volts
 
-    def _cell(self, goal: Array) -> tuple[int, ...]:
-        return tuple(int(np.abs(g - p).argmin()) for g, p in zip(goal, self._places, strict=True))
+    def _cells(self, goal: Array) -> NDArray[np.intp]:
+        """The place of the grid that is nearest to each goal (B, 2)."""
+        i, j = (np.abs(goal[:, k : k + 1] - p).argmin(axis=1) for k, p in enumerate(self._places))
+        return i * GRID[1] + j
 
-    def _nearest(self, goal: Array) -> Array:
-        return np.array([p[i] for p, i in zip(self._places, self._cell(goal), strict=True)])
+
+def _scale(states: int) -> Array:
+    """Units (2 n,) in which positions and speeds have like size: W_N is then far better conditioned."""
+    return np.repeat([1.0, 1.0 / SPEED_SCALE], states // 2)

@@ -1,7 +1,7 @@
 """A batch of environments without gymnasium's interface: the one code behind `HFrameEnv` and its vector twin.
 
-An episode of environment b: `reset` draws its machine, start and plan from its own generator and puts the stage at rest;
-each `step` advances all stages by one control period.  Ending episodes is left to the caller.
+An episode of environment b: `reset` draws its machine, start and plan from its own generator and puts the stage
+at rest; each `step` advances all stages by one control period.  Ending episodes is left to the caller.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ Observation = dict[str, NDArray[np.float32]]
 MachineLike: TypeAlias = Machine | str | Path
 Ends = Literal["stops", "terminate"]
 
-# Taken from the reward when an episode ends at the workspace's edge: more than a hundred steps can lose, so that leaving
-# never pays.
+# Taken from the reward when an episode ends at the workspace's edge: as much as a hundred steps can lose, so that
+# leaving does not pay.
 PENALTY = 100.0
 
 
@@ -214,7 +214,8 @@ class Batch:
 
     def goals(self, index: Index | slice) -> NDArray[np.float32]:
         """Where environments index (k,) should be now, (k, 2) m."""
-        return self.task.goal(self._plan[index], self.elapsed[index] * self.settings.period)
+        elapsed_s = self.elapsed[index].astype(np.float64) * self.settings.period
+        return self.task.goal(self._plan[index], elapsed_s)
 
     def _with_goals(self, state: NDArray[np.float32]) -> Observation:
         return {

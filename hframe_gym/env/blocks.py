@@ -9,14 +9,21 @@ batch, lane or thread.
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 import numpy as np
 from numba import njit
 
 from ..machine.lanes import LANES
 
-compiled: Any = njit(nogil=True, cache=True, error_model="numpy")
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def compiled(function: Function) -> Function:
+    """The function compiled by Numba, without the interpreter lock, kept on disk."""
+    result: Any = njit(nogil=True, cache=True, error_model="numpy")(function)
+    return result
 
 
 @compiled
@@ -70,7 +77,7 @@ def late(history: Any, delays: Any, period: float, h: float, first: int, last: i
                 inputs[block, row, lane] = value
 
 
-@njit(nogil=True, cache=True, error_model="numpy", inline="always")
+@compiled
 def _observe_one(
     state: Any, parameters: Any, rows: Any, radius_rows: Any, low: Any, high: Any, b: int, out: Any
 ) -> bool:
@@ -113,8 +120,8 @@ def observe_some(
 def near(state: Any, rows: Any, low: Any, high: Any, reach: float, period: float, first: int, last: int) -> Any:
     """Lanes (block * LANES + lane) of blocks first..last-1 that may touch an end within a period, ascending.
 
-    rows (n,): the coordinates with ends low, high (n,); a coordinate is near when less than reach (m) and one and a half
-    times the way it goes at its present speed are left.
+    rows (n,): the coordinates with ends low, high (n,); near is who has less left than reach (m) and one and a
+    half times the way it goes at its present speed.
     """
     coordinates = (state.shape[1] - 1) // 2
     found = np.empty((last - first) * LANES, np.int64)
@@ -134,7 +141,7 @@ def near(state: Any, rows: Any, low: Any, high: Any, reach: float, period: float
 
 @compiled
 def gather(source: Any, lanes: Any, out: Any) -> None:
-    """Copy lanes (k,) of source (blocks, rows, LANES) to the front of out (at least k lanes); the rest repeat the last."""
+    """Copy lanes (k,) of source (blocks, rows, LANES) to the front of out; what is left of out repeats the last."""
     for i in range(out.shape[0] * LANES):
         lane = lanes[min(i, lanes.shape[0] - 1)]
         for row in range(source.shape[1]):

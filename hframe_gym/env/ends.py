@@ -17,6 +17,7 @@ from ..machine.vector_math import maximum
 from . import blocks
 
 Array = NDArray[np.float64]
+Tables = tuple[Array, Array, Array, Array]
 
 STIFFNESS = 2e5  # N/m: both motors at full voltage press 1.2 mm into it; the light cart still swings slower than 2 kHz
 DAMPING = 1.5  # s/m: an impact at 0.5 m/s comes back with less than half its speed
@@ -69,7 +70,7 @@ class EndStops:
         found: NDArray[np.int64] = blocks.near(state, self._rows, self._low, self._high, REACH, period, first, last)
         return found
 
-    def advance(self, tables: tuple[Array, Array, Array, Array], lanes: NDArray[np.int64], h: float, steps: int) -> Array:
+    def advance(self, tables: Tables, lanes: NDArray[np.int64], h: float, steps: int) -> Array:
         """Where the stages in lanes (k,) are after `steps` steps of h with end stops, in blocks; nothing is changed.
 
         tables: state, parameters, derived numbers and inputs of all, (blocks, rows, LANES).

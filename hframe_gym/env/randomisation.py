@@ -1,7 +1,7 @@
 """Randomised machines: a field of the machine x a distribution x scale, add or set x reset or startup.
 
-    Vary("*.coulomb", Uniform(0.5, 2.0))                      every Coulomb level on its own, times U(0.5, 2), each episode
-    Vary("*.EA", Uniform(0.7, 1.3), shared=True)              one draw for all belts
+    Vary("*.coulomb", Uniform(0.5, 2.0))                          each Coulomb level on its own, every episode
+    Vary("*.EA", Uniform(0.7, 1.3), shared=True)                  one draw for all belts
     Vary("x.mass", Normal(0.0, 0.1), how="add", when="startup")   once a seed
 
 Draws come from the environment's own generator, so a seed fixes them; they are in the reset's info.

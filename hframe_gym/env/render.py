@@ -1,8 +1,8 @@
 """Pictures of a stage: frame, bridge, cart, the belt along its path coloured by tension, target and trail.
 
 Drawn with pygame, the extra `render`, from above: x to the right, y up.  The path follows the belt sections of the
-20th-order model (eq. 25-34): cart, down the bridge's left side, out along the frame, round two corner pulleys (the right
-one is the motor), back to the bridge's right side, up, and the same above.
+20th-order model (eq. 25-34): cart, down the bridge's left side, out along the frame, round two corner pulleys (the
+right one is the motor), back to the bridge's right side, up, and the same above.
 """
 
 from __future__ import annotations

@@ -11,8 +11,9 @@ from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from .blocks import compiled
 
 Goals: TypeAlias = NDArray[np.float32]
 Reward: TypeAlias = Callable[[Goals, Goals], NDArray[np.float64]]
@@ -21,10 +22,8 @@ RewardLike: TypeAlias = Literal["dense", "sparse"] | Reward
 # m.  One scale a decade, so that halving the distance pays about the same from 0.5 m down to 10 um.
 SCALES = (2e-1, 2e-2, 2e-3, 2e-4, 2e-5)
 
-_compiled: Any = njit(nogil=True, cache=True, error_model="numpy")
 
-
-@_compiled
+@compiled
 def distances(achieved: Any, desired: Any) -> Any:
     """Distance between the goals, (n,) m."""
     out = np.empty(achieved.shape[0])
@@ -35,12 +34,12 @@ def distances(achieved: Any, desired: Any) -> Any:
     return out
 
 
-@_compiled
+@compiled
 def dense(achieved: Any, desired: Any) -> Any:
     """Minus the mean of d / (d + scale) over `SCALES`: 0 at the target, towards -1 far from it.
 
-    Smooth for d > 0 and like -log d in between; its slope at 0.1 mm is 50 times that at 10 mm, so that it keeps paying to
-    come closer where a plain distance has become too small to learn from.
+    Smooth for d > 0 and like -log d in between; its slope at 0.1 mm is about a hundred times that at 10 mm, so that it
+    keeps paying to come closer where a plain distance has become too small to learn from.
     """
     out = distances(achieved, desired)
     for b in range(out.shape[0]):
@@ -74,10 +73,10 @@ class WithPenalty:
         return np.asarray(self.reward(achieved, desired), np.float64) - self.penalty * outside
 
 
-def outside_of(achieved: Goals, workspace: NDArray[np.float64]) -> NDArray[np.bool_]:
+def outside_of(achieved: Goals, workspace: NDArray[Any]) -> NDArray[np.bool_]:
     """Where the tool is beyond the workspace (2, 2), (n,)."""
-    beyond: NDArray[np.bool_] = ((achieved < workspace[:, 0]) | (achieved > workspace[:, 1])).any(axis=1)
-    return beyond
+    beyond = (achieved < workspace[:, 0]) | (achieved > workspace[:, 1])
+    return np.asarray(beyond.any(axis=1))
 
 
 def as_reward(reward: RewardLike, band: float) -> Reward:
@@ -86,7 +85,7 @@ def as_reward(reward: RewardLike, band: float) -> Reward:
     Raises ValueError for an unknown name, or where a function does not give one finite number a row.
     """
     if reward == "dense":
-        return dense  # type: ignore[no-any-return]
+        return dense
     if reward == "sparse":
         return Sparse(band)
     if not callable(reward):

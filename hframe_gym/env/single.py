@@ -20,14 +20,15 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
     """An H-frame belt stage that is to bring its tool to a goal.
 
     Action: (2,) in [-1, 1], share of each motor's rated voltage, held for one control period.  Observation: a dict of
-    float32 arrays in SI units, `observation` (see `entries`), `achieved_goal` and `desired_goal` (x, y of tool and goal).
+    float32 arrays in SI units: `observation` (see `entries`), `achieved_goal`, `desired_goal` (x, y of tool and goal).
     Episodes do not end by themselves unless ends="terminate"; `gym.make` cuts them at 150 steps (1.5 s).
 
     Info: `distance_m`, `is_success` (distance within the task's band now), `clipped_actions` (entries beyond [-1, 1] in
     this episode), and after a reset `parameters`, the machine's randomised numbers by name.
 
-    Keywords are those of `Settings`, and render_mode: None, "rgb_array" or "human".  Raises ValueError for settings that
-    do not fit together.
+    Keywords are those of `Settings`, and render_mode: None, "rgb_array" or "human".
+
+    Raises ValueError for settings that do not fit together.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["human", "rgb_array"], "render_fps": 100}  # type: ignore[misc]
@@ -36,8 +37,8 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
         self.batch = Batch(Settings(**settings), 1)
         self.render_mode = check_mode(render_mode, self.metadata["render_modes"])
         self.metadata = {**self.metadata, "render_fps": round(1.0 / self.batch.settings.period)}  # type: ignore[misc]
-        self.observation_space = self.batch.observation_space
-        self.action_space = action_space(self.batch.machine)
+        self.observation_space = self.batch.observation_space  # type: ignore[assignment]
+        self.action_space = action_space(self.batch.machine)  # type: ignore[assignment]
         self._renderer: Renderer | None = None
         self._trail: deque[tuple[float, float]] = deque(maxlen=TRAIL)
 

@@ -116,10 +116,11 @@ class Stages:
 
     def _longest_delays(self) -> list[float]:
         """The latest that each drive can ever be, by its effects' bounds, s."""
-        return [
-            sum(float(e.definition.delay(*(p.upper for p in e.definition.parameters))) for e, _ in self._effect_delays(d.name))
-            for d in self.machine.drives
-        ]  # fmt: skip
+        longest = []
+        for drive in self.machine.drives:
+            definitions = [effect.definition for effect, _ in self._effect_delays(drive.name)]
+            longest.append(sum(float(d.delay(*(p.upper for p in d.parameters))) for d in definitions if d.delay))
+        return longest
 
     def _set_delays(self, own: Index) -> None:
         if not self._kernel.delayed:

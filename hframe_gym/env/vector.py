@@ -27,8 +27,9 @@ class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]])
     and ignores its action), "SameStep" (the end's step resets; `final_obs` and `final_info` hold the end) or "Disabled"
     (reset with options={"reset_mask": (num_envs,) bool}).  Returned arrays are fresh.
 
-    Other keywords are those of `Settings`, and render_mode: None or "rgb_array".  Raises ValueError for settings that do
-    not fit together.
+    Other keywords are those of `Settings`, and render_mode: None or "rgb_array".
+
+    Raises ValueError for settings that do not fit together.
     """
 
     metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]

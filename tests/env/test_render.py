@@ -1,5 +1,6 @@
 """Pictures: shape, what moves in them, and the extra's name where pygame is missing."""
 
+import itertools
 import sys
 import time
 
@@ -46,7 +47,7 @@ def test_vector_gives_a_picture_each():
 def test_belt_is_one_closed_line(position):
     sections = Geometry(np.array([[-0.28, 0.28], [-0.19, 0.19]])).sections(*position)
     path = [sections[name] for name in ("s7", "s5", "s1", "s3", "s9", "s4", "s2", "s6", "s8")]
-    for a, b in zip(path, path[1:], strict=False):
+    for a, b in itertools.pairwise(path):
         np.testing.assert_allclose(a[-1], b[0], atol=1e-9)
     assert path[0][0] == pytest.approx(path[-1][-1])
 

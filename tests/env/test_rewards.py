@@ -24,16 +24,22 @@ def test_dense_pays_for_every_halving():
 @pytest.mark.parametrize("reward", ["dense", "sparse"])
 @pytest.mark.parametrize("ends", ["stops", "terminate"])
 def test_compute_reward_gives_the_same_bits(reward, ends):
-    envs = HFrameVectorEnv(37, reward=reward, ends=ends, randomize="default", autoreset_mode="Disabled")
-    observation, _ = envs.reset(seed=0)
+    envs = HFrameVectorEnv(37, reward=reward, ends=ends, randomize="default", autoreset_mode="SameStep")
+    envs.reset(seed=0)
     single = HFrameEnv(reward=reward, ends=ends)
-    for _ in range(10):
-        observation, rewards, *_ = envs.step(np.full((37, 2), 0.7, np.float32))
+    ended = 0
+    for _ in range(40):
+        observation, rewards, over, _, info = envs.step(np.full((37, 2), 0.7, np.float32))
         achieved, desired = observation["achieved_goal"], observation["desired_goal"]
+        for b in np.flatnonzero(over):
+            achieved[b] = info["final_obs"][b]["achieved_goal"]
+            desired[b] = info["final_obs"][b]["desired_goal"]
         np.testing.assert_array_equal(envs.compute_reward(achieved, desired, {}), rewards)
         one_by_one = [single.compute_reward(a, d, {}) for a, d in zip(achieved, desired, strict=True)]
         np.testing.assert_array_equal(one_by_one, rewards)
         assert type(one_by_one[0]) is float
+        ended += int(over.sum())
+    assert (ended > 0) == (ends == "terminate")
 
 
 def test_sparse_knows_the_band():

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from stable_baselines3 import HerReplayBuffer, SAC
+from stable_baselines3 import SAC, HerReplayBuffer
 from stable_baselines3.common.vec_env import VecMonitor
 
 from hframe_gym.env import HFrameVectorEnv

@@ -9,7 +9,7 @@ import pytest
 
 from hframe_gym.env import HFrameEnv, Reach, Vary, register
 from hframe_gym.env.randomisation import Uniform
-from hframe_gym.machine import BUILTIN
+from hframe_gym.machine import BUILTIN, simulate
 
 register()
 FULL = np.array([1.0, -0.3], np.float32)
@@ -100,11 +100,7 @@ def test_follows_the_machine_s_own_simulation():
     volts = np.random.default_rng(0).uniform(-12, 12, (11, 2))
     for row in volts[:-1]:
         observation, *_ = env.step(row / 12)
-    q = machine.simulate(time, volts).positions[-1] if hasattr(machine, "simulate") else None
-    if q is None:
-        from hframe_gym.machine import simulate
-
-        q = simulate(machine, time, volts).positions[-1]
+    q = simulate(machine, time, volts).positions[-1]
     np.testing.assert_allclose(observation["observation"][:4], q, rtol=1e-5, atol=1e-7)
 
 
@@ -124,7 +120,7 @@ def test_action_that_is_not_finite_is_refused(value):
     env = HFrameEnv()
     env.reset(seed=0)
     before = env.batch.stages.state.copy()
-    with pytest.raises(ValueError, match="environment 0, motor2: .* is not finite"):
+    with pytest.raises(ValueError, match=r"environment 0, motor2: .* is not finite"):
         env.step(np.array([0.0, value]))
     np.testing.assert_array_equal(env.batch.stages.state, before)
 
@@ -189,7 +185,11 @@ def test_unknown_keyword_is_refused():
         HFrameEnv(colour="blue")
 
 
-@pytest.mark.parametrize("twin", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))], ids=["deepcopy", "pickle"])
+def through_pickle(env):
+    return pickle.loads(pickle.dumps(env))
+
+
+@pytest.mark.parametrize("twin", [copy.deepcopy, through_pickle])
 def test_a_copy_goes_on_alike(twin):
     env = HFrameEnv(randomize="wide")
     episode(env, steps=5, seed=3)

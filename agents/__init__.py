@@ -1,0 +1,8 @@
+"""Learned controllers: training, recipes as data, and agents in a format whose loading runs no code.
+
+Needs the extra `agents` (stable-baselines3, torch, safetensors); importing this package does not.
+"""
+
+from .train import train
+
+__all__ = ["train"]

@@ -1,0 +1,20 @@
+"""Every benchmark, one after the other, and the tables made from them:  python -m benchmarks"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+ALL = (
+    ("benchmarks.paper",),
+    ("benchmarks.accuracy",),
+    ("benchmarks.throughput",),
+    ("benchmarks.identification",),
+    ("benchmarks.real_machines", "emps"),
+    ("benchmarks.tables",),
+)
+
+if __name__ == "__main__":
+    for command in ALL:
+        print(f"\n== {' '.join(command)}", flush=True)
+        subprocess.run([sys.executable, "-m", *command], check=True)

@@ -1,0 +1,103 @@
+"""Writes the tables of README.md and RESULTS.md from benchmarks/results/*.json, and docs/effects.md from the library.
+
+    python -m benchmarks.tables
+
+A table stands between `<!-- table: NAME -->` and `<!-- end -->`; whatever is there is replaced.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from benchmarks.results_file import RESULTS
+from hframe_gym.atomic import write_text
+from hframe_gym.effects import LIBRARY
+
+ROOT = Path(__file__).parents[1]
+STAGES = ("declared", "before", "after")
+
+
+def markdown(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A Markdown table; all columns but the first to the right."""
+    lines = [header, ["---", *["---:"] * (len(header) - 1)], *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def identify_examples(results: dict[str, Any]) -> str:
+    """Held-out error of the shipped rigs by channel."""
+    rows = []
+    for rig in ("rig_a", "rig_b"):
+        for channel in results[rig]["after"]["held_out"]:
+            ratios = [results[rig][s]["held_out"][channel]["noise_ratio"] for s in STAGES]
+            rows.append([f"`{rig}` ({results[rig]['verdict']}), {channel}", *(f"{r:.3g}" for r in ratios)])
+    return markdown(["rig and channel", "declared", "before: refitted", "after"], rows)
+
+
+def real_machines_emps(results: dict[str, Any]) -> str:
+    """Relative force error of both EMPS records."""
+    rows = [[name, *(f"{100 * e[k]:.2f} %" for k in ("train", "test"))] for name, e in results["force_error"].items()]
+    return markdown(["EMPS", "first record (fitted)", "second record (held out)"], rows)
+
+
+def identification(results: dict[str, Any]) -> str:
+    """The set of rigs: what each hid and what was found."""
+    rows = [
+        [r["rig"], r["hides"] or "nothing", r["found"] or r["verdict"], "yes" if r["hit"] else "**no**"]
+        + [f"{r['before']:.3g}", f"{r['after']:.3g}", f"{r['seconds']:.1f}"]
+        for r in results["rigs"]
+    ]
+    return markdown(["rig", "hides", "found", "right", "before", "after", "s"], rows)
+
+
+TABLES: dict[str, Callable[[dict[str, Any]], str]] = {
+    "identify_examples": identify_examples,
+    "identification": identification,
+    "real_machines_emps": real_machines_emps,
+}
+
+
+def surroundings(results: dict[str, Any]) -> str:
+    """One line: where the numbers were measured."""
+    versions = ", ".join(f"{k} {v}" for k, v in results["versions"].items())
+    seed = "" if results["seed"] is None else f", seed {results['seed']}"
+    return f"Python {results['python']}, {results['machine']['cores']} cores, {versions}{seed}."
+
+
+def fill(path: Path) -> None:
+    """Replace every table of a page whose results are there."""
+
+    def replaced(match: re.Match[str]) -> str:
+        name = match[1]
+        file = RESULTS / f"{name}.json"
+        if not file.is_file():
+            return match[0]
+        results = json.loads(file.read_text())
+        note = f"\n\n{surroundings(results)}" if path.name == "RESULTS.md" else ""
+        return f"<!-- table: {name} -->\n{TABLES[name](results)}{note}\n<!-- end -->"
+
+    text = path.read_text()
+    write_text(path, re.sub(r"<!-- table: (\w+) -->.*?<!-- end -->", replaced, text, flags=re.DOTALL))
+
+
+def effects_page() -> str:
+    """docs/effects.md: the library as a table."""
+    rows = [
+        [f"`{e.name}`", e.family, e.site, f"`{e.formula}`", ", ".join(p.name for p in e.parameters), e.source]
+        for e in LIBRARY.values()
+    ]
+    head = "# Effects\n\nMade from `hframe_gym/effects/` by `python -m benchmarks.tables`.\n\n"
+    return head + markdown(["effect", "family", "site", "formula", "parameters", "source"], rows) + "\n"
+
+
+def main() -> None:
+    for page in ("README.md", "RESULTS.md"):
+        fill(ROOT / page)
+    write_text(ROOT / "docs" / "effects.md", effects_page())
+
+
+if __name__ == "__main__":
+    main()

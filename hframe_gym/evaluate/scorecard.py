@@ -1,0 +1,96 @@
+"""Scores of a batch of episodes: settling, success, overshoot, error, effort, with intervals over the draws."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import bootstrap
+
+if TYPE_CHECKING:
+    from .run import Episodes
+
+Array = NDArray[np.float64]
+BANDS = {"1mm": 1e-3, "0.2mm": 2e-4, "0.05mm": 5e-5}  # m
+JUDGED = "0.2mm"  # the band of the time-optimal bound
+SATURATED = 1.0 - 1e-6  # of the rated voltage
+RESAMPLES = 2000
+
+
+def settling(error: Array, time_s: Array, band: float) -> tuple[Array, NDArray[np.bool_]]:
+    """Settling time (B,), s, and success (B,) from the distance to the goal error (B, n), m, at time_s (n,).
+
+    Settled is from the first sample on after which the error never leaves the band; an episode that is outside at the end
+    has failed and counts its whole length.
+    """
+    outside = error > band
+    after_last = np.where(outside.any(axis=1), error.shape[1] - np.argmax(outside[:, ::-1], axis=1), 0)
+    success = after_last < error.shape[1]
+    return time_s[np.minimum(after_last, error.shape[1] - 1)] - time_s[0], success
+
+
+def overshoot(position: Array, goal: Array) -> Array:
+    """How far (B,) the tool went beyond the goal along the line from its start, m, from positions (B, n, 2).
+
+    Zero where it never did; the largest distance where start and goal are one point.
+    """
+    way = goal - position[:, 0]
+    length = np.linalg.norm(way, axis=1)
+    unit = way / np.where(length > 0.0, length, 1.0)[:, None]
+    beyond = np.einsum("bni,bi->bn", position - goal[:, None], unit).max(axis=1)
+    wandered = np.linalg.norm(position - goal[:, None], axis=2).max(axis=1)
+    return np.where(length > 0.0, np.maximum(beyond, 0.0), wandered)
+
+
+def mean_with_interval(values: Array, seed: int) -> dict[str, Any]:
+    """Mean of values (B,) and its 95 % percentile-bootstrap interval over the draws; the mean twice where all agree."""
+    mean = float(np.mean(values))
+    if len(values) < 2 or np.all(values == values[0]):
+        return {"mean": mean, "ci95": [mean, mean]}
+    interval = bootstrap(
+        (values,), np.mean, n_resamples=RESAMPLES, batch=100, method="percentile", rng=np.random.default_rng(seed)
+    ).confidence_interval
+    return {"mean": mean, "ci95": [float(interval.low), float(interval.high)]}
+
+
+def scores(run: Episodes, bound_s: Array | None = None, *, seed: int = 0) -> dict[str, Any]:
+    """The scores of one controller, plain data as in scores.json.
+
+    bound_s: least possible time of each episode (B,), s; without it `over_bound` is None.  seed: of the bootstrap.
+
+    `voltage_variation` is the sum over drives and control periods of |change of voltage| in V, from 0 V before the first;
+    `saturation_share` the share of drives and periods at rated voltage; overshoot is along the line from start to goal.
+
+    Raises ValueError when bound_s has another length or holds what is not a positive number.
+    """
+    error = np.linalg.norm(run.position - run.goal[:, None], axis=2)
+    settled = {name: settling(error, run.time_s, band) for name, band in BANDS.items()}
+    before = np.concatenate([np.zeros_like(run.volts[:, :1]), run.volts[:, :-1]], axis=1)
+    variation = np.abs(run.volts - before).sum(axis=(1, 2))
+    saturated = (np.abs(run.volts) >= SATURATED * run.rated).mean(axis=(1, 2))
+    over_bound = None
+    if bound_s is not None:
+        bound = np.asarray(bound_s, np.float64)
+        if bound.shape != (len(error),) or not np.all(np.isfinite(bound) & (bound > 0.0)):
+            raise ValueError(f"bound_s must hold {len(error)} positive times, one an episode")
+        over_bound = {JUDGED: mean_with_interval(settled[JUDGED][0] / bound, seed)}
+    return {
+        "success": {name: float(np.mean(success)) for name, (_, success) in settled.items()},
+        "settling_s": {
+            name: {
+                "mean": float(np.mean(times)),
+                "median": float(np.median(times)),
+                "p95": float(np.quantile(times, 0.95)),
+                "ci95": mean_with_interval(times, seed)["ci95"],
+            }
+            for name, (times, _) in settled.items()
+        },
+        "over_bound": over_bound,
+        "overshoot_mm": mean_with_interval(1e3 * overshoot(run.position, run.goal), seed),
+        "final_error_mm": mean_with_interval(1e3 * error[:, -1], seed),
+        "energy_J": mean_with_interval(run.energy_J, seed),
+        "voltage_variation": mean_with_interval(variation, seed),
+        "saturation_share": mean_with_interval(saturated, seed),
+        "peak_belt_force_N": mean_with_interval(run.peak_belt_force_N, seed),
+    }

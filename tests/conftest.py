@@ -1,0 +1,39 @@
+"""What many tests need: the declared machine, and recordings written to a folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hframe_gym.machine import BUILTIN, Machine
+
+HEADER = "time_s,v1_V,v2_V,phi1_rad,phi2_rad,x_m,y_m"
+
+
+@pytest.fixture
+def hframe() -> Machine:
+    return BUILTIN["hframe"]()
+
+
+@pytest.fixture
+def write_run(tmp_path: Path) -> Callable[..., Path]:
+    """Writes a small valid run; `cells` replaces cells by (row, column name), `header` the header."""
+
+    def write(
+        name: str = "run.csv", cells: dict[tuple[int, str], str] | None = None, header: str = HEADER, rows: int = 20
+    ) -> Path:
+        names = HEADER.split(",")
+        table = np.zeros((rows, len(names)))
+        table[:, 0] = 5.0 + 1e-3 * np.arange(rows)
+        table[rows // 2 :, 1:3] = -4.0
+        text = [[f"{value:.9g}" for value in row] for row in table]
+        for (row, column), cell in (cells or {}).items():
+            text[row - 1][names.index(column)] = cell
+        path = tmp_path / name
+        path.write_text("\n".join([header, *(",".join(row) for row in text)]) + "\n")
+        return path
+
+    return write

@@ -1,0 +1,80 @@
+"""The whole loop on recordings of an independent simulator: the planted effect, and none where there is none."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from benchmarks.make_examples import RIGS
+from hframe_gym.files import InputError, Recording, load_machine, read_recordings
+from hframe_gym.identify import Answer, hold_out, identify
+from hframe_gym.identify.output import write_answer
+from hframe_gym.identify.report import build_report
+from hframe_gym.machine import BUILTIN
+
+
+@pytest.fixture(scope="module")
+def found() -> Answer:
+    machine = BUILTIN["hframe"]()
+    return identify(read_recordings("examples/rig_a", machine), machine)
+
+
+def test_the_planted_effect_is_named_and_removes_the_error(found: Answer) -> None:
+    report = found.as_json()
+    assert report["verdict"] == "effect_found"
+    [effect] = report["effects"]
+    assert (effect["name"], effect["site"]) == ("stribeck_friction", "x")
+    assert effect["rivals"] == []
+    rig = RIGS["rig_a"]
+    unit = rig.torque_constant[0] * rig.drive_gain[0] / BUILTIN["hframe"]().drives[0].Kt
+    assert effect["parameters"]["dF"]["value"] * unit == pytest.approx(rig.stribeck_force[0], rel=0.01)
+    assert effect["parameters"]["vs"]["value"] == pytest.approx(rig.stribeck_velocity[0], rel=0.01)
+    for channel, error in report["after"]["held_out"].items():
+        assert error["rmse"] < report["before"]["held_out"][channel]["rmse"] / 5
+        assert error["noise_ratio"] < 1.1
+    assert report["residual"]["white"]
+    assert report["residual"]["depends_on"][0]["variable"] == "velocity of x"
+
+
+def test_the_twin_has_no_effect() -> None:
+    machine = BUILTIN["hframe"]()
+    answer = identify(read_recordings("examples/rig_b", machine), machine)
+    assert answer.verdict == "no_effect"
+    assert answer.found == ()
+    assert all(e.noise_ratio < 1.1 for e in answer.before.held_out.channels.values())
+
+
+def test_held_out_runs_are_never_fitted(found: Answer) -> None:
+    fitted, judged = ({r.name for r in data.runs} for data in (found.fitted, found.held_out))
+    assert not fitted & judged
+    assert len(fitted | judged) == 8
+
+
+def test_the_folder_is_complete_and_its_machine_runs(found: Answer, tmp_path: Path) -> None:
+    write_answer(found, tmp_path)
+    page = build_report(tmp_path)
+    assert json.loads((tmp_path / "report.json").read_text())["schema"] == 1
+    text = page.read_text()
+    assert "stribeck friction at x" in text
+    assert "http" not in text.replace("http-equiv", "")
+    assert {p.name for p in (tmp_path / "plots").iterdir()} == {
+        "error_by_channel.png",
+        "error_over_time.png",
+        "residual_force.png",
+    }
+    machine = load_machine(tmp_path / "machine.json")
+    assert machine.parameters == found.after.machine.parameters
+    assert machine.uncertainty is not None
+
+
+def test_hold_out_takes_every_fourth_and_refuses_nonsense() -> None:
+    runs = [Recording(f"run_{i}", *[None] * 3) for i in range(1, 9)]  # type: ignore[arg-type]
+    assert hold_out(runs) == ("run_4", "run_8")
+    assert hold_out(runs[:2]) == ("run_2",)
+    assert hold_out(runs, ["run_3"]) == ("run_3",)
+    with pytest.raises(InputError, match="no such run"):
+        hold_out(runs, ["run_9"])
+    with pytest.raises(InputError, match="at least one must be left"):
+        hold_out(runs[:1])
