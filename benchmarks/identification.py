@@ -28,6 +28,7 @@ from hframe_gym.files import Recording, load_machine, read_recordings
 from hframe_gym.identify import Answer, identify
 
 SEED = 100
+SETTLING_S = 0.3
 
 
 class Case(NamedTuple):
@@ -60,9 +61,11 @@ def record(case: Case, seed: int) -> list[Recording]:
 
     varied = {key: near(getattr(TRUTH, key)) for key in ("mass", "viscous", "coulomb", "belt_EA_N")}
     rig: Rig = dataclasses.replace(TRUTH, **varied, **case.change)
-    made = runs(seed, RUNS, duration_s=DURATION_S, rig=rig)
+    # A rig has come to rest when its recording begins: the simulated one, which starts with unstretched belts, gets time.
+    made = runs(seed, RUNS, duration_s=DURATION_S + SETTLING_S, rest_s=SETTLING_S + 0.1, rig=rig)
+    first = round(SETTLING_S * 1000)
     return [
-        Recording(f"run_{i:02}", run.time_s, run.inputs, measure(run.positions, rng))
+        Recording(f"run_{i:02}", run.time_s[first:], run.inputs[first:], measure(run.positions, rng)[first:])
         for i, run in enumerate(made, start=1)
     ]
 

@@ -12,17 +12,29 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from mujoco import rollout
+from mujoco import mjtIntegrator as Integrators
+from mujoco import rollout as _batch
 from numpy.typing import NDArray
 
 from hframe_gym.machine import Machine, with_constant_stiffness
 
 Array = NDArray[np.float64]
 
-# MuJoCo's friction is a soft constraint: below breakaway it creeps.  `default` is what a model gets, `stiff` what its
-# documentation advises against creep: an impedance close to one, reached at once.
-FRICTION = {"default": "", "stiff": 'solimpfriction="0.9999 0.9999 0.001 0.5 2"'}
-INTEGRATORS = ("Euler", "implicitfast", "implicit", "RK4")
+# MuJoCo's friction is a soft constraint that brings a speed to zero within the time constant of `solreffriction` (20 ms
+# by default) and creeps by the impedance of `solimpfriction`.  `default` is what a model gets who does not know;
+# `stiff` is as close to dry friction as MuJoCo allows: stopped within one step (its lower bound, two steps, is one over
+# the damping it stands for), impedance next to one.
+FRICTION = {
+    "default": "",
+    "stiff": 'solreffriction="{twice} 1" solimpfriction="0.9999 0.9999 0.001 0.5 2"',
+}
+INTEGRATORS = (
+    "Euler",
+    "implicitfast",
+    "implicit",
+    "RK4",
+    *(("discrete",) if hasattr(Integrators, "mjINT_DISCRETE") else ()),
+)
 SOLVERS = ("Newton", "PGS", "CG")
 
 
@@ -31,7 +43,7 @@ class Choice(NamedTuple):
 
     integrator: str = "Euler"
     solver: str = "PGS"
-    friction: str = "default"
+    friction: str = "stiff"
 
     def __str__(self) -> str:
         return f"{self.integrator}, {self.solver}, {self.friction} friction"
@@ -49,7 +61,7 @@ def xml(machine: Machine, step: float, choice: Choice) -> str:
     def joint(name: str, kind: str, axis: str) -> str:
         c = machine.coordinate(name)
         damping = c.viscous + sum(d.back_emf for d in machine.drives if d.coordinate == name)
-        soft = FRICTION[choice.friction] if c.coulomb else ""
+        soft = FRICTION[choice.friction].format(twice=2 * step) if c.coulomb else ""
         return f'<joint name="{name}" type="{kind}" axis="{axis}" damping="{damping!r}" frictionloss="{c.coulomb!r}" {soft}/>'
 
     def inertia(mass: float, moment: float) -> str:
@@ -88,10 +100,9 @@ class MujocoStage:
         self.model = mujoco.MjModel.from_xml_string(xml(machine, step, choice))
         # MuJoCo takes one data object a thread; with nthread = 0 it works in the caller's.
         self._data = [mujoco.MjData(self.model) for _ in range(threads)]
-        self._pool = rollout.Rollout(nthread=threads if threads > 1 else 0)
+        self._pool = _batch.Rollout(nthread=threads if threads > 1 else 0)
         self.size = mujoco.mj_stateSize(self.model, mujoco.mjtState.mjSTATE_FULLPHYSICS)
         self._states: Array = np.zeros((0, 0, 0))
-        self._sensors: Array = np.zeros((0, 0, 0))
 
     def close(self) -> None:
         self._pool.close()
@@ -103,16 +114,14 @@ class MujocoStage:
         """
         shape = (*controls.shape[:2], self.size)
         if self._states.shape != shape:
-            self._states, self._sensors = np.zeros(shape), np.zeros((*shape[:2], 0))
+            self._states = np.zeros(shape)
         self._pool.rollout(
             self.model,
             self._data,
             start,
             controls,
             nstep=shape[1],
-            skip_checks=True,
             state=self._states,
-            sensordata=self._sensors,
         )
         return self._states
 

@@ -50,8 +50,7 @@ def require_folder(path: Path) -> Path:
 def simulate(
     inputs: Annotated[Path, typer.Option(help="A recording, or time_s and voltages alone.")],
     out: Annotated[Path, typer.Option(help="The predicted run (.csv or .csv.gz).")],
-    machine: Preset = Literal["none", "default", "wide", "identified"]
-MachineOption = "hframe",
+    machine: MachineOption = "hframe",
 ) -> None:
     """The recording's inputs through a machine: same columns, same times.
 
@@ -75,8 +74,7 @@ MachineOption = "hframe",
 def identify(
     runs_dir: Annotated[Path, typer.Argument(help="A folder of recordings, one run a file.")],
     out: OutOption,
-    machine: Preset = Literal["none", "default", "wide", "identified"]
-MachineOption = "hframe",
+    machine: MachineOption = "hframe",
     hold_out: Annotated[list[str] | None, typer.Option(help="A run to judge on; repeat for more.")] = None,
     jobs: Annotated[int | None, typer.Option(min=1, help="Threads (default: all cores).")] = None,
     seed: Annotated[int, typer.Option(help="Reserved for steps that draw; the search itself is deterministic.")] = 0,
@@ -141,8 +139,7 @@ def report(
 def train(
     algorithm: Annotated[str, typer.Argument(help="ppo or sac.")],
     out: OutOption,
-    machine: Preset = Literal["none", "default", "wide", "identified"]
-MachineOption = "hframe",
+    machine: MachineOption = "hframe",
     task: Annotated[str, typer.Option(help="What to learn.")] = "reach",
     steps: Annotated[int, typer.Option(min=1, help="Environment steps in all.")] = 1_000_000,
     seed: Annotated[int, typer.Option(help="Of the network, the draws and the environment.")] = 0,
@@ -167,9 +164,8 @@ MachineOption = "hframe",
 def evaluate(
     controllers: Annotated[list[str], typer.Argument(help="pid, textbook, or the folder of a trained agent.")],
     out: OutOption,
-    machine: Preset = Literal["none", "default", "wide", "identified"]
-MachineOption = "hframe",
-    randomize: Annotated[Preset, typer.Option(help="What is drawn for each episode; identified: from the machine file.")] = "default",
+    machine: MachineOption = "hframe",
+    randomize: Annotated[Preset, typer.Option(help="What each episode draws; identified: by the file.")] = "default",
     episodes: Annotated[int, typer.Option(min=1, help="Draws; the same for every controller.")] = 512,
     seed: Annotated[int, typer.Option(help="Of the draws: starts, goals, machine parameters.")] = 0,
 ) -> None:

@@ -1,6 +1,6 @@
 """A machine as its controllers see it: full state in belt travel, rigid motion, and what resists it.
 
-All positions here are travel (p = radius * angle, m), all forces act on travel (N): so x, y and the motors have one scale.
+All positions here are travel (p = radius * angle, m), all forces act on travel (N): x, y and the motors have one scale.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from ..machine import Machine, linearise, rest_state
 
 Array = NDArray[np.float64]
 AXES = ("x", "y")
-# m/s: below it a coordinate counts as turning around, and its Coulomb friction is given in part.  Far below any speed of
-# a move, far above what is left of one at its end.
+# m/s: below it a coordinate counts as turning around, and its Coulomb friction is given in part.  Far below any speed
+# of a move, far above what is left of one at its end.
 TURNING = 0.02
 
 

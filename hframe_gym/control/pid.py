@@ -1,12 +1,13 @@
 """The model-based PID: everything from the machine's tables, nothing tuned by hand.
 
 P and D    state feedback on the carriage and the motors: the first voltage of the fastest transfer to rest that keeps
-           within the rated voltage (trajectory.py).  Far from the goal this is the time-optimal-like reference, replanned
-           from the measured state every period, so it cannot wind up behind saturated motors; near it, where the shortest
-           transfer fits, it is a constant gain that brings the model to rest in the fewest periods.
+           within the rated voltage (trajectory.py).  Far from the goal this is the time-optimal-like reference,
+           replanned from the measured state every period, so it cannot wind up behind saturated motors; near it, where
+           the shortest transfer fits, it is a constant gain that brings the model to rest in the fewest periods.
 forward    the voltage that Coulomb friction and the machine's known effects take at the present motion.
-I          once the shortest transfer fits, the force that the last period's momentum balance left unexplained: friction as
-           it is, whatever its level, growing until a stuck stage moves, and standing still where there is no error.
+I          once the shortest transfer fits, the force that the last period's momentum balance left unexplained:
+           friction as it is, whatever its level.  Held by friction, the stage hands back the voltage it has, so the
+           feedback adds up until it moves, and stands still where there is no error.
 hold       an arrival that takes long has a model that is off; longer transfers, thus lower gains, end its ringing.
 """
 
@@ -24,9 +25,11 @@ from .trajectory import Transfers
 
 Array = NDArray[np.float64]
 # Of the nominal friction: what a force may be that counts as friction.  More is the model's error in a hard brake.
-MOST_FRICTION = 3.0
-ARRIVALS = 4  # shortest transfers one after the other, after which a stage that has not come to rest is rings
-HOLD = 1.25  # time to go while holding, of the shortest transfer's
+MOST_FRICTION = 6.0
+ARRIVALS = 4  # shortest transfers one after the other, after which a stage that has not come to rest rings
+AROUND = 2
+STILL = 3e-5  # m, travel in a period below which a stage is not ringing
+HOLD = 2.0  # time to go while holding, of the shortest transfer's
 
 
 class ModelPID:
@@ -45,7 +48,8 @@ class ModelPID:
         self._hold = int(np.ceil(HOLD * self.transfers.shortest))
         self._fresh = np.zeros(0, np.bool_)  # stages whose episode begins with the next observation
         self._state = self._volts = np.zeros((0, 0))
-        self._near = self._elapsed = np.zeros(0, np.intp)  # periods since arrival began, and since the episode did
+        # Periods since arrival began, those of them in motion, and all of the episode.
+        self._near = self._restless = self._elapsed = np.zeros(0, np.intp)
 
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
         """Forget the stages of mask (B,), or all."""
@@ -58,8 +62,8 @@ class ModelPID:
         if len(self._fresh) != len(state):
             self._fresh = np.ones(len(state), np.bool_)
             self._state, self._volts = state, np.zeros((len(state), len(self.model.rated)))
-            self._near, self._elapsed = (np.zeros(len(state), np.intp) for _ in range(2))
-        self._near = np.where(self._fresh, 0, self._near)
+            self._near, self._restless, self._elapsed = (np.zeros(len(state), np.intp) for _ in range(3))
+        self._near, self._restless = (np.where(self._fresh, 0, n) for n in (self._near, self._restless))
         self._elapsed = np.where(self._fresh, 0, self._elapsed)
 
     def act(self, observation: Mapping[str, NDArray[Any]]) -> Array:
@@ -76,21 +80,25 @@ class ModelPID:
         self._begin(state)
         unexplained = model.disturbance(self._state, state, self._volts, self.period)
         # Stages that begin have no last period, and none of them has arrived: `_near` is 0.
-        measured = np.clip(unexplained, -self._most, self._most)
         known = model.resistance(state, self._elapsed * self.period)
+        measured = known + np.clip(unexplained - known, -self._most, self._most)
         forward = -model.voltage(np.where(self._near[:, None] > 0, measured, known))
         shortest = self.transfers.shortest
-        ringing = self._near > ARRIVALS * shortest
+        at_least = np.minimum(shortest + self._restless // (ARRIVALS * shortest), self._hold)
         choice = self.transfers.choose(
             state - model.goal_state(goal),
             goal,
             np.maximum(model.rated - np.abs(forward), 0.0),
-            np.where(ringing, self._hold, shortest),
+            at_least,
         )
         # One period more than the shortest (or than the hold) is still an arrival: corrections may ask for it.
-        arriving = choice.periods <= np.where(ringing, self._hold, shortest) + 1
+        arriving = choice.periods <= at_least + 1
         volts = np.clip(choice.volts + forward, -model.rated, model.rated)
         self._near = np.where(arriving, self._near + 1, 0)
+        moved = np.abs(state - self._state)[:, : len(model.mass)].max(axis=1)
+        self._restless = np.where(
+            choice.periods > at_least + AROUND * shortest, 0, self._restless + (moved > STILL)
+        )
         self._elapsed = self._elapsed + 1
         self._state, self._volts = state, volts
         self._fresh = np.zeros(len(state), np.bool_)

@@ -5,10 +5,10 @@ zero in N periods, those least in square are
 
     u_j = -B' A'^(N-1-j) W_N^-1 A^N e,      W_N = sum A^j B B' A'^j            (Kleinman 1970)
 
-and the first of them, for each time to go, is a feedback gain on the whole state.  The least N whose voltages keep within
-the limit is close to the least possible time because the motors' back-EMF makes the stage viscous: least effort is then a
-constant voltage in cruise and an exponential brake that ends at the same voltage with the other sign.  The belts' modes
-are in A, so a transfer ends with them at rest.
+and the first of them, for each time to go, is a feedback gain on the whole state.  The least N whose voltages keep
+within the limit is close to the least possible time because the motors' back-EMF makes the stage viscous: least effort is
+then a constant voltage in cruise and an exponential brake that ends at the same voltage with the other sign.  The belts'
+modes are in A, so a transfer ends with them at rest.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ class Transfers:
             back.append((power @ scaled).transpose(0, 2, 1))
             W = W + (power @ scaled) @ back[-1]
             power = power @ A
-            if N < self.shortest:
+            if self.shortest > N:
                 continue
             whole = np.linalg.pinv(W, rcond=1e-15, hermitian=True) @ power / scale
             # Transfers shorter than LAST repeat their first period.
@@ -93,8 +93,8 @@ class Transfers:
     def choose(self, error: Array, goal: Array, limit: Array, at_least: NDArray[np.intp]) -> Choice:
         """The fastest transfers whose voltages keep within a limit.
 
-        error (B, 2 n): state less goal state, m and m/s; goal (B, 2), m; limit (B, 2), V; at_least (B,) periods.  Where no
-        transfer keeps within the limit it is the longest.
+        error (B, 2 n): state less goal state, m and m/s; goal (B, 2), m; limit (B, 2), V; at_least (B,) periods.
+        Where no transfer keeps within the limit it is the longest.
         """
         cells = self._cells(goal)
         low, high = at_least - self.shortest, np.full(len(error), self.gains.shape[1] - 1)

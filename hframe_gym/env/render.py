@@ -218,8 +218,9 @@ class Renderer:
 
     def _draw_bridge(self, x: float) -> None:
         g, draw = self._geometry, self._pygame.draw
-        for y in (g.y0, g.y1):
-            draw.rect(self._surface, BODY, self._box(x - 0.095, y - 0.012, x + 0.095, y + 0.012), border_radius=5)
+        for y, inward in ((g.y0, 1.0), (g.y1, -1.0)):
+            low, high = sorted((y - 0.012 * inward, y + 0.062 * inward))
+            draw.rect(self._surface, BODY, self._box(x - 0.092, low, x + 0.092, high), border_radius=8)
         draw.rect(self._surface, BODY, self._box(x - 0.025, g.y0, x + 0.025, g.y1), border_radius=4)
 
     def _draw_trail(self, scene: Scene) -> None:

@@ -1,8 +1,8 @@
 """Episodes of a controller in the environment, recorded ten times a control period, and the scores of several.
 
 Same seed, same episodes: starts, goals and machine parameters are the environment's own draws for that seed, and no
-controller touches them.  The environment runs at the recording's rate with the action held for a control period; settling
-is judged on those samples, so a settling time is known to a tenth of a control period.
+controller touches them.  The environment runs at the recording's rate with the action held for a control period;
+settling is judged on those samples, so a settling time is known to a tenth of a control period.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ class Episodes:
     goal: Array
     volts: Array
     rated: Array
-    energy_J: Array  # noqa: N815  (the unit's sign)
-    peak_belt_force_N: Array  # noqa: N815
+    energy_J: Array
+    peak_belt_force_N: Array
 
 
 class _Parameters:

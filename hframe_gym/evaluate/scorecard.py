@@ -21,8 +21,8 @@ RESAMPLES = 2000
 def settling(error: Array, time_s: Array, band: float) -> tuple[Array, NDArray[np.bool_]]:
     """Settling time (B,), s, and success (B,) from the distance to the goal error (B, n), m, at time_s (n,).
 
-    Settled is from the first sample on after which the error never leaves the band; an episode that is outside at the end
-    has failed and counts its whole length.
+    Settled is from the first sample on after which the error never leaves the band; an episode that is outside at the
+    end has failed and counts its whole length.
     """
     outside = error > band
     after_last = np.where(outside.any(axis=1), error.shape[1] - np.argmax(outside[:, ::-1], axis=1), 0)
@@ -59,8 +59,9 @@ def scores(run: Episodes, bound_s: Array | None = None, *, seed: int = 0) -> dic
 
     bound_s: least possible time of each episode (B,), s; without it `over_bound` is None.  seed: of the bootstrap.
 
-    `voltage_variation` is the sum over drives and control periods of |change of voltage| in V, from 0 V before the first;
-    `saturation_share` the share of drives and periods at rated voltage; overshoot is along the line from start to goal.
+    `voltage_variation` is the sum over drives and control periods of |change of voltage| in V, from 0 V before the
+    first; `saturation_share` the share of drives and periods at rated voltage; overshoot is along the line from start to
+    goal.
 
     Raises ValueError when bound_s has another length or holds what is not a positive number.
     """

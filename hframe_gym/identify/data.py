@@ -38,11 +38,13 @@ class Run:
 
 @dataclass(frozen=True)
 class Data:
-    """Runs of one rig; for each sensor (sensors,) the standard deviation of its noise and its quantum (0: none)."""
+    """Runs of one rig; for each sensor (sensors,) the standard deviation of its noise, its quantum (0: none), and
+    whether belts are between it and the carriage."""
 
     runs: tuple[Run, ...]
     noise: Array
     quantum: Array
+    behind_belts: NDArray[np.bool_]
 
     @property
     def count(self) -> int:
@@ -55,7 +57,7 @@ class Data:
 
     def only(self, names: Sequence[str]) -> Data:
         """The runs of these names, with the same noise."""
-        return Data(tuple(run for run in self.runs if run.name in names), self.noise, self.quantum)
+        return Data(tuple(run for run in self.runs if run.name in names), self.noise, self.quantum, self.behind_belts)
 
 
 def prepare(recordings: Sequence[Recording], machine: Machine) -> Data:
@@ -67,7 +69,8 @@ def prepare(recordings: Sequence[Recording], machine: Machine) -> Data:
         runs.append(Run(recording.name, recording.time_s, recording.inputs, outputs, start.state, start.rows))
     quanta = np.array([_quantum(recordings, j, machine) for j in range(len(machine.sensors))])
     noise = np.array([_noise(recordings, runs, j, machine, quanta[j]) for j in range(len(machine.sensors))])
-    return Data(tuple(runs), noise, quanta)
+    belted = [bool(machine.belts) and machine.coordinate(next(iter(s.row))).kind == "rotary" for s in machine.sensors]
+    return Data(tuple(runs), noise, quanta, np.array(belted))
 
 
 def quantum_of(values: Array) -> float:

@@ -14,7 +14,7 @@ from .data import Data, prepare
 from .fit import Fit, fit, own_parameters
 from .prediction import POLISH_STEP, Mode
 from .residual import channel_errors, depends_on, force_error, is_white
-from .trace import Found, trace
+from .trace import Found, trace, without_idle
 from .uncertainty import with_uncertainty
 
 # A free run this far off, over the signal's own size, has drifted: then innovations judge, and the force error.
@@ -63,8 +63,9 @@ def identify(
     say(f"refitted: chi2 a sample {base.chi2:.4g} by innovations, {before.chi2:.4g} in {mode} run")
     say("searching for effects")
     traced, found = trace(base, data, say)
-    after = _polish(traced, data, mode) if found else before
-    found = tuple(f.with_values(after.machine) for f in found)
+    after = before
+    if found:
+        after, found = without_idle(_polish(traced, data, mode), found, data, say, longest_step=POLISH_STEP)
     verdict = _verdict(before, after, found)
     if verdict != "effect_found":
         found, after = (), before

@@ -11,7 +11,7 @@ from scipy import signal
 from ..machine import Machine
 from .data import Data, Run
 from .fit import over_runs
-from .prediction import POLISH_STEP, injection, predict
+from .prediction import POLISH_STEP, injection, predict, zeroed
 
 Array = NDArray[np.float64]
 
@@ -38,13 +38,12 @@ class Dependence(NamedTuple):
 def free_run_error(machine: Machine, run: Run, data: Data) -> Array:
     """Measured minus predicted (n, sensors) of a free run from the resting rows, own units; NaN where not measured.
 
-    Resting rows place a quantised channel only to within its quantum, so its mean error, up to half a quantum, is
-    taken off; from every machine alike.
+    What the sensors' zeros explain is taken off, from every machine alike (see `prediction.zeroed`).
     """
     positions = predict(machine, run, "free", period=data.period, longest_step=POLISH_STEP)
-    error = run.outputs - positions[0] @ machine.sensor_matrix.T
-    rows = np.maximum(np.isfinite(error).sum(axis=0), 1)
-    return error - np.clip(np.nansum(error, axis=0) / rows, -data.quantum / 2, data.quantum / 2)
+    error = run.outputs - positions @ machine.sensor_matrix.T
+    measured = np.isfinite(run.outputs)
+    return np.where(measured, zeroed(run, data, np.where(measured, error, 0.0), measured)[0], np.nan)
 
 
 def channel_errors(machine: Machine, data: Data) -> dict[str, ChannelError]:

@@ -37,13 +37,18 @@ def resting_rows(recording: Recording) -> int:
     return int(changed[0]) + 1 if len(changed) else len(recording.time_s)
 
 
+def settled(rows: int) -> slice:
+    """The later half of the resting rows: what still swung when the recording began has come to rest."""
+    return slice(rows // 2, rows)
+
+
 def start_of(recording: Recording, machine: Machine) -> Start:
     """The resting state of a run and the sensors' offsets.
 
     Sensors on linear coordinates place the machine where they can; encoders only where nothing else does.
     """
     rows = resting_rows(recording)
-    resting = recording.outputs[:rows]
+    resting = recording.outputs[settled(rows)]
     known = np.asarray(np.isfinite(resting).any(axis=0))
     reading = np.array([np.nanmean(resting[:, j]) if known[j] else np.nan for j in range(resting.shape[1])])
     count = len(machine.coordinates)

@@ -66,7 +66,6 @@ def trace(base: Fit, data: Data, say: Say) -> tuple[Fit, tuple[Found, ...]]:
         rivals = tuple(t.machine.effects[-1].label for t in trials[1:] if t.cost - best.cost < RIVAL_GAIN * data.count)
         found.append(Found(effect, rivals + effect.definition.equivalent, saved))
         current = best
-    current, found = _without_idle(current, found, data, say)
     return current, tuple(f.with_values(current.machine) for f in found)
 
 
@@ -74,20 +73,28 @@ def _least(current: Fit) -> float:
     return max(LEAST_GAIN, LEAST_SHARE * (current.chi2 - 1.0))
 
 
-def _without_idle(current: Fit, found: list[Found], data: Data, say: Say) -> tuple[Fit, list[Found]]:
-    """Drop effects that later ones have made idle: leaving them out costs less than the least gain."""
-    for f in list(found):
-        if len(found) == 1:
-            break
-        machine = current.machine.replace(
-            effects=tuple(e for e in current.machine.effects if e.label != f.effect.label)
-        )
+def without_idle(
+    current: Fit, found: tuple[Found, ...], data: Data, say: Say, *, longest_step: float
+) -> tuple[Fit, tuple[Found, ...]]:
+    """Drop the effects whose absence costs less than the least gain, in the mode of `current`.
+
+    Later effects make earlier ones idle, and what only improves the innovations does not predict anything.
+    """
+    for f in found:
+        others = tuple(e for e in current.machine.effects if e.label != f.effect.label)
         kept = [i for i, free in enumerate(current.free) if not free.name.startswith(f"{f.effect.label}.")]
-        shorter = fit(machine, [current.free[i] for i in kept], data, current.mode, theta=current.theta[kept])
+        shorter = fit(
+            current.machine.replace(effects=others),
+            [current.free[i] for i in kept],
+            data,
+            current.mode,
+            theta=current.theta[kept],
+            longest_step=longest_step,
+        )
         if (shorter.cost - current.cost) / data.count < _least(current):
-            say(f"  {f.effect.label} is idle beside the others")
-            current, found = shorter, [other for other in found if other is not f]
-    return current, found
+            say(f"  {f.effect.label} is idle")
+            current, found = shorter, tuple(other for other in found if other is not f)
+    return current, tuple(f.with_values(current.machine) for f in found)
 
 
 def _candidates(current: Fit, data: Data) -> list[Candidate]:

@@ -207,8 +207,8 @@ class KernelSource:
         yield "# exact flow with friction"
         for c in self.names:
             yield from self.flow(c)
-        yield f"if any_of({' | '.join(f'stop_{c}' for c in self.names)}):"
         for c in self.names:
+            yield f"if any_of(stop_{c}):"
             yield from (f"    {line}" for line in self.event(c))
         for c in self.names:
             yield f"q_{c} = n_{c}"

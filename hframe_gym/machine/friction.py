@@ -76,7 +76,8 @@ def kick(v, f, coulomb, toward, decay, gain):  # type: ignore[no-untyped-def]
     Returns (velocity, stopped): where a moving lane reaches zero, `stopped` holds and `reverse` has the answer.
     """
     after = fma(decay, v, gain * (f - copysign(coulomb, toward)))
-    through = after * toward < 0.0
+    # At rest without any force `toward` is zero, and zero is held.
+    through = after * toward <= 0.0
     return where(through, 0.0, after), through & (v != 0.0)
 
 

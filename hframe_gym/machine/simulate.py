@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -53,11 +54,16 @@ def in_parallel(run: Callable[[int, int], None], blocks: int) -> None:
     if count == 1:
         run(*ranges[0])
         return
-    with ThreadPoolExecutor(count - 1) as pool:
-        others = [pool.submit(run, *r) for r in ranges[1:]]
-        run(*ranges[0])
-        for other in others:
-            other.result()
+    others = [_pool(os.getpid(), count - 1).submit(run, *r) for r in ranges[1:]]
+    run(*ranges[0])
+    for other in others:
+        other.result()
+
+
+@lru_cache(maxsize=4)
+def _pool(process: int, workers: int) -> ThreadPoolExecutor:
+    """Threads kept between calls; a forked process does not inherit them, so it makes its own."""
+    return ThreadPoolExecutor(workers, thread_name_prefix="hframe")
 
 
 def rest_state(machine: Machine, position: ArrayLike | None = None) -> Array:

@@ -1,0 +1,440 @@
+"""How fast the kernel is: steps a second beside MuJoCo and SciPy, growth, first use, memory, and what limits it.
+
+    python -m benchmarks.throughput
+
+Everything compared runs in this one process, alternating, with the same random voltages (held for 10 ms) and the same
+step; a ratio is the median over repetitions, its spread their extremes.
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+from scipy.integrate import solve_ivp
+
+from benchmarks.mujoco_stage import Choice, MujocoStage, constant_at_centre
+from benchmarks.results_file import write_results
+from hframe_gym.machine import BUILTIN, Machine, friction, linearise, simulate
+from hframe_gym.machine.kernel import generate, in_blocks, kernel_for
+from hframe_gym.machine.lanes import LANES, fma, load, store
+from hframe_gym.machine.simulate import in_parallel, parameter_batch, threads
+
+Array = NDArray[np.float64]
+
+SEED, STEP, HOLD = 7, 0.25e-3, 40  # HOLD steps a voltage
+STAGES, PERIODS, REPEATS = 4096, 10, 7
+VOLTS = 6.0
+BAR, AIM = 300.0, 800.0
+# The fastest of MuJoCo's integrators and solvers on this stage, friction as dry as it allows; measured before the rest.
+FASTEST = Choice("Euler", "PGS", "stiff")
+MOST_ACCURATE = Choice("RK4", "Newton", "stiff")
+
+
+def voltages(batch: int, periods: int = PERIODS, inputs: int = 2) -> Array:
+    """Random voltages (periods, B, inputs)."""
+    return np.random.default_rng(SEED).uniform(-VOLTS, VOLTS, (periods, batch, inputs))
+
+
+@dataclass
+class KernelBatch:
+    """A batch of stages in blocks, ready to run."""
+
+    machine: Machine
+    batch: int
+
+    def __post_init__(self) -> None:
+        m = self.machine
+        self.kernel = kernel_for(m)
+        self.parameters = in_blocks(np.tile(parameter_batch(m), (self.batch, 1)))
+        self.blocks = len(self.parameters)
+        self.derived = np.zeros((self.blocks, len(self.kernel.layout.derived), LANES))
+        self.kernel.prepare_blocks(self.parameters, STEP, 0, self.blocks, self.derived)
+        self.inputs = [in_blocks(u) for u in voltages(self.batch, inputs=len(m.drives))]
+        self.state = np.zeros((self.blocks, 2 * len(m.coordinates) + 1, LANES))
+
+    def bytes_per_stage(self) -> float:
+        """Memory of a stage: state, parameters, derived numbers and voltages."""
+        arrays = (self.state, self.parameters, self.derived, self.inputs[0])
+        return sum(a.nbytes for a in arrays) / (self.blocks * LANES)
+
+    def advance(self, first: int, last: int) -> None:
+        for u in self.inputs:
+            self.kernel.advance_blocks(self.state, self.parameters, self.derived, u, STEP, HOLD, first, last)
+
+    def rate(self, *, parallel: bool, least: float = 0.1) -> float:
+        """Steps a second, from rest, over at least `least` s."""
+        run = (lambda: in_parallel(self.advance, self.blocks)) if parallel else (lambda: self.advance(0, self.blocks))
+        steps = 0
+        begin = time.perf_counter()
+        while (spent := time.perf_counter() - begin) < least or steps == 0:
+            self.state[:] = 0.0
+            run()
+            steps += self.batch * HOLD * len(self.inputs)
+        return steps / spent
+
+
+class MujocoBatch:
+    """The same batch on MuJoCo's rollout."""
+
+    def __init__(self, machine: Machine, batch: int, choice: Choice, count: int) -> None:
+        self.stage = MujocoStage(constant_at_centre(machine), STEP, choice, threads=count)
+        self.start = np.zeros((batch, self.stage.size))
+        self.controls = np.ascontiguousarray(np.repeat(voltages(batch).transpose(1, 0, 2), HOLD, axis=1))
+
+    def rate(self) -> float:
+        """Steps a second, from rest."""
+        begin = time.perf_counter()
+        self.stage.run(self.start, self.controls)
+        return self.controls.shape[0] * self.controls.shape[1] / (time.perf_counter() - begin)
+
+
+@dataclass(frozen=True)
+class Ratio:
+    """Rates of two simulators measured in turn."""
+
+    ours: list[float]
+    theirs: list[float]
+
+    @property
+    def each(self) -> list[float]:
+        return [a / b for a, b in zip(self.ours, self.theirs, strict=True)]
+
+    def report(self) -> dict[str, Any]:
+        return {
+            "ratio": statistics.median(self.each),
+            "spread": [min(self.each), max(self.each)],
+            "ours_steps_per_s": statistics.median(self.ours),
+            "theirs_steps_per_s": statistics.median(self.theirs),
+        }
+
+
+def interleaved(ours: Callable[[], float], theirs: Callable[[], float], repeats: int = REPEATS) -> Ratio:
+    """Both rates `repeats` times, alternating; one round before that is not counted."""
+    ours(), theirs()
+    pairs = [(ours(), theirs()) for _ in range(repeats)]
+    return Ratio([a for a, _ in pairs], [b for _, b in pairs])
+
+
+def fastest_choice(machine: Machine) -> dict[str, float]:
+    """MuJoCo's steps a second on one core, by integrator and solver, friction as dry as it allows."""
+    from benchmarks.mujoco_stage import INTEGRATORS, SOLVERS
+
+    rates = {}
+    for integrator in INTEGRATORS:
+        for solver in SOLVERS:
+            choice = Choice(integrator, solver)
+            batch = MujocoBatch(machine, 128, choice, 1)
+            rates[str(choice)] = max(batch.rate() for _ in range(3))
+    return rates
+
+
+def beside_mujoco(console: Console, machine: Machine) -> dict[str, Any]:
+    table = Table(
+        title=f"Steps a second, step {STEP * 1e3:g} ms, {STAGES} stages, medians of {REPEATS} alternating runs"
+    )
+    for column in ("stage", "MuJoCo", "cores", "kernel M/s", "MuJoCo M/s", "ratio", "spread"):
+        table.add_column(column)
+    results: dict[str, Any] = {"mujoco_one_core_by_choice": fastest_choice(machine)}
+    constant = constant_at_centre(machine)
+    cases = [
+        ("belts follow the carriage", machine, FASTEST, threads()),
+        ("belts follow the carriage", machine, FASTEST, 1),
+        ("belts of constant stiffness", constant, FASTEST, threads()),
+        ("belts follow the carriage", machine, MOST_ACCURATE, threads()),
+    ]
+    for name, stage, choice, cores in cases:
+        ours, theirs = KernelBatch(stage, STAGES), MujocoBatch(stage, STAGES, choice, cores)
+        ratio = interleaved(
+            functools.partial(ours.rate, parallel=cores > 1, least=0.5), theirs.rate, REPEATS if cores > 1 else 5
+        )
+        theirs.stage.close()
+        r = ratio.report()
+        results[f"{name}; {choice}; {cores} cores"] = r
+        low, high = r["spread"]
+        row = (r["ours_steps_per_s"] / 1e6, r["theirs_steps_per_s"] / 1e6, r["ratio"])
+        table.add_row(
+            name, str(choice), str(cores), f"{row[0]:.1f}", f"{row[1]:.3f}", f"{row[2]:.0f}", f"{low:.0f} - {high:.0f}"
+        )
+    console.print(table)
+    console.print(f"bar {BAR:g}, aim {AIM:g}, on all cores with belts that follow the carriage (MuJoCo's do not)")
+    return results
+
+
+def scipy_rate(machine: Machine, creep: float = 1e-4) -> float:
+    """Steps of 0.25 ms a second that LSODA (rtol 1e-6) is worth, friction smoothed by tanh over `creep` m/s."""
+    stage = constant_at_centre(machine)
+    system = linearise(stage)
+    mass = np.array([c.mass for c in stage.coordinates])
+    coulomb = np.array([c.coulomb for c in stage.coordinates]) / mass
+    scale = stage.radii / creep
+    begin = time.perf_counter()
+    z = np.zeros(8)
+    for u in voltages(1)[:, 0]:
+        forced = system.B @ u
+
+        def rhs(_: float, z: Array, forced: Array = forced) -> Array:
+            dz = system.A @ z + forced
+            dz[4:] -= coulomb * np.tanh(z[4:] * scale)
+            return dz
+
+        z = solve_ivp(rhs, (0.0, HOLD * STEP), z, method="LSODA", rtol=1e-6, atol=1e-9).y[:, -1]
+    return PERIODS * HOLD / (time.perf_counter() - begin)
+
+
+def growth(console: Console) -> dict[str, Any]:
+    """Rates by batch, threads and machine."""
+    table = Table(title="Million steps a second by batch")
+    for column in ("machine", "threads", *(str(4**i) for i in range(8)), "bytes a stage"):
+        table.add_column(column, justify="right")
+    results: dict[str, Any] = {}
+    for name in ("hframe", "hframe-order20"):
+        batches = {4**i: KernelBatch(BUILTIN[name](), 4**i) for i in range(8)}
+        memory = batches[4**7].bytes_per_stage()
+        for count in sorted({1, threads()}):
+            rates = {b: batch.rate(parallel=count > 1) for b, batch in batches.items()}
+            results[f"{name}, {count} threads"] = {str(b): r for b, r in rates.items()}
+            table.add_row(name, str(count), *(f"{r / 1e6:.2f}" for r in rates.values()), f"{memory:.0f}")
+        results[f"{name}, bytes per stage"] = memory
+    console.print(table)
+    return results
+
+
+_FIRST = """
+import time
+begin = time.perf_counter()
+import numpy as np
+from hframe_gym.machine import BUILTIN
+machine = BUILTIN["hframe"]()
+machine.simulate(np.arange(2001) * 1e-3, np.zeros((2001, 2)))
+print(time.perf_counter() - begin)
+"""
+
+
+def first_use() -> dict[str, float]:
+    """Seconds from the first import to the first simulation's end in a new process: cache empty, then filled."""
+    with tempfile.TemporaryDirectory() as folder:
+        environment = os.environ | {"HFRAME_CACHE": folder, "NUMBA_CACHE_DIR": folder}
+
+        def once() -> float:
+            command = [sys.executable, "-c", _FIRST]
+            answer = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+            return float(answer.stdout)
+
+        cold = once()
+        return {"cold_s": cold, "warm_s": min(once() for _ in range(3))}
+
+
+def one_recording(machine: Machine) -> dict[str, float]:
+    """Milliseconds of one 2 s run at 1 kHz through `simulate`, warm: median and best of 200."""
+    grid = np.arange(2001) * 1e-3
+    inputs = np.repeat(np.random.default_rng(SEED).uniform(-VOLTS, VOLTS, (201, 2)), 10, axis=0)[:2001]
+    spent = []
+    for _ in range(200):
+        begin = time.perf_counter()
+        simulate(machine, grid, inputs)
+        spent.append((time.perf_counter() - begin) * 1e3)
+    return {"median_ms": statistics.median(spent[10:]), "best_ms": min(spent)}
+
+
+# -- roofline ----------------------------------------------------------------------------------------------------------
+
+
+class Counted:
+    """A number that counts what is done with it."""
+
+    tally: Counter[str] = Counter()
+
+    def __init__(self, *_: object) -> None:
+        pass
+
+    @classmethod
+    def of(cls, kind: str, *_: object) -> Counted:
+        cls.tally[kind] += 1
+        return cls()
+
+
+def _binary(kind: str) -> Callable[..., Counted]:
+    return lambda a, b: Counted.of(kind)
+
+
+for _name, _kind in {
+    "add": "add",
+    "radd": "add",
+    "sub": "add",
+    "rsub": "add",
+    "mul": "multiply",
+    "rmul": "multiply",
+    "truediv": "divide",
+    "rtruediv": "divide",
+    "lt": "compare",
+    "le": "compare",
+    "gt": "compare",
+    "ge": "compare",
+    "eq": "compare",
+    "ne": "compare",
+    "and": "mask",
+    "or": "mask",
+}.items():
+    setattr(Counted, f"__{_name}__", _binary(_kind))
+Counted.__neg__ = lambda self: Counted.of("bits")  # type: ignore[attr-defined]
+
+
+def operations(machine: Machine) -> Counter[str]:
+    """Vector operations of one step (of a block of lanes) in which no coordinate stops, from the generated source."""
+    text = generate(machine)[0]
+    body = text[text.index("def advance(") : text.index("@njit", text.index("def advance("))]
+    kinds = {"fma": "fma", "where": "select", "copysign": "bits", "absolute": "bits", "load": "load", "store": "store"}
+    space: dict[str, Any] = {n: functools.partial(Counted.of, k) for n, k in kinds.items()}
+    space |= {"any_of": lambda _: False, "inlined": lambda f: f}
+    for name in ("direction", "stays", "kick", "reverse"):
+        source = inspect.getsource(getattr(friction, name).py_func)
+        exec(source.replace("@inlined\n", ""), space)
+    exec(body, space)
+    totals = []
+    for steps in (1, 2):
+        Counted.tally = Counter()
+        space["advance"](None, None, None, None, None, Counted(), steps)
+        totals.append(Counted.tally)
+    return Counter({k: totals[1][k] - totals[0][k] for k in totals[1] if totals[1][k] != totals[0][k]})
+
+
+@njit(nogil=True, error_model="numpy")
+def _fma_chains(rows, count):  # type: ignore[no-untyped-def]
+    a = load(rows, 0)
+    b = load(rows, 1)
+    x0 = x1 = x2 = x3 = x4 = x5 = x6 = x7 = a
+    y0 = y1 = y2 = y3 = y4 = y5 = y6 = y7 = b
+    for _ in range(count):
+        x0 = fma(x0, a, b)
+        x1 = fma(x1, a, b)
+        x2 = fma(x2, a, b)
+        x3 = fma(x3, a, b)
+        x4 = fma(x4, a, b)
+        x5 = fma(x5, a, b)
+        x6 = fma(x6, a, b)
+        x7 = fma(x7, a, b)
+        y0 = fma(y0, a, b)
+        y1 = fma(y1, a, b)
+        y2 = fma(y2, a, b)
+        y3 = fma(y3, a, b)
+        y4 = fma(y4, a, b)
+        y5 = fma(y5, a, b)
+        y6 = fma(y6, a, b)
+        y7 = fma(y7, a, b)
+    store(rows, 0, x0 + x1 + x2 + x3 + x4 + x5 + x6 + x7)
+    store(rows, 1, y0 + y1 + y2 + y3 + y4 + y5 + y6 + y7)
+
+
+@njit(nogil=True, error_model="numpy")
+def _fma_chain(rows, count):  # type: ignore[no-untyped-def]
+    a = load(rows, 0)
+    b = load(rows, 1)
+    x = a
+    for _ in range(count):
+        x = fma(x, a, b)
+    store(rows, 0, x)
+
+
+def fma_peak(kernel: Callable[[Array, int], None], chains: int) -> float:
+    """Vector fused multiply-adds a second on one core."""
+    rows = np.full((2, LANES), 0.5)
+    kernel(rows, 10)
+    count = 2_000_000
+    best = np.inf
+    for _ in range(7):
+        begin = time.perf_counter()
+        kernel(rows, count)
+        best = min(best, time.perf_counter() - begin)
+    return chains * count / best
+
+
+def roofline(console: Console, machine: Machine) -> dict[str, Any]:
+    """Operations a step, share of the FMA peak, and whether arithmetic, latency or memory is the limit."""
+    kinds = operations(machine)
+    flops = sum(kinds[k] * n for k, n in {"fma": 2, "add": 1, "multiply": 1, "divide": 1}.items())
+    arithmetic = sum(n for k, n in kinds.items() if k not in ("load", "store"))
+    peak, latency = fma_peak(_fma_chains, 16), fma_peak(_fma_chain, 1)
+    # Every lane of a batch in the same phase of the same history: friction events where all stages have theirs.
+    small = KernelBatch(machine, LANES * 16)
+    rate = max(small.rate(parallel=False) for _ in range(7))
+    large = max(KernelBatch(machine, 16384).rate(parallel=False) for _ in range(3))
+    single = max(KernelBatch(machine, 1).rate(parallel=False) for _ in range(5))
+    blocks = rate / LANES
+    results = {
+        "lanes": LANES,
+        "vector_operations_per_step": dict(kinds),
+        "flops_per_step_and_stage": flops,
+        "vector_operations_per_step_total": arithmetic,
+        "fma_peak_per_s": peak,
+        "fma_latency_s": 1 / latency,
+        "peak_gflops": peak * 2 * LANES / 1e9,
+        "reached_gflops": rate * flops / 1e9,
+        "share_of_fma_peak": rate * flops / (peak * 2 * LANES),
+        "vector_operations_per_s": blocks * arithmetic,
+        "share_of_issue_at_one_fma_port": blocks * arithmetic / peak,
+        "step_in_fma_latencies": latency / blocks,
+        "rate_in_cache_over_16384_stages": rate / large,
+        "one_stage_steps_per_s": single,
+    }
+    table = Table(title="Roofline of one core")
+    table.add_column("quantity")
+    table.add_column("value", justify="right")
+    listed = ", ".join(f"{n} {k}" for k, n in sorted(kinds.items()))
+    for name, value in (
+        ("lanes", f"{LANES}"),
+        ("vector operations a step (no coordinate stops)", f"{arithmetic}: {listed}"),
+        ("floating-point operations a step and stage", f"{flops}"),
+        ("measured FMA peak", f"{results['peak_gflops']:.1f} GFLOP/s ({peak / 1e9:.2f} G vector FMA/s)"),
+        ("reached", f"{results['reached_gflops']:.1f} GFLOP/s, {100 * results['share_of_fma_peak']:.0f} % of peak"),
+        (
+            "vector operations issued",
+            f"{blocks * arithmetic / 1e9:.2f} G/s, {blocks * arithmetic / peak:.2f} a peak FMA",
+        ),
+        ("time of a block's step", f"{1e9 / blocks:.1f} ns = {latency / blocks:.0f} dependent FMAs"),
+        ("cache: rate of 16 blocks over rate of 16384 stages", f"{rate / large:.2f}"),
+    ):
+        table.add_row(name, value)
+    console.print(table)
+    return results
+
+
+def main() -> None:
+    console = Console(width=150)
+    machine = BUILTIN["hframe"]()
+    content: dict[str, Any] = {"step_s": STEP, "stages": STAGES}
+    content["first_use"] = first_use()
+    console.print(
+        "first simulation in a new process: " + ", ".join(f"{k} {v:.2f}" for k, v in content["first_use"].items())
+    )
+    content["one_recording"] = one_recording(machine)
+    console.print("2 s at 1 kHz: " + ", ".join(f"{k} {v:.3f}" for k, v in content["one_recording"].items()))
+    content["roofline"] = roofline(console, machine)
+    content["growth"] = growth(console)
+    content["mujoco"] = beside_mujoco(console, machine)
+    content["scipy_lsoda_steps_per_s"] = scipy_rate(machine)
+    ours = KernelBatch(machine, STAGES).rate(parallel=False)
+    console.print(
+        f"SciPy LSODA, one stage: {content['scipy_lsoda_steps_per_s']:.0f} steps/s; one core of ours is "
+        f"{ours / content['scipy_lsoda_steps_per_s']:.0f} times that"
+    )
+    write_results("throughput", content, seed=SEED)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,80 @@
+"""Stages in a closed loop, stepped by the kernel alone, so that a controller's tests need nothing above the machine."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hframe_gym.control import Controller
+from hframe_gym.machine import Machine, rest_state
+from hframe_gym.machine.kernel import in_blocks, kernel_for
+from hframe_gym.machine.simulate import parameter_batch
+
+Array = NDArray[np.float64]
+STEPS = 40  # of the integrator, a control period of 10 ms
+PERIOD = 0.01  # s
+
+
+@dataclass(frozen=True)
+class ClosedLoop:
+    """error (B, m + 1), m, of the tool after each control period; actions (B, m, 2)."""
+
+    error: Array
+    actions: Array
+
+
+def closed_loop(
+    controller: Controller,
+    machine: Machine,
+    start: Array,
+    goal: Array,
+    *,
+    changes: Mapping[str, Array] | None = None,
+    periods: int = 120,
+) -> ClosedLoop:
+    """Run stages of a machine, with other parameters in changes (B,) by name, from rest at start (B, 2) to goal (B, 2)."""
+    kernel = kernel_for(machine)
+    count, n = len(start), len(machine.coordinates)
+    table = parameter_batch(machine, dict(changes or {}))
+    parameters = in_blocks(np.ascontiguousarray(np.broadcast_to(table, (count, table.shape[1]))))
+    scale = np.tile(machine.radii, 2)
+    travel = np.array([rest_state(machine, point) for point in start]) * scale
+    state = in_blocks(np.hstack([travel, np.zeros((count, 1))]))
+    derived = np.zeros((len(state), len(kernel.layout.derived), state.shape[2]))
+    kernel.prepare_blocks(parameters, PERIOD / STEPS, 0, len(state), derived)
+    rated = np.array([d.rated_voltage for d in machine.drives])
+    controller.reset()
+    errors, actions = [], []
+    for k in range(periods + 1):
+        values = state.transpose(0, 2, 1).reshape(-1, 2 * n + 1)[:count, : 2 * n] / scale
+        errors.append(np.linalg.norm(values[:, :2] - goal, axis=1))
+        if k < periods:
+            actions.append(
+                controller.act({"observation": values, "achieved_goal": values[:, :2], "desired_goal": goal})
+            )
+            volts = in_blocks(actions[-1] * rated)
+            kernel.advance_blocks(state, parameters, derived, volts, PERIOD / STEPS, STEPS, 0, len(state))
+    return ClosedLoop(np.stack(errors, axis=1), np.stack(actions, axis=1))
+
+
+def random_stages(machine: Machine, count: int, seed: int) -> dict[str, Array]:
+    """Parameters (count,) by name, drawn as the environment does by default."""
+    rng = np.random.default_rng(seed)
+    shared = rng.uniform(0.7, 1.3, count)
+    changes = {}
+    for name, value in machine.parameters.items():
+        key = name.rpartition(".")[2]
+        span = {"rest_length": (0.85, 1.2), "coulomb": (0.5, 2.0), "mass": (0.9, 1.2)}.get(key)
+        if key == "EA":
+            changes[name] = value * shared
+        elif span is not None:
+            changes[name] = value * rng.uniform(*span, count)
+    return changes
+
+
+def random_points(count: int, seed: int) -> Array:
+    """Points (count, 2) of the workspace, m."""
+    return np.random.default_rng(seed).uniform([-0.25, -0.16], [0.25, 0.16], (count, 2))
