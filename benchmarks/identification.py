@@ -3,8 +3,8 @@
     python -m benchmarks.identification            # the shipped examples and a set of rigs (some minutes)
     python -m benchmarks.identification examples   # the shipped examples alone
 
-Every rig has the parameters of `make_examples.TRUTH` changed at random by up to 10 %, recordings of its own, and at most one
-effect.  A hit is the effect at its site, and nothing else; errors are of a free run on held-out recordings.
+Every rig has the parameters of `make_examples.TRUTH` changed at random by up to 10 %, recordings of its own, and at
+most one effect.  A hit is the effect at its site, and nothing else; errors are of a free run on held-out recordings.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def record(case: Case, seed: int) -> list[Recording]:
 
     varied = {key: near(getattr(TRUTH, key)) for key in ("mass", "viscous", "coulomb", "belt_EA_N")}
     rig: Rig = dataclasses.replace(TRUTH, **varied, **case.change)
-    # A rig has come to rest when its recording begins: the simulated one, which starts with unstretched belts, gets time.
+    # A rig has come to rest when its recording begins: the simulated one starts with unstretched belts and gets time.
     made = runs(seed, RUNS, duration_s=DURATION_S + SETTLING_S, rest_s=SETTLING_S + 0.1, rig=rig)
     first = round(SETTLING_S * 1000)
     return [

@@ -22,7 +22,7 @@ from rich.table import Table
 from benchmarks.results_file import write_results
 from hframe_gym.effects import LIBRARY
 from hframe_gym.files import load_machine, read_recordings
-from hframe_gym.identify import identify, prepare
+from hframe_gym.identify import identify
 from hframe_gym.identify.residual import force_error
 
 MACHINES = Path(__file__).parent / "machines"

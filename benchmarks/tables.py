@@ -46,8 +46,10 @@ def real_machines_emps(results: dict[str, Any]) -> str:
 def identification(results: dict[str, Any]) -> str:
     """The set of rigs: what each hid and what was found."""
     rows = [
-        [r["rig"], r["hides"] or "nothing", r["found"] or r["verdict"], "yes" if r["hit"] else "**no**"]
-        + [f"{r['before']:.3g}", f"{r['after']:.3g}", f"{r['seconds']:.1f}"]
+        [
+            *(r["rig"], r["hides"] or "nothing", r["found"] or r["verdict"], "yes" if r["hit"] else "**no**"),
+            *(f"{r['before']:.3g}", f"{r['after']:.3g}", f"{r['seconds']:.1f}"),
+        ]
         for r in results["rigs"]
     ]
     return markdown(["rig", "hides", "found", "right", "before", "after", "s"], rows)

@@ -224,13 +224,13 @@ def show_scores(answer: dict[str, Any]) -> None:
     )
     table = Table(title=title, title_justify="left")
     bands = ("1mm", "0.2mm", "0.05mm")
-    table.add_column("controller")
-    for column in (*(f"in {b}" for b in bands), *(f"s to {b}" for b in bands), "J"):
-        table.add_column(column, justify="right", no_wrap=True)
+    table.add_column("controller", no_wrap=True)
+    for column in (*(f"in {b}" for b in bands), *(f"s to {b}" for b in bands)):
+        table.add_column(column, justify="right")
     for name, score in answer["controllers"].items():
         shares = (f"{100 * score['success'][b]:.1f} %" for b in bands)
         times = (f"{score['settling_s'][b]['mean']:.3f}" for b in bands)
-        table.add_row(name, *shares, *times, f"{score['energy_J']['mean']:.2f}")
+        table.add_row(name, *shares, *times)
     console.print(table)
 
 

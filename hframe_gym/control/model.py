@@ -5,14 +5,14 @@ All positions here are travel (p = radius * angle, m), all forces act on travel 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from ..machine import Machine, linearise, rest_state
+from ..machine import AppliedEffect, Machine, linearise, rest_state
 
 Array = NDArray[np.float64]
 AXES = ("x", "y")
@@ -79,6 +79,12 @@ class MotionModel:
         travel = np.asarray(goal, np.float64) @ self.rigid.T
         return np.concatenate([travel, np.zeros_like(travel)], axis=1)
 
+    def stretch(self, travel: Array) -> Array:
+        """What travel (B, n or more), m, has beyond the rigid motion of its tool, (B, n): zero at x and y."""
+        names = self.machine.coordinate_names
+        tool = travel[:, [names.index(axis) for axis in AXES]]
+        return travel[:, : len(names)] - tool @ self.rigid.T
+
     def discretise(self, goal: Array, period: float) -> tuple[Array, Array]:
         """A (2 n, 2 n) and B (2 n, 2) over a period (s) of held voltages, with the belts' stiffness at goal (2,), m."""
         space = linearise(self.machine, self.rigid @ goal / self.machine.radii)
@@ -90,31 +96,56 @@ class MotionModel:
         held = expm(block * period)
         return held[:width, :width], held[:width, width:]
 
-    def resistance(self, state: Array, elapsed_s: Array) -> Array:
-        """Force (B, 2) along rigid x and y, N, of what is not linear: Coulomb friction and the machine's effects.
+    def pushes(self, state: Array, elapsed_s: Array) -> Array:
+        """Force (B, n), N, of the machine's effects that act also on a stage at rest.
 
         state (B, 2 n) travel and speed; elapsed_s (B,) since the episode began.
         """
-        n = len(self.mass)
-        travel, speed = state[:, :n], state[:, n:]
-        # Never beyond one in size, and smooth through zero so that a voltage does not chatter with the sign of noise.
-        direction = np.tanh(speed / TURNING)
-        force = -self.coulomb * direction
-        for e in self.machine.effects:
-            if e.site not in self.machine.coordinate_names:
-                continue
-            i = self.machine.coordinate_names.index(e.site)
-            radius = self.machine.radii[i]
-            numbers = e.parameters.values()
-            q, v = travel[:, i] / radius, speed[:, i] / radius
+        force = np.zeros((len(state), len(self.mass)))
+        for e, i, q, v, radius in self._effects(state):
             if e.definition.force is not None:
-                force[:, i] += e.definition.force(q, v, elapsed_s, *numbers) / radius
+                force[:, i] += e.definition.force(q, v, elapsed_s, *e.parameters.values()) / radius
+        return force
+
+    def friction(self, state: Array, elapsed_s: Array) -> Array:
+        """Force (B, n), N, of friction that is not linear: Coulomb's and the effects'.  Arguments as for `pushes`."""
+        # Never beyond one in size, and smooth through zero so that a voltage does not chatter with the sign of noise.
+        direction = np.tanh(state[:, len(self.mass) :] / TURNING)
+        force = -self.coulomb * direction
+        for e, i, q, v, radius in self._effects(state):
+            numbers = e.parameters.values()
             if e.definition.coulomb is not None:
                 force[:, i] -= e.definition.coulomb(q, v, elapsed_s, *numbers) / radius * direction[:, i]
             if e.definition.viscous is not None:
                 b = self.machine.coordinates[i].viscous
                 force[:, i] -= (e.definition.viscous(b, np.where(v < 0.0, -1.0, 1.0), *numbers) - b) * v / radius
-        return force @ self.rigid
+        return force
+
+    def _effects(self, state: Array) -> Iterator[tuple[AppliedEffect, int, Array, Array, float]]:
+        """Effects at coordinates: each with its coordinate, position and speed in own units (B,), and radius."""
+        for e in self.machine.effects:
+            if e.site in self.machine.coordinate_names:
+                i = self.machine.coordinate_names.index(e.site)
+                radius = float(self.machine.radii[i])
+                yield e, i, state[:, i] / radius, state[:, len(self.mass) + i] / radius, radius
+
+    def held_stretch(self, force: Array, goal: Array) -> Array:
+        """Where motors (B, n), m, beyond unstretched belts hold the tool at goal (B, 2), m, against force (B, n), N.
+
+        Zero at x and y.
+        """
+        names = self.machine.coordinate_names
+        tool = [names.index(axis) for axis in AXES]
+        motors = [i for i in range(len(names)) if i not in tool]
+        coupling = np.zeros((len(goal), len(tool), len(motors)))
+        for belt in self.machine.belts:
+            row = self.machine.row(belt.extension)
+            length = belt.rest_length + goal @ self.rigid.T @ self.machine.row(belt.length)
+            coupling += (belt.EA / length)[:, None, None] * np.outer(row[tool], row[motors])
+        stretch = np.zeros_like(force)
+        if motors:
+            stretch[:, motors] = np.linalg.solve(coupling, force[:, tool, None])[..., 0]
+        return stretch
 
     def voltage(self, force: Array) -> Array:
         """Voltages (B, 2), V, that give force (B, 2), N, along rigid x and y."""

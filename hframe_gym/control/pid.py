@@ -8,7 +8,10 @@ forward    the voltage that Coulomb friction and the machine's known effects tak
 I          once the shortest transfer fits, the force that the last period's momentum balance left unexplained:
            friction as it is, whatever its level.  Held by friction, the stage hands back the voltage it has, so the
            feedback adds up until it moves, and stands still where there is no error.
-hold       an arrival that takes long has a model that is off; longer transfers, thus lower gains, end its ringing.
+reference  of the motors: belts stretched by the machine's known forces on the carriage, or not at all; at rest it
+           follows the stretch that is there.  Friction too leaves the motors elsewhere, and with the wrong reference
+           the feedback would hold the tool off its goal.
+hold       an arrival that keeps moving rings because the model is off; longer transfers, thus lower gains, end that.
 """
 
 from __future__ import annotations
@@ -24,12 +27,15 @@ from .model import MotionModel
 from .trajectory import Transfers
 
 Array = NDArray[np.float64]
-# Of the nominal friction: what a force may be that counts as friction.  More is the model's error in a hard brake.
-MOST_FRICTION = 6.0
-ARRIVALS = 4  # shortest transfers one after the other, after which a stage that has not come to rest rings
-AROUND = 2
-STILL = 3e-5  # m, travel in a period below which a stage is not ringing
-HOLD = 2.0  # time to go while holding, of the shortest transfer's
+# Of the nominal friction: how far what is unexplained may be from what is known.  More is the error of a hard brake.
+MOST_UNEXPLAINED = 6.0
+# Periods in motion around the goal, over those of the shortest transfer, after which a stage rings.  An arrival from
+# full speed takes three or four; every as many again lengthen the transfers by a period.
+ARRIVALS = 6
+AROUND = 2  # shortest transfers more to go than wanted, beyond which a stage is on its way and not around its goal
+STILL = 3e-5  # m, travel in a period below which a stage is at rest and does not ring
+HOLD = 2.0  # longest time to go while holding, of the shortest transfer's
+FOLLOW = 0.2  # of the belts' stretch at rest not yet in the motors' reference, a period
 
 
 class ModelPID:
@@ -44,10 +50,11 @@ class ModelPID:
         self.model = MotionModel(machine)
         self.transfers = Transfers(self.model, period)
         self.period = period
-        self._most = MOST_FRICTION * np.abs(self.model.rigid.T) @ self.model.coulomb
+        self._most = MOST_UNEXPLAINED * np.abs(self.model.rigid.T) @ self.model.coulomb
         self._hold = int(np.ceil(HOLD * self.transfers.shortest))
         self._fresh = np.zeros(0, np.bool_)  # stages whose episode begins with the next observation
         self._state = self._volts = np.zeros((0, 0))
+        self._stretch = np.zeros((0, 0))  # motors' positions at rest beyond those of unstretched belts, m
         # Periods since arrival began, those of them in motion, and all of the episode.
         self._near = self._restless = self._elapsed = np.zeros(0, np.intp)
 
@@ -62,6 +69,7 @@ class ModelPID:
         if len(self._fresh) != len(state):
             self._fresh = np.ones(len(state), np.bool_)
             self._state, self._volts = state, np.zeros((len(state), len(self.model.rated)))
+            self._stretch = np.zeros((len(state), len(self.model.mass)))
             self._near, self._restless, self._elapsed = (np.zeros(len(state), np.intp) for _ in range(3))
         self._near, self._restless = (np.where(self._fresh, 0, n) for n in (self._near, self._restless))
         self._elapsed = np.where(self._fresh, 0, self._elapsed)
@@ -80,25 +88,29 @@ class ModelPID:
         self._begin(state)
         unexplained = model.disturbance(self._state, state, self._volts, self.period)
         # Stages that begin have no last period, and none of them has arrived: `_near` is 0.
-        known = model.resistance(state, self._elapsed * self.period)
+        elapsed_s = self._elapsed.astype(np.float64) * self.period
+        pushes = model.pushes(state, elapsed_s)
+        known = (pushes + model.friction(state, elapsed_s)) @ model.rigid
         measured = known + np.clip(unexplained - known, -self._most, self._most)
         forward = -model.voltage(np.where(self._near[:, None] > 0, measured, known))
+        error = state - model.goal_state(goal)
+        stretch = model.stretch(error)
+        still = np.abs(state - self._state)[:, : len(model.mass)].max(axis=1) <= STILL
+        self._stretch = np.where(
+            self._near[:, None] > 0,
+            self._stretch + FOLLOW * still[:, None] * (stretch - self._stretch),
+            model.held_stretch(pushes, goal),
+        )
+        error[:, : len(model.mass)] -= self._stretch
         shortest = self.transfers.shortest
         at_least = np.minimum(shortest + self._restless // (ARRIVALS * shortest), self._hold)
-        choice = self.transfers.choose(
-            state - model.goal_state(goal),
-            goal,
-            np.maximum(model.rated - np.abs(forward), 0.0),
-            at_least,
-        )
+        # What forward takes of the voltage one way, it gives the other way: a brake gains by friction.
+        choice = self.transfers.choose(error, goal, (-model.rated - forward, model.rated - forward), at_least)
         # One period more than the shortest (or than the hold) is still an arrival: corrections may ask for it.
         arriving = choice.periods <= at_least + 1
         volts = np.clip(choice.volts + forward, -model.rated, model.rated)
         self._near = np.where(arriving, self._near + 1, 0)
-        moved = np.abs(state - self._state)[:, : len(model.mass)].max(axis=1)
-        self._restless = np.where(
-            choice.periods > at_least + AROUND * shortest, 0, self._restless + (moved > STILL)
-        )
+        self._restless = np.where(choice.periods > at_least + AROUND * shortest, 0, self._restless + ~still)
         self._elapsed = self._elapsed + 1
         self._state, self._volts = state, volts
         self._fresh = np.zeros(len(state), np.bool_)

@@ -6,9 +6,9 @@ zero in N periods, those least in square are
     u_j = -B' A'^(N-1-j) W_N^-1 A^N e,      W_N = sum A^j B B' A'^j            (Kleinman 1970)
 
 and the first of them, for each time to go, is a feedback gain on the whole state.  The least N whose voltages keep
-within the limit is close to the least possible time because the motors' back-EMF makes the stage viscous: least effort is
-then a constant voltage in cruise and an exponential brake that ends at the same voltage with the other sign.  The belts'
-modes are in A, so a transfer ends with them at rest.
+within the limit is close to the least possible time because the motors' back-EMF makes the stage viscous: least effort
+is then a constant voltage in cruise and an exponential brake that ends at the same voltage with the other sign.  The
+modes of the belts are in A, so a transfer ends with them at rest.
 """
 
 from __future__ import annotations
@@ -49,12 +49,12 @@ class Transfers:
     def __init__(self, model: MotionModel, period: float) -> None:
         if not (np.isfinite(period) and period > 0.0):
             raise ValueError(f"period is {period!r}, it must be a positive number of seconds")
-        ranges = [model.machine.coordinate(axis).range for axis in AXES]
-        if None in ranges:
+        ranges = [r for r in (model.machine.coordinate(axis).range for axis in AXES) if r is not None]
+        if len(ranges) < len(AXES):
             raise ValueError(f"machine {model.machine.name!r}: x and y need a range to be controlled in")
         self.model = model
         self.period = period
-        self._places = [np.linspace(*edges, count) for edges, count in zip(ranges, GRID, strict=True)]  # type: ignore[misc]
+        self._places = [np.linspace(low, high, count) for (low, high), count in zip(ranges, GRID, strict=True)]
         states, inputs = 2 * len(model.mass), model.drive.shape[1]
         modes = [f for f in mode_frequencies(model.machine) if f > 0.0]
         mode_period = 1.0 / min(modes) if modes else 0.0
@@ -90,20 +90,21 @@ class Transfers:
             times.append(np.stack([-row @ whole for row in rows], axis=1))
         return np.stack(times, axis=1)
 
-    def choose(self, error: Array, goal: Array, limit: Array, at_least: NDArray[np.intp]) -> Choice:
-        """The fastest transfers whose voltages keep within a limit.
+    def choose(self, error: Array, goal: Array, limits: tuple[Array, Array], at_least: NDArray[np.intp]) -> Choice:
+        """The fastest transfers whose voltages keep within limits.
 
-        error (B, 2 n): state less goal state, m and m/s; goal (B, 2), m; limit (B, 2), V; at_least (B,) periods.
-        Where no transfer keeps within the limit it is the longest.
+        error (B, 2 n): state less goal state, m and m/s; goal (B, 2), m; limits (B, 2) each, lowest and highest V;
+        at_least (B,) periods.  Where no transfer keeps within the limits it is the longest.
         """
         cells = self._cells(goal)
+        lowest, highest = limits
         low, high = at_least - self.shortest, np.full(len(error), self.gains.shape[1] - 1)
         # By bisection, for a longer transfer takes less voltage; where the belts still ring that may fail by a period,
         # and the transfer found is a little longer than the fastest.
         while np.any(low < high):
             middle = (low + high) // 2
             volts = np.einsum("bkij,bj->bki", self.gains[cells, middle], error)
-            fits = np.all(np.abs(volts) <= limit[:, None, :], axis=(1, 2))
+            fits = np.all((volts >= lowest[:, None, :]) & (volts <= highest[:, None, :]), axis=(1, 2))
             low, high = np.where(fits | (low == high), low, middle + 1), np.where(fits, middle, high)
         volts = np.einsum("bij,bj->bi", self.gains[cells, high, 0], error)
         return Choice(high + self.shortest, volts)
@@ -115,7 +116,7 @@ class Transfers:
         """
         start, goal = (np.asarray(point, np.float64)[None] for point in (start, goal))
         error = self.model.goal_state(start) - self.model.goal_state(goal)
-        N = int(self.choose(error, goal, limit[None], np.array([self.shortest])).periods[0])
+        N = int(self.choose(error, goal, (-limit[None], limit[None]), np.array([self.shortest])).periods[0])
         A, B = self._matrices[int(self._cells(goal)[0])]
         scale = _scale(len(A))
         A, B = A / scale[:, None] * scale, B / scale[:, None]

@@ -33,8 +33,8 @@ def draw(run: Episodes, episode: int = 0, *, title: str = "") -> Any:
     path.plot(*goal, "x", ms=7, label="goal")
     path.set(xlabel="x (mm)", ylabel="y (mm)", aspect="equal", adjustable="datalim")
     path.legend(frameon=False)
-    error = np.linalg.norm(position - goal, axis=1)
-    distance.semilogy(run.time_s, np.maximum(error, FLOOR), lw=1.2)
+    off = np.linalg.norm(position - goal, axis=1)
+    distance.semilogy(run.time_s, np.maximum(off, FLOOR), lw=1.2)
     for name, band in BANDS.items():
         distance.axhline(1e3 * band, color="0.6", lw=0.7, ls="--")
         distance.annotate(name, (run.time_s[-1], 1e3 * band), ha="right", va="bottom", fontsize=7, color="0.4")

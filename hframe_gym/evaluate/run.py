@@ -133,7 +133,7 @@ def rollout(
             energy += _energy(stage, values, travel - before, volts[:, k], sample_s)
             peak = np.maximum(peak, _belt_force(stage, values, travel))
     goal = observation["desired_goal"].astype(np.float64)
-    time_s = np.arange(position.shape[1]) * sample_s
+    time_s = sample_s * np.arange(position.shape[1], dtype=np.float64)
     return Episodes(time_s, position, goal, volts, rated, energy, peak)
 
 

@@ -60,8 +60,8 @@ def scores(run: Episodes, bound_s: Array | None = None, *, seed: int = 0) -> dic
     bound_s: least possible time of each episode (B,), s; without it `over_bound` is None.  seed: of the bootstrap.
 
     `voltage_variation` is the sum over drives and control periods of |change of voltage| in V, from 0 V before the
-    first; `saturation_share` the share of drives and periods at rated voltage; overshoot is along the line from start to
-    goal.
+    first; `saturation_share` the share of drives and periods at rated voltage; overshoot is along the line from start
+    to goal.
 
     Raises ValueError when bound_s has another length or holds what is not a positive number.
     """

@@ -83,9 +83,9 @@ def zeroed(run: Run, data: Data, error: Array, measured: NDArray[np.bool_]) -> A
     """Errors (B, n, sensors), zero where not measured, less what the sensors' zeros explain.
 
     The mean over the settled resting rows is taken off: a sensor counts from wherever it was switched on.  Those rows
-    place a quantised channel only to within its quantum, so of the mean then left over the whole run up to half a quantum
-    is taken off too; not more, for under output injection a constant force shows as just such a mean.  An encoder
-    behind belts loses its mean whole: stiction holds a stretch of the belts at rest that nothing tells.
+    place a quantised channel only to within its quantum, so of the mean then left over the whole run up to half a
+    quantum is taken off too; not more, for under output injection a constant force shows as just such a mean.  An
+    encoder behind belts loses its mean whole: stiction holds a stretch of the belts at rest that nothing tells.
     """
     rest = settled(run.rest)
     error = error - (error[:, rest].sum(axis=1) / np.maximum(measured[rest].sum(axis=0), 1))[:, None, :]

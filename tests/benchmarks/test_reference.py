@@ -198,7 +198,8 @@ def test_excitation_is_repeatable_inside_the_travel_and_rich():
         assert np.abs(run.positions[:, 1]).max() < LIMIT_Y_M
     v = np.vstack([run.velocities for run in session])
     for axis in range(2):
-        assert (v[:, axis] > 0.3).any() and (v[:, axis] < -0.3).any()
+        assert (v[:, axis] > 0.3).any()
+        assert (v[:, axis] < -0.3).any()
         slow = np.abs(v[:, axis]) < 0.05
         assert (slow & (v[:, axis] > 0.0)).mean() > 0.03
         assert (slow & (v[:, axis] < 0.0)).mean() > 0.03

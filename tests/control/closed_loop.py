@@ -35,7 +35,7 @@ def closed_loop(
     changes: Mapping[str, Array] | None = None,
     periods: int = 120,
 ) -> ClosedLoop:
-    """Run stages of a machine, with other parameters in changes (B,) by name, from rest at start (B, 2) to goal (B, 2)."""
+    """Run stages of a machine, with other parameters in changes (B,) by name, from rest at start to goal (B, 2)."""
     kernel = kernel_for(machine)
     count, n = len(start), len(machine.coordinates)
     table = parameter_batch(machine, dict(changes or {}))

@@ -3,7 +3,8 @@ from __future__ import annotations
 import numpy as np
 
 from hframe_gym.control import MotionModel
-from hframe_gym.machine import BUILTIN, Machine, rollout
+from hframe_gym.effects.constant_force import EFFECT as CONSTANT_FORCE
+from hframe_gym.machine import BUILTIN, Machine, rollout, simulate
 
 RADIUS = 0.0194
 
@@ -38,6 +39,22 @@ def test_disturbance_sees_friction_whatever_the_belts_do(hframe: Machine) -> Non
         states = rollout(machine, time, volts, velocities=True)[0] * np.tile(machine.radii, 2)
         force = MotionModel(hframe).disturbance(states[19:20], states[20:21], volts[:1], 0.01)[0]
         assert abs(force[1] + 0.4 + 2 * 0.05 / RADIUS) < 0.1
+
+
+def test_held_stretch_holds_the_tool_against_a_force() -> None:
+    """With the motors there, and the voltages that hold them, the simulated stage stays where it is."""
+    machine = BUILTIN["hframe"]()
+    frictionless = machine.replace({name: 0.0 for name in machine.parameters if name.endswith(".coulomb")})
+    pushed = frictionless.with_effects(CONSTANT_FORCE.at("x", size=20.0), CONSTANT_FORCE.at("y", size=-10.0))
+    model = MotionModel(pushed)
+    goal = np.array([[0.1, -0.05]])
+    state = model.goal_state(goal)
+    force = model.pushes(state, np.zeros(1))
+    state[:, :4] += model.held_stretch(force, goal)
+    volts = -model.voltage(force @ model.rigid)
+    run = simulate(pushed, 0.01 * np.arange(11), np.repeat(volts, 11, axis=0), state[0] / np.tile(pushed.radii, 2))
+    np.testing.assert_allclose(run.positions[:, :2], np.repeat(goal, 11, axis=0), atol=3e-6)
+    assert np.abs(model.held_stretch(force, goal)[0, 2:]).max() > 1e-4
 
 
 def test_top_speed_is_that_of_the_simulated_stage() -> None:

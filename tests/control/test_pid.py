@@ -72,14 +72,14 @@ def test_settles_machines_that_it_was_not_made_for_first(hframe: Machine) -> Non
     assert run.error[:, 130:].max() < 2e-4
 
 
-def test_feeds_the_effects_of_its_machine_forward(hframe: Machine, pid: ModelPID) -> None:
-    """A push of 20 N, and another friction each way, arrive sooner with a machine that knows of them."""
-    pushed = hframe.with_effects(CONSTANT_FORCE.at("x", size=20.0), ASYMMETRIC_VISCOUS.at("y", a=0.3))
+def test_a_machine_with_its_effects_settles_sooner_than_one_without(hframe: Machine, pid: ModelPID) -> None:
+    """A push of 10 N on the cart stretches the belts: who knows of it aims the motors beyond."""
+    pushed = hframe.with_effects(CONSTANT_FORCE.at("y", size=10.0), ASYMMETRIC_VISCOUS.at("x", a=0.3))
     start, goal = random_points(64, 14), random_points(64, 15)
     aware = closed_loop(ModelPID(pushed, PERIOD), pushed, start, goal)
     blind = closed_loop(pid, pushed, start, goal)
-    assert aware.error[:, 100:].max() < 1e-4
-    assert np.mean(aware.error > 2e-4) < 0.97 * np.mean(blind.error > 2e-4)
+    assert aware.error[:, 100:].max() < 5e-5
+    assert np.sum(aware.error > 2e-4) < 0.9 * np.sum(blind.error > 2e-4)
 
 
 @pytest.mark.parametrize("name", ["axis", "hframe-order20"])

@@ -7,6 +7,7 @@ from hframe_gym.control import ModelPID, MotionModel, Transfers
 from hframe_gym.machine import BUILTIN, Machine, simulate
 
 RATED = np.array([12.0, 12.0])
+LIMITS = (-RATED[None], RATED[None])
 
 
 def test_reference_ends_at_rest_at_the_goal_within_the_voltage(pid: ModelPID) -> None:
@@ -37,8 +38,8 @@ def test_replanning_follows_the_reference(pid: ModelPID) -> None:
     error = model.goal_state(np.array([[-0.2, 0.1]]))
     least = np.array([pid.transfers.shortest])
     A, B = model.discretise(goal[0], pid.period)
-    first = pid.transfers.choose(error, goal, RATED[None], least)
-    second = pid.transfers.choose(error @ A.T + first.volts @ B.T, goal, RATED[None], least)
+    first = pid.transfers.choose(error, goal, LIMITS, least)
+    second = pid.transfers.choose(error @ A.T + first.volts @ B.T, goal, LIMITS, least)
     assert second.periods[0] == first.periods[0] - 1
 
 
@@ -47,7 +48,7 @@ def test_longer_ways_take_longer(pid: ModelPID) -> None:
     goal = np.zeros((20, 2))
     error = pid.model.goal_state(np.stack([ways, np.zeros(20)], axis=1))
     least = np.full(20, pid.transfers.shortest)
-    periods = pid.transfers.choose(error, goal, np.tile(RATED, (20, 1)), least).periods
+    periods = pid.transfers.choose(error, goal, LIMITS, least).periods
     assert np.all(np.diff(periods) >= 0)
     assert periods[0] == pid.transfers.shortest
 
@@ -56,7 +57,10 @@ def test_more_voltage_is_faster(pid: ModelPID) -> None:
     goal = np.zeros((1, 2))
     error = pid.model.goal_state(np.array([[0.2, 0.1]]))
     least = np.array([pid.transfers.shortest])
-    slow, fast = (pid.transfers.choose(error, goal, np.full((1, 2), v), least).periods[0] for v in (6.0, 12.0))
+    slow, fast = (
+        pid.transfers.choose(error, goal, (np.full((1, 2), -v), np.full((1, 2), v)), least).periods[0]
+        for v in (6.0, 12.0)
+    )
     assert fast < slow
 
 
