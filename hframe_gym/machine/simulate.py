@@ -17,6 +17,8 @@ from .tables import Machine
 
 LONGEST_STEP = 0.25e-3  # s; 0.2 um median error over 0.4 s of random voltages (benchmarks/accuracy.py)
 
+_BEYOND = 1e6  # m, rad, or that a second: no such stage, and no such number travels on
+
 Array = NDArray[np.float64]
 _NOTHING = np.zeros((0, 0))
 
@@ -37,7 +39,7 @@ class Trajectory:
 
 
 class NotFiniteError(ArithmeticError):
-    """A simulation left the numbers: the machine's parameters or inputs are impossible."""
+    """A simulation left all bounds: the machine's parameters or inputs are impossible."""
 
 
 def threads() -> int:
@@ -162,7 +164,7 @@ def simulate(
     initial: state (2 c,) (default: at rest, belts unstretched, at the origin).  offset: of the sensors' zeros
     (sensors,), added to the outputs.  longest_step: of the integrator, s.
 
-    Raises ValueError for arrays that do not fit, NotFiniteError when the motion does not stay finite.
+    Raises ValueError for arrays that do not fit, NotFiniteError when the motion leaves all bounds.
     """
     grid = np.asarray(time_s, float)
     voltages = np.asarray(inputs, float)
@@ -176,9 +178,13 @@ def simulate(
         raise ValueError(f"inputs: row {row}, {machine.input_channels[column]} is {voltages[row, column]}")
     start = None if initial is None else np.asarray(initial, float)
     out = rollout(machine, grid, voltages, start=start, longest_step=longest_step, velocities=True)[0]
-    if not np.all(np.isfinite(out)):
-        row = int(np.argwhere(~np.isfinite(out))[0][0])
-        raise NotFiniteError(f"machine {machine.name!r}: the motion is not finite from t = {grid[row]:g} s on")
+    wild = ~(np.abs(out) < _BEYOND)
+    if wild.any():
+        row = int(np.argwhere(wild)[0][0])
+        raise NotFiniteError(
+            f"machine {machine.name!r}: the motion leaves all bounds at t = {grid[row]:g} s; "
+            f"is it stiffer than steps of {longest_step:g} s can follow?"
+        )
     count = len(machine.coordinates)
     positions, velocities = out[:, :count], out[:, count:]
     outputs = positions @ machine.sensor_matrix.T + np.asarray(offset, float)
