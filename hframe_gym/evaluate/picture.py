@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..atomic import whole_file
-from .run import Episodes
+from .episodes import Episodes
 from .scorecard import BANDS
 
 FLOOR = 1e-3  # mm, least error that is drawn

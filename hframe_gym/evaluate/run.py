@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,29 +21,12 @@ from ..env import HFrameVectorEnv
 from ..env.batch import MachineLike
 from ..env.randomisation import Randomise
 from ..machine import Machine
+from .episodes import Episodes
 from .scorecard import scores
 
 Array = NDArray[np.float64]
 SAMPLES = 10  # a control period
 DURATION = 1.5  # s, twice the longest move
-
-
-@dataclass(frozen=True)
-class Episodes:
-    """B episodes of one controller, n samples and m control periods each.
-
-    time_s (n,); position (B, n, 2) and goal (B, 2), m, the stage's own state and not what a sensor says; volts
-    (B, m, drives) as applied; rated (drives,), V; energy_J (B,), drawn from the supply less what comes back;
-    peak_belt_force_N (B,), beyond pretension.
-    """
-
-    time_s: Array
-    position: Array
-    goal: Array
-    volts: Array
-    rated: Array
-    energy_J: Array
-    peak_belt_force_N: Array
 
 
 class _Parameters:

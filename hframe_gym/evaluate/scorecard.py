@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import bootstrap
 
-if TYPE_CHECKING:
-    from .run import Episodes
+from .episodes import Episodes
 
 Array = NDArray[np.float64]
 BANDS = {"1mm": 1e-3, "0.2mm": 2e-4, "0.05mm": 5e-5}  # m

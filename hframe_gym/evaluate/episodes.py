@@ -1,0 +1,28 @@
+"""What a controller did in a batch of episodes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Episodes:
+    """B episodes of one controller, n samples and m control periods each.
+
+    time_s (n,); position (B, n, 2) and goal (B, 2), m, the stage's own state and not what a sensor says; volts
+    (B, m, drives) as applied; rated (drives,), V; energy_J (B,), drawn from the supply less what comes back;
+    peak_belt_force_N (B,), beyond pretension.
+    """
+
+    time_s: Array
+    position: Array
+    goal: Array
+    volts: Array
+    rated: Array
+    energy_J: Array
+    peak_belt_force_N: Array
