@@ -33,8 +33,8 @@ HISTORIES, ROWS, HOLD = 64, 40, 10e-3  # histories of ROWS voltages, each held f
 AMPLITUDES = (6.0, 12.0)  # V
 STEPS = (2e-3, 1e-3, 0.5e-3, 0.25e-3, 0.1e-3)  # s
 BAR, AIM = 3e-6, 0.5e-6  # m, of the median at 0.5 ms
-GRID = np.arange(ROWS + 1) * HOLD
-Table2 = dict[str, Any]
+GRID: Array = np.arange(ROWS + 1) * HOLD
+Results = dict[str, Any]
 
 
 def rig_of(machine: Machine) -> Rig:
@@ -185,9 +185,9 @@ def micro(value: float) -> str:
     return f"{value * 1e6:.3g}"
 
 
-def against_reference(console: Console, machine: Machine) -> tuple[Table2, dict[float, Array]]:
+def against_reference(console: Console, machine: Machine) -> tuple[Results, dict[float, Array]]:
     """The kernel's error at every step and amplitude; and the reference's positions by amplitude."""
-    results: Table2 = {}
+    results: Results = {}
     exact: dict[float, Array] = {}
     table = Table(title=f"Kernel against the reference: tip error over {HISTORIES} histories of 0.4 s, um")
     for column in ("volts", "step ms", "median", "p95", "max", "at the end: median", "p95", "max"):
@@ -206,20 +206,20 @@ def against_reference(console: Console, machine: Machine) -> tuple[Table2, dict[
             "reference_own_error_m": float(own),
         }
     console.print(table)
-    for volts, row in results.items():
+    for name, result in results.items():
         console.print(
-            f"{volts}: order of convergence {row['order_median']:.2f} (way), {row['order_end_median']:.2f} (end); "
-            f"the reference itself moves by {row['reference_own_error_m'] * 1e9:.2g} nm at tolerances 100 times tighter"
+            f"{name}: order of convergence {result['order_median']:.2f} (way), {result['order_end_median']:.2f} (end); "
+            f"the reference itself moves by {result['reference_own_error_m'] * 1e9:.2g} nm at tolerances 100 times tighter"
         )
     return results, exact
 
 
-def beside_mujoco(console: Console, machine: Machine) -> Table2:
+def beside_mujoco(console: Console, machine: Machine) -> Results:
     """Three simulators of the stage with constant stiffness: errors at the same step, and each against the others."""
     from benchmarks.mujoco_stage import FRICTION, INTEGRATORS, Choice, MujocoStage, constant_at_centre
 
     stage = constant_at_centre(machine)
-    results: Table2 = {}
+    results: Results = {}
     for volts in AMPLITUDES:
         inputs = histories(volts)
         exact = truth(stage, inputs)

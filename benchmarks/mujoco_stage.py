@@ -1,9 +1,9 @@
 """The stage as a careful MuJoCo user would write it: what the kernel is compared with.
 
-Four joints with diagonal inertia (the cart rides on the bridge), three fixed tendons as belts, `frictionloss` as Coulomb
-friction, joint damping with the motors' back-EMF in it, motors with the gear's force per volt.  A tendon's stiffness is
-constant, so it is the stage with belts of constant stiffness.  Nothing that costs time and does nothing here is left on:
-no contacts, gravity, limits or sensors.
+Four joints with diagonal inertia (the cart rides on the bridge), three fixed tendons as belts, `frictionloss` as
+Coulomb friction, joint damping with the motors' back-EMF in it, motors with the gear's force per volt.  A tendon's
+stiffness is constant, so it is the stage with belts of constant stiffness.  Nothing that costs time and does nothing
+here is left on: no contacts, gravity, limits or sensors.
 """
 
 from __future__ import annotations
@@ -62,7 +62,8 @@ def xml(machine: Machine, step: float, choice: Choice) -> str:
         c = machine.coordinate(name)
         damping = c.viscous + sum(d.back_emf for d in machine.drives if d.coordinate == name)
         soft = FRICTION[choice.friction].format(twice=2 * step) if c.coulomb else ""
-        return f'<joint name="{name}" type="{kind}" axis="{axis}" damping="{damping!r}" frictionloss="{c.coulomb!r}" {soft}/>'
+        losses = f'damping="{damping!r}" frictionloss="{c.coulomb!r}" {soft}'
+        return f'<joint name="{name}" type="{kind}" axis="{axis}" {losses}/>'
 
     def inertia(mass: float, moment: float) -> str:
         return f'<inertial pos="0 0 0" mass="{mass!r}" diaginertia="{moment!r} {moment!r} {moment!r}"/>'

@@ -55,7 +55,47 @@ def identification(results: dict[str, Any]) -> str:
     return markdown(["rig", "hides", "found", "right", "before", "after", "s"], rows)
 
 
+def paper(results: dict[str, Any]) -> str:
+    """What the paper says, beside what the models give."""
+    rows = [list(row.values()) for row in results["statements"]]
+    return markdown(["where", "the paper says", "we compute", "agrees"], rows)
+
+
+def accuracy(results: dict[str, Any]) -> str:
+    """Tip error of the kernel against the event-driven reference, and of MuJoCo's best choice at the same step."""
+    rows = []
+    for voltage, found in results["against_reference"].items():
+        constant = results["constant_stiffness"].get(voltage, {}).get("median_errors_m")
+        for step, error in found["errors_m"].items():
+            numbers = [f"{1e6 * error[k]:.3g}" for k in ("median", "p95", "max")]
+            if constant:
+                rival = min(values[step] for name, values in constant.items() if name != "this kernel")
+                numbers += [f"{1e6 * rival:.4g}", f"{rival / constant['this kernel'][step]:.0f}"]
+            else:
+                numbers += ["", ""]
+            rows.append([f"+-{voltage}, {step}", *numbers])
+    header = ["voltages, step", "median um", "p95 um", "max um", "MuJoCo's median um, best choice", "over ours"]
+    return markdown(header, rows)
+
+
+def throughput(results: dict[str, Any]) -> str:
+    """Steps per second over MuJoCo's rollout."""
+    rows = [
+        [
+            name,
+            *(f"{1e-6 * r[k]:.3g}" for k in ("ours_steps_per_s", "theirs_steps_per_s")),
+            f"{r['ratio']:.0f} ({r['spread'][0]:.0f} to {r['spread'][1]:.0f})",
+        ]
+        for name, r in results["mujoco"].items()
+        if "ratio" in r
+    ]
+    return markdown(["stage; MuJoCo's settings; cores", "kernel, M/s", "MuJoCo, M/s", "ratio"], rows)
+
+
 TABLES: dict[str, Callable[[dict[str, Any]], str]] = {
+    "paper": paper,
+    "accuracy": accuracy,
+    "throughput": throughput,
     "identify_examples": identify_examples,
     "identification": identification,
     "real_machines_emps": real_machines_emps,
