@@ -209,7 +209,7 @@ def against_reference(console: Console, machine: Machine) -> tuple[Results, dict
     for name, result in results.items():
         console.print(
             f"{name}: order of convergence {result['order_median']:.2f} (way), {result['order_end_median']:.2f} (end); "
-            f"the reference itself moves by {result['reference_own_error_m'] * 1e9:.2g} nm at tolerances 100 times tighter"
+            f"the reference moves by {result['reference_own_error_m'] * 1e9:.2g} nm at tolerances 100 times tighter"
         )
     return results, exact
 

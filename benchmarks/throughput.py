@@ -68,6 +68,8 @@ class KernelBatch:
         self.kernel.prepare_blocks(self.parameters, STEP, 0, self.blocks, self.derived)
         self.inputs = [in_blocks(u) for u in voltages(self.batch, inputs=len(m.drives))]
         self.state = np.zeros((self.blocks, 2 * len(m.coordinates) + 1, LANES))
+        # Compiled before the first clock starts.
+        self.kernel.advance_blocks(self.state, self.parameters, self.derived, self.inputs[0], STEP, 0, 0, 0)
 
     def bytes_per_stage(self) -> float:
         """Memory of a stage: state, parameters, derived numbers and voltages."""
