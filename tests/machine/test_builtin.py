@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from hframe_gym.machine import BUILTIN, Machine, mode_frequencies, simulate, with_constant_stiffness
+from hframe_gym.machine import BUILTIN, Machine, mode_frequencies, rest_state, simulate, with_constant_stiffness
 from hframe_gym.machine.builtin import STIFFNESS
 from hframe_gym.machine.linear import stiffness_matrix
 
@@ -115,3 +115,27 @@ def test_20th_order_parameters() -> None:
     K = stiffness_matrix(machine)
     np.testing.assert_allclose(K, K.T)
     assert np.linalg.matrix_rank(K) == 8
+
+
+def test_kinematics_of_unstretched_belts() -> None:
+    """Eq. 1-2: r phi1 = -x - y and r phi2 = x - y; eq. 3 is their inverse."""
+    machine = BUILTIN["hframe"]()
+    x, y = 0.12, -0.07
+    state = rest_state(machine, (x, y))
+    np.testing.assert_allclose(state[2:4] * 0.0194, [-x - y, x - y], rtol=1e-12)
+    inverse = 0.5 * 0.0194 * np.array([[-1, 1], [-1, -1]])
+    np.testing.assert_allclose(inverse @ state[2:4], [x, y], rtol=1e-12)
+
+
+def test_lumping_of_the_20th_order_model() -> None:
+    """Eq. 4-9: the 8th-order belts are the sections in series, its inertias and viscous friction the pulleys' lumped."""
+    small, large = BUILTIN["hframe-linear"](), BUILTIN["hframe-order20"]()
+    k = {b.name: b.EA / b.rest_length for b in large.belts}
+    series = {"left": ("s1", "s5", "s7"), "right": ("s2", "s6", "s8"), "bottom": ("s3", "s4", "s9")}
+    for name, sections in series.items():
+        assert 1 / sum(1 / k[s] for s in sections) == pytest.approx(STIFFNESS[name], rel=4e-4)
+    pulley = large.coordinate("phi5")
+    for key in ("mass", "viscous"):
+        assert 2 * getattr(pulley, key) == pytest.approx(getattr(small.coordinate("phi1"), key))
+        carried = getattr(large.coordinate("y"), key) + 4 * getattr(pulley, key) / 0.0194**2
+        assert carried == pytest.approx(getattr(small.coordinate("y"), key))
