@@ -128,7 +128,7 @@ def test_kinematics_of_unstretched_belts() -> None:
 
 
 def test_lumping_of_the_20th_order_model() -> None:
-    """Eq. 4-9: the 8th-order belts are the sections in series, its inertias and viscous friction the pulleys' lumped."""
+    """Eq. 4-9: the 8th-order belts are the sections in series, its inertias and friction the pulleys' lumped."""
     small, large = BUILTIN["hframe-linear"](), BUILTIN["hframe-order20"]()
     k = {b.name: b.EA / b.rest_length for b in large.belts}
     series = {"left": ("s1", "s5", "s7"), "right": ("s2", "s6", "s8"), "bottom": ("s3", "s4", "s9")}
