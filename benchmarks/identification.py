@@ -77,7 +77,7 @@ def found(answer: Answer) -> str:
 def noise_ratio(answer: Answer, stage: str) -> float:
     """Mean over channels of the held-out rmse over the sensor's noise."""
     channels = getattr(answer, stage).held_out.channels
-    return float(np.mean([e.noise_ratio for e in channels.values()]))
+    return float(np.mean([e.noise_ratio for e in channels.values() if e.noise_ratio is not None]))
 
 
 def examples(console: Console) -> None:

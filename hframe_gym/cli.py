@@ -85,7 +85,7 @@ def identify(
     """
     import os
 
-    from .files import load_machine, read_recordings
+    from .files import load_machine, read_recordings, suspicions
     from .identify import identify as run
     from .identify.output import write_answer
     from .identify.report import build_report, verdict_sentence
@@ -95,6 +95,9 @@ def identify(
     declared = load_machine(machine)
     require_folder(out)
     recordings = read_recordings(runs_dir, declared)
+    for recording in recordings:
+        for line in suspicions(recording, declared):
+            say(f"warning: {line}")
     answer = run(recordings, declared, held_out=hold_out or (), say=say)
     write_answer(answer, out)
     show_answer(answer.as_json(), list(declared.output_channels))
@@ -112,7 +115,10 @@ def show_answer(report: dict[str, Any], channels: list[str]) -> None:
         table.add_column(column, justify="left" if column == "channel" else "right")
     stages = [report[s]["held_out"] for s in ("declared", "before", "after")]
     for c in channels:
-        table.add_row(c, *(f"{e[c]['rmse']:.3g} ({e[c]['noise_ratio']:.3g}x)" for e in stages))
+        if stages[0][c]["rmse"] is None:
+            table.add_row(c, *["not measured"] * 3)
+        else:
+            table.add_row(c, *(f"{e[c]['rmse']:.3g} ({e[c]['noise_ratio']:.3g}x)" for e in stages))
     if "force_error" in stages[0]:
         table.add_row("force, relative", *(f"{100 * e['force_error']:.2f} %" for e in stages))
     console.print(table)

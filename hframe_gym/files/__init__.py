@@ -4,6 +4,7 @@ from ..atomic import whole_file, write_text
 from .errors import InputError
 from .machine_file import load_machine, machine_to_dict, save_machine
 from .recording import Recording, read_recording, read_recordings, run_name, write_trajectory
+from .suspicions import suspicions
 
 __all__ = [
     "InputError",
@@ -14,6 +15,7 @@ __all__ = [
     "read_recordings",
     "run_name",
     "save_machine",
+    "suspicions",
     "whole_file",
     "write_text",
     "write_trajectory",

@@ -93,8 +93,11 @@ def _polish(fitted: Fit, data: Data, mode: Mode | None = None) -> Fit:
     if mode is None:
         errors = channel_errors(fitted.machine, data)
         outputs = np.concatenate([run.outputs for run in data.runs])
-        size = np.nanstd(outputs, axis=0)
-        worst = max(errors[c].rmse / max(s, 1e-12) for c, s in zip(fitted.machine.output_channels, size, strict=True))
+        worst = 0.0
+        for channel, values in zip(fitted.machine.output_channels, outputs.T, strict=True):
+            rmse = errors[channel].rmse
+            if rmse is not None:
+                worst = max(worst, rmse / max(float(np.nanstd(values)), 1e-12))
         mode = "free" if worst < _DRIFT else "innovations"
     return fit(fitted.machine, fitted.free, data, mode, theta=fitted.theta, longest_step=POLISH_STEP)
 
@@ -119,7 +122,9 @@ def _gain(found: Found, machine: Machine, judge: Data, mode: Mode) -> float:
         force = force_error(m, judge) if mode == "innovations" else None
         if force is not None:
             return force**2
-        return float(np.mean([e.noise_ratio**2 for e in channel_errors(m, judge).values()]))
+        return float(
+            np.mean([e.noise_ratio**2 for e in channel_errors(m, judge).values() if e.noise_ratio is not None])
+        )
 
     without = machine.replace(effects=tuple(e for e in machine.effects if e.label != found.effect.label))
     return 1.0 - cost(machine) / cost(without)

@@ -63,7 +63,7 @@ def _by_channel(report: Mapping[str, Any], channels: list[str]) -> Any:
     figure = Figure(figsize=(7.2, 0.9 + 0.75 * len(channels)), layout="constrained")
     axes = figure.subplots()
     for k, stage in enumerate(_COLOURS):
-        values = [report[stage]["held_out"][c]["noise_ratio"] for c in channels]
+        values = [report[stage]["held_out"][c]["noise_ratio"] or np.nan for c in channels]
         at = np.arange(len(channels)) + 0.27 * (k - 1)
         bars = axes.barh(at, values, height=0.25, color=_COLOURS[stage], label=stage)
         axes.bar_label(bars, fmt="%.3g", padding=2, fontsize=8)

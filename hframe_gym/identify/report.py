@@ -52,7 +52,8 @@ def verdict_sentence(report: dict[str, Any], channels: list[str]) -> str:
     """The verdict as a person would say it."""
 
     def mean(stage: str) -> float:
-        return float(np.mean([report[stage]["held_out"][c]["noise_ratio"] for c in channels]))
+        ratios = [report[stage]["held_out"][c]["noise_ratio"] for c in channels]
+        return float(np.mean([r for r in ratios if r is not None]))
 
     before, after = mean("before"), mean("after")
     if report["verdict"] == "effect_found":
@@ -72,6 +73,8 @@ def verdict_sentence(report: dict[str, Any], channels: list[str]) -> str:
 def _channel_row(report: dict[str, Any], channel: str) -> dict[str, str]:
     factor, unit = _SCALES.get(channel.rpartition("_")[2], (1.0, ""))
     errors = {stage: report[stage]["held_out"][channel] for stage in ("declared", "before", "after")}
+    if errors["after"]["rmse"] is None:
+        return {"name": channel, "ratio": "", **dict.fromkeys(errors, "not measured")}
     row = {stage: f"{factor * e['rmse']:.4g} {unit}" for stage, e in errors.items()}
     return row | {"name": channel, "ratio": f"{errors['after']['noise_ratio']:.2f}"}
 

@@ -21,10 +21,10 @@ _FORCE_DECIMATION = 10
 
 
 class ChannelError(NamedTuple):
-    """rmse in the channel's unit and over its noise; the free run's error row by row is `free_run_error`."""
+    """rmse in the channel's unit and over its noise, both None where the channel was never measured."""
 
-    rmse: float
-    noise_ratio: float
+    rmse: float | None
+    noise_ratio: float | None
 
 
 class Dependence(NamedTuple):
@@ -52,7 +52,10 @@ def channel_errors(machine: Machine, data: Data) -> dict[str, ChannelError]:
     found = {}
     for j, channel in enumerate(machine.output_channels):
         column = errors[:, j][np.isfinite(errors[:, j])]
-        rmse = float(np.sqrt(np.mean(column**2))) if len(column) else float("nan")
+        if len(column) == 0:
+            found[channel] = ChannelError(None, None)
+            continue
+        rmse = float(np.sqrt(np.mean(column**2)))
         found[channel] = ChannelError(rmse, rmse / float(data.noise[j]))
     return found
 

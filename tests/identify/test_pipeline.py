@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from benchmarks.make_examples import RIGS
@@ -43,7 +45,24 @@ def test_the_twin_has_no_effect() -> None:
     answer = identify(read_recordings("examples/rig_b", machine), machine)
     assert answer.verdict == "no_effect"
     assert answer.found == ()
-    assert all(e.noise_ratio < 1.1 for e in answer.before.held_out.channels.values())
+    ratios = [e.noise_ratio for e in answer.before.held_out.channels.values()]
+    assert all(r is not None and r < 1.1 for r in ratios)
+
+
+def test_a_channel_that_was_never_measured_is_null_and_the_rest_stands(tmp_path: Path) -> None:
+    machine = BUILTIN["hframe"]()
+    recordings = []
+    for r in read_recordings("examples/rig_b", machine):
+        outputs = r.outputs.copy()
+        outputs[:, 3] = np.nan
+        recordings.append(dataclasses.replace(r, outputs=outputs))
+    answer = identify(recordings, machine)
+    assert answer.verdict == "no_effect"
+    write_answer(answer, tmp_path)
+    build_report(tmp_path)
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert report["after"]["held_out"]["y_m"] == {"rmse": None, "noise_ratio": None}
+    assert report["after"]["held_out"]["x_m"]["noise_ratio"] < 1.1
 
 
 def test_held_out_runs_are_never_fitted(found: Answer) -> None:
