@@ -24,8 +24,8 @@ from dataclasses import dataclass
 from .tables import Machine
 
 # Rows of derived numbers that `prepare` writes for each coordinate; those of PER_DIRECTION twice where they differ.
-PER_COORDINATE = ("mass", "coulomb", "curve")
-PER_DIRECTION = ("viscous", "decay", "gain", "first", "last")
+PER_COORDINATE = ("mass", "per_mass", "coulomb", "curve")
+PER_DIRECTION = ("viscous", "slow", "decay", "gain", "first", "last")
 
 
 def identifier(name: str) -> str:
@@ -36,12 +36,18 @@ def identifier(name: str) -> str:
 def combination(row: Mapping[str, float], term: Callable[[str], str]) -> str:
     """sum(coefficient * term(name)) as an expression without zeros or ones."""
     text = ""
-    for name, factor in row.items():
+    # A positive term first: a leading minus would cost an instruction.
+    for name, factor in sorted(row.items(), key=lambda item: item[1] < 0):
         if factor == 0.0:
             continue
         size = term(name) if abs(factor) == 1.0 else f"{abs(factor)!r} * {term(name)}"
         text += f" - {size}" if factor < 0 else f" + {size}" if text else size
     return text.lstrip() or "0.0"
+
+
+def plus(expression: str) -> str:
+    """The expression as something to append to a sum."""
+    return expression if expression.startswith("- ") else f"+ {expression}"
 
 
 @dataclass(frozen=True)
@@ -123,6 +129,7 @@ class KernelSource:
         yield f"    radius = {self.p(c + '.radius') if self.is_rotary(c) else '1.0'}"
         yield f"    mass = {self.p(c + '.mass')} / (radius * radius)"
         yield f"    store(C, {self.derived[c + '.mass']}, mass)"
+        yield f"    store(C, {self.derived[c + '.per_mass']}, 1.0 / mass)"
         yield f"    store(C, {self.derived[c + '.coulomb']}, {self.p(c + '.coulomb')} / radius)"
         yield f"    store(C, {self.derived[c + '.curve']}, h * h / 12.0 / mass)"
         for sign in self.signs(c):
@@ -135,7 +142,8 @@ class KernelSource:
             yield f"    viscous = ({friction}{emf}) / (radius * radius)"
             yield "    z = viscous * h / mass"
             yield "    weight = end_weight(z)"
-            values = ("viscous", "exp(-z)", "h / mass * decay_integral(z)", "h * (1.0 - weight)", "h * weight")
+            forces = ("viscous", "-h * h / 12.0 / mass * viscous", "exp(-z)", "h / mass * decay_integral(z)")
+            values = (*forces, "h * (1.0 - weight)", "h * weight")
             for key, value in zip(PER_DIRECTION, values, strict=True):
                 yield f"    store(C, {self.derived[f'{c}.{key}{sign}']}, {value})"
 
@@ -155,7 +163,7 @@ class KernelSource:
 
     def advance(self) -> str:
         """`steps` steps of length h of one block of lanes, in place."""
-        lines = ["@inlined", "def advance(S, P, C, U, W, h, steps):"]
+        lines = ["@inlined", "def advance(S, P, C, U, W, h, steps):", "    align_stack()"]
         lines += [f"    {line}" for line in self.read()]
         lines += ["    for step in range(steps):"]
         lines += [f"        {line}" for line in self.step()]
@@ -229,7 +237,7 @@ class KernelSource:
                 rest = {c: factor for c, factor in b.extension.items() if c not in b.length}
                 shared = f"run_{name}"
             own = combination(rest, self.half_way)
-            yield f"s_{name} = {f'{shared} + ({own})' if shared and rest else shared or own}"
+            yield f"s_{name} = {f'{shared} {plus(own)}' if shared and rest else shared or own}"
             if b.length:
                 along = shared or combination(b.length, self.half_way)
                 yield f"length_{name} = {name}_rest_length + {along}"
@@ -243,8 +251,11 @@ class KernelSource:
                 yield f"stiffness_{name} = {name}_stiffness"
             yield f"T_{name} = stiffness_{name} * s_{name}"
             if b.length:
-                yield f"e_{name} = (0.5 * T_{name}) * (s_{name} * per_{name})"
-                if any(b.extension.get(c) == factor for c, factor in b.length.items()):
+                yield f"half_strain_{name} = 0.5 * (s_{name} * per_{name})"
+                if all(b.extension.get(c) == factor for c, factor in b.length.items()):
+                    yield f"net_{name} = fma(-half_strain_{name}, T_{name}, T_{name})"
+                else:
+                    yield f"e_{name} = half_strain_{name} * T_{name}"
                     yield f"net_{name} = T_{name} - e_{name}"
 
     def half_way(self, coordinate: str) -> str:
@@ -313,10 +324,10 @@ class KernelSource:
 
     def acceleration(self, c: str) -> Iterable[str]:
         name = identifier(c)
-        yield f"d_{name} = direction(v_{name}, f_{name})"
-        yield f"b_{name} = {self.by_direction(c, 'viscous')}"
-        drag = f"fma(b_{name}, v_{name}, copysign(F_{name}, d_{name}))"
-        yield f"a_{name} = where(stays(v_{name}, f_{name}, F_{name}), 0.0, {name}_curve * (f_{name} - {drag}))"
+        if c in self.directional:
+            yield f"d_{name} = direction(v_{name}, f_{name})"
+        slow = self.by_direction(c, "slow")
+        yield f"a_{name} = fma({name}_curve, f_{name} - answer(v_{name}, f_{name}, F_{name}), {slow} * v_{name})"
         if c in self.moving_friction:
             yield f"k_{name} = m_{name} + a_{name}"
             yield f"w_{name} = v_{name} + (6.0 / h) * a_{name}"
@@ -343,16 +354,17 @@ class KernelSource:
 
     def flow(self, name: str) -> Iterable[str]:
         c = self.machine.coordinate_names[self.names.index(name)]
-        yield f"d_{name} = direction(v_{name}, f_{name})"
+        if c in self.directional:
+            yield f"d_{name} = direction(v_{name}, f_{name})"
         decay, gain = (self.by_direction(c, key) for key in ("decay", "gain"))
-        yield f"u_{name}, stop_{name} = kick(v_{name}, f_{name}, F_{name}, d_{name}, {decay}, {gain})"
+        yield f"u_{name}, stop_{name} = kick(v_{name}, f_{name}, F_{name}, {decay}, {gain})"
         first, last = (self.by_direction(c, key) for key in ("first", "last"))
         yield f"n_{name} = fma({last}, u_{name}, fma({first}, v_{name}, q_{name}))"
 
     def event(self, name: str) -> Iterable[str]:
         c = self.machine.coordinate_names[self.names.index(name)]
         viscous = f"{self.by_direction(c, 'viscous')}, {self.by_direction(c, 'viscous', back=True)}"
-        state = f"v_{name}, f_{name}, F_{name}, d_{name}"
-        yield f"after_{name}, travel_{name} = reverse({state}, {viscous}, {name}_mass, h)"
+        state = f"v_{name}, f_{name}, F_{name}"
+        yield f"after_{name}, travel_{name} = reverse({state}, {viscous}, {name}_mass, {name}_per_mass, h)"
         yield f"u_{name} = where(stop_{name}, after_{name}, u_{name})"
         yield f"n_{name} = where(stop_{name}, q_{name} + travel_{name}, n_{name})"

@@ -7,7 +7,7 @@ import pytest
 from numba import njit
 from scipy.integrate import solve_ivp
 
-from hframe_gym.machine.friction import decay_integral, direction, end_weight, kick, reverse
+from hframe_gym.machine.friction import decay_integral, end_weight, kick, reverse
 from hframe_gym.machine.lanes import LANES, load, store, where
 
 
@@ -17,11 +17,10 @@ def flow(A, h, out):  # type: ignore[no-untyped-def]
     z = viscous * h / mass
     gain = h / mass * decay_integral(z)
     decay = 1.0 - z * decay_integral(z)
-    toward = direction(v, f)
-    after, stop = kick(v, f, coulomb, toward, decay, gain)
+    after, stop = kick(v, f, coulomb, decay, gain)
     weight = end_weight(z)
     travel = h * ((1.0 - weight) * v + weight * after)
-    turned, turned_travel = reverse(v, f, coulomb, toward, viscous, viscous, mass, h)
+    turned, turned_travel = reverse(v, f, coulomb, viscous, viscous, mass, 1.0 / mass, h)
     store(out, 0, where(stop, turned, after))
     store(out, 1, where(stop, turned_travel, travel))
 
