@@ -1,4 +1,4 @@
-"""An agent on disk: policy.safetensors holds the weights, agent.json how to build the policy.
+"""An agent on disk: policy.safetensors holds the weights, agent.json how to build the policy, machine.json its machine.
 
 Loading one runs no code of it, so an agent may come from anywhere.
 """
@@ -14,43 +14,61 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hframe_gym.atomic import whole_file, write_text
+from hframe_gym.files import load_machine, save_machine
+from hframe_gym.machine import Machine
 
+from .actuation import Actuation
 from .extra import load, one_thread
 
-SCHEMA = 1
+SCHEMA = 2
+STATED = ("schema", "name", "task", "kind", "machine", "seed", "recipe", "settings", "features", "previews")
+# Networks of stable-baselines3's policies that judge and do not act; an agent on disk goes without.
+CRITICS = ("critic", "value_net", "mlp_extractor.value_net")
 
 
 def policy_keywords(policy: Mapping[str, Any], features: Mapping[str, Any]) -> dict[str, Any]:
     """`policy_kwargs` of stable-baselines3 from a recipe's [policy] and the keywords of the features."""
     load("stable_baselines3")
-    from .features import ReachFeatures
+    from .features import StageFeatures
 
-    return {**policy, "features_extractor_class": ReachFeatures, "features_extractor_kwargs": dict(features)}
+    return {**policy, "features_extractor_class": StageFeatures, "features_extractor_kwargs": dict(features)}
 
 
 class Agent:
-    """A trained policy as a controller: `act` gives the mean action for each stage of a batch."""
+    """A trained policy as a controller (see `hframe_gym.control.Controller`): its mean action for each stage.
 
-    def __init__(self, policy: Any, card: Mapping[str, Any]) -> None:
+    policy: of stable-baselines3.  actuation: between it and the stages, or None where its outputs are the actions.
+    machine: what it was trained on.  card: what agent.json says.
+    """
+
+    def __init__(self, policy: Any, actuation: Actuation | None, machine: Machine, card: Mapping[str, Any]) -> None:
         self.policy = policy
+        self.actuation = actuation
+        self.machine = machine
         self.card = dict(card)
 
     def act(self, observation: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
         """Actions (B, drives) in [-1, 1] for observations, each (B, n)."""
+        seen = self.actuation.see(observation) if self.actuation else dict(observation)
         with one_thread():
-            actions, _ = self.policy.predict(dict(observation), deterministic=True)
-        return np.asarray(actions, np.float64)
+            outputs, _ = self.policy.predict(seen, deterministic=True)
+        return self.actuation.apply(outputs) if self.actuation else np.asarray(outputs, np.float64)
 
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """A policy remembers nothing."""
+        """Forget the stages of mask (B,), or all."""
+        if self.actuation:
+            self.actuation.reset(mask)
 
     def save(self, folder: str | Path) -> None:
-        """Write policy.safetensors and agent.json, each whole."""
+        """Write policy.safetensors, agent.json and machine.json, each whole."""
         safetensors = load("safetensors.torch")
-        weights = {name: value.contiguous() for name, value in self.policy.state_dict().items()}
+        state = self.policy.state_dict()
+        weights = {name: value.contiguous() for name, value in state.items() if not name.startswith(CRITICS)}
         with whole_file(Path(folder) / "policy.safetensors") as temporary:
             safetensors.save_file(weights, temporary)
-        write_text(Path(folder) / "agent.json", json.dumps(self.card, indent=2) + "\n")
+        save_machine(self.machine, Path(folder) / "machine.json")
+        stated = {key: self.card[key] for key in STATED}
+        write_text(Path(folder) / "agent.json", json.dumps(stated, indent=1) + "\n")
 
     @classmethod
     def load(cls, folder: str | Path) -> Agent:
@@ -59,23 +77,33 @@ class Agent:
         Raises ValueError when its files are missing or of another schema.
         """
         from hframe_gym.env.spaces import action_space, observation_space
-        from hframe_gym.files import load_machine
 
         path = Path(folder)
-        for name in ("agent.json", "policy.safetensors"):
+        for name in ("agent.json", "machine.json", "policy.safetensors"):
             if not (path / name).is_file():
                 raise ValueError(f"{path} is not an agent: {name} is missing")
         card = json.loads((path / "agent.json").read_text("utf-8"))
         if card.get("schema") != SCHEMA:
             raise ValueError(f"{path / 'agent.json'}: schema is {card.get('schema')!r}, this version reads {SCHEMA}")
-        machine = load_machine(card["machine"])
-        kind = load("stable_baselines3.ppo" if card["algorithm"] == "ppo" else "stable_baselines3.sac")
+        machine = load_machine(path / "machine.json")
+        actuation = actuation_for(machine, card["settings"]["actuation"])
+        space = observation_space(machine, card["previews"])
+        kind = load("stable_baselines3.ppo" if card["kind"] == "ppo" else "stable_baselines3.sac")
         policy = kind.MultiInputPolicy(
-            observation_space(machine),
+            actuation.space(space) if actuation else space,
             action_space(machine),
             lambda _: 0.0,
-            **policy_keywords(card["policy"], card["features"]),
+            **policy_keywords(card["settings"]["policy"], card["features"]),
         )
-        policy.load_state_dict(load("safetensors.torch").load_file(path / "policy.safetensors"))
+        weights = load("safetensors.torch").load_file(path / "policy.safetensors")
+        missing, unexpected = policy.load_state_dict(weights, strict=False)
+        strangers = [*unexpected, *(name for name in missing if not name.startswith(CRITICS))]
+        if strangers:
+            raise ValueError(f"{path / 'policy.safetensors'} does not fit agent.json: {', '.join(sorted(strangers))}")
         policy.set_training_mode(False)
-        return cls(policy, card)
+        return cls(policy, actuation, machine, card)
+
+
+def actuation_for(machine: Machine, settings: Mapping[str, Any], period: float = 0.01) -> Actuation | None:
+    """The actuation of a recipe's [actuation], None where that is empty."""
+    return Actuation(machine, period, **settings) if settings else None

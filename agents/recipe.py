@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from importlib import resources
 from typing import Any
 
@@ -21,31 +21,43 @@ class Linear:
 
 @dataclass(frozen=True)
 class Recipe:
-    """env: keywords of `HFrameVecEnv`.  algorithm, policy: keywords of the stable-baselines3 class and its policy.
+    """How to train.
 
-    A pair in `algorithm` stands for a rate that goes from one to the other over the run.
+    kind: "ppo" or "sac".  steps: of the environment, enough for the scores of the shipped agents.  env: keywords of
+    `HFrameVecEnv`.  algorithm, policy: keywords of the stable-baselines3 class and its policy; a pair in `algorithm`
+    stands for a rate that goes from one to the other over the run.  task: keywords of the task.  actuation: keywords of
+    `Actuation`, empty where the policy's outputs are the actions.  hindsight: keywords of `HerReplayBuffer`, empty for
+    the plain buffer.
     """
 
     name: str
+    kind: str
+    steps: int
     env: dict[str, Any]
     algorithm: dict[str, Any]
     policy: dict[str, Any]
+    task: dict[str, Any] = field(default_factory=dict)
+    actuation: dict[str, Any] = field(default_factory=dict)
+    hindsight: dict[str, Any] = field(default_factory=dict)
 
     @property
     def settings(self) -> dict[str, Any]:
         """`algorithm` as the class takes it, rates as functions."""
         return {k: Linear(*v) if isinstance(v, list) else v for k, v in self.algorithm.items()}
 
+    def as_dict(self) -> dict[str, Any]:
+        """Plain data."""
+        return asdict(self)
 
-def load_recipe(algorithm: str, task: str) -> Recipe:
-    """The recipe of an algorithm ("ppo", "sac") on a task.
+
+def load_recipe(name: str, task: str) -> Recipe:
+    """The recipe NAME_TASK.toml: "ppo", "sac", "sac_her" or "residual" on a task.
 
     Raises ValueError listing the recipes there are.
     """
     folder = resources.files(__package__) / "recipes"
-    file = folder / f"{algorithm}_{task}.toml"
+    file = folder / f"{name}_{task}.toml"
     if not file.is_file():
-        known = sorted(f.name.removesuffix(".toml").replace("_", " on ") for f in folder.iterdir())
-        raise ValueError(f"there is no recipe for {algorithm} on {task}; there are {', '.join(known)}")
-    content = tomllib.loads(file.read_text("utf-8"))
-    return Recipe(f"{algorithm}_{task}", content["env"], content["algorithm"], content["policy"])
+        known = sorted(" on ".join(f.name.removesuffix(".toml").rsplit("_", 1)) for f in folder.iterdir())
+        raise ValueError(f"there is no recipe for {name} on {task}; there are {', '.join(known)}")
+    return Recipe(name=f"{name}_{task}", **tomllib.loads(file.read_text("utf-8")))

@@ -1,157 +1,204 @@
 """Training with stable-baselines3 on the native vector environment, by a recipe.
 
-What a run leaves in its folder, each file whole at any time: agent.json with policy.safetensors (the agent as it is
-now), and checkpoint.zip (everything that `resume` needs; a pickle of your own run, do not load other people's).
+What a run leaves in its folder, each file whole at any time: the agent as it is now (agent.json, machine.json,
+policy.safetensors), its card (card.json, README.md), tensorboard/, and checkpoint.zip with replay.pkl, what `resume`
+needs (pickles of your own run, do not load other people's).
 """
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from hframe_gym.atomic import whole_file
+from hframe_gym.env.tasks import TASKS, Task
+from hframe_gym.evaluate import Trial
 from hframe_gym.files import load_machine
 from hframe_gym.machine import Machine
 
-from .agent import SCHEMA, Agent, policy_keywords
+from .agent import SCHEMA, Agent, actuation_for, policy_keywords
+from .card import versions, write_card
 from .extra import load, one_thread
 from .recipe import Recipe, load_recipe
+from .score import judge, line
 
+# Draws that no training sees: environment i of seed s begins with TRAINING_SEED + s * SEEDS_APART + i.
 EVALUATION_SEED = 1_000_000
+TRAINING_SEED = 10_000_000
+SEEDS_APART = 100_000
 EVALUATION_EPISODES = 256
-REPORTS = 20  # lines of progress and checkpoints in a run
+REPORTS = 12  # evaluations and checkpoints in a run
 
 
 def train(
     algorithm: str,
     machine: str | Path | Machine = "hframe",
     task: str = "reach",
-    steps: int = 1_000_000,
+    steps: int | None = None,
     seed: int = 0,
     resume: bool = False,
     out: str | Path = "agent",
     say: Callable[[str], None] = print,
+    advance: Callable[[int, int], None] = lambda done, steps: None,
 ) -> dict[str, Any]:
-    """Train an agent and write it to the folder `out`; gives the evaluation at the end.
+    """Train an agent and write it to the folder `out`; gives its card.
 
-    algorithm: "ppo" or "sac".  machine: a name, file or `Machine`.  steps: of the environment, in all, those before a
-    resume included.  say: takes each line of progress.
+    algorithm: a recipe, "ppo", "sac", "sac_her" or "residual".  machine: a name, file or `Machine`.  steps: of the
+    environment, in all, those before a resume included; as many as the recipe says where not given.  say: takes a line
+    at each evaluation.  advance: is told how many steps are done, of how many, after each of the environments.
+
+    The same seed gives the same agent, to the bit, on the same versions and processor; a resumed run goes on with
+    other draws than one that was never stopped.
 
     Raises ValueError for an unknown algorithm or task or where there is nothing to resume, ImportError naming the extra
     `agents` where it is missing.
     """
     recipe = load_recipe(algorithm, task)
-    sb3 = load("stable_baselines3")
-    kind = {"ppo": sb3.PPO, "sac": sb3.SAC}[algorithm]
+    steps = recipe.steps if steps is None else steps
     built = load_machine(machine)
     folder = Path(out)
-    checkpoint = folder / "checkpoint.zip"
-    from hframe_gym.env.sb3 import HFrameVecEnv
-
-    environment = HFrameVecEnv(**recipe.env, machine=built, task=task)
-    if resume:
-        if not checkpoint.is_file():
-            raise ValueError(f"nothing to resume: {checkpoint} is not there")
-        model = kind.load(checkpoint, env=environment, device="cpu")
-    else:
-        model = _new_model(kind, recipe, built, environment, seed)
-    card = _card(algorithm, task, machine, built, recipe, seed)
-    progress = _Progress(model, card, built, steps, folder, say)
+    card = _begin(recipe, algorithm, task, built, seed)
+    environment = _environment(recipe, built, task)
+    card["previews"] = len(environment.get_attr("batch", 0)[0].task.ahead_s)
+    model = _resumed(recipe, folder, environment, card) if resume else _new_model(recipe, built, environment, seed)
+    model.set_logger(load("stable_baselines3.common.logger").configure(str(folder / "tensorboard"), ["tensorboard"]))
+    environment.seed(TRAINING_SEED + seed * SEEDS_APART + model.num_timesteps)
+    progress = _Progress(model, card, built, recipe, steps, folder, say, advance)
     with one_thread():
         model.learn(steps - model.num_timesteps, callback=progress, reset_num_timesteps=False)
-    score = progress.report()
+    progress.report()
     environment.close()
-    return score
+    return progress.card
+
+
+def _environment(recipe: Recipe, machine: Machine, task: str) -> Any:
+    from hframe_gym.env.sb3 import HFrameVecEnv
+
+    from .actuated import ActuatedVecEnv
+
+    environment = HFrameVecEnv(**recipe.env, machine=machine, task=task_of(recipe.task, task))
+    actuation = actuation_for(machine, recipe.actuation)
+    return ActuatedVecEnv(environment, actuation) if actuation else environment
+
+
+def task_of(settings: dict[str, Any], task: str) -> Task:
+    """The task by its name with a recipe's settings; lists, which TOML has, stand for tuples."""
+    return TASKS[task](**{k: tuple(v) if isinstance(v, list) else v for k, v in settings.items()})
+
+
+def _new_model(recipe: Recipe, machine: Machine, environment: Any, seed: int) -> Any:
+    from .features import features_for
+
+    sb3 = load("stable_baselines3")
+    hindsight = {"replay_buffer_class": sb3.HerReplayBuffer, "replay_buffer_kwargs": recipe.hindsight}
+    return getattr(sb3, recipe.kind.upper())(
+        "MultiInputPolicy",
+        environment,
+        seed=seed,
+        device="cpu",
+        policy_kwargs=policy_keywords(recipe.policy, features_for(machine)),
+        **(hindsight if recipe.hindsight else {}),
+        **recipe.settings,
+    )
+
+
+def _resumed(recipe: Recipe, folder: Path, environment: Any, card: dict[str, Any]) -> Any:
+    """The model of the folder's checkpoint; takes over into the card what its run had reported by then."""
+    checkpoint, replay = folder / "checkpoint.zip", folder / "replay.pkl"
+    if not checkpoint.is_file():
+        raise ValueError(f"nothing to resume: {checkpoint} is not there")
+    sb3 = load("stable_baselines3")
+    model = getattr(sb3, recipe.kind.upper()).load(checkpoint, env=environment, device="cpu")
+    if replay.is_file():
+        model.load_replay_buffer(replay)
+    before = json.loads((folder / "card.json").read_text("utf-8"))
+    if (before["recipe"], before["seed"]) != (card["recipe"], card["seed"]):
+        raise ValueError(
+            f"nothing to resume: {folder} holds a run of {before['recipe']} with seed {before['seed']}, "
+            f"not of {card['recipe']} with seed {card['seed']}"
+        )
+    card["curve"] = [row for row in before["curve"] if row["steps"] <= model.num_timesteps]
+    return model
+
+
+def _begin(recipe: Recipe, algorithm: str, task: str, machine: Machine, seed: int) -> dict[str, Any]:
+    from .features import features_for
+
+    return {
+        "schema": SCHEMA,
+        "name": algorithm,
+        "task": task,
+        "kind": recipe.kind,
+        "machine": machine.name,
+        "seed": seed,
+        "recipe": recipe.name,
+        "settings": recipe.as_dict(),
+        "features": features_for(machine),
+        "versions": versions(),
+        "curve": [],
+    }
 
 
 class _Progress:
     """Evaluates, reports and saves now and then; stable-baselines3 calls it after every step of the environments."""
 
     def __init__(
-        self, model: Any, card: dict[str, Any], machine: Machine, steps: int, folder: Path, say: Callable[[str], None]
+        self,
+        model: Any,
+        card: dict[str, Any],
+        machine: Machine,
+        recipe: Recipe,
+        steps: int,
+        folder: Path,
+        say: Callable[[str], None],
+        advance: Callable[[int, int], None],
     ) -> None:
-        self.model, self.card, self.machine, self.folder, self.say = model, card, machine, folder, say
+        self.model, self.card, self.machine, self.folder = model, card, machine, folder
+        self.steps, self.say, self.advance = steps, say, advance
+        self.actuation = actuation_for(machine, recipe.actuation)
+        self.trial = Trial(
+            machine=machine,
+            task=task_of(recipe.task, card["task"]),
+            randomize=recipe.env["randomize"],
+            episodes=EVALUATION_EPISODES,
+            seed=EVALUATION_SEED,
+        )
         self.interval = max(1, steps // REPORTS)
-        self.begin, self.before = time.monotonic(), model.num_timesteps
-        self.next = self.before + self.interval
+        self.next = model.num_timesteps + self.interval
+        last = card["curve"][-1] if card["curve"] else {"seconds": 0.0, "cpu_s": 0.0}
+        self._clocks = time.monotonic() - last["seconds"], time.process_time() - last["cpu_s"]
 
     def __call__(self, local: dict[str, Any], outer: dict[str, Any]) -> bool:
+        self.advance(self.model.num_timesteps, self.steps)
         if self.model.num_timesteps >= self.next:
             self.next += self.interval
             self.report()
         return True
 
-    def report(self) -> dict[str, Any]:
-        """The score of the agent as it is now; says it, and writes agent and checkpoint."""
-        steps = self.model.num_timesteps
-        training = self.model.policy.training
-        score = evaluate(Agent(self.model.policy, self.card), self.machine, self.card["task"], self.card["randomize"])
-        self.model.policy.set_training_mode(training)
-        seconds = time.monotonic() - self.begin
-        self.say(
-            f"{steps:>10d} steps  {seconds:7.1f} s  {(steps - self.before) / seconds:8.0f} steps/s  final distance "
-            f"{score['median_mm']:8.3f} mm median, {score['mean_mm']:8.3f} mean; within 1 mm {score['within_1mm']:.3f}"
-        )
-        Agent(self.model.policy, {**self.card, "steps": steps, "evaluation": score}).save(self.folder)
+    def report(self) -> None:
+        """Score the agent as it is now; say it, and write agent, card and checkpoint."""
+        model, training = self.model, self.model.policy.training
+        agent = Agent(model.policy, self.actuation, self.machine, self.card)
+        row = {
+            "steps": model.num_timesteps,
+            "seconds": round(time.monotonic() - self._clocks[0], 1),
+            "cpu_s": round(time.process_time() - self._clocks[1], 1),
+            **judge(agent, self.trial),
+        }
+        model.policy.set_training_mode(training)
+        self.card["curve"] = [*(r for r in self.card["curve"] if r["steps"] < row["steps"]), row]
+        self.say(line(row))
+        for key, value in row.items():
+            if isinstance(value, float):
+                model.logger.record(f"evaluation/{key}", value)
+        model.logger.dump(model.num_timesteps)
+        agent.save(self.folder)
         with whole_file(self.folder / "checkpoint.zip") as temporary:
-            self.model.save(temporary)
-        return score
-
-
-def _new_model(kind: Any, recipe: Recipe, machine: Machine, environment: Any, seed: int) -> Any:
-    from .features import features_for
-
-    return kind(
-        "MultiInputPolicy",
-        environment,
-        seed=seed,
-        device="cpu",
-        policy_kwargs=policy_keywords(recipe.policy, features_for(machine)),
-        **recipe.settings,
-    )
-
-
-def _card(
-    algorithm: str, task: str, machine: str | Path | Machine, built: Machine, recipe: Recipe, seed: int
-) -> dict[str, Any]:
-    from .features import features_for
-
-    return {
-        "schema": SCHEMA,
-        "algorithm": algorithm,
-        "task": task,
-        "machine": built.name if isinstance(machine, Machine) else str(machine),
-        "seed": seed,
-        "recipe": recipe.name,
-        "randomize": recipe.env["randomize"],
-        "env": recipe.env,
-        "algorithm_settings": recipe.algorithm,
-        "policy": recipe.policy,
-        "features": features_for(built),
-    }
-
-
-def evaluate(agent: Agent, machine: Machine, task: str, randomize: str) -> dict[str, Any]:
-    """Distance to the goal at the end of fixed unseen episodes: median, mean (mm) and the share within 1 mm."""
-    from hframe_gym.env import HFrameVectorEnv
-
-    envs = HFrameVectorEnv(
-        EVALUATION_EPISODES, machine=machine, task=task, randomize=randomize, autoreset_mode="SameStep"
-    )
-    observation, _ = envs.reset(seed=EVALUATION_SEED)
-    over = np.zeros(EVALUATION_EPISODES, np.bool_)
-    info: dict[str, Any] = {}
-    while not over.all():
-        observation, _, terminated, truncated, info = envs.step(agent.act(observation))
-        over |= terminated | truncated
-    distance = 1e3 * info["final_info"]["distance_m"]
-    return {
-        "episodes": EVALUATION_EPISODES,
-        "median_mm": float(np.median(distance)),
-        "mean_mm": float(distance.mean()),
-        "within_1mm": float((distance <= 1.0).mean()),
-    }
+            model.save(temporary)
+        if getattr(model, "replay_buffer", None) is not None:
+            with whole_file(self.folder / "replay.pkl") as temporary:
+                model.save_replay_buffer(temporary)
+        write_card(self.folder, self.card)

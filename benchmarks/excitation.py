@@ -15,11 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.reference import Stage
-from benchmarks.rigs import Array, Rig
+from benchmarks.reference import Array, Rig, Stage
+from benchmarks.reference.sensors import ENCODER_STEP_RAD
 
 LIMIT_X_M, LIMIT_Y_M = 0.25, 0.16
-ENCODER_STEP_RAD = 2.0 * np.pi / (512 * 4 * 5.9)  # at the belt pulley
 VOLTAGE_STEP_V = 0.005  # about the step of a 12-bit converter over +-10 V
 MAX_VOLTAGE_V = 8.0
 
@@ -100,6 +99,7 @@ def runs(
     rig: Rig | None = None,
     rest_s: float = 0.1,
     closed: tuple[bool, ...] = (False, True),
+    start_share: float = 0.6,
     rtol: float = 1e-8,
     atol: float = 1e-11,
 ) -> list[Run]:
@@ -111,6 +111,7 @@ def runs(
         rig: the stage on which they are played, the paper's by default.
         rest_s: rows at 0 V at the beginning.
         closed: which runs are closed loop; run i takes ``closed[i % len(closed)]``.
+        start_share: share of the travel in which runs start.
         rtol, atol: the reference's tolerances.
     """
     rig = rig or Rig()
@@ -120,10 +121,10 @@ def runs(
         rows = round(duration_s * rate_hz)
         time_s = np.round(clock + np.arange(rows) / rate_hz, 9)
         start = (
-            float(np.round(rng.uniform(-0.6, 0.6) * LIMIT_X_M, 4)),
-            float(np.round(rng.uniform(-0.6, 0.6) * LIMIT_Y_M, 4)),
+            float(np.round(rng.uniform(-start_share, start_share) * LIMIT_X_M, 4)),
+            float(np.round(rng.uniform(-start_share, start_share) * LIMIT_Y_M, 4)),
         )
-        stage = Stage(rig, start, time_s[0], rtol=rtol, atol=atol)
+        stage = Stage(rig.at_run(index), start, time_s[0], rtol=rtol, atol=atol)
         session.append(_play(stage, time_s, start, rest_s, closed[index % len(closed)], rng))
         clock = float(np.round(time_s[-1] + rng.uniform(5.0, 20.0), 3))
     return session

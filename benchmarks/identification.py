@@ -1,83 +1,42 @@
 """Does identification name what is there, and nothing else?  Rigs of the independent simulator, unknown to the fit.
 
-    python -m benchmarks.identification            # the shipped examples and a set of rigs (some minutes)
-    python -m benchmarks.identification examples   # the shipped examples alone
+    python -m benchmarks.identification                       # the shipped examples and all rigs (an hour or two)
+    python -m benchmarks.identification examples none pairs   # some sets
+    python -m benchmarks.identification library-full --only 'cogging@motor1 full' --only ...
+    python -m benchmarks.identification plots                 # the figures, from the results as they are
 
-Every rig has the parameters of `make_examples.TRUTH` changed at random by up to 10 %, recordings of its own, and at
-most one effect.  A hit is the effect at its site, and nothing else; errors are of a free run on held-out recordings.
+Sets: examples, library-full, library-small, pairs, triples, four-runs, order20, none, outside; all is all but examples.
+`benchmarks.rigs` says what each rig hides and `benchmarks.scoring` what counts as right. Errors are of a free run on
+held-out recordings. Answers are kept in out/identification and taken from there while the identification's source is
+the same (--resume: whatever they came from), so that a run that was stopped goes on.
 """
 
 from __future__ import annotations
 
 import argparse
-import dataclasses
-import time
+import hashlib
+import json
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
 
-from benchmarks.excitation import runs
-from benchmarks.make_examples import DURATION_S, RUNS, TRUTH, measure
-from benchmarks.results_file import write_results
-from benchmarks.rigs import Rig
-from hframe_gym.files import Recording, load_machine, read_recordings
-from hframe_gym.identify import Answer, identify
+import hframe_gym
+from benchmarks.results_file import RESULTS, write_results
+from benchmarks.rigs import Case, cases, chosen
+from benchmarks.scoring import SCORES, scored
+from benchmarks.sessions import DEFAULT_FOLDER, record
+from hframe_gym.atomic import write_text
+from hframe_gym.files import load_machine, read_recordings
+from hframe_gym.identify import identify
 
-SEED = 100
-SETTLING_S = 0.3
-
-
-class Case(NamedTuple):
-    """A rig: its name, what it hides (effect@site, or nothing), and how it differs from TRUTH."""
-
-    name: str
-    hides: str
-    change: dict[str, Any]
-
-
-def cases() -> Iterator[Case]:
-    """Six rigs without an effect, and every effect of the library at two sites."""
-    yield from (Case(f"none {i}", "", {}) for i in range(1, 7))
-    yield Case("stribeck, bridge", "stribeck_friction@x", {"stribeck_force": (2.0, 0, 0, 0)})
-    yield Case("stribeck, motor 1", "stribeck_friction@phi1", {"stribeck_force": (0, 0, 0.03, 0)})
-    yield Case("tilt along y", "constant_force@y", {"constant_force": (0, 0.8, 0, 0)})
-    yield Case("offset, motor 2", "constant_force@phi2", {"constant_force": (0, 0, 0, 0.02)})
-    yield Case("one-sided seal, bridge", "asymmetric_viscous@x", {"viscous_asymmetry": (0.2, 0, 0, 0)})
-    yield Case("one-sided seal, motor 1", "asymmetric_viscous@phi1", {"viscous_asymmetry": (0, 0, 0.3, 0)})
-    yield Case("late voltage, 2 ms", "input_delay@drives", {"input_delay_s": (2e-3, 2e-3)})
-    yield Case("late voltage, 0.3 ms", "input_delay@drives", {"input_delay_s": (3e-4, 3e-4)})
-
-
-def record(case: Case, seed: int) -> list[Recording]:
-    """Eight runs of the case's rig with the examples' sensors."""
-    rng = np.random.default_rng(seed)
-
-    def near(values: tuple[float, ...]) -> tuple[float, ...]:
-        return tuple(float(v * rng.uniform(0.9, 1.1)) for v in values)
-
-    varied = {key: near(getattr(TRUTH, key)) for key in ("mass", "viscous", "coulomb", "belt_EA_N")}
-    rig: Rig = dataclasses.replace(TRUTH, **varied, **case.change)
-    # A rig has come to rest when its recording begins: the simulated one starts with unstretched belts and gets time.
-    made = runs(seed, RUNS, duration_s=DURATION_S + SETTLING_S, rest_s=SETTLING_S + 0.1, rig=rig)
-    first = round(SETTLING_S * 1000)
-    return [
-        Recording(f"run_{i:02}", run.time_s[first:], run.inputs[first:], measure(run.positions, rng)[first:])
-        for i, run in enumerate(made, start=1)
-    ]
-
-
-def found(answer: Answer) -> str:
-    return " + ".join(f.effect.label for f in answer.found)
-
-
-def noise_ratio(answer: Answer, stage: str) -> float:
-    """Mean over channels of the held-out rmse over the sensor's noise."""
-    channels = getattr(answer, stage).held_out.channels
-    return float(np.mean([e.noise_ratio for e in channels.values() if e.noise_ratio is not None]))
+ANSWERS = Path("out/identification")
+Row = dict[str, Any]
 
 
 def examples(console: Console) -> None:
@@ -91,41 +50,143 @@ def examples(console: Console) -> None:
         for channel in machine.output_channels:
             ratios = [results[rig][s]["held_out"][channel]["noise_ratio"] for s in ("declared", "before", "after")]
             table.add_row(channel, *(f"{r:.3g}" for r in ratios))
-        console.print(table, f"effects: {found(answer) or 'none'}; {answer.seconds:.1f} s")
+        found = " + ".join(f.effect.label for f in answer.found)
+        console.print(table, f"effects: {found or 'none'}; {answer.seconds:.1f} s")
     write_results("identify_examples", results, seed=None)
 
 
-def rigs(console: Console) -> None:
-    """The set of rigs: hits, false alarms, errors, time."""
-    machine = load_machine("hframe")
-    table = Table("rig", "hides", "found", "hit", "before", "after", "seconds")
-    rows = []
-    for i, case in enumerate(track(list(cases()), description="rigs", console=console, transient=True)):
-        recordings = record(case, SEED + i)
-        began = time.perf_counter()
-        answer = identify(recordings, machine)
-        seconds = time.perf_counter() - began
-        before, after = noise_ratio(answer, "before"), noise_ratio(answer, "after")
-        hit = found(answer) == case.hides
-        rows.append(
-            {"rig": case.name, "hides": case.hides, "found": found(answer), "verdict": answer.verdict, "hit": hit}
-            | {"before": before, "after": after, "seconds": round(seconds, 2)}
+def source_key() -> str:
+    """Hash of everything in the package that an answer can depend on."""
+    folder, text = Path(hframe_gym.__file__).parent, hashlib.sha256()
+    for part in ("effects", "files", "identify", "machine"):
+        for source in sorted((folder / part).rglob("*.py")):
+            text.update(source.read_bytes())
+    return text.hexdigest()
+
+
+def answered(case: Case, folder: str, key: str, resume: bool) -> Row:
+    """The row of one rig, from the last answer if that still holds."""
+    session = record(case, Path(folder))
+    kept = ANSWERS / f"{session.folder.name}.json"
+    key = hashlib.sha256((key + (session.folder / "session.json").read_text()).encode()).hexdigest()
+    if kept.is_file():
+        old: dict[str, Any] = json.loads(kept.read_text())
+        if resume or old["key"] == key:
+            row: Row = old["row"]
+            return row
+    try:
+        row = scored(session, identify(session.recordings(), session.machine()))
+    except (ArithmeticError, ValueError, RuntimeError, np.linalg.LinAlgError) as error:
+        raise RuntimeError(f"{case.name}: {error}") from error
+    write_text(kept, json.dumps({"key": key, "row": row}, indent=1) + "\n")
+    return row
+
+
+def rows_of(some: list[Case], folder: str, jobs: int, resume: bool) -> Iterator[Row]:
+    """The rigs' rows as they come, in order."""
+    key = source_key()
+    if jobs < 2:
+        yield from (answered(case, folder, key, resume) for case in some)
+        return
+    count = len(some)
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        yield from pool.map(answered, some, [folder] * count, [key] * count, [resume] * count)
+
+
+def line(row: Row) -> str:
+    """One rig on one line, as it is done."""
+    named = row["found"] or row["verdict"]
+    errors = f"{row['before']:.3g} -> {row['after']:.3g}"
+    return f"{row['score']:12} {row['rig']}: {named}; {errors}; {row['seconds']:.0f} s"
+
+
+def show(console: Console, rows: list[Row]) -> None:
+    """Every rig, and the count by set."""
+    table = Table("rig", "found", "", "noise ratio", "tool, um", "worst parameter", "s")
+    for r in rows:
+        worst = max(r["parameter_error"].values(), default=None)
+        table.add_row(
+            r["rig"],
+            r["found"] or r["verdict"],
+            r["score"],
+            f"{r['before']:.3g} -> {r['after']:.3g}",
+            f"{r['truth_um']['before']:.3g} -> {r['truth_um']['after']:.3g}",
+            "" if worst is None else f"{100 * worst:.2g} %",
+            f"{r['seconds']:.0f}",
         )
-        shown = (case.hides or "-", found(answer) or answer.verdict, "yes" if hit else "NO")
-        table.add_row(case.name, *shown, f"{before:.3g}", f"{after:.3g}", f"{seconds:.1f}")
-    console.print(table, f"{sum(r['hit'] for r in rows)} of {len(rows)} rigs right")
-    write_results("identification", {"rigs": rows}, seed=SEED)
+    counts = Table("set", "rigs", *SCORES, "before", "after", "um before", "um after", "s")
+    for group in dict.fromkeys(r["group"] for r in rows):
+        s = summary([r for r in rows if r["group"] == group])
+        medians = [f"{s['median'][k]:.3g}" for k in ("before", "after", "um_before", "um_after", "seconds")]
+        counts.add_row(group, str(s["rigs"]), *(str(s["scores"][score]) for score in SCORES), *medians)
+    console.print(table, counts)
+
+
+def summary(rows: list[Row]) -> dict[str, Any]:
+    """Counts by score, and medians over the rigs."""
+
+    def median(values: list[float]) -> float:
+        return float(np.median(values))
+
+    return {
+        "rigs": len(rows),
+        "scores": {score: sum(r["score"] == score for r in rows) for score in SCORES},
+        "median": {
+            "before": median([r["before"] for r in rows]),
+            "after": median([r["after"] for r in rows]),
+            "um_before": median([r["truth_um"]["before"] for r in rows]),
+            "um_after": median([r["truth_um"]["after"] for r in rows]),
+            "seconds": median([r["seconds"] for r in rows]),
+        },
+    }
+
+
+def write(rows: list[Row]) -> None:
+    """results/identification_SET.json of every set that is complete."""
+    known = cases().values()
+    for group in dict.fromkeys(r["group"] for r in rows):
+        some = [r for r in rows if r["group"] == group]
+        if len(some) == sum(case.group == group for case in known):
+            name = f"identification_{group.replace('-', '_')}"
+            write_results(name, {"summary": summary(some), "rigs": some}, seed=None)
+
+
+def plots() -> None:
+    """docs/figures/identification_*.png from the results."""
+    from benchmarks.identification_plots import draw  # matplotlib, which only this needs
+
+    files = sorted(RESULTS.glob("identification_*.json"))
+    draw([row for file in files for row in json.loads(file.read_text())["rigs"]])
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", nargs="?", choices=["examples", "rigs", "all"], default="all")
-    what = parser.parse_args().what
-    console = Console(width=130)
-    if what in ("examples", "all"):
+    parser.add_argument("sets", nargs="*", default=["examples", "all"], metavar="SET")
+    parser.add_argument("--only", action="append", default=[], metavar="NAME", help="of these sets, only this rig")
+    parser.add_argument("--jobs", type=int, default=1, help="rigs at once")
+    parser.add_argument("--resume", action="store_true", help="take earlier answers although the source has changed")
+    parser.add_argument(
+        "--rigs", default=DEFAULT_FOLDER, metavar="DIR", help="recordings (made where they are missing)"
+    )
+    arguments = parser.parse_args()
+    console = Console(width=170)
+    if "examples" in arguments.sets:
         examples(console)
-    if what in ("rigs", "all"):
-        rigs(console)
+    try:
+        some = chosen([name for name in arguments.sets if name not in ("examples", "plots")])
+    except ValueError as error:
+        parser.error(str(error))
+    if arguments.only:
+        some = [case for case in some if case.name in arguments.only]
+    if some:
+        rows = []
+        for row in rows_of(some, arguments.rigs, arguments.jobs, arguments.resume):
+            console.print(line(row), highlight=False)
+            rows.append(row)
+        show(console, rows)
+        write(rows)
+    if "plots" in arguments.sets or (some and not arguments.only):
+        plots()
 
 
 if __name__ == "__main__":

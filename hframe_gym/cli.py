@@ -71,6 +71,28 @@ def simulate(
 
 
 @app.command()
+def check(
+    runs_dir: Annotated[Path, typer.Argument(help="A folder of recordings, one run a file.")],
+    machine: MachineOption = "hframe",
+    json: Annotated[Path | None, typer.Option(help="Write the findings to this file as well.")] = None,
+) -> None:
+    """What recordings can tell and what is odd about them: clock, sensors, wiring, excitation, parameters.
+
+    Example:  hframe check examples/rig_a
+    """
+    from .check import check as run
+    from .check.output import show, write_json
+    from .files import load_machine, read_recordings
+
+    declared = load_machine(machine)
+    found = run(read_recordings(runs_dir, declared), declared)
+    show(found, console)
+    if json is not None:
+        write_json(found, json)
+        say(f"wrote {json}")
+
+
+@app.command()
 def identify(
     runs_dir: Annotated[Path, typer.Argument(help="A folder of recordings, one run a file.")],
     out: OutOption,
@@ -85,7 +107,8 @@ def identify(
     """
     import os
 
-    from .files import load_machine, read_recordings, suspicions
+    from .check import warnings_of
+    from .files import load_machine, read_recordings
     from .identify import identify as run
     from .identify.output import write_answer
     from .identify.report import build_report, verdict_sentence
@@ -96,8 +119,8 @@ def identify(
     require_folder(out)
     recordings = read_recordings(runs_dir, declared)
     for recording in recordings:
-        for line in suspicions(recording, declared):
-            say(f"warning: {line}")
+        for finding in warnings_of(recording, declared):
+            say(f"warning: {finding}")
     answer = run(recordings, declared, held_out=hold_out or (), say=say)
     write_answer(answer, out)
     show_answer(answer.as_json(), list(declared.output_channels))
@@ -143,26 +166,39 @@ def report(
 
 @app.command()
 def train(
-    algorithm: Annotated[str, typer.Argument(help="ppo or sac.")],
+    algorithm: Annotated[str, typer.Argument(help="A recipe: ppo, sac, residual (on the PID) or sac_her (sparse).")],
     out: OutOption,
     machine: MachineOption = "hframe",
-    task: Annotated[str, typer.Option(help="What to learn.")] = "reach",
-    steps: Annotated[int, typer.Option(min=1, help="Environment steps in all.")] = 1_000_000,
-    seed: Annotated[int, typer.Option(help="Of the network, the draws and the environment.")] = 0,
+    task: Annotated[str, typer.Option(help="What to learn: reach or track.")] = "reach",
+    steps: Annotated[int | None, typer.Option(min=1, help="Environment steps in all (default: the recipe's).")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of the network, the draws and the environment.")] = 0,
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the checkpoint in the folder.")] = False,
 ) -> None:
-    """Train an agent on the native vector environment, by the recipe of its algorithm and task.
+    """Train an agent by the recipe of its algorithm and task.
 
-    Example:  hframe train ppo --steps 1000000 --out out/ppo
+    The folder holds the agent, its card with the learning curve, TensorBoard logs and the checkpoint; all but the logs
+    appear whole, so a run may be killed at any time.
+
+    Example:  hframe train ppo --out out/ppo
     """
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
+
     from .agents import train as run
     from .files import load_machine
 
     declared = load_machine(machine)
-    try:
-        run(algorithm, declared, task, steps, seed, resume, require_folder(out), say)
-    except ValueError as error:
-        raise InputError(str(error)) from None
+    with Progress(
+        BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), console=console, disable=not console.is_terminal
+    ) as bar:
+        shown = bar.add_task("", total=None)
+
+        def advance(done: int, total: int) -> None:
+            bar.update(shown, completed=done, total=total)
+
+        try:
+            run(algorithm, declared, task, steps, seed, resume, require_folder(out), say, advance)
+        except ValueError as error:
+            raise InputError(str(error)) from None
     say(f"wrote {out}")
 
 

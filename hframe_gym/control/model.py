@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from ..machine import AppliedEffect, Machine, linearise, rest_state
+from ..machine.effect import asked
+from .places import AXES
 
 Array = NDArray[np.float64]
-AXES = ("x", "y")
 # m/s: below it a coordinate counts as turning around, and its Coulomb friction is given in part.  Far below any speed
 # of a move, far above what is left of one at its end.
 TURNING = 0.02
@@ -74,27 +75,35 @@ class MotionModel:
             raise ValueError(f"observation has shape {values.shape}, it must be (B, {len(self._order)})")
         return values[:, self._order] * np.tile(self.machine.radii, 2)
 
+    def observation(self, state: Array) -> Array:
+        """`state` in reverse: what a full-state observation of states (B, 2 n) is, (B, 2 n)."""
+        return (state / np.tile(self.machine.radii, 2))[:, np.argsort(self._order)]
+
     def goal_state(self, goal: NDArray[Any]) -> Array:
         """State (B, 2 n) at rest with unstretched belts where the tool is at goal (B, 2), m."""
         travel = np.asarray(goal, np.float64) @ self.rigid.T
         return np.concatenate([travel, np.zeros_like(travel)], axis=1)
 
+    def tool(self, travel: Array) -> Array:
+        """Where the tool is (B, 2), m, from travel (B, n or more)."""
+        return travel[:, [self.machine.coordinate_names.index(axis) for axis in AXES]]
+
     def stretch(self, travel: Array) -> Array:
         """What travel (B, n or more), m, has beyond the rigid motion of its tool, (B, n): zero at x and y."""
-        names = self.machine.coordinate_names
-        tool = travel[:, [names.index(axis) for axis in AXES]]
-        return travel[:, : len(names)] - tool @ self.rigid.T
+        return travel[:, : len(self.mass)] - self.tool(travel) @ self.rigid.T
 
-    def discretise(self, goal: Array, period: float) -> tuple[Array, Array]:
-        """A (2 n, 2 n) and B (2 n, 2) over a period (s) of held voltages, with the belts' stiffness at goal (2,), m."""
+    def discretise(self, goal: Array, period: float) -> tuple[Array, Array, Array]:
+        """A (2 n, 2 n), B (2 n, 2) and E (2 n, n) over a period (s) in which voltages and a force on each coordinate
+        are held, with the belts' stiffness at goal (2,), m."""
         space = linearise(self.machine, self.rigid @ goal / self.machine.radii)
         scale = np.tile(self.machine.radii, 2)
         A, B = space.A * scale[:, None] / scale, space.B * scale[:, None]
-        width = A.shape[0]
-        block = np.zeros((width + B.shape[1],) * 2)
-        block[:width] = np.hstack([A, B])
-        held = expm(block * period)
-        return held[:width, :width], held[:width, width:]
+        E = np.vstack([np.zeros((len(self.mass),) * 2), np.diag(1.0 / self.mass)])
+        block = np.zeros((len(A) + B.shape[1] + E.shape[1],) * 2)
+        block[: len(A)] = np.hstack([A, B, E])
+        held = expm(block * period)[: len(A)]
+        first, second = len(A), len(A) + B.shape[1]
+        return held[:, :first], held[:, first:second], held[:, second:]
 
     def pushes(self, state: Array, elapsed_s: Array) -> Array:
         """Force (B, n), N, of the machine's effects that act also on a stage at rest.
@@ -103,8 +112,8 @@ class MotionModel:
         """
         force = np.zeros((len(state), len(self.mass)))
         for e, i, q, v, radius in self._effects(state):
-            if e.definition.force is not None:
-                force[:, i] += e.definition.force(q, v, elapsed_s, *e.parameters.values()) / radius
+            if _told(e, "force"):
+                force[:, i] += e("force", q=q, v=v, t=elapsed_s) / radius
         return force
 
     def friction(self, state: Array, elapsed_s: Array) -> Array:
@@ -113,12 +122,11 @@ class MotionModel:
         direction = np.tanh(state[:, len(self.mass) :] / TURNING)
         force = -self.coulomb * direction
         for e, i, q, v, radius in self._effects(state):
-            numbers = e.parameters.values()
-            if e.definition.coulomb is not None:
-                force[:, i] -= e.definition.coulomb(q, v, elapsed_s, *numbers) / radius * direction[:, i]
-            if e.definition.viscous is not None:
+            if _told(e, "coulomb"):
+                force[:, i] -= e("coulomb", q=q, v=v, t=elapsed_s) / radius * direction[:, i]
+            if _told(e, "viscous"):
                 b = self.machine.coordinates[i].viscous
-                force[:, i] -= (e.definition.viscous(b, np.where(v < 0.0, -1.0, 1.0), *numbers) - b) * v / radius
+                force[:, i] -= (e("viscous", b=b, direction=np.where(v < 0.0, -1.0, 1.0)) - b) * v / radius
         return force
 
     def _effects(self, state: Array) -> Iterator[tuple[AppliedEffect, int, Array, Array, float]]:
@@ -167,3 +175,11 @@ class MotionModel:
         push = np.abs(self.force_per_volt) @ self.rated
         drag = np.abs(self.rigid.T) @ self.coulomb
         return np.maximum(push - drag, 0.0) / np.maximum((self.rigid**2).T @ self.viscous, 1e-9)
+
+
+def _told(effect: AppliedEffect, contribution: str) -> bool:
+    """Whether an effect has a contribution, and one that follows from position, speed and time alone."""
+    function = getattr(effect.definition, contribution)
+    if function is None:
+        return False
+    return not {"z", "u", "i"} & set(asked(function))

@@ -12,6 +12,9 @@ reference  of the motors: belts stretched by the machine's known forces on the c
            follows the stretch that is there.  Friction too leaves the motors elsewhere, and with the wrong reference
            the feedback would hold the tool off its goal.
 hold       an arrival that keeps moving rings because the model is off; longer transfers, thus lower gains, end that.
+
+All this is for a goal that stays.  Where the observation has a preview of one that moves, tracking.py follows it.  A
+dead time in the machine's effects is bridged by running the model ahead (delay.py).
 """
 
 from __future__ import annotations
@@ -23,7 +26,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..machine import Machine
+from .delay import DeadTime
 from .model import MotionModel
+from .tracking import Tracker
 from .trajectory import Transfers
 
 Array = NDArray[np.float64]
@@ -35,6 +40,7 @@ ARRIVALS = 6
 AROUND = 2  # shortest transfers more to go than wanted, beyond which a stage is on its way and not around its goal
 STILL = 3e-5  # m, travel in a period below which a stage is at rest and does not ring
 HOLD = 2.0  # longest time to go while holding, of the shortest transfer's
+SMOOTH = 1.0
 FOLLOW = 0.2  # of the belts' stretch at rest not yet in the motors' reference, a period
 
 
@@ -50,10 +56,12 @@ class ModelPID:
         self.model = MotionModel(machine)
         self.transfers = Transfers(self.model, period)
         self.period = period
+        self._late = DeadTime(machine, period)
+        self._tracker: Tracker | None = None  # made when it is known how far the goals are seen
         self._most = MOST_UNEXPLAINED * np.abs(self.model.rigid.T) @ self.model.coulomb
         self._hold = int(np.ceil(HOLD * self.transfers.shortest))
         self._fresh = np.zeros(0, np.bool_)  # stages whose episode begins with the next observation
-        self._state = self._volts = np.zeros((0, 0))
+        self._state = np.zeros((0, 0))
         self._stretch = np.zeros((0, 0))  # motors' positions at rest beyond those of unstretched belts, m
         # Periods since arrival began, those of them in motion, and all of the episode.
         self._near = self._restless = self._elapsed = np.zeros(0, np.intp)
@@ -68,9 +76,10 @@ class ModelPID:
     def _begin(self, state: Array) -> None:
         if len(self._fresh) != len(state):
             self._fresh = np.ones(len(state), np.bool_)
-            self._state, self._volts = state, np.zeros((len(state), len(self.model.rated)))
+            self._state = state
             self._stretch = np.zeros((len(state), len(self.model.mass)))
             self._near, self._restless, self._elapsed = (np.zeros(len(state), np.intp) for _ in range(3))
+        self._late.begin(self._fresh)
         self._near, self._restless = (np.where(self._fresh, 0, n) for n in (self._near, self._restless))
         self._elapsed = np.where(self._fresh, 0, self._elapsed)
 
@@ -78,24 +87,50 @@ class ModelPID:
         """Actions (B, 2) in [-1, 1], shares of the rated voltage.
 
         observation: `observation` (B, 2 n), positions of x, y and the driven coordinates, then their velocities, in m,
-        rad, m/s and rad/s; `desired_goal` (B, 2), m.
+        rad, m/s and rad/s; `desired_goal` (B, 2), m; for a goal that moves also `preview` (B, 2 P), m, where it is at
+        the end of this period, of the next, ...
 
-        Raises ValueError for an observation that is not of this machine.
+        Raises ValueError for an observation that is not of this machine, or a preview that ends within the dead time.
         """
-        model = self.model
-        state = model.state(observation)
+        state = self.model.state(observation)
         goal = np.asarray(observation["desired_goal"], np.float64)
         self._begin(state)
-        unexplained = model.disturbance(self._state, state, self._volts, self.period)
+        if "preview" in observation:
+            later = np.asarray(observation["preview"], np.float64).reshape(len(state), -1, 2)
+            volts = self._follow(state, np.concatenate([goal[:, None], later], axis=1))
+        else:
+            volts = self._reach(state, goal)
+        self._late.send(volts)
+        self._elapsed = self._elapsed + 1
+        self._state = state
+        self._fresh = np.zeros(len(state), np.bool_)
+        return volts / self.model.rated
+
+    def _follow(self, state: Array, goals: Array) -> Array:
+        """Voltages (B, 2) for states (B, 2 n) with goals (B, 1 + P, 2), m, now and at the end of each period."""
+        goals = self._late.skip(goals)
+        if self._tracker is None or self._tracker.goals > goals.shape[1] - 1:
+            self._tracker = Tracker(self.model, self.transfers.places, self.period, goals.shape[1] - 1)
+        self._tracker.learn(self._state, state, self._late.arrived(), self._fresh)
+        elapsed_s = self._elapsed * self.period + self._late.seconds
+        return self._tracker.volts(self._late.ahead(state), goals, self._late.last, elapsed_s)
+
+    def _reach(self, seen: Array, goal: Array) -> Array:
+        """Voltages (B, 2) for states (B, 2 n) with goals (B, 2), m, that stay where they are."""
+        model = self.model
+        unexplained = model.disturbance(self._state, seen, self._late.arrived(), self.period)
+        state = self._late.ahead(seen)
         # Stages that begin have no last period, and none of them has arrived: `_near` is 0.
         elapsed_s = self._elapsed.astype(np.float64) * self.period
         pushes = model.pushes(state, elapsed_s)
         known = (pushes + model.friction(state, elapsed_s)) @ model.rigid
-        measured = known + np.clip(unexplained - known, -self._most, self._most)
+        if not hasattr(self,"_sm") or len(self._sm)!=len(seen) : self._sm=unexplained-known
+        self._sm = np.where(self._fresh[:,None],0.0, self._sm + SMOOTH*(unexplained-known-self._sm))
+        measured = known + np.clip(self._sm, -self._most, self._most)
         forward = -model.voltage(np.where(self._near[:, None] > 0, measured, known))
         error = state - model.goal_state(goal)
         stretch = model.stretch(error)
-        still = np.abs(state - self._state)[:, : len(model.mass)].max(axis=1) <= STILL
+        still = np.abs(seen - self._state)[:, : len(model.mass)].max(axis=1) <= STILL
         self._stretch = np.where(
             self._near[:, None] > 0,
             self._stretch + FOLLOW * still[:, None] * (stretch - self._stretch),
@@ -108,10 +143,6 @@ class ModelPID:
         choice = self.transfers.choose(error, goal, (-model.rated - forward, model.rated - forward), at_least)
         # One period more than the shortest (or than the hold) is still an arrival: corrections may ask for it.
         arriving = choice.periods <= at_least + 1
-        volts = np.clip(choice.volts + forward, -model.rated, model.rated)
         self._near = np.where(arriving, self._near + 1, 0)
         self._restless = np.where(choice.periods > at_least + AROUND * shortest, 0, self._restless + ~still)
-        self._elapsed = self._elapsed + 1
-        self._state, self._volts = state, volts
-        self._fresh = np.zeros(len(state), np.bool_)
-        return volts / model.rated
+        return np.clip(choice.volts + forward, -model.rated, model.rated)

@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..machine import mode_frequencies
-from .model import AXES, MotionModel
+from .model import MotionModel
+from .places import AXES, Places
 
 Array = NDArray[np.float64]
-GRID = (9, 7)  # places of the workspace for which the belts' stiffness is worked out: within 5 % of any between them
 SHORTEST = 0.6  # of the slowest belt mode's period: less time relies on more of the mode's frequency than a model knows
 MARGIN = 1.3  # of the longest transfer over the longest way at top speed
 SLOWEST = 10.0  # s, longest transfer of a stage whose friction leaves it no top speed
@@ -49,23 +49,18 @@ class Transfers:
     def __init__(self, model: MotionModel, period: float) -> None:
         if not (np.isfinite(period) and period > 0.0):
             raise ValueError(f"period is {period!r}, it must be a positive number of seconds")
-        ranges = [r for r in (model.machine.coordinate(axis).range for axis in AXES) if r is not None]
-        if len(ranges) < len(AXES):
-            raise ValueError(f"machine {model.machine.name!r}: x and y need a range to be controlled in")
         self.model = model
         self.period = period
-        self._places = [np.linspace(low, high, count) for (low, high), count in zip(ranges, GRID, strict=True)]
+        self.places = Places(model.machine)
         states, inputs = 2 * len(model.mass), model.drive.shape[1]
         modes = [f for f in mode_frequencies(model.machine) if f > 0.0]
         mode_period = 1.0 / min(modes) if modes else 0.0
         # Fewer periods than this cannot zero every state.
         self.shortest = max(-(-states // inputs), round(SHORTEST * mode_period / period))
         speed = model.top_speed()
-        spans = np.array([p[-1] - p[0] for p in self._places])
-        longest = MARGIN * np.sum(spans / speed) if speed.min() > 0.0 else SLOWEST
+        longest = MARGIN * np.sum(self.places.span / speed) if speed.min() > 0.0 else SLOWEST
         self.longest = max(self.shortest + 1, int(np.ceil(min(longest, SLOWEST) / period)))
-        places = [np.array([x, y]) for x in self._places[0] for y in self._places[1]]
-        self._matrices = [model.discretise(place, period) for place in places]
+        self._matrices = [model.discretise(place, period)[:2] for place in self.places.points]
         self.gains = self._gains(*(np.stack(matrices) for matrices in zip(*self._matrices, strict=True)))
 
     def _gains(self, A: Array, B: Array) -> Array:
@@ -96,7 +91,7 @@ class Transfers:
         error (B, 2 n): state less goal state, m and m/s; goal (B, 2), m; limits (B, 2) each, lowest and highest V;
         at_least (B,) periods.  Where no transfer keeps within the limits it is the longest.
         """
-        cells = self._cells(goal)
+        cells = self.places.nearest(goal)
         lowest, highest = limits
         low, high = at_least - self.shortest, np.full(len(error), self.gains.shape[1] - 1)
         # By bisection, for a longer transfer takes less voltage; where the belts still ring that may fail by a period,
@@ -117,7 +112,7 @@ class Transfers:
         start, goal = (np.asarray(point, np.float64)[None] for point in (start, goal))
         error = self.model.goal_state(start) - self.model.goal_state(goal)
         N = int(self.choose(error, goal, (-limit[None], limit[None]), np.array([self.shortest])).periods[0])
-        A, B = self._matrices[int(self._cells(goal)[0])]
+        A, B = self._matrices[int(self.places.nearest(goal)[0])]
         scale = _scale(len(A))
         A, B = A / scale[:, None] * scale, B / scale[:, None]
         powers = [np.eye(len(A))]
@@ -130,11 +125,6 @@ class Transfers:
             states.append(A @ states[-1] + B @ u)
         axes = [self.model.machine.coordinate_names.index(axis) for axis in AXES]
         return np.array(states)[:, axes] + goal, volts
-
-    def _cells(self, goal: Array) -> NDArray[np.intp]:
-        """The place of the grid that is nearest to each goal (B, 2)."""
-        i, j = (np.abs(goal[:, k : k + 1] - p).argmin(axis=1) for k, p in enumerate(self._places))
-        return i * GRID[1] + j
 
 
 def _scale(states: int) -> Array:

@@ -7,23 +7,42 @@ import pkgutil
 
 from ..machine.effect import Effect
 from ..machine.tables import Machine
+from . import smooth_table
 
 
 def _library() -> dict[str, Effect]:
-    modules = sorted(m.name for m in pkgutil.iter_modules(__path__))
+    modules = sorted(m.name for m in pkgutil.iter_modules(__path__) if m.name != "smooth_table")
     return {e.name: e for e in (importlib.import_module(f"{__name__}.{m}").EFFECT for m in modules)}
 
 
 LIBRARY: dict[str, Effect] = _library()
 
 
+def effect_of(name: str) -> Effect:
+    """The definition of a name: of the library, or a table's.
+
+    Raises KeyError for an unknown one.
+    """
+    return LIBRARY[name] if name in LIBRARY else smooth_table.definition(name)
+
+
 def sites(effect: Effect, machine: Machine) -> tuple[str, ...]:
     """Where on a machine an effect can sit."""
+    if effect.fits and not effect.fits(machine):
+        return ()
+    drives = tuple(d.name for d in machine.drives)
+    sensors = tuple(s.channel for s in machine.sensors)
+    if effect.reading and effect.name == "sensor_skew":
+        sensors = tuple(s.channel for s in machine.sensors if machine.coordinate(s.coordinate).kind == "linear")
     return {
         "coordinate": machine.coordinate_names,
-        "drive": tuple(d.name for d in machine.drives),
+        "motor": drives,
+        "drive": drives,
         "drives": ("drives",),
+        "belts": ("belts",) if machine.belts else (),
+        "sensor": sensors,
+        "machine": ("machine",),
     }[effect.site]
 
 
-__all__ = ["LIBRARY", "sites"]
+__all__ = ["LIBRARY", "effect_of", "sites"]

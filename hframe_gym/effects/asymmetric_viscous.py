@@ -12,10 +12,10 @@ def viscous(b, direction, a):  # type: ignore[no-untyped-def]
 
 EFFECT = Effect(
     name="asymmetric_viscous",
-    family="friction",
+    family="asymmetric_viscous",
     site="coordinate",
     formula="b(v) = b (1 + a sign v)",
     source="seals and wipers with a lip; Bona and Indri 2005",
     viscous=viscous,
-    parameters=(EffectParameter("a", "1", -0.99, 0.99, scale=0.1, grid=(0.0,), amplitude=True),),
+    parameters=(EffectParameter("a", "1", -0.99, 0.99, scale=0.1, role="amplitude"),),
 )

@@ -7,17 +7,17 @@ A Coulomb level that differs by direction, F+ and F-, is the same thing: (F+ - F
 from ..machine.effect import Effect, EffectParameter
 
 
-def force(q, v, t, size):  # type: ignore[no-untyped-def]
+def force(size):  # type: ignore[no-untyped-def]
     return size
 
 
 EFFECT = Effect(
     name="constant_force",
-    family="force",
+    family="constant_force",
     site="coordinate",
     formula="f = size",
     source="weight on a slope; Coulomb friction that differs by direction",
     force=force,
     equivalent=("direction-dependent Coulomb friction",),
-    parameters=(EffectParameter("size", "force", -1e4, 1e4, scale=0.3, grid=(0.0,), amplitude=True),),
+    parameters=(EffectParameter("size", "force", -1e4, 1e4, scale=0.3, role="amplitude"),),
 )

@@ -9,10 +9,10 @@ def delay(d):  # type: ignore[no-untyped-def]
 
 EFFECT = Effect(
     name="input_delay",
-    family="drive",
+    family="input_delay",
     site="drives",
     formula="V'(t) = V(t - d)",
     source="dead time of sampled control",
     delay=delay,
-    parameters=(EffectParameter("d", "s", 0.0, 0.1, scale=1e-3, grid=(0.0,), amplitude=True),),
+    parameters=(EffectParameter("d", "s", 0.0, 0.1, scale=1e-3, role="amplitude"),),
 )

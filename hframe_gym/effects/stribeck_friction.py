@@ -8,20 +8,20 @@ from ..machine.effect import Effect, EffectParameter
 from ..machine.vector_math import exp
 
 
-def coulomb(q, v, t, dF, vs):  # type: ignore[no-untyped-def]
+def coulomb(v, dF, vs):  # type: ignore[no-untyped-def]
     z = v / vs
     return dF * exp(-z * z)
 
 
 EFFECT = Effect(
     name="stribeck_friction",
-    family="friction",
+    family="stribeck_friction",
     site="coordinate",
     formula="F(v) = Fc + dF exp(-(v/vs)^2)",
     source="Armstrong-Helouvry et al. 1994",
     coulomb=coulomb,
     parameters=(
-        EffectParameter("dF", "force", -1e3, 1e3, scale=0.3, grid=(0.0,), amplitude=True),
+        EffectParameter("dF", "force", -1e3, 1e3, scale=0.3, role="amplitude"),
         EffectParameter("vs", "speed", 1e-5, 1e3, scale=0.3, grid=(0.005, 0.015, 0.04, 0.1, 0.25)),
     ),
 )

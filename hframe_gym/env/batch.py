@@ -6,64 +6,43 @@ at rest; each `step` advances all stages by one control period.  Ending episodes
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium.utils import seeding
 from numpy.typing import ArrayLike, NDArray
 
-from ..machine import Machine
-from ..machine.simulate import LONGEST_STEP
+from ..machine.lanes import LANES
 from . import blocks
-from .randomisation import Randomise, Sampler, as_rules
-from .rewards import Reward, RewardLike, WithPenalty, as_reward, distances, outside_of
-from .spaces import entries, observation_space, workspace
-from .stage import Stages
-from .tasks import TaskLike, as_task, check_point
+from .draws import reset_uniforms
+from .drives import as_drives
+from .randomisation import Sampler, as_rules
+from .rewards import Builtin, Reward, WithPenalty, as_reward, distances, judge, outside_of
+from .sensors import as_sensors, channels, sensed_entries
+from .settings import MachineLike as MachineLike
+from .settings import Settings, as_machine
+from .spaces import BEYOND, observation_space, privileged_entries, workspace
+from .stage import Stages, View, runs
+from .tasks import as_task, check_point
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
+Flags = NDArray[np.bool_]
 Observation = dict[str, NDArray[np.float32]]
-MachineLike: TypeAlias = Machine | str | Path
-Ends = Literal["stops", "terminate"]
-
-# Taken from the reward when an episode ends at the workspace's edge: as much as a hundred steps can lose, so that
-# leaving does not pay.
-PENALTY = 100.0
-
-
-@dataclass(frozen=True)
-class Settings:
-    """What an environment is made of; every keyword of `gym.make("HFrame-v0", ...)` but the rendering.
-
-    machine: a `Machine`, a built-in name or the path of a machine.json.
-    task: "reach" or a `Task`.
-    reward: "dense", "sparse" (0 within the task's band, else -1) or a function of (achieved, desired), (n, 2) -> (n,).
-    randomize: "none" (the machine as it is), "default", "wide", "identified" or a list of rules.
-    ends: what the edge of the workspace is: "stops", rubber buffers, or "terminate", the end of the episode with
-        `penalty`.  Buffers learn better: with an episode's end, giving up becomes a choice that has to be priced out.
-    period: of control, s.  longest_step: of the integrator, s.
-    """
-
-    machine: MachineLike = "hframe"
-    task: TaskLike = "reach"
-    reward: RewardLike = "dense"
-    randomize: Randomise = "none"
-    ends: Ends = "stops"
-    penalty: float = PENALTY
-    period: float = 0.01
-    longest_step: float = LONGEST_STEP
 
 
 class Outcome(NamedTuple):
-    """One control period of all environments, first axis B."""
+    """One control period of all environments, first axis B, fresh arrays.
+
+    distance, contour: of the tools themselves to their goals and to their paths (None: no path), m.
+    """
 
     observation: Observation
     reward: Array
-    terminated: NDArray[np.bool_]
+    terminated: Flags
+    truncated: Flags
     distance: Array
+    contour: Array | None
 
 
 class Batch:
@@ -76,38 +55,76 @@ class Batch:
         s = settings
         if count < 1:
             raise ValueError(f"num_envs is {count}, it must be at least 1")
-        if s.ends not in ("stops", "terminate"):
-            raise ValueError(f"ends is {s.ends!r}, choose 'stops' or 'terminate'")
-        if not (np.isfinite(s.penalty) and s.penalty >= 0.0):
-            raise ValueError(f"penalty is {s.penalty!r}, it must be a number that is not negative")
         self.settings = settings
         self.count = count
-        self.machine = as_machine(s.machine)
+        drives, self.sensors = as_drives(s.drives), as_sensors(s.sensors)
+        self.machine = drives.on(as_machine(s.machine))
         self.workspace = workspace(self.machine)
         self.task = as_task(s.task)
         self.task.check(self.workspace)
         reward = as_reward(s.reward, self.task.band)
         self.reward: Reward = WithPenalty(reward, self.workspace, s.penalty) if s.ends == "terminate" else reward
-        rules = as_rules(s.randomize, self.machine)
-        self._startup = Sampler(self.machine, rules, "startup")
-        self._at_reset = Sampler(self.machine, rules, "reset")
-        self._drawn = sorted({*self._startup.names, *self._at_reset.names})
-        self._drawn_columns = [list(self.machine.parameters).index(name) for name in self._drawn]
+        self._randomise()
         self.stages = Stages(
-            self.machine, self.count, period=s.period, longest_step=s.longest_step, end_stops=s.ends == "stops"
+            self.machine,
+            self.count,
+            period=s.period,
+            longest_step=s.longest_step,
+            drives=drives,
+            end_stops=s.ends == "stops",
         )
-        self.observation_space = observation_space(self.machine)
-        box = self.observation_space["observation"]
-        wanted = [(e.coordinate, e.velocity) for e in entries(self.machine)]
-        self._view = self.stages.view(wanted, box.low, box.high)  # type: ignore[attr-defined]
+        self._observe_by()
         self._edges = self.workspace.astype(np.float32)
-        nominal = np.array(list(self.machine.parameters.values()))
-        self._base = np.tile(nominal, (self.count if self._startup.names else 1, 1))
         self._plan = np.zeros((self.count, self.task.plan_size))
-        self._to_start = np.ones(self.count, np.bool_)  # startup draws not made yet
+        self._goals = np.zeros((self.count, 2), np.float32)  # as they are at reset, for a task whose goals stay
         self.rngs: list[np.random.Generator | None] = [None] * self.count
+        self._keys = np.zeros(self.count, np.uint64)  # of each environment's episode, for its noise
         self.elapsed = np.zeros(self.count, np.int64)
         self.clipped = np.zeros(self.count, np.int64)
+
+    def _randomise(self) -> None:
+        rules = as_rules(self.settings.randomize, self.machine)
+        self._startup = Sampler(self.machine, rules, "startup")
+        self._at_reset = Sampler(self.machine, rules, "reset", before=(self._startup.low, self._startup.high))
+        self._drawn = sorted({*self._startup.names, *self._at_reset.names})
+        self._drawn_columns = [list(self.machine.parameters).index(name) for name in self._drawn]
+        nominal = np.array(list(self.machine.parameters.values()))
+        self._base = np.tile(nominal, (self.count if self._startup.names else 1, 1))
+        self._to_start = np.ones(self.count, np.bool_)  # startup draws not made yet
+
+    def _observe_by(self) -> None:
+        """The space of observations, and what is read for them."""
+        self.entries = sensed_entries(self.machine, self.sensors)
+        goals = self.workspace + np.array([-BEYOND, BEYOND])
+        self._tool = self.stages.view([("x", False), ("y", False)], goals[:, 0], goals[:, 1])
+        wanted = [e for e in self.entries if self.sensors is None or not e.velocity]
+        self._view = self._view_of(wanted)
+        self._readings = np.zeros((self.count, 2, len(wanted)))
+        if self.sensors is not None:
+            self._channels = channels(self.machine, self.sensors)
+            low, high = (np.array([getattr(e, edge) for e in self.entries]) for edge in ("low", "high"))
+            self._report = (self.settings.period, *self._channels[2:], low, high, goals)
+        self.privileged = privileged_entries(self.machine, self._shares()) if self.settings.privileged else ()
+        self._all_state = self._view_of([e for e in self.privileged if e.coordinate])
+        self._drawn_shares = np.zeros((self.count, len(self._drawn)), np.float32)
+        self.observation_space = observation_space(
+            self.machine, len(self.task.ahead_s), observed=self.entries, privileged=self.privileged
+        )
+
+    def _view_of(self, wanted: Any) -> View:
+        # The box is float32; its edges may lie inside those of the entries.
+        low, high = (np.array([getattr(e, edge) for e in wanted], np.float32) for edge in ("low", "high"))
+        return self.stages.view([(e.coordinate, e.velocity) for e in wanted], low, high)
+
+    def _nominal(self) -> Array:
+        """What drawn parameters are shares of: their nominal values, or 1 where those are zero."""
+        nominal = np.array([self.machine.parameters[name] for name in self._drawn])
+        return np.where(nominal == 0.0, 1.0, nominal)
+
+    def _shares(self) -> dict[str, tuple[float, float]]:
+        edges = np.stack([self._at_reset.low, self._at_reset.high], axis=1)[self._drawn_columns]
+        shares = np.sort(edges / self._nominal()[:, None], axis=1)
+        return {name: (low, high) for name, (low, high) in zip(self._drawn, shares.tolist(), strict=True)}
 
     # -- reset -----------------------------------------------------------------------------------------------------
 
@@ -116,16 +133,15 @@ class Batch:
         self.rngs[b] = generator
         self._to_start[b] = True
 
-    def _random(self, index: Index, uniforms: int, normals: int) -> tuple[Array, Array]:
-        u, z = np.empty((len(index), uniforms)), np.empty((len(index), normals))
-        for i, b in enumerate(index.tolist()):
+    def _new_keys(self, index: Index) -> NDArray[np.uint64]:
+        """One 64-bit number from the generator of each environment of index (k,)."""
+        keys = []
+        for b in index.tolist():
             generator = self.rngs[b]
             if generator is None:
                 generator = self.rngs[b] = seeding.np_random()[0]
-            generator.random(out=u[i])
-            if normals:
-                generator.standard_normal(out=z[i])
-        return u, z
+            keys.append(generator.bit_generator.random_raw())
+        return np.array(keys, np.uint64)
 
     def reset(self, index: Index, start: ArrayLike | None = None, target: ArrayLike | None = None) -> None:
         """Begin new episodes in environments index (k,), ascending.
@@ -137,19 +153,24 @@ class Batch:
         given = [self._points(name, points, len(index)) for name, points in (("start", start), ("target", target))]
         if self._startup.names:
             fresh = index[self._to_start[index]]
-            u, z = self._random(fresh, self._startup.uniforms, self._startup.normals)
             nominal = np.tile(np.array(list(self.machine.parameters.values())), (len(fresh), 1))
-            self._base[fresh] = self._startup.draw(nominal, u, z)
+            uniforms = reset_uniforms(self._new_keys(fresh), self._startup.draws)
+            self._base[fresh] = self._startup.draw(nominal, uniforms)
             self._to_start[fresh] = False
-        sampler = self._at_reset
-        u, z = self._random(index, self.task.draws + sampler.uniforms, sampler.normals)
-        position, plan = self.task.begin(self.workspace, u[:, : self.task.draws])
+        self._keys[index] = keys = self._new_keys(index)
+        uniforms = reset_uniforms(keys, self.task.draws + self._at_reset.draws)
+        position, plan = self.task.begin(self.workspace, uniforms[:, : self.task.draws])
         base = self._base[index] if self._startup.names else np.repeat(self._base, len(index), axis=0)
-        values = sampler.draw(base, u[:, self.task.draws :], z)
-        self._plan[index] = plan if given[1] is None else given[1]
+        values = self._at_reset.draw(base, uniforms[:, self.task.draws :])
+        self._plan[index] = plan if given[1] is None else self.task.aim(given[1])
         self.elapsed[index] = 0
         self.clipped[index] = 0
+        self._goals[index] = self.task.goal(self._plan[index], np.zeros(len(index)))
         self.stages.place(index, position if given[0] is None else given[0], values)
+        if self.privileged:
+            self._drawn_shares[index] = values[:, self._drawn_columns] / self._nominal()
+        if self.sensors is not None:
+            self._read(index, fresh=True)
 
     def _points(self, name: str, points: ArrayLike | None, k: int) -> Array | None:
         if points is None:
@@ -167,68 +188,155 @@ class Batch:
 
     # -- step ------------------------------------------------------------------------------------------------------
 
-    def check_actions(self, actions: Any) -> Array:
-        """Actions as (count, drives) float64.
+    def check_actions(self, actions: Any) -> NDArray[Any]:
+        """Actions as (count, drives), float32 or float64.
 
         Raises ValueError for another shape, and for a number that is not finite, naming environment and motor.
         """
-        values = np.ascontiguousarray(actions, np.float64)
+        values = np.ascontiguousarray(actions)
+        if values.dtype != np.float32:
+            values = values.astype(np.float64, copy=False)
         wanted = (self.count, len(self.machine.drives))
         if values.shape != wanted:
             raise ValueError(f"actions have shape {values.shape}, they must have {wanted}")
-        bad = int(blocks.first_not_finite(values))
+        bad = blocks.first_not_finite(values)
         if bad >= 0:
             b, k = divmod(bad, wanted[1])
             drive = self.machine.drives[k].name
             raise ValueError(f"action of environment {b}, {drive}: {values[b, k]} is not finite")
         return values
 
-    def step(self, actions: Array) -> Outcome:
-        """One control period under checked actions (count, drives).
+    def step(self, actions: NDArray[Any], limit: int | None = None) -> Outcome:
+        """One control period under checked actions (count, drives); truncated after limit periods of an episode.
 
-        Raises NotFinite when a motion does not stay finite.
+        Raises NotFiniteError when a motion does not stay finite.
         """
-        state = np.empty((self.count, len(self._view[0])), np.float32)
-        self.stages.advance(actions, self.clipped, self._view, state)
         self.elapsed += 1
-        observation = self._with_goals(state)
+        observation, tool = self._blank()
         achieved, desired = observation["achieved_goal"], observation["desired_goal"]
-        reward = np.asarray(self.reward(achieved, desired), np.float64)
-        if self.settings.ends == "terminate":
-            terminated = outside_of(achieved, self._edges)
-        else:
-            terminated = np.zeros(self.count, np.bool_)
-        return Outcome(observation, reward, terminated, distances(achieved, desired))
+        sensed = self.sensors is not None
+        reward, distance = np.empty(self.count), np.empty(self.count)
+        builtin = self.reward if isinstance(self.reward, Builtin) else None
+
+        def finish(first: int, last: int) -> int:
+            begin, end = first * LANES, min(last * LANES, self.count)
+            if sensed:
+                self._read(np.arange(begin, end), fresh=False)
+            broken = self._see(first, last, observation, tool)
+            if builtin is not None:
+                judge(tool, achieved, sensed, desired, builtin.kind, builtin.band, begin, end, distance, reward)
+            return broken
+
+        self.stages.advance(actions, self.clipped, finish)
+        if builtin is None:
+            distance, reward = distances(tool, desired), np.asarray(self.reward(achieved, desired), np.float64)
+        ends = self.settings.ends == "terminate"
+        terminated = outside_of(tool, self._edges) if ends else np.zeros(self.count, np.bool_)
+        truncated = np.zeros(self.count, np.bool_) if limit is None else self.elapsed >= limit
+        return Outcome(observation, reward, terminated, truncated, distance, self.contour(slice(None)))
+
+    def restart(self, index: Index, outcome: Outcome) -> None:
+        """Begin new episodes in environments index (k,), ascending, and write how they look into their rows."""
+        self.reset(index)
+        observation = outcome.observation
+        tool = observation["achieved_goal"] if self.sensors is None else np.empty((self.count, 2), np.float32)
+        observation["desired_goal"][index] = self.goals(index)
+        if "preview" in observation:
+            observation["preview"][index] = self.previews(index)
+        for first, last in runs(index):
+            self._see(first, last, observation, tool)
+        outcome.distance[index] = distances(tool[index], observation["desired_goal"][index])
+        if outcome.contour is not None:
+            outcome.contour[index] = self.contour(index)
 
     def observe(self) -> Observation:
         """The observation of all environments as they are, fresh arrays."""
-        state = np.empty((self.count, len(self._view[0])), np.float32)
-        self.stages.observe(np.arange(self.count), self._view, state)
-        return self._with_goals(state)
+        observation, tool = self._blank()
+        self._see(0, self.stages.blocks, observation, tool)
+        return observation
 
-    def refresh(self, index: Index, observation: Observation) -> None:
-        """Write what environments index (k,) see after a reset into their rows of an observation."""
-        self.stages.observe(index, self._view, observation["observation"])
-        observation["achieved_goal"][index] = observation["observation"][index, :2]
-        observation["desired_goal"][index] = self.goals(index)
+    # -- what is seen ----------------------------------------------------------------------------------------------
+
+    def _blank(self) -> tuple[Observation, NDArray[np.float32]]:
+        """Arrays for an observation of all environments, goals written, and for where the tools are (count, 2)."""
+        achieved = np.empty((self.count, 2), np.float32)
+        everyone = slice(None)
+        observation = {
+            "observation": np.empty((self.count, len(self.entries)), np.float32),
+            "achieved_goal": achieved,
+            "desired_goal": self.goals(everyone),
+        }
+        if self.task.ahead_s:
+            observation["preview"] = self.previews(everyone)
+        if self.privileged:
+            observation["privileged"] = np.empty((self.count, len(self.privileged)), np.float32)
+        # With the full state, what is achieved is where the tool is.
+        return observation, achieved if self.sensors is None else np.empty((self.count, 2), np.float32)
+
+    def _see(self, first: int, last: int, observation: Observation, tool: NDArray[np.float32]) -> int:
+        """Write what environments of blocks first..last-1 observe; returns one that is not finite, or -1."""
+        stages = self.stages
+        begin, end = first * LANES, min(last * LANES, self.count)
+        if self.sensors is None:
+            broken = stages.observe(first, last, self._view, observation["observation"], tool)
+        else:
+            broken = stages.observe(first, last, self._tool, tool, tool)
+            out = observation["observation"], observation["achieved_goal"]
+            blocks.report(self._readings, *self._report, np.arange(begin, end), *out)
+        if self.privileged:
+            row = observation["privileged"]
+            broken = max(broken, stages.observe(first, last, self._all_state, row, tool))
+            row[begin:end, len(self._all_state[0]) :] = self._drawn_shares[begin:end]
+        return broken
+
+    def _read(self, index: Index, *, fresh: bool) -> None:
+        """Take the readings of the sensors of environments index (k,)."""
+        rows, radii = self._view[:2]
+        c = self._channels
+        state, parameters = self.stages.state, self.stages.parameters
+        blocks.read(
+            state,
+            parameters,
+            rows,
+            radii,
+            c.quanta,
+            c.noise,
+            c.least,
+            c.most,
+            self._keys,
+            self.elapsed,
+            index,
+            fresh,
+            self._readings,
+        )
 
     def goals(self, index: Index | slice) -> NDArray[np.float32]:
-        """Where environments index (k,) should be now, (k, 2) m."""
-        elapsed_s = self.elapsed[index].astype(np.float64) * self.settings.period
-        return self.task.goal(self._plan[index], elapsed_s)
+        """Where environments index (k,) should be now, (k, 2) m, fresh."""
+        if not self.task.ahead_s:
+            return np.array(self._goals[index])
+        return self.task.goal(self._plan[index], self._elapsed_s(index)).astype(np.float32)
 
-    def _with_goals(self, state: NDArray[np.float32]) -> Observation:
-        return {
-            "observation": state,
-            "achieved_goal": state[:, :2].copy(),
-            "desired_goal": self.goals(slice(None)),
-        }
+    def previews(self, index: Index | slice) -> NDArray[np.float32]:
+        """Where they should be later, (k, 2 P) m: x and y of the nearest future goal, of the next, ..."""
+        times = self._elapsed_s(index)[:, None] + np.array(self.task.ahead_s)
+        plans = np.repeat(self._plan[index], times.shape[1], axis=0)
+        return self.task.goal(plans, times.ravel()).reshape(len(times), -1).astype(np.float32)
+
+    def contour(self, index: Index | slice) -> Array | None:
+        """Distance (k,) of the tools themselves to their paths, m; None for a task without a path."""
+        if not self.task.ahead_s:
+            return None
+        return self.task.contour(self._plan[index], self.stages.tools()[index], self._elapsed_s(index))
 
     def distance(self, index: Index) -> Array:
-        """Distance of environments index (k,) to their goals, (k,) m, as their observations say."""
-        state = np.empty((self.count, len(self._view[0])), np.float32)
-        self.stages.observe(index, self._view, state)
-        return np.asarray(distances(state[index, :2], self.goals(index)))
+        """Distance (k,) of the tools themselves to their goals, m."""
+        tool = np.empty((self.count, 2), np.float32)
+        for first, last in runs(index):
+            self.stages.observe(first, last, self._tool, tool, tool)
+        return distances(tool[index], self.goals(index))
+
+    def _elapsed_s(self, index: Index | slice) -> Array:
+        return np.asarray(self.elapsed[index].astype(np.float64) * self.settings.period)
 
     # -- rewards again ---------------------------------------------------------------------------------------------
 
@@ -238,12 +346,3 @@ class Batch:
         if a.ndim == 1:
             return float(self.reward(a[None], d[None])[0])
         return np.asarray(self.reward(a, d), np.float64)
-
-
-def as_machine(machine: MachineLike) -> Machine:
-    """The machine itself, or the one of a built-in name or file."""
-    if isinstance(machine, Machine):
-        return machine
-    from ..files import load_machine
-
-    return load_machine(machine)

@@ -2,26 +2,31 @@
 
 A buffer pushes back with k d (1 + c v), never pulls (Hunt and Crossley 1975, exponent 1): stiff in, soft out, so an
 impact loses its energy.  It is an effect like any other, and a kernel with it costs a quarter more; as few stages are
-ever near an end, only those are advanced by that kernel, each decided by its own state alone.
+ever at an end, a period is first run without buffers, and again with them for those that may have met one, each decided
+by its own motion alone.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..machine import Effect, EffectParameter, Machine
-from ..machine.kernel import kernel_for
+from ..machine.kernel import Kernel, kernel_for
 from ..machine.lanes import LANES, copysign
 from ..machine.vector_math import maximum
 from . import blocks
 
 Array = NDArray[np.float64]
-Tables = tuple[Array, Array, Array, Array]
+Tables: TypeAlias = tuple[Array, Array, Array, Array]
+Run: TypeAlias = Callable[[Kernel, Tables, int, int], None]
 
 STIFFNESS = 2e5  # N/m: both motors at full voltage press 1.2 mm into it; the light cart still swings slower than 2 kHz
 DAMPING = 1.5  # s/m: an impact at 0.5 m/s comes back with less than half its speed
-REACH = 0.01  # m: no nearer, a stage at rest needs 200 m/s^2 to touch a stop within 10 ms; full voltage gives 150
+HASTE = 1.5  # times the acceleration that all stalled drives together give the nominal stage: more than any draw has
 
 
 def force(q, v, t, low, high, stiffness, damping):  # type: ignore[no-untyped-def]
@@ -55,32 +60,51 @@ def with_end_stops(machine: Machine) -> Machine:
 
 
 class EndStops:
-    """The kernel with end stops, for the stages of a batch that are near one."""
+    """The kernel with end stops, for the stages of a batch that meet one.
 
-    def __init__(self, machine: Machine) -> None:
+    period: for which a stage is advanced at a time, s.  state: of the batch, for its shape.
+    """
+
+    def __init__(self, machine: Machine, period: float, state: Array) -> None:
         stopped = with_end_stops(machine)
         self._kernel = kernel_for(stopped)
         ranges = np.array([machine.coordinate(name).range for name in ("x", "y")])
         self._rows = np.array([machine.coordinate_names.index(name) for name in ("x", "y")])
         self._low, self._high = np.ascontiguousarray(ranges.T)
+        # The largest way out and back within a period that an acceleration allows: a T^2 / 8.
+        mass = np.array([machine.coordinate(name).mass for name in ("x", "y")])
+        self._bulge = HASTE * stall_force(machine) / mass * period**2 / 8.0
         self._added = np.array(list(stopped.parameters.values())[len(machine.parameters) :])
+        self._before = np.empty_like(state)
 
-    def find(self, state: Array, period: float, first: int, last: int) -> NDArray[np.int64]:
-        """Lanes of blocks first..last-1 with a stage near an end."""
-        found: NDArray[np.int64] = blocks.near(state, self._rows, self._low, self._high, REACH, period, first, last)
-        return found
+    def remember(self, state: Array, first: int, last: int) -> None:
+        """Keep the state of blocks first..last-1, before a period."""
+        self._before[first:last] = state[first:last]
 
-    def advance(self, tables: Tables, lanes: NDArray[np.int64], h: float, steps: int) -> Array:
-        """Where the stages in lanes (k,) are after `steps` steps of h with end stops, in blocks; nothing is changed.
+    def correct(self, run: Run, tables: Tables, first: int, last: int) -> None:
+        """Advance those stages of blocks first..last-1 again that met an end in the period since `remember`.
 
-        tables: state, parameters, derived numbers and inputs of all, (blocks, rows, LANES).
+        run: advances blocks by a kernel, run(kernel, tables, first, last).  tables: state, after the period without end
+        stops, parameters, derived numbers and inputs of all, (blocks, rows, LANES).
         """
+        state = tables[0]
+        lanes = blocks.beyond(self._before, state, self._rows, self._low, self._high, self._bulge, first, last)
+        if not len(lanes):
+            return
         count = -(-len(lanes) // LANES)
         copies = [np.empty((count, table.shape[1], LANES)) for table in tables]
-        for table, copy in zip(tables, copies, strict=True):
+        for table, copy in zip((self._before, *tables[1:]), copies, strict=True):
             blocks.gather(table, lanes, copy)
-        state, parameters, derived, inputs = copies
+        stopped, parameters, derived, inputs = copies
         added = np.broadcast_to(self._added[:, None], (count, len(self._added), LANES))
-        parameters = np.concatenate([parameters, added], axis=1)
-        self._kernel.advance_blocks(state, parameters, derived, inputs, h, steps, 0, count)
-        return state
+        run(self._kernel, (stopped, np.concatenate([parameters, added], axis=1), derived, inputs), 0, count)
+        blocks.scatter(stopped, lanes, state)
+
+
+def stall_force(machine: Machine) -> float:
+    """Force of all drives together at rated voltage and standstill, N of belt."""
+    total = 0.0
+    for d in machine.drives:
+        c = machine.coordinate(d.coordinate)
+        total += d.gain * d.rated_voltage / (c.radius if c.kind == "rotary" else 1.0)
+    return total

@@ -1,19 +1,21 @@
-"""Makes `gym.make("HFrame-v0")` and `gym.make_vec("HFrame-v0", num_envs=...)` work."""
+"""Makes `gym.make("HFrame-v0")`, `gym.make("HFrameTrack-v0")` and `gym.make_vec` of both work."""
 
 from __future__ import annotations
 
 import gymnasium as gym
 
-ID = "HFrame-v0"
-EPISODE_STEPS = 150  # 1.5 s at the default period: the longest move takes half of it
+EPISODE_STEPS = 150  # 1.5 s at the default period: the longest move takes half of it, a lap of the circle a third
+IDS = {"HFrame-v0": "reach", "HFrameTrack-v0": "track"}  # and the task each begins with
 
 
 def register() -> None:
     """Register the environments with gymnasium; does nothing when they are there already."""
-    if ID not in gym.registry:
-        gym.register(
-            ID,
-            entry_point="hframe_gym.env:HFrameEnv",
-            vector_entry_point="hframe_gym.env:HFrameVectorEnv",
-            max_episode_steps=EPISODE_STEPS,
-        )
+    for name, task in IDS.items():
+        if name not in gym.registry:
+            gym.register(
+                name,
+                entry_point="hframe_gym.env:HFrameEnv",
+                vector_entry_point="hframe_gym.env:HFrameVectorEnv",
+                max_episode_steps=EPISODE_STEPS,
+                kwargs={"task": task},
+            )

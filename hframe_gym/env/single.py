@@ -9,9 +9,10 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from .batch import Batch, Observation, Settings
+from .batch import Batch, Observation
 from .render import TRAIL, Renderer, check_mode, scene
-from .spaces import Entry, action_space, entries
+from .settings import Settings
+from .spaces import Entry, action_space
 
 _ONLY = np.zeros(1, np.intp)
 
@@ -23,8 +24,9 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
     float32 arrays in SI units: `observation` (see `entries`), `achieved_goal`, `desired_goal` (x, y of tool and goal).
     Episodes do not end by themselves unless ends="terminate"; `gym.make` cuts them at 150 steps (1.5 s).
 
-    Info: `distance_m`, `is_success` (distance within the task's band now), `clipped_actions` (entries beyond [-1, 1] in
-    this episode), and after a reset `parameters`, the machine's randomised numbers by name.
+    Info: `distance_m` and `is_success` (distance within the task's band now), both of the tool itself and not of what
+    sensors say, `clipped_actions` (entries beyond [-1, 1] in this episode), for a task with a path `contour_m` (the
+    tool's distance to it, whatever the time), and after a reset `parameters`, the machine's randomised numbers by name.
 
     Keywords are those of `Settings`, and render_mode: None, "rgb_array" or "human".
 
@@ -45,7 +47,12 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
     @property
     def entries(self) -> tuple[Entry, ...]:
         """What each number of `observation` is: name, unit, bounds."""
-        return entries(self.batch.machine)
+        return self.batch.entries
+
+    @property
+    def privileged_entries(self) -> tuple[Entry, ...]:
+        """What each number of `privileged` is; empty without privileged=True."""
+        return self.batch.privileged
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -61,7 +68,7 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
             self.batch.seed(0, self.np_random)
         self.batch.reset(_ONLY, **check_options(options))
         observation = {k: v[0] for k, v in self.batch.observe().items()}
-        info = self._info(self.batch.distance(_ONLY)[0])
+        info = self._info(self.batch.distance(_ONLY)[0], self.batch.contour(_ONLY))
         drawn = self.batch.drawn(_ONLY)
         if drawn:
             info["parameters"] = {name: float(value[0]) for name, value in drawn.items()}
@@ -74,7 +81,7 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
 
         Raises ValueError for an action of another shape or with a number that is not finite.
         """
-        outcome = self.batch.step(self.batch.check_actions(np.asarray(action, np.float64)[None]))
+        outcome = self.batch.step(self.batch.check_actions(np.asarray(action)[None]))
         observation = {k: v[0] for k, v in outcome.observation.items()}
         self._show()
         return (
@@ -82,19 +89,20 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
             float(outcome.reward[0]),
             bool(outcome.terminated[0]),
             False,
-            self._info(outcome.distance[0]),
+            self._info(outcome.distance[0], outcome.contour),
         )
 
     def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
         """Reward of goals (2,) or (n, 2), m; `info` is not looked at.  Exactly what `step` gave for the same goals."""
         return self.batch.compute_reward(achieved_goal, desired_goal)
 
-    def _info(self, distance: float) -> dict[str, Any]:
-        return {
+    def _info(self, distance: float, contour: NDArray[np.float64] | None) -> dict[str, Any]:
+        info: dict[str, Any] = {
             "distance_m": float(distance),
             "is_success": bool(distance <= self.batch.task.band),
             "clipped_actions": int(self.batch.clipped[0]),
         }
+        return info if contour is None else info | {"contour_m": float(contour[0])}
 
     # -- rendering -------------------------------------------------------------------------------------------------
 

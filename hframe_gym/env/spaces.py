@@ -1,13 +1,16 @@
 """The spaces of the environment, and what each entry of `observation` is.
 
-observation      positions of x, y and the driven coordinates, then their velocities    m, rad, m/s, rad/s
+observation      positions of x, y and the driven coordinates, then their velocities     m, rad, m/s, rad/s
 achieved_goal    x, y of the tool                                                        m
 desired_goal     x, y of the goal                                                        m
+preview          x, y of the goal at each of the task's times ahead, nearest first       m (tasks whose goal moves)
+privileged       the full true state and what was randomised, for a critic in training   (with privileged=True)
 action           one number a drive, share of its rated voltage                          [-1, 1]
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +25,7 @@ SPEED_FACTOR = 3.0  # of the drives' no-load speed: far more than any motion tha
 
 @dataclass(frozen=True)
 class Entry:
-    """One number of `observation`."""
+    """One number of `observation` (or `privileged`).  coordinate: whose position or velocity it is, or ""."""
 
     name: str
     unit: str
@@ -81,21 +84,56 @@ def _furthest(machine: Machine, name: str, ranges: NDArray[np.float64]) -> float
     return 1.5 * total
 
 
-def observation_space(machine: Machine) -> spaces.Dict:
-    """Dict of bounded float32 boxes: observation, achieved_goal, desired_goal."""
-    all_entries = entries(machine)
+def privileged_entries(machine: Machine, drawn: Mapping[str, tuple[float, float]]) -> tuple[Entry, ...]:
+    """Positions of all coordinates, their velocities, and the drawn parameters as shares of their nominal values.
+
+    drawn: by name, the bounds of each as such a share.
+    """
     ranges = workspace(machine)
+    known = {e.coordinate for e in entries(machine)}
+    others = [name for name in machine.coordinate_names if name not in known]
+    state = list(entries(machine))
+    fastest = max(e.high for e in state if e.velocity and e.unit == "m/s")
+    for name in others:
+        c = machine.coordinate(name)
+        radius = c.radius if c.kind == "rotary" else 1.0
+        furthest = _furthest(machine, name, ranges)
+        state.append(Entry(name, c.unit("position"), name, False, -furthest, furthest))
+        state.append(Entry(f"{name} velocity", c.unit("speed"), name, True, -fastest / radius, fastest / radius))
+    state.sort(key=lambda e: e.velocity)
+    return (*state, *(Entry(name, "1", "", False, *bounds) for name, bounds in drawn.items()))
+
+
+def observation_space(
+    machine: Machine,
+    previews: int = 0,
+    *,
+    observed: Sequence[Entry] | None = None,
+    privileged: Sequence[Entry] = (),
+) -> spaces.Dict:
+    """Dict of bounded float32 boxes: observation (those observed, or the full state), achieved_goal, desired_goal and,
+    where there are any, preview (2 * previews,) and privileged."""
+    ranges = workspace(machine)
+    goal = (ranges[:, 0] - BEYOND, ranges[:, 1] + BEYOND)
     boxes = {
-        "observation": (np.array([e.low for e in all_entries]), np.array([e.high for e in all_entries])),
-        "achieved_goal": (ranges[:, 0] - BEYOND, ranges[:, 1] + BEYOND),
-        "desired_goal": (ranges[:, 0] - BEYOND, ranges[:, 1] + BEYOND),
+        "observation": _edges(entries(machine) if observed is None else observed),
+        "achieved_goal": goal,
+        "desired_goal": goal,
     }
+    if previews:
+        boxes["preview"] = (np.tile(goal[0], previews), np.tile(goal[1], previews))
+    if privileged:
+        boxes["privileged"] = _edges(privileged)
     return spaces.Dict(
         {
             key: spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
             for key, (low, high) in boxes.items()
         }
     )
+
+
+def _edges(listed: Sequence[Entry]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    return np.array([e.low for e in listed]), np.array([e.high for e in listed])
 
 
 def action_space(machine: Machine) -> spaces.Box:

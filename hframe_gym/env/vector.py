@@ -12,12 +12,13 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from .batch import Batch, Index, Observation, Settings
+from .batch import Batch, Flags, Index, Observation, Outcome
 from .render import TRAIL, Renderer, check_mode, scene
+from .settings import Settings
 from .single import check_options
-from .spaces import Entry, action_space, entries
+from .spaces import Entry, action_space
 
-Flags = NDArray[np.bool_]
+Numbers = NDArray[np.float64]
 
 
 class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]):
@@ -69,7 +70,12 @@ class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]])
     @property
     def entries(self) -> tuple[Entry, ...]:
         """What each number of `observation` is: name, unit, bounds."""
-        return entries(self.batch.machine)
+        return self.batch.entries
+
+    @property
+    def privileged_entries(self) -> tuple[Entry, ...]:
+        """What each number of `privileged` is; empty without privileged=True."""
+        return self.batch.privileged
 
     # -- reset -----------------------------------------------------------------------------------------------------
 
@@ -119,34 +125,27 @@ class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]])
             raise RuntimeError(
                 f"the episode of environment {resetting[0]} is over; reset it with options['reset_mask']"
             )
-        observation, reward, terminated, distance = self.batch.step(checked)
-        if self.max_episode_steps is None:
-            truncated = np.zeros(self.num_envs, np.bool_)
-        else:
-            truncated = self.batch.elapsed >= self.max_episode_steps
+        outcome = self.batch.step(checked, self.max_episode_steps)
+        terminated, truncated = outcome.terminated, outcome.truncated
         info: dict[str, Any] = {}
         if self.autoreset_mode is AutoresetMode.NEXT_STEP:
             if len(resetting):
-                self.batch.reset(resetting)
-                self.batch.refresh(resetting, observation)
-                reward[resetting] = 0.0
+                self.batch.restart(resetting, outcome)
+                outcome.reward[resetting] = 0.0
                 terminated[resetting] = truncated[resetting] = False
-                distance[resetting] = self.batch.distance(resetting)
             self._over = terminated | truncated
         elif self.autoreset_mode is AutoresetMode.SAME_STEP:
             resetting = np.flatnonzero(terminated | truncated)
             if len(resetting):
-                info = self._final(resetting, observation, distance)
-                self.batch.reset(resetting)
-                self.batch.refresh(resetting, observation)
-                distance[resetting] = self.batch.distance(resetting)
+                info = self._final(resetting, outcome)
+                self.batch.restart(resetting, outcome)
         else:
             self._over = terminated | truncated
-        self._add(info, np.ones(self.num_envs, np.bool_), distance)
+        self._add(info, None, outcome.distance, outcome.contour)
         if len(resetting):
             self._add_drawn(info, resetting)
         self._follow(resetting)
-        return observation, reward, terminated, truncated, info
+        return outcome.observation, outcome.reward, terminated, truncated, info
 
     def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
         """Reward of goals (2,) or (n, 2), m; `info` is not looked at.  Exactly what `step` gave for the same goals."""
@@ -154,11 +153,15 @@ class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]])
 
     # -- info, each key with its mask _key -------------------------------------------------------------------------
 
-    def _add(self, info: dict[str, Any], mask: Flags, distance: NDArray[np.float64]) -> None:
-        clipped = np.where(mask, self.batch.clipped, 0)
-        success = (distance <= self.batch.task.band) & mask
-        for key, values in (("distance_m", distance), ("is_success", success), ("clipped_actions", clipped)):
-            info[key], info[f"_{key}"] = values, mask.copy()
+    def _add(self, info: dict[str, Any], mask: Flags | None, distance: Numbers, contour: Numbers | None) -> None:
+        """Add what info always has; mask: of the environments it is about, None for all."""
+        columns = {"distance_m": distance, "is_success": distance <= self.batch.task.band}
+        columns["clipped_actions"] = self.batch.clipped.copy()
+        if contour is not None:
+            columns["contour_m"] = contour
+        for key, values in columns.items():
+            info[key] = values if mask is None else np.where(mask, values, np.zeros((), values.dtype))
+            info[f"_{key}"] = np.ones(self.num_envs, np.bool_) if mask is None else mask.copy()
 
     def _add_drawn(self, info: dict[str, Any], index: Index) -> None:
         drawn = self.batch.drawn(index)
@@ -169,24 +172,24 @@ class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]])
         for name, values in drawn.items():
             column = np.zeros(self.num_envs)
             column[index] = values
-            parameters[name], parameters[f"_{name}"] = column, mask.copy()
+            parameters[name], parameters[f"_{name}"] = column, mask
         info["parameters"], info["_parameters"] = parameters, mask
 
     def _reset_info(self, index: Index, info: dict[str, Any]) -> dict[str, Any]:
         distance = np.zeros(self.num_envs)
         distance[index] = self.batch.distance(index)
-        self._add(info, self._mask(index), distance)
+        self._add(info, self._mask(index), distance, self.batch.contour(slice(None)))
         self._add_drawn(info, index)
         return info
 
-    def _final(self, index: Index, observation: Observation, distance: NDArray[np.float64]) -> dict[str, Any]:
+    def _final(self, index: Index, outcome: Outcome) -> dict[str, Any]:
         mask = self._mask(index)
         final_obs = np.full(self.num_envs, None, dtype=object)
-        copies = {key: values[index] for key, values in observation.items()}
+        copies = {key: values[index] for key, values in outcome.observation.items()}
         for i, b in enumerate(index.tolist()):
             final_obs[b] = {key: values[i] for key, values in copies.items()}
         final_info: dict[str, Any] = {}
-        self._add(final_info, mask, np.where(mask, distance, 0.0))
+        self._add(final_info, mask, outcome.distance, outcome.contour)
         return {"final_obs": final_obs, "_final_obs": mask, "final_info": final_info, "_final_info": mask.copy()}
 
     def _mask(self, index: Index) -> Flags:

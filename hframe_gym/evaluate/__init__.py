@@ -3,5 +3,6 @@
 from .episodes import Episodes
 from .run import evaluate, rollout, write_scores
 from .scorecard import BANDS, scores
+from .trial import Trial
 
-__all__ = ["BANDS", "Episodes", "evaluate", "rollout", "scores", "write_scores"]
+__all__ = ["BANDS", "Episodes", "Trial", "evaluate", "rollout", "scores", "write_scores"]

@@ -18,15 +18,13 @@ from numpy.typing import NDArray
 from ..atomic import write_text
 from ..control import Controller
 from ..env import HFrameVectorEnv
-from ..env.batch import MachineLike
-from ..env.randomisation import Randomise
 from ..machine import Machine
 from .episodes import Episodes
 from .scorecard import scores
+from .trial import Trial
 
 Array = NDArray[np.float64]
 SAMPLES = 10  # a control period
-DURATION = 1.5  # s, twice the longest move
 
 
 class _Parameters:
@@ -71,85 +69,72 @@ def _energy(machine: Machine, values: _Parameters, moved: Array, volts: Array, t
     return energy
 
 
-def rollout(
-    controller: Controller,
-    machine: MachineLike = "hframe",
-    *,
-    randomize: Randomise = "default",
-    episodes: int = 512,
-    seed: int = 0,
-    period: float = 0.01,
-    duration_s: float = DURATION,
-) -> Episodes:
-    """The episodes of one controller on the draws of a seed; episode b is the environment's of seed + b.
-
-    machine: the stage as declared, around which `randomize` draws.  period: of control, s.
+def rollout(controller: Controller, trial: Trial) -> Episodes:
+    """The episodes of one controller on the draws of a trial.
 
     Raises ValueError for settings that the environment refuses, or fewer than one control period.
     """
-    periods = round(duration_s / period)
-    if periods < 1:
-        raise ValueError(f"duration_s is {duration_s!r}, it must hold at least one control period of {period:g} s")
-    sample_s = period / SAMPLES
+    sample_s = trial.period / SAMPLES
     envs = HFrameVectorEnv(
-        episodes, max_episode_steps=None, machine=machine, randomize=randomize, period=sample_s
-    )  # fmt: skip
-    observation, _ = envs.reset(seed=seed)
+        trial.episodes,
+        max_episode_steps=None,
+        machine=trial.machine,
+        task=trial.own_task,
+        randomize=trial.randomize,
+        period=sample_s,
+    )
+    samples = trial.periods * SAMPLES + 1
+    observation, info = envs.reset(seed=trial.seed)
     stage = envs.batch.machine
     values = _Parameters(envs)
     rated = np.array([d.rated_voltage for d in stage.drives])
     axes = [stage.coordinate_names.index(axis) for axis in ("x", "y")]
     travel = _travel(envs)
-    position = np.empty((episodes, periods * SAMPLES + 1, 2))
-    position[:, 0] = travel[:, axes]
-    volts = np.empty((episodes, periods, len(rated)))
-    energy, peak = np.zeros(episodes), _belt_force(stage, values, travel)
+    position, goal = np.empty((2, trial.episodes, samples, 2))
+    contour = np.empty((trial.episodes, samples)) if "contour_m" in info else None
+    volts = np.empty((trial.episodes, trial.periods, len(rated)))
+    energy, peak = np.zeros(trial.episodes), _belt_force(stage, values, travel)
+    actions = np.zeros((trial.episodes, len(rated)))
     controller.reset()
-    for k in range(periods):
-        actions = np.clip(controller.act(observation), -1.0, 1.0)
-        volts[:, k] = actions * rated
-        for sample in range(SAMPLES):
-            observation = envs.step(actions)[0]
-            before, travel = travel, _travel(envs)
-            position[:, k * SAMPLES + sample + 1] = travel[:, axes]
-            energy += _energy(stage, values, travel - before, volts[:, k], sample_s)
-            peak = np.maximum(peak, _belt_force(stage, values, travel))
-    goal = observation["desired_goal"].astype(np.float64)
-    time_s = sample_s * np.arange(position.shape[1], dtype=np.float64)
-    return Episodes(time_s, position, goal, volts, rated, energy, peak)
+    for i in range(samples):
+        position[:, i], goal[:, i] = travel[:, axes], observation["desired_goal"]
+        if contour is not None:
+            contour[:, i] = info["contour_m"]
+        if i == samples - 1:
+            break
+        if i % SAMPLES == 0:
+            actions = np.clip(controller.act(observation), -1.0, 1.0)
+            volts[:, i // SAMPLES] = actions * rated
+        observation, _, _, _, info = envs.step(actions)
+        before, travel = travel, _travel(envs)
+        energy += _energy(stage, values, travel - before, actions * rated, sample_s)
+        peak = np.maximum(peak, _belt_force(stage, values, travel))
+    time_s = sample_s * np.arange(samples, dtype=np.float64)
+    return Episodes(time_s, position, goal, contour, volts, rated, energy, peak)
 
 
 def evaluate(
-    controllers: Mapping[str, Controller],
-    machine: MachineLike = "hframe",
-    *,
-    randomize: Randomise = "default",
-    episodes: int = 512,
-    seed: int = 0,
-    period: float = 0.01,
-    duration_s: float = DURATION,
-    bound_s: Array | None = None,
+    controllers: Mapping[str, Controller], trial: Trial, *, bound_s: Array | None = None
 ) -> tuple[dict[str, Any], dict[str, Episodes]]:
-    """Scores of controllers, by name, on the same draws (see `rollout`), and their episodes.
+    """Scores of controllers, by name, on the draws of a trial, and their episodes.
 
     bound_s: least possible time to 0.2 mm of each draw (episodes,), s, where it was computed.
-    The scores are plain data: `{"schema": 1, "machine", "randomize", "episodes", "seed", "controllers"}`.
+    The scores are plain data: `{"schema": 1, "machine", "task", "randomize", "episodes", "seed", "period_s",
+    "controllers"}`.
 
     Raises ValueError as `rollout` does.
     """
-    runs = {
-        name: rollout(
-            controller, machine, randomize=randomize, episodes=episodes, seed=seed, period=period, duration_s=duration_s
-        )
-        for name, controller in controllers.items()
-    }
+    runs = {name: rollout(controller, trial) for name, controller in controllers.items()}
+    machine, randomize = trial.machine, trial.randomize
     answer = {
         "schema": 1,
         "machine": machine.name if isinstance(machine, Machine) else str(machine),
+        "task": trial.task if isinstance(trial.task, str) else repr(trial.task),
         "randomize": randomize if isinstance(randomize, str) else [repr(rule) for rule in randomize],
-        "episodes": episodes,
-        "seed": seed,
-        "controllers": {name: scores(run, bound_s, seed=seed) for name, run in runs.items()},
+        "episodes": trial.episodes,
+        "seed": trial.seed,
+        "period_s": trial.period,
+        "controllers": {name: scores(run, bound_s, seed=trial.seed) for name, run in runs.items()},
     }
     return answer, runs
 

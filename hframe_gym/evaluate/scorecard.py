@@ -1,4 +1,4 @@
-"""Scores of a batch of episodes: settling, success, overshoot, error, effort, with intervals over the draws."""
+"""Scores of a batch of episodes: settling or contour error, success, effort, with intervals over the draws."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def settling(error: Array, time_s: Array, band: float) -> tuple[Array, NDArray[n
 
 
 def overshoot(position: Array, goal: Array) -> Array:
-    """How far (B,) the tool went beyond the goal along the line from its start, m, from positions (B, n, 2).
+    """How far (B,) the tool went beyond the goal (B, 2) along the line from its start, m, from positions (B, n, 2).
 
     Zero where it never did; the largest distance where start and goal are one point.
     """
@@ -40,6 +40,13 @@ def overshoot(position: Array, goal: Array) -> Array:
     beyond = np.einsum("bni,bi->bn", position - goal[:, None], unit).max(axis=1)
     wandered = np.linalg.norm(position - goal[:, None], axis=2).max(axis=1)
     return np.where(length > 0.0, np.maximum(beyond, 0.0), wandered)
+
+
+def delay(run: Episodes) -> Array:
+    """How late the tool is (B,), s: the time by which its goal, moved back, fits it best (to first order)."""
+    speed = np.gradient(run.goal, run.time_s, axis=1)
+    late = np.sum((run.goal - run.position) * speed, axis=(1, 2))
+    return np.asarray(late / np.maximum(np.sum(speed**2, axis=(1, 2)), 1e-12))
 
 
 def mean_with_interval(values: Array, seed: int) -> dict[str, Any]:
@@ -59,16 +66,27 @@ def scores(run: Episodes, bound_s: Array | None = None, *, seed: int = 0) -> dic
     bound_s: least possible time of each episode (B,), s; without it `over_bound` is None.  seed: of the bootstrap.
 
     `voltage_variation` is the sum over drives and control periods of |change of voltage| in V, from 0 V before the
-    first; `saturation_share` the share of drives and periods at rated voltage; overshoot is along the line from start
-    to goal.
+    first; `saturation_share` the share of drives and periods at rated voltage.  See `reaching` and `tracking` for what
+    depends on the task.
 
     Raises ValueError when bound_s has another length or holds what is not a positive number.
     """
-    error = np.linalg.norm(run.position - run.goal[:, None], axis=2)
-    settled = {name: settling(error, run.time_s, band) for name, band in BANDS.items()}
     before = np.concatenate([np.zeros_like(run.volts[:, :1]), run.volts[:, :-1]], axis=1)
     variation = np.abs(run.volts - before).sum(axis=(1, 2))
     saturated = (np.abs(run.volts) >= SATURATED * run.rated).mean(axis=(1, 2))
+    task = reaching(run, bound_s, seed) if run.contour is None else tracking(run, run.contour, seed)
+    return task | {
+        "energy_J": mean_with_interval(run.energy_J, seed),
+        "voltage_variation": mean_with_interval(variation, seed),
+        "saturation_share": mean_with_interval(saturated, seed),
+        "peak_belt_force_N": mean_with_interval(run.peak_belt_force_N, seed),
+    }
+
+
+def reaching(run: Episodes, bound_s: Array | None, seed: int) -> dict[str, Any]:
+    """Success and settling in each band, overshoot along the line from start to goal, error at the end."""
+    error = np.linalg.norm(run.position - run.goal, axis=2)
+    settled = {name: settling(error, run.time_s, band) for name, band in BANDS.items()}
     over_bound = None
     if bound_s is not None:
         bound = np.asarray(bound_s, np.float64)
@@ -87,10 +105,23 @@ def scores(run: Episodes, bound_s: Array | None = None, *, seed: int = 0) -> dic
             for name, (times, _) in settled.items()
         },
         "over_bound": over_bound,
-        "overshoot_mm": mean_with_interval(1e3 * overshoot(run.position, run.goal), seed),
+        "overshoot_mm": mean_with_interval(1e3 * overshoot(run.position, run.goal[:, -1]), seed),
         "final_error_mm": mean_with_interval(1e3 * error[:, -1], seed),
-        "energy_J": mean_with_interval(run.energy_J, seed),
-        "voltage_variation": mean_with_interval(variation, seed),
-        "saturation_share": mean_with_interval(saturated, seed),
-        "peak_belt_force_N": mean_with_interval(run.peak_belt_force_N, seed),
+    }
+
+
+def tracking(run: Episodes, contour: Array, seed: int) -> dict[str, Any]:
+    """Of each episode, from rest to its end: contour error (to the path) and tracking error (to the goal on it), root
+    mean square and largest, how late the tool is, and the share that never leaves a band around the path."""
+    errors = {"contour_mm": contour, "tracking_mm": np.linalg.norm(run.position - run.goal, axis=2)}
+    return {
+        "success": {name: float(np.mean(contour.max(axis=1) <= band)) for name, band in BANDS.items()},
+        **{
+            name: {
+                "rms": mean_with_interval(1e3 * np.sqrt(np.mean(error**2, axis=1)), seed),
+                "max": mean_with_interval(1e3 * error.max(axis=1), seed),
+            }
+            for name, error in errors.items()
+        },
+        "delay_ms": mean_with_interval(1e3 * delay(run), seed),
     }

@@ -4,7 +4,6 @@ from ..atomic import whole_file, write_text
 from .errors import InputError
 from .machine_file import load_machine, machine_to_dict, save_machine
 from .recording import Recording, read_recording, read_recordings, run_name, write_trajectory
-from .suspicions import suspicions
 
 __all__ = [
     "InputError",
@@ -15,7 +14,6 @@ __all__ = [
     "read_recordings",
     "run_name",
     "save_machine",
-    "suspicions",
     "whole_file",
     "write_text",
     "write_trajectory",

@@ -69,7 +69,7 @@ def prepare(recordings: Sequence[Recording], machine: Machine) -> Data:
         runs.append(Run(recording.name, recording.time_s, recording.inputs, outputs, start.state, start.rows))
     quanta = np.array([_quantum(recordings, j, machine) for j in range(len(machine.sensors))])
     noise = np.array([_noise(recordings, runs, j, machine, quanta[j]) for j in range(len(machine.sensors))])
-    belted = [bool(machine.belts) and machine.coordinate(next(iter(s.row))).kind == "rotary" for s in machine.sensors]
+    belted = [bool(machine.belts) and machine.coordinate(s.coordinate).kind == "rotary" for s in machine.sensors]
     return Data(tuple(runs), noise, quanta, np.array(belted))
 
 

@@ -94,7 +94,7 @@ def own_parameters(machine: Machine) -> tuple[Free, ...]:
         if b.length:
             free.append(Free(f"{b.name}.rest_length", b.rest_length, prior=0.1))
     free += [Free(f"{d.name}.Kt", d.Kt, prior=0.2) for d in machine.drives[1:]]
-    return tuple(free)
+    return tuple(f for f in free if f.name not in machine.ties)
 
 
 def typical_force(machine: Machine) -> float:
@@ -148,8 +148,8 @@ def fit(
 
     def left(run: Run, thetas: Array) -> Array:
         table = parameter_table(machine, free, thetas)
-        positions = predict(machine, run, mode, period=period, parameters=table, longest_step=longest_step)
-        return residuals(machine, run, data, positions)
+        motion = predict(machine, run, mode, period=period, parameters=table, longest_step=longest_step)
+        return residuals(run, data, motion.readings)
 
     def gram(thetas: Array) -> Array:
         """Sum over runs of the products of (Jacobian columns, residual), (k + 1, k + 1)."""

@@ -11,7 +11,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ..machine import Machine, rollout
+from ..machine import Machine
+from ..machine.simulate import Motion, respond, rest_state
 from .data import Data, Run
 from .start import settled
 
@@ -31,7 +32,7 @@ def injection(machine: Machine, period: float) -> Array:
     gains = np.zeros((2 * count, len(machine.sensors)))
     geared = any(c.kind == "rotary" for c in machine.coordinates)
     for j, sensor in enumerate(machine.sensors):
-        name = max(sensor.row, key=lambda n: abs(sensor.row[n]))
+        name = sensor.coordinate
         i = machine.coordinate_names.index(name)
         slow = geared and machine.coordinate(name).kind == "linear"
         rate = (_LASER_RATE if slow else _ENCODER_RATE) * min(period, 5e-3)
@@ -48,34 +49,52 @@ def predict(
     period: float,
     parameters: Array | None = None,
     extra_force: Array | None = None,
+    extra_reading: Array | None = None,
     longest_step: float = SEARCH_STEP,
-    velocities: bool = False,
-) -> Array:
-    """Positions (B, n, coordinates) of a batch over a run, with velocities behind them if asked."""
+    states: bool = False,
+) -> Motion:
+    """The machine's readings over a run, with its motion if asked, for a batch of parameters or additions.
+
+    extra_force (B, n, coordinates); extra_reading (B, n, sensors): what the sensors show beyond the machine's readings.
+    """
     observed = mode == "innovations"
-    return rollout(
+    measured = None
+    if observed:
+        measured = run.outputs if extra_reading is None else run.outputs - extra_reading
+    motion = respond(
         machine,
         run.time_s,
         run.inputs,
         parameters=parameters,
-        start=run.start,
+        start=_start(machine, run),
         extra_force=extra_force,
-        measured=run.outputs if observed else None,
+        measured=measured,
         gains=injection(machine, period) if observed else None,
         longest_step=longest_step,
-        velocities=velocities,
+        states=states,
         parallel=False,
     )
+    return motion if extra_reading is None else motion._replace(readings=motion.readings + extra_reading)
 
 
-def residuals(machine: Machine, run: Run, data: Data, positions: Array) -> Array:
-    """Measured minus predicted in units of the noise, (B, n * sensors): zero where not measured.
+def _start(machine: Machine, run: Run) -> Array:
+    """The run's resting state; coordinates that an effect has added behind the run's follow from unstretched belts."""
+    known, count = len(run.start) // 2, len(machine.coordinates)
+    if known == count:
+        return run.start
+    linear = [run.start[i] for i, c in enumerate(machine.coordinates[:known]) if c.kind == "linear"]
+    start = rest_state(machine, linear)
+    start[:known] = run.start[:known]
+    return start
+
+
+def residuals(run: Run, data: Data, readings: Array) -> Array:
+    """Measured minus predicted readings (B, n, sensors) in units of the noise, (B, n * sensors): zero where not measured.
 
     Each channel's zero is where its resting rows put it, given where the machine comes to rest (see `zeroed`).
     """
-    reading = positions[..., : len(machine.coordinates)] @ machine.sensor_matrix.T
     measured = np.isfinite(run.outputs)
-    left = zeroed(run, data, np.where(measured, run.outputs - reading, 0.0), measured)
+    left = zeroed(run, data, np.where(measured, run.outputs - readings, 0.0), measured)
     return (left * measured / data.noise).reshape(len(left), -1)
 
 

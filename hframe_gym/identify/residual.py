@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from ..machine import Machine
+from .addition import Along, addition
 from .data import Data, Run
 from .fit import over_runs
 from .prediction import POLISH_STEP, injection, predict, zeroed
@@ -40,8 +41,8 @@ def free_run_error(machine: Machine, run: Run, data: Data) -> Array:
 
     What the sensors' zeros explain is taken off, from every machine alike (see `prediction.zeroed`).
     """
-    positions = predict(machine, run, "free", period=data.period, longest_step=POLISH_STEP)
-    error = run.outputs - positions @ machine.sensor_matrix.T
+    motion = predict(machine, run, "free", period=data.period, longest_step=POLISH_STEP)
+    error = run.outputs - motion.readings
     measured = np.isfinite(run.outputs)
     return np.where(measured, zeroed(run, data, np.where(measured, error, 0.0), measured)[0], np.nan)
 
@@ -68,10 +69,9 @@ def smooth_force_residual(machine: Machine, run: Run, data: Data) -> Array:
 
 def variables(machine: Machine, run: Run, data: Data) -> dict[str, Array]:
     """What a missing effect may follow, each (n,): positions and speeds along the fitted motion, inputs, the clock."""
-    count = len(machine.coordinates)
-    states = predict(machine, run, "innovations", period=data.period, velocities=True)[0]
-    found = {f"position of {c}": states[:, i] for i, c in enumerate(machine.coordinate_names)}
-    found |= {f"velocity of {c}": states[:, count + i] for i, c in enumerate(machine.coordinate_names)}
+    motion = predict(machine, run, "innovations", period=data.period, states=True)
+    found = {f"position of {c}": motion.positions[0, :, i] for i, c in enumerate(machine.coordinate_names)}
+    found |= {f"velocity of {c}": motion.velocities[0, :, i] for i, c in enumerate(machine.coordinate_names)}
     found |= {c: run.inputs[:, j] for j, c in enumerate(machine.input_channels)}
     return found | {"time": run.time_s}
 
@@ -82,11 +82,32 @@ def force_residual(machine: Machine, run: Run, data: Data) -> Array:
     It is what the output injection puts into the velocities, a disturbance observer: right below its bandwidth.
     """
     count = len(machine.coordinates)
-    positions = predict(machine, run, "innovations", period=data.period)[0]
-    innovation = np.nan_to_num(run.outputs - positions @ machine.sensor_matrix.T)
+    readings = predict(machine, run, "innovations", period=data.period).readings[0]
+    innovation = np.nan_to_num(run.outputs - readings)
     gains = injection(machine, data.period)[count:]
     mass = np.array([c.mass for c in machine.coordinates])
     return innovation @ gains.T / data.period * mass
+
+
+def missing_force(machine: Machine, data: Data) -> dict[str, Array]:
+    """By coordinate: position, velocity and missing force (n, 3) along all runs, own units.
+
+    The observer shows a missing force through its own two poles; they are taken off, up to 40 Hz.
+    """
+    count = len(machine.coordinates)
+    slowness = 2.0 * data.period / np.maximum(injection(machine, data.period)[:count].sum(axis=1), 1e-12)
+    low_pass = signal.butter(2, min(0.9, 80.0 * data.period), output="sos")
+
+    def of(run: Run) -> Array:
+        motion = predict(machine, run, "innovations", period=data.period, states=True)
+        force = signal.sosfiltfilt(low_pass, force_residual(machine, run, data), axis=0)
+        rate = np.gradient(force, run.time_s, axis=0)
+        bend = np.gradient(rate, run.time_s, axis=0)
+        whole = force + 2 * slowness * rate + slowness**2 * bend
+        return np.stack([motion.positions[0], motion.velocities[0], whole], axis=2)
+
+    parts = np.concatenate(list(over_runs(of, data)))
+    return {name: parts[:, i] for i, name in enumerate(machine.coordinate_names)}
 
 
 def depends_on(machine: Machine, data: Data) -> list[Dependence]:
@@ -139,26 +160,25 @@ def force_error(machine: Machine, data: Data) -> float | None:
     Position is low-passed at 100 Hz without phase, differentiated centrally, forces decimated by ten, as the EMPS
     benchmark does.
     """
-    direct = {next(iter(s.row)): j for j, s in enumerate(machine.sensors) if len(s.row) == 1}
+    direct = {s.coordinate: j for j, s in enumerate(machine.sensors) if len(s.row) == 1}
     driven = {d.coordinate for d in machine.drives}
     if machine.belts or driven != set(machine.coordinate_names) or not driven <= set(direct):
         return None
     wrong, size = 0.0, 0.0
     for run in data.runs:
+        measured = run.outputs[:, [direct[name] for name in machine.coordinate_names]]
+        if not np.all(np.isfinite(measured)):
+            continue
         period = float(np.median(np.diff(run.time_s)))
         low_pass = signal.butter(4, min(0.9, 2 * _FORCE_CUTOFF * period), output="sos")
-        for c in machine.coordinates:
-            position = run.outputs[:, direct[c.name]]
-            if not np.all(np.isfinite(position)):
-                continue
-            q = signal.sosfiltfilt(low_pass, position)
-            v = np.gradient(q, run.time_s)
-            a = np.gradient(v, run.time_s)
-            drive, model = _forces(machine, c.name, run, q, v, a)
-            trim = int(0.05 / period)
-            pair = [signal.decimate(f[trim:-trim], _FORCE_DECIMATION, ftype="fir") for f in (drive, model)]
-            wrong += float(np.sum((pair[0] - pair[1]) ** 2))
-            size += float(np.sum(pair[0] ** 2))
+        q = signal.sosfiltfilt(low_pass, measured, axis=0)
+        trim = int(0.05 / period)
+        drive, model = (
+            signal.decimate(f[trim:-trim], _FORCE_DECIMATION, ftype="fir", axis=0)
+            for f in _forces(machine, run, q, np.gradient(q, run.time_s, axis=0))
+        )
+        wrong += float(np.sum((drive - model) ** 2))
+        size += float(np.sum(drive**2))
     return float(np.sqrt(wrong / size)) if size else None
 
 
@@ -174,27 +194,22 @@ def _held_mean(time_s: Array, values: Array, late: float) -> Array:
     return (above - below) / period
 
 
-def _forces(machine: Machine, name: str, run: Run, q: Array, v: Array, a: Array) -> tuple[Array, Array]:
-    """(drive, model) force along a measured motion of one coordinate, with its effects."""
-    c = machine.coordinate(name)
+def _forces(machine: Machine, run: Run, q: Array, v: Array) -> tuple[Array, Array]:
+    """(drive, model) forces (n, coordinates) along a measured motion, with the machine's effects."""
     drive = np.zeros_like(q)
     for j, d in enumerate(machine.drives):
-        if d.coordinate == name:
-            delays = [
-                e.definition.delay(*e.parameters.values())
-                for e in machine.effects
-                if e.definition.delay and e.site in (d.name, "drives")
-            ]
-            drive += d.gain * _held_mean(run.time_s, run.inputs[:, j], sum(delays)) - d.back_emf * v
-    viscous, coulomb, force = np.full_like(q, c.viscous), np.full_like(q, c.coulomb), np.zeros_like(q)
+        i = machine.coordinate_names.index(d.coordinate)
+        late = [e("delay") for e in machine.effects if e.definition.delay and e.site in (d.name, "drives")]
+        drive[:, i] += d.gain * _held_mean(run.time_s, run.inputs[:, j], sum(late)) - d.back_emf * v[:, i]
+    mass, viscous, coulomb = (
+        np.array([getattr(c, key) for c in machine.coordinates]) for key in ("mass", "viscous", "coulomb")
+    )
+    model = mass * np.gradient(v, run.time_s, axis=0) + viscous * v + coulomb * np.sign(v)
+    motion = Along(run.time_s, run.inputs, q, v, q @ machine.sensor_matrix.T)
     for e in machine.effects:
-        own = tuple(e.parameters.values())
-        if e.site != name:
-            continue
-        if e.definition.viscous:
-            viscous = e.definition.viscous(viscous, np.sign(v), *own)
-        if e.definition.coulomb:
-            coulomb = coulomb + e.definition.coulomb(q, v, run.time_s, *own)
-        if e.definition.force:
-            force = force + e.definition.force(q, v, run.time_s, *own)
-    return drive, c.mass * a + viscous * v + np.maximum(coulomb, 0.0) * np.sign(v) - force
+        if not e.definition.delay:
+            parameters = {key: np.array([value]) for key, value in e.parameters.items()}
+            model -= addition(machine, e.definition, e.site, parameters, motion).force[0]
+    return drive, model
+
+

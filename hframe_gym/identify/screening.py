@@ -1,12 +1,14 @@
 """Linearised screening: how much of what is left could each candidate explain, without fitting any.
 
-A candidate of small size adds a known force along the fitted machine's own trajectory.  The response to that force, one
-lane of the kernel a candidate, is its column; what the machine's own parameters could mimic is projected out; the
-squared correlation with the residual is the cost that fitting it would save, to first order.
+A candidate of small size adds a known force, or a known change of a reading, along the fitted machine's own
+trajectory.  The response to it, one lane of the kernel a column, is what the residual is compared with; what the
+machine's own parameters could mimic is projected out; the squared correlation with the residual is the cost that
+fitting it would save, to first order.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -14,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..machine import Machine
+from .addition import Addition, Along, addition
 from .candidates import Candidate
 from .data import Data, Run
 from .fit import Fit, over_runs, parameter_table
@@ -21,79 +24,92 @@ from .prediction import predict, residuals
 
 Array = NDArray[np.float64]
 _STEP = 1e-4
+# Columns whose responses are held at once, so that long recordings fit into memory.
+_AT_ONCE = 64
 
 
 class Screened(NamedTuple):
-    """A candidate, the cost it would save, and the amplitude (own unit) that saves it."""
+    """A candidate, the cost it would save, and the amounts of its columns that save it."""
 
     candidate: Candidate
     gain: float
-    amplitude: float
+    amounts: tuple[float, ...]
 
 
-def added_force(candidate: Candidate, machine: Machine, run: Run, position: Array, velocity: Array) -> Array:
-    """Force (n, coordinates), own units, of the candidate at its unit size along a trajectory (n, coordinates)."""
-    definition = candidate.effect
-    size = candidate.unit_size
-    values = {**candidate.shape, candidate.amplitude: size}
-    own = [values[p.name] for p in definition.parameters]
-    force = np.zeros_like(position)
-    if candidate.site in machine.coordinate_names:
-        i = machine.coordinate_names.index(candidate.site)
-        q, v = position[:, i], velocity[:, i]
-        if definition.force:
-            force[:, i] += definition.force(q, v, run.time_s, *own)
-        if definition.coulomb:
-            force[:, i] -= np.sign(v) * definition.coulomb(q, v, run.time_s, *own)
-        if definition.viscous:
-            viscous = machine.coordinate(candidate.site).viscous
-            force[:, i] -= (definition.viscous(viscous, np.sign(v), *own) - viscous) * v
-    if definition.delay:
-        late = definition.delay(*own)
-        for j, drive in enumerate(machine.drives):
-            i = machine.coordinate_names.index(drive.coordinate)
-            before = np.concatenate([run.inputs[:1, j], run.inputs[:-1, j]])
-            period = np.median(np.diff(run.time_s))
-            force[:, i] += drive.gain * (before - run.inputs[:, j]) * late / period
-    return force
+def additions(machine: Machine, chosen: Sequence[Candidate], motion: Along) -> Addition:
+    """What all columns of some candidates add, in order: force (K, n, coordinates), reading (K, n, sensors)."""
+    forces, readings = [], []
+    for _, group in itertools.groupby(chosen, key=lambda c: c.label):
+        members = list(group)
+        columns = [column for c in members for column in c.columns]
+        parameters = {name: np.array([column[name] for column in columns]) for name in columns[0]}
+        own = addition(machine, members[0].effect, members[0].site, parameters, motion)
+        forces.append(own.force)
+        readings.append(
+            np.zeros((len(columns), *motion.readings.shape)) if own.reading is None else own.reading,
+        )
+    return Addition(np.concatenate(forces), np.concatenate(readings))
 
 
 def screen(fit: Fit, candidates: Sequence[Candidate], data: Data) -> list[Screened]:
     """Candidates by the cost they would save, best first; those of the wrong sign save nothing."""
     if not candidates:
         return []
-    own, others = len(fit.free), len(candidates)
+    own = len(fit.free)
     thetas = np.vstack([fit.theta, fit.theta + _STEP * np.eye(own)])
     table = parameter_table(fit.machine, fit.free, thetas)
-    count = len(fit.machine.coordinates)
     period = data.period
 
     def products(run: Run) -> Array:
-        positions = predict(fit.machine, run, fit.mode, period=period, parameters=table, velocities=True)
-        base = residuals(fit.machine, run, data, positions)
+        motion = predict(fit.machine, run, fit.mode, period=period, parameters=table, states=True)
+        base = residuals(run, data, motion.readings)
         jacobian = (base[1:] - base[0]) / _STEP
-        q, v = positions[0, :, :count], positions[0, :, count:]
-        forces = np.array([added_force(c, fit.machine, run, q, v) for c in candidates])
-        moved = predict(fit.machine, run, fit.mode, period=period, extra_force=_STEP * forces)
-        still = predict(fit.machine, run, fit.mode, period=period, extra_force=np.zeros_like(forces[:1]))
-        columns = residuals(fit.machine, run, data, moved) - residuals(fit.machine, run, data, still)
-        stacked = np.vstack([jacobian, columns / _STEP, base[:1]])
+        added = additions(fit.machine, candidates, Along(run.time_s, run.inputs, *(part[0] for part in motion)))
+        still = np.zeros_like(added.force[:1])
+        quiet = residuals(run, data, predict(fit.machine, run, fit.mode, period=period, extra_force=still).readings)
+        columns = []
+        for first in range(0, len(added.force), _AT_ONCE):
+            part = slice(first, first + _AT_ONCE)
+            moved = predict(
+                fit.machine,
+                run,
+                fit.mode,
+                period=period,
+                extra_force=_STEP * added.force[part],
+                extra_reading=None if added.reading is None else _STEP * added.reading[part],
+            )
+            columns.append((residuals(run, data, moved.readings) - quiet) / _STEP)
+        stacked = np.vstack([jacobian, *columns, base[:1]])
         return stacked @ stacked.T
 
     gram = np.sum(list(over_runs(products, data)), axis=0)
-    hessian = gram[:own, :own] + 1e-9 * np.diag(np.diag(gram)[:own])
-    mimic = np.linalg.lstsq(hessian, gram[:own, own:], rcond=1e-12)[0]
+    prior = np.array([1.0 / f.prior**2 for f in fit.free])
+    hessian = gram[:own, :own] + np.diag(prior + 1e-9 * np.diag(gram)[:own])
+    mimic = np.linalg.solve(hessian, gram[:own, own:])
     left = gram[own:, own:] - gram[own:, :own] @ mimic
-    found = []
-    for k, candidate in enumerate(candidates):
-        alone, before = left[k, k], gram[own + k, own + k]
-        if alone <= 1e-6 * before or before == 0.0:
-            found.append(Screened(candidate, 0.0, 0.0))
-            continue
-        amount = -left[k, others] / alone
-        lower, upper = (getattr(candidate.effect.parameter(candidate.amplitude), b) for b in ("lower", "upper"))
-        amplitude = float(np.clip(amount * candidate.unit_size, lower, upper))
-        kept = amplitude / candidate.unit_size
-        gain = -2 * kept * left[k, others] - kept**2 * alone
-        found.append(Screened(candidate, max(0.0, float(gain)), amplitude))
+    found, first = [], 0
+    for candidate in candidates:
+        columns = np.arange(first, first + len(candidate.columns))
+        first += len(columns)
+        own_products = left[np.ix_(columns, columns)]
+        found.append(_saving(candidate, own_products, left[columns, -1], gram[own + columns, own + columns]))
     return sorted(found, key=lambda s: -s.gain)
+
+
+def _saving(candidate: Candidate, L: Array, towards: Array, before: Array) -> Screened:
+    """L (k, k): products of the candidate's columns, towards (k,) theirs with the residual, after projection."""
+    nothing = Screened(candidate, 0.0, (0.0,) * len(towards))
+    if not np.all(np.isfinite(L)) or not np.any(np.diag(L) > 1e-6 * before):
+        return nothing
+    if candidate.fixed:
+        amounts = np.ones(len(towards))
+    else:
+        amounts = -np.linalg.solve(L + 1e-9 * np.diag(np.maximum(np.diag(L), 1e-300)), towards)
+    if len(amounts) == 1 and not candidate.fixed:
+        p = candidate.effect.parameter(candidate.effect.amplitudes[0])
+        unit = candidate.columns[0][p.name]
+        amounts = np.clip(amounts, p.lower / unit, p.upper / unit)
+    gain = float(-2 * amounts @ towards - amounts @ L @ amounts)
+    if not gain > 0.0:
+        return nothing
+    return Screened(candidate, gain, tuple(amounts.tolist()))

@@ -54,10 +54,12 @@ def start_of(recording: Recording, machine: Machine) -> Start:
     count = len(machine.coordinates)
     rigid = np.eye(count)
     if machine.belts:
-        rigid = null_space(np.array([machine.row(b.extension) for b in machine.belts])) / machine.radii[:, None]
+        rows_held = [machine.row(b.extension) for b in machine.belts]
+        rows_held += [machine.row({name: 1.0}) for name in machine.sprung]
+        rigid = null_space(np.array(rows_held)) / machine.radii[:, None]
     position = np.zeros(count)
     if known.any():
-        linear = np.array([machine.coordinate(next(iter(s.row))).kind == "linear" for s in machine.sensors])
+        linear = np.array([machine.coordinate(s.coordinate).kind == "linear" for s in machine.sensors])
         weight = np.where(linear[known], 1.0, 1e-6)
         rows_of = machine.sensor_matrix[known] @ rigid
         amount = np.linalg.lstsq(weight[:, None] * rows_of, weight * reading[known], rcond=1e-12)[0]

@@ -15,21 +15,28 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..machine import AppliedEffect, Machine
-from .candidates import Candidate, candidates, effect_parameters, references
+from .candidates import candidates, effect_parameters
 from .data import Data
-from .fit import Fit, fit, over_runs
+from .fit import Fit, fit, over_runs, own_parameters
 from .prediction import predict
+from .references import References, references
+from .residual import missing_force
 from .screening import Screened, screen
+from .structures import structural
 
-# Smaller savings are nothing, by share of samples.  Rigs without effects stay below 0.0005 (tests/identify).
-LEAST_GAIN = 0.01
+# Smaller savings are nothing, by share of samples (calibrated on rigs without effects, benchmarks/identification.py).
+LEAST_GAIN = 0.003
 # ... and where the model misses by far more than the noise, by share of what is missed.
 LEAST_SHARE = 0.02
-# Candidates within this share of samples of the best are not told apart from it.
+# Candidates that save at least this share of what the best one saves are not told apart from it.
+RIVAL_SHARE = 0.97
+# ... nor are those within this share of samples.
 RIVAL_GAIN = 0.002
-NOTHING_LEFT = 1.02
-MOST_EFFECTS = 4
+NOTHING_LEFT = 1.01
+MOST_EFFECTS = 5
 _FITTED_IN_FULL = 5
+# Candidates that promise less than this share of the best promise are not worth a fit.
+_PROMISING = 0.4
 
 Say = Callable[[str], None]
 
@@ -53,23 +60,34 @@ def trace(base: Fit, data: Data, say: Say) -> tuple[Fit, tuple[Found, ...]]:
     current = base
     found: list[Found] = []
     while len(found) < MOST_EFFECTS and current.chi2 > NOTHING_LEFT:
-        ranked = screen(current, _candidates(current, data), data)
-        trials = [_add(current, s, data) for s in _best(ranked, current)]
+        scale = typical(current, data)
+        everything = candidates(current.machine, data, scale, missing_force(current.machine, data))
+        promising = _best(screen(current, everything, data), current)
+        trials = [_add(current, s, data) for s in promising]
+        trials += [_restructured(current, machine, scale, data) for machine in structural(current, data)]
         if not trials:
             break
         trials.sort(key=lambda t: t.cost)
         best, effect = trials[0], trials[0].machine.effects[-1]
         saved = (current.cost - best.cost) / data.count
         say(f"  {effect.label} saves {saved:.3g} of {current.chi2:.4g} (chi2 a sample)")
-        if saved < _least(current):
+        if saved < least(current):
             break
-        rivals = tuple(t.machine.effects[-1].label for t in trials[1:] if t.cost - best.cost < RIVAL_GAIN * data.count)
-        found.append(Found(effect, rivals + effect.definition.equivalent, saved))
+        found.append(Found(effect, _rivals(trials, current, data), saved))
         current = best
     return current, tuple(f.with_values(current.machine) for f in found)
 
 
-def _least(current: Fit) -> float:
+def _rivals(trials: list[Fit], current: Fit, data: Data) -> tuple[str, ...]:
+    """The effects that the data do not tell apart from the best trial's."""
+    best = trials[0]
+    margin = max(RIVAL_GAIN * data.count, (1.0 - RIVAL_SHARE) * (current.cost - best.cost))
+    close = tuple(t.machine.effects[-1].label for t in trials[1:] if t.cost - best.cost < margin)
+    return close + best.machine.effects[-1].definition.equivalent
+
+
+def least(current: Fit) -> float:
+    """The gain (chi2 a sample) below which an effect is nothing."""
     return max(LEAST_GAIN, LEAST_SHARE * (current.chi2 - 1.0))
 
 
@@ -78,39 +96,48 @@ def without_idle(
 ) -> tuple[Fit, tuple[Found, ...]]:
     """Drop the effects whose absence costs less than the least gain, in the mode of `current`.
 
-    Later effects make earlier ones idle, and what only improves the innovations does not predict anything.
+    Later effects make earlier ones idle, and what only improves the innovations does not predict anything.  A
+    structural effect stays: the others stand on its tables.
     """
     for f in found:
-        others = tuple(e for e in current.machine.effects if e.label != f.effect.label)
-        kept = [i for i, free in enumerate(current.free) if not free.name.startswith(f"{f.effect.label}.")]
-        shorter = fit(
-            current.machine.replace(effects=others),
-            [current.free[i] for i in kept],
-            data,
-            current.mode,
-            theta=current.theta[kept],
-            longest_step=longest_step,
-        )
-        if (shorter.cost - current.cost) / data.count < _least(current):
+        if f.effect.definition.structure:
+            continue
+        shorter = without(current, f.effect.label, data, longest_step=longest_step)
+        if (shorter.cost - current.cost) / data.count < least(current):
             say(f"  {f.effect.label} is idle")
             current, found = shorter, tuple(other for other in found if other is not f)
     return current, tuple(f.with_values(current.machine) for f in found)
 
 
-def _candidates(current: Fit, data: Data) -> list[Candidate]:
-    count = len(current.machine.coordinates)
-    period = data.period
-    motions = over_runs(
-        lambda run: predict(current.machine, run, current.mode, period=period, velocities=True)[0, :, count:], data
+def without(current: Fit, label: str, data: Data, *, longest_step: float) -> Fit:
+    """The fit without one effect, everything else fitted anew."""
+    others = tuple(e for e in current.machine.effects if e.label != label)
+    kept = [i for i, free in enumerate(current.free) if not free.name.startswith(f"{label}.")]
+    return fit(
+        current.machine.replace(effects=others),
+        [current.free[i] for i in kept],
+        data,
+        current.mode,
+        theta=current.theta[kept],
+        longest_step=longest_step,
     )
-    return candidates(current.machine, references(current.machine, np.concatenate(list(motions))))
+
+
+def typical(current: Fit, data: Data) -> References:
+    """What is typical of the fitted machine in these runs."""
+    motions = list(
+        over_runs(lambda run: predict(current.machine, run, current.mode, period=data.period, states=True), data)
+    )
+    positions, velocities = (np.concatenate([getattr(m, key)[0] for m in motions]) for key in ("positions", "velocities"))
+    return references(current.machine, positions, velocities, [run.inputs for run in data.runs])
 
 
 def _best(ranked: list[Screened], current: Fit) -> list[Screened]:
     """The few best, one shape of each effect and site, that could save enough."""
     chosen: dict[str, Screened] = {}
+    enough = max(0.3 * least(current) * current.count, _PROMISING * ranked[0].gain if ranked else 0.0)
     for s in ranked:
-        if s.gain > 0.3 * _least(current) * current.count:
+        if s.gain > enough:
             chosen.setdefault(s.candidate.label, s)
     return list(chosen.values())[:_FITTED_IN_FULL]
 
@@ -118,7 +145,16 @@ def _best(ranked: list[Screened], current: Fit) -> list[Screened]:
 def _add(current: Fit, screened: Screened, data: Data) -> Fit:
     """The machine with one more effect, everything fitted together by innovations."""
     candidate = screened.candidate
-    machine = current.machine.with_effects(candidate.applied(screened.amplitude))
-    own = effect_parameters(machine.effects[-1], candidate.references, candidate.amplitude)
+    machine = current.machine.with_effects(candidate.applied(screened.amounts))
+    own = effect_parameters(machine.effects[-1], candidate.references)
     theta = np.concatenate([current.theta, np.zeros(len(own))])
     return fit(machine, current.free + own, data, current.mode, theta=theta)
+
+
+def _restructured(current: Fit, machine: Machine, scale: References, data: Data) -> Fit:
+    """A machine with other tables, its own parameters free around what the fit so far has found."""
+    free = list(own_parameters(machine))
+    for e in machine.effects:
+        free += effect_parameters(e, scale.of(machine.site_coordinate(e.site) or ""))
+    return fit(machine, free, data, current.mode)
+

@@ -29,8 +29,8 @@ def with_uncertainty(fitted: Fit, data: Data) -> Machine:
     sensors = len(fitted.machine.sensors)
 
     def scores(run: Run) -> tuple[Array, Array]:
-        positions = predict(fitted.machine, run, fitted.mode, period=data.period, parameters=table)
-        left = residuals(fitted.machine, run, data, positions)
+        motion = predict(fitted.machine, run, fitted.mode, period=data.period, parameters=table)
+        left = residuals(run, data, motion.readings)
         jacobian = (left[1:] - left[0]) / _STEP
         product = jacobian * left[0]
         edges = np.arange(0, product.shape[1], rows * sensors)

@@ -17,37 +17,16 @@ Second order, symmetric but for the weights, two force evaluations and one divis
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 
+from .contributions import CORRECTED, HALF_WAY, Contributions, Point
 from .tables import Machine
+from .text import combination, identifier, plus
 
 # Rows of derived numbers that `prepare` writes for each coordinate; those of PER_DIRECTION twice where they differ.
 PER_COORDINATE = ("mass", "per_mass", "coulomb", "curve")
 PER_DIRECTION = ("viscous", "slow", "decay", "gain", "first", "last")
-
-
-def identifier(name: str) -> str:
-    """A name as it may stand in source."""
-    return re.sub(r"\W", "_", name)
-
-
-def combination(row: Mapping[str, float], term: Callable[[str], str]) -> str:
-    """sum(coefficient * term(name)) as an expression without zeros or ones."""
-    text = ""
-    # A positive term first: a leading minus would cost an instruction.
-    for name, factor in sorted(row.items(), key=lambda item: item[1] < 0):
-        if factor == 0.0:
-            continue
-        size = term(name) if abs(factor) == 1.0 else f"{abs(factor)!r} * {term(name)}"
-        text += f" - {size}" if factor < 0 else f" + {size}" if text else size
-    return text.lstrip() or "0.0"
-
-
-def plus(expression: str) -> str:
-    """The expression as something to append to a sum."""
-    return expression if expression.startswith("- ") else f"+ {expression}"
 
 
 @dataclass(frozen=True)
@@ -66,10 +45,7 @@ class KernelSource:
         self.forced = forced
         self.names = [identifier(n) for n in machine.coordinate_names]
         self.parameters = {name: i for i, name in enumerate(machine.parameters)}
-        self.directional = {e.site for e in machine.effects if e.definition.viscous}
-        self.moving_friction = {e.site for e in machine.effects if e.definition.coulomb or e.definition.force}
-        self.delayed = any(e.definition.delay for e in machine.effects)
-        self.timed = bool(self.moving_friction)
+        self.effects = Contributions(machine, self.p)
         self.derived: dict[str, int] = {}
         for c in machine.coordinate_names:
             keys = PER_COORDINATE + tuple(f"{k}{s}" for s in self.signs(c) for k in PER_DIRECTION)
@@ -87,22 +63,28 @@ class KernelSource:
 
     @property
     def text(self) -> str:
-        return f"{self.prepare()}\n\n{self.delays()}\n\n{self.advance()}\n"
+        parts = (self.prepare(), self.delays(), self.advance(), self.read_sensors(), self.lags())
+        return "\n\n".join(parts) + "\n"
+
+    @property
+    def states(self) -> int:
+        """Rows of a state: travel and velocity of each coordinate, the clock, effects' own."""
+        return 2 * len(self.names) + 1 + len(self.effects.states)
 
     # -- names -----------------------------------------------------------------------------------------------------
 
     def signs(self, coordinate: str) -> tuple[str, ...]:
-        return ("", "_back") if coordinate in self.directional else ("",)
+        return ("", "_back") if coordinate in self.effects.directional else ("",)
 
     def p(self, name: str) -> str:
+        """The source of a number of the tables, or of an effect, by its full name."""
+        if name in self.machine.ties:
+            owner, factor = self.machine.ties[name]
+            return f"({factor!r} * {self.p(owner)})"
         return f"load(P, {self.parameters[name]})"
 
     def is_rotary(self, coordinate: str) -> bool:
         return self.machine.coordinate(coordinate).kind == "rotary"
-
-    def arguments(self, label: str) -> str:
-        own = [n for n in self.parameters if n.rpartition(".")[0] == label]
-        return "".join(f", {identifier(n)}" for n in own)
 
     # -- derived numbers -------------------------------------------------------------------------------------------
 
@@ -134,10 +116,9 @@ class KernelSource:
         yield f"    store(C, {self.derived[c + '.curve']}, h * h / 12.0 / mass)"
         for sign in self.signs(c):
             friction = self.p(c + ".viscous")
-            for k, e in enumerate(self.machine.effects):
-                if e.definition.viscous and e.site == c:
-                    own = "".join(f", {self.p(n)}" for n in self.parameters if n.rpartition(".")[0] == e.label)
-                    friction = f"viscous_{k}({friction}, {'-1.0' if sign else '1.0'}{own})"
+            for k, e in self.effects.on("viscous", c):
+                direction = "-1.0" if sign else "1.0"
+                friction = self.effects.call("viscous", k, e, inline=True, b=friction, direction=direction)
             emf = "".join(f" + emf_{identifier(d.name)}" for d in self.machine.drives if d.coordinate == c)
             yield f"    viscous = ({friction}{emf}) / (radius * radius)"
             yield "    z = viscous * h / mass"
@@ -151,12 +132,39 @@ class KernelSource:
         """D, the time by which each input's voltage arrives late, s."""
         lines = ["@inlined", "def delays(P, D):"]
         for i, d in enumerate(self.machine.drives):
-            terms = [
-                f"delay_{k}({', '.join(self.p(n) for n in self.parameters if n.rpartition('.')[0] == e.label)})"
-                for k, e in enumerate(self.machine.effects)
-                if e.definition.delay and e.site in (d.name, "drives")
-            ]
+            late = self.effects.at("delay", d.name, "drives")
+            terms = [self.effects.call("delay", k, e, inline=True) for k, e in late]
             lines.append(f"    store(D, {i}, {' + '.join(terms) or '0.0'})")
+        return "\n".join(lines)
+
+    # -- sensors -----------------------------------------------------------------------------------------------------
+
+    def read_sensors(self) -> str:
+        """R, what every sensor shows, in its own unit."""
+        lines = ["@inlined", "def read_sensors(S, P, R):"]
+        for i, c in enumerate(self.machine.coordinate_names):
+            radius = f" / {self.p(c + '.radius')}" if self.is_rotary(c) else ""
+            lines.append(f"    q_{identifier(c)} = load(S, {i}){radius}")
+
+        def position(key: str) -> str:
+            return " * ".join(f"q_{identifier(c)}" for c in key.split("*"))
+
+        for j, sensor in enumerate(self.machine.sensors):
+            lines.append(f"    r = {combination(sensor.row, position)}")
+            other = self.machine.across(sensor.coordinate)
+            across = f"q_{identifier(other)}" if other else ""
+            for k, e in self.effects.at("reading", sensor.channel):
+                lines.append(f"    r = {self.effects.call('reading', k, e, inline=True, r='r', across=across)}")
+            lines.append(f"    store(R, {j}, r)")
+        return "\n".join(lines)
+
+    def lags(self) -> str:
+        """L, the time by which each sensor is late, s."""
+        lines = ["@inlined", "def lags(P, L):"]
+        for j, sensor in enumerate(self.machine.sensors):
+            late = self.effects.at("lag", sensor.channel)
+            terms = [self.effects.call("lag", k, e, inline=True) for k, e in late]
+            lines.append(f"    store(L, {j}, {' + '.join(terms) or '0.0'})")
         return "\n".join(lines)
 
     # -- the step --------------------------------------------------------------------------------------------------
@@ -178,17 +186,13 @@ class KernelSource:
         yield f"time = load(S, {2 * n})"
         for name, row in self.derived.items():
             yield f"{identifier(name)} = load(C, {row})"
-        for e in self.machine.effects:
-            for name in self.parameters:
-                if name.rpartition(".")[0] == e.label:
-                    yield f"{identifier(name)} = {self.p(name)}"
+        for row, k in enumerate(self.effects.states):
+            yield f"z_{k} = load(S, {2 * n + 1 + row})"
+        yield from self.effects.loads()
         for b in self.machine.belts:
             if b.length:
                 yield f"{identifier(b.name)}_EA = {self.p(b.name + '.EA')}"
                 yield f"{identifier(b.name)}_rest_length = {self.p(b.name + '.rest_length')}"
-        for c in self.moving_friction:
-            if self.is_rotary(c):
-                yield f"{identifier(c)}_per_radius = 1.0 / {self.p(c + '.radius')}"
         yield "half = 0.5 * h"
 
     def write(self) -> Iterable[str]:
@@ -196,50 +200,64 @@ class KernelSource:
         for i, c in enumerate(self.names):
             yield f"store(S, {i}, q_{c})"
             yield f"store(S, {n + i}, v_{c})"
-        yield f"store(S, {2 * n}, time{'' if self.timed else ' + h * steps'})"
+        yield f"store(S, {2 * n}, time{'' if self.effects.moving else ' + h * steps'})"
+        for row, k in enumerate(self.effects.states):
+            yield f"store(S, {2 * n + 1 + row}, z_{k})"
 
     def step(self) -> Iterable[str]:
         yield "# half-way"
         for c in self.names:
             yield f"m_{c} = fma(half, v_{c}, q_{c})"
-        yield from self.belts()
+        yield from self.effects.voltages(self.voltage)
+        yield from self.belts(HALF_WAY)
         yield "# forces at the half-way point, and the acceleration they give"
-        for c in self.machine.coordinate_names:
-            yield f"f_{identifier(c)} = {self.force(c)}"
-        yield from self.contributions("m", "v", "half", first=True)
+        yield from self.forces(HALF_WAY)
+        if not self.effects.bent:
+            for name in map(identifier, sorted(self.effects.moving)):
+                yield f"bare_{name} = f_{name}"
+        yield from self.effects.forces(HALF_WAY)
         for c in self.machine.coordinate_names:
             yield from self.acceleration(c)
         yield "# forces again, where that acceleration leads"
-        yield from self.correction()
-        yield from self.contributions("k", "w", "half", first=False)
+        if self.effects.bent:
+            yield from self.belts(CORRECTED)
+            yield from self.forces(CORRECTED)
+        else:
+            yield from self.correction()
+        yield from self.effects.forces(CORRECTED)
         yield "# exact flow with friction"
         for c in self.names:
             yield from self.flow(c)
         for c in self.names:
             yield f"if any_of(stop_{c}):"
             yield from (f"    {line}" for line in self.event(c))
+        yield from self.effects.ends()
         for c in self.names:
             yield f"q_{c} = n_{c}"
             yield f"v_{c} = u_{c}"
-        if self.timed:
+        if self.effects.moving:
             yield "time = time + h"
 
-    def belts(self) -> Iterable[str]:
+    def belts(self, point: Point) -> Iterable[str]:
         """Tension, stiffness and the pull towards longer belts, by 1/2 s^2 dk/dq = -T s / (2 length)."""
         lengths = []
+
+        def travel(c: str) -> str:
+            return self.effects.stretched(c, point)
+
         for b in self.machine.belts:
             name = identifier(b.name)
             rest = dict(b.extension)
             shared = ""
             if b.length and all(b.extension.get(c) == factor for c, factor in b.length.items()):
                 # s and length share the carriage's part: worked out once.
-                yield f"run_{name} = {combination(b.length, self.half_way)}"
+                yield f"run_{name} = {combination(b.length, travel)}"
                 rest = {c: factor for c, factor in b.extension.items() if c not in b.length}
                 shared = f"run_{name}"
-            own = combination(rest, self.half_way)
+            own = combination(rest, travel)
             yield f"s_{name} = {f'{shared} {plus(own)}' if shared and rest else shared or own}"
             if b.length:
-                along = shared or combination(b.length, self.half_way)
+                along = shared or combination(b.length, travel)
                 yield f"length_{name} = {name}_rest_length + {along}"
                 lengths.append(name)
         yield from self.reciprocals(lengths)
@@ -250,6 +268,8 @@ class KernelSource:
             else:
                 yield f"stiffness_{name} = {name}_stiffness"
             yield f"T_{name} = stiffness_{name} * s_{name}"
+            rate = combination(b.extension, lambda c: f"{point.velocity}_{identifier(c)}")
+            yield from self.effects.tension(b.name, f"s_{name}", f"({rate})", f"stiffness_{name}")
             if b.length:
                 yield f"half_strain_{name} = 0.5 * (s_{name} * per_{name})"
                 if all(b.extension.get(c) == factor for c, factor in b.length.items()):
@@ -257,9 +277,6 @@ class KernelSource:
                 else:
                     yield f"e_{name} = half_strain_{name} * T_{name}"
                     yield f"net_{name} = T_{name} - e_{name}"
-
-    def half_way(self, coordinate: str) -> str:
-        return f"m_{identifier(coordinate)}"
 
     def reciprocals(self, lengths: list[str]) -> Iterable[str]:
         """1/length of up to three belts at a time by one division, which costs as much as ten products."""
@@ -278,57 +295,41 @@ class KernelSource:
             yield f"per_{a} = rest_{a} * length_{b}"
             yield f"per_{b} = rest_{a} * length_{a}"
 
-    def force(self, c: str) -> str:
-        """Force on a coordinate: -G' T + L' (T s / 2 length) + drives (+ what the caller adds)."""
-        row: dict[str, float] = {}
-        for b in self.machine.belts:
-            name = identifier(b.name)
-            stretch, grow = b.extension.get(c, 0.0), b.length.get(c, 0.0)
-            if grow and grow == stretch:
-                row[f"net_{name}"] = -stretch
-            else:
-                row |= {f"T_{name}": -stretch, f"e_{name}": grow}
-        text = combination(row, str)
-        for i, d in enumerate(self.machine.drives):
-            if d.coordinate == c:
-                index = f"step * {len(self.machine.drives)} + {i}" if self.delayed else str(i)
-                gain = identifier(f"{d.name}.force")
-                text = f"fma({gain}, load(U, {index}), {text})"
-        if self.forced:
-            text += f" + load(W, {self.machine.coordinate_names.index(c)})"
-        return text
-
-    def contributions(self, at: str, speed: str, after: str, *, first: bool) -> Iterable[str]:
-        """Effects' forces and Coulomb levels: first at (half-way, v), then at the corrected point and speed."""
+    def forces(self, point: Point) -> Iterable[str]:
+        """Forces on the coordinates: -G' T + L' (T s / 2 length) + drives (+ what the caller adds)."""
         for c in self.machine.coordinate_names:
-            name = identifier(c)
-            level = f"{name}_coulomb"
-            yield f"F_{name} = {level}"
-            if c not in self.moving_friction:
-                continue
-            scale = f" * {name}_per_radius" if self.is_rotary(c) else ""
-            here = f"{at}_{name}{scale}, {speed}_{name}{scale}, time + {after}"
-            added = ""
-            for k, e in enumerate(self.machine.effects):
-                if e.site != c:
-                    continue
-                if e.definition.coulomb:
-                    yield f"F_{name} = F_{name} + coulomb_{k}({here}{self.arguments(e.label)}){scale}"
-                if e.definition.force:
-                    added += f" + force_{k}({here}{self.arguments(e.label)}){scale}"
-            yield f"F_{name} = maximum(F_{name}, 0.0)"
-            if added:
-                if first:
-                    yield f"bare_{name} = f_{name}"
-                yield f"f_{name} = f_{name}{added}"
+            row: dict[str, float] = {}
+            for b in self.machine.belts:
+                name = identifier(b.name)
+                stretch, grow = b.extension.get(c, 0.0), b.length.get(c, 0.0)
+                if grow and grow == stretch:
+                    row[f"net_{name}"] = -stretch
+                else:
+                    row |= {f"T_{name}": -stretch, f"e_{name}": grow}
+            text = combination(row, str)
+            arm = self.effects.arm(c, point)
+            if arm:
+                text = f"({text}) * {arm}"
+            for j, d in enumerate(self.machine.drives):
+                if d.coordinate == c:
+                    volts = f"volts_{identifier(d.name)}" if self.effects.commanded(j) else self.voltage(j)
+                    text = f"fma({identifier(f'{d.name}.force')}, {volts}, {text})"
+            if self.forced:
+                text += f" + load(W, {self.machine.coordinate_names.index(c)})"
+            yield f"f_{identifier(c)} = {text}"
+
+    def voltage(self, j: int) -> str:
+        """Drive j's voltage during this step."""
+        row = f"step * {len(self.machine.drives)} + {j}" if self.effects.delayed else str(j)
+        return f"load(U, {row})"
 
     def acceleration(self, c: str) -> Iterable[str]:
         name = identifier(c)
-        if c in self.directional:
+        if c in self.effects.directional:
             yield f"d_{name} = direction(v_{name}, f_{name})"
         slow = self.by_direction(c, "slow")
         yield f"a_{name} = fma({name}_curve, f_{name} - answer(v_{name}, f_{name}, F_{name}), {slow} * v_{name})"
-        if c in self.moving_friction:
+        if self.effects.bent or c in self.effects.seen:
             yield f"k_{name} = m_{name} + a_{name}"
             yield f"w_{name} = v_{name} + (6.0 / h) * a_{name}"
 
@@ -341,20 +342,19 @@ class KernelSource:
         for c in self.machine.coordinate_names:
             name = identifier(c)
             row = {identifier(b.name): -b.extension.get(c, 0.0) for b in self.machine.belts}
-            has_force = any(e.site == c and e.definition.force for e in self.machine.effects)
-            base = f"bare_{name}" if has_force else f"f_{name}"
+            base = f"bare_{name}" if c in self.effects.moving else f"f_{name}"
             yield f"f_{name} = {base} + ({combination(row, lambda b: f'g_{b}')})"
 
     def by_direction(self, c: str, key: str, *, back: bool = False) -> str:
         name = identifier(c)
-        if c not in self.directional:
+        if c not in self.effects.directional:
             return f"{name}_{key}"
         ahead, behind = (f"{name}_{key}", f"{name}_{key}_back")
         return f"where(d_{name} >= 0.0, {behind if back else ahead}, {ahead if back else behind})"
 
     def flow(self, name: str) -> Iterable[str]:
         c = self.machine.coordinate_names[self.names.index(name)]
-        if c in self.directional:
+        if c in self.effects.directional:
             yield f"d_{name} = direction(v_{name}, f_{name})"
         decay, gain = (self.by_direction(c, key) for key in ("decay", "gain"))
         yield f"u_{name}, stop_{name} = kick(v_{name}, f_{name}, F_{name}, {decay}, {gain})"

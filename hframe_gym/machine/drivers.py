@@ -13,9 +13,9 @@ import numpy as np
 from .lanes import LANES
 
 # Set by the generated text of a shape; here only so that a reader and the linter know the names.
-COORDINATES = INPUTS = PARAMETERS = DERIVED = 0
-DELAYED = FORCED = False
-prepare = delays = advance = inlined = None
+COORDINATES = STATES = INPUTS = SENSORS = PARAMETERS = DERIVED = 0
+DELAYED = LAGGED = FORCED = False
+prepare = delays = advance = read_sensors = lags = inlined = None
 
 
 def held_mean(time, values, start, end, hint):
@@ -35,27 +35,44 @@ def held_mean(time, values, start, end, hint):
         i += 1
 
 
-def rollout(time, inputs, parameters, start, measured, sensors, gains, extra, longest_step, first, last, out):
+def interpolated(rows, i, lane, j, back):
+    """Entry (j, lane) of rows (n, sensors, LANES), of which i are there, `back` rows before the last: quadratically."""
+    at = max(0.0, i - back)
+    k = min(max(1, int(at + 0.5)), i - 1)
+    if i < 2:
+        return rows[0, j, lane]
+    u = at - k
+    left, middle, right = rows[k - 1, j, lane], rows[k, j, lane], rows[k + 1, j, lane]
+    return middle + 0.5 * u * (right - left) + 0.5 * u * u * (right - 2.0 * middle + left)
+
+
+def rollout(time, inputs, parameters, start, measured, gains, extra, longest_step, first, last, out, readings):
     """Simulate stages first*LANES .. last*LANES-1 over a recording.
 
     time (n,) s; inputs (1 or B, n, INPUTS) V, held until the next row; parameters (B, PARAMETERS); start
-    (B, 2 COORDINATES) travel and velocity; measured (n, sensors) or (0, 0) for a free run, NaN where not measured;
-    sensors (sensors, COORDINATES) acting on travel; gains (2 COORDINATES, sensors) of the output injection; extra
-    (1 or B, n, COORDINATES) N, held, where the kernel takes it; longest_step s; out (B, n, COORDINATES or twice).
+    (B, 2 COORDINATES) travel and velocity; measured (1 or B, n, SENSORS) or none for a free run, NaN where not
+    measured; gains (2 COORDINATES, SENSORS) of the output injection; extra (1 or B, n, COORDINATES) N, held, where the
+    kernel takes it; longest_step s; out (B, n, k) gets the first k rows of the state; readings (B, n, SENSORS), or none,
+    what the sensors show.
     """
-    S = np.zeros((2 * COORDINATES + 1, LANES))
+    S = np.zeros((STATES, LANES))
     P = np.zeros((PARAMETERS, LANES))
     C = np.zeros((DERIVED, LANES))
     D = np.zeros((INPUTS, LANES))
     W = np.zeros((COORDINATES, LANES))
+    R = np.zeros((SENSORS, LANES))
+    L = np.zeros((SENSORS, LANES))
     longest = 1
     for i in range(time.shape[0] - 1):
         longest = max(longest, int(np.ceil((time[i + 1] - time[i]) / longest_step - 1e-6)))
     U = np.zeros((INPUTS * longest if DELAYED else INPUTS, LANES))
-    stages = out.shape[0]
+    stages = parameters.shape[0]
     own_inputs = inputs.shape[0] > 1
     own_extra = extra.shape[0] > 1
     observed = measured.shape[0] > 0
+    own_measured = measured.shape[0] > 1
+    read = observed or readings.shape[0] > 0
+    past = np.zeros((time.shape[0] if LAGGED else 0, SENSORS, LANES))
     for block in range(first, last):
         # A block that is not full repeats its first stage in the lanes left over.
         for lane in range(LANES):
@@ -66,23 +83,40 @@ def rollout(time, inputs, parameters, start, measured, sensors, gains, extra, lo
             for k in range(2 * COORDINATES):
                 S[k, lane] = start[b, k]
             S[2 * COORDINATES, lane] = time[0]
+            for k in range(2 * COORDINATES + 1, STATES):
+                S[k, lane] = 0.0
         if DELAYED:
             delays(P, D)
+        if LAGGED:
+            lags(P, L)
         period = -1.0
         h = longest_step
         steps = 1
         for i in range(time.shape[0]):
-            for lane in range(min(LANES, stages - block * LANES)):
-                for k in range(out.shape[2]):
-                    out[block * LANES + lane, i, k] = S[k, lane]
-            if observed:
-                for j in range(measured.shape[1]):
-                    if np.isfinite(measured[i, j]):
+            own = min(LANES, stages - block * LANES)
+            if out.shape[0] > 0:
+                for lane in range(own):
+                    for k in range(out.shape[2]):
+                        out[block * LANES + lane, i, k] = S[k, lane]
+            if read:
+                read_sensors(S, P, R)
+                if LAGGED:
+                    past[i] = R
+                    late = max(1e-12, time[i] - time[max(0, i - 1)])
+                    for j in range(SENSORS):
                         for lane in range(LANES):
-                            reading = 0.0
-                            for k in range(COORDINATES):
-                                reading += sensors[j, k] * S[k, lane]
-                            D_j = measured[i, j] - reading
+                            if L[j, lane] > 0.0:
+                                R[j, lane] = interpolated(past, i, lane, j, L[j, lane] / late)
+            if readings.shape[0] > 0:
+                for lane in range(own):
+                    for j in range(SENSORS):
+                        readings[block * LANES + lane, i, j] = R[j, lane]
+            if observed:
+                for j in range(SENSORS):
+                    for lane in range(own):
+                        shown = measured[block * LANES + lane if own_measured else 0, i, j]
+                        if np.isfinite(shown):
+                            D_j = shown - R[j, lane]
                             for k in range(2 * COORDINATES):
                                 S[k, lane] += gains[k, j] * D_j
             if i + 1 == time.shape[0]:
@@ -124,7 +158,7 @@ def prepare_blocks(parameters, h, first, last, derived):
 def advance_blocks(state, parameters, derived, inputs, h, steps, first, last):
     """Advance blocks first..last-1 in place by `steps` steps of h with held inputs.
 
-    state (blocks, 2 COORDINATES + 1, LANES): travel, velocity, time; inputs (blocks, INPUTS, LANES) V, or one such set
+    state (blocks, STATES, LANES): travel, velocity, time, effects' own; inputs (blocks, INPUTS, LANES) V, or one such set
     for each step in (blocks, steps * INPUTS, LANES) where a drive is delayed.
     """
     W = np.zeros((COORDINATES, LANES))

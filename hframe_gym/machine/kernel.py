@@ -41,8 +41,8 @@ from hframe_gym.machine.lanes import align_stack
 from hframe_gym.machine.vector_math import cos, exp, maximum, minimum, sin
 
 compiled = njit(nogil=True, cache=True, error_model="numpy", boundscheck=False)
-COORDINATES, INPUTS, PARAMETERS, DERIVED = {sizes}
-DELAYED, FORCED = {delayed}, {forced}
+COORDINATES, STATES, INPUTS, SENSORS, PARAMETERS, DERIVED = {sizes}
+DELAYED, LAGGED, FORCED = {delayed}, {lagged}, {forced}
 
 '''
 _DRIVERS = (drivers.rollout, drivers.prepare_blocks, drivers.advance_blocks)
@@ -57,6 +57,7 @@ class Kernel:
     prepare_blocks: Callable[..., None]
     advance_blocks: Callable[..., None]
     delayed: bool
+    states: int
     source: str
 
 
@@ -80,8 +81,16 @@ def generate(machine: Machine, *, forced: bool = False) -> tuple[str, KernelSour
     source = KernelSource(machine, forced=forced)
     header = _HEADER.format(
         title=f"{len(machine.coordinates)} coordinates, {len(machine.belts)} belts, {len(machine.effects)} effects",
-        sizes=(len(machine.coordinates), len(machine.drives), len(source.parameters), len(source.derived)),
-        delayed=source.delayed,
+        sizes=(
+            len(machine.coordinates),
+            source.states,
+            len(machine.drives),
+            len(machine.sensors),
+            len(source.parameters),
+            len(source.derived),
+        ),
+        delayed=source.effects.delayed,
+        lagged=source.effects.lagged,
         forced=forced,
     )
     parts = [header]
@@ -89,10 +98,11 @@ def generate(machine: Machine, *, forced: bool = False) -> tuple[str, KernelSour
         for name in CONTRIBUTIONS:
             function = getattr(effect.definition, name)
             if function is not None:
-                text = inspect.getsource(function)
+                text = getattr(function, "text", None) or inspect.getsource(function)
                 parts.append("@inlined\n" + re.sub(r"^def \w+\(", f"def {name}_{k}(", text, count=1) + "\n")
     parts.append(source.text)
-    parts.append("\n@njit(nogil=True, error_model='numpy')\n" + inspect.getsource(drivers.held_mean))
+    for helper in (drivers.held_mean, drivers.interpolated):
+        parts.append("\n@njit(nogil=True, error_model='numpy')\n" + inspect.getsource(helper))
     parts += ["\n\n@compiled\n" + inspect.getsource(function) for function in _DRIVERS]
     return "\n".join(parts), source
 
@@ -138,7 +148,8 @@ def kernel_for(machine: Machine, *, forced: bool = False) -> Kernel:
             module.rollout,
             module.prepare_blocks,
             module.advance_blocks,
-            source.delayed,
+            source.effects.delayed,
+            source.states,
             str(module.__file__),
         )
     return _KERNELS[key]

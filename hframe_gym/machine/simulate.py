@@ -7,6 +7,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +22,7 @@ _BEYOND = 1e6  # m, rad, or that a second: no such stage, and no such number tra
 
 Array = NDArray[np.float64]
 _NOTHING = np.zeros((0, 0))
+_NO_SERIES = np.zeros((0, 0, 0))
 
 
 @dataclass(frozen=True)
@@ -78,7 +80,7 @@ def rest_state(machine: Machine, position: ArrayLike | None = None) -> Array:
     linear = [i for i, c in enumerate(machine.coordinates) if c.kind == "linear"]
     if position is not None:
         q[linear] = np.asarray(position, float)
-    rotary = [i for i in range(n) if i not in linear]
+    rotary = [i for i in range(n) if i not in linear and machine.coordinate_names[i] not in machine.sprung]
     if rotary and machine.belts:
         G = np.array([machine.row(b.extension) for b in machine.belts]) * machine.radii
         q[rotary] = np.linalg.lstsq(G[:, rotary], -G[:, linear] @ q[linear], rcond=None)[0]
@@ -96,7 +98,16 @@ def parameter_batch(machine: Machine, changes: dict[str, Array] | None = None) -
     return table
 
 
-def rollout(
+class Motion(NamedTuple):
+    """A batch over one time grid, own units: positions (B, n, coordinates), velocities the same, readings
+    (B, n, sensors); what was not asked for is empty."""
+
+    positions: Array
+    velocities: Array
+    readings: Array
+
+
+def respond(
     machine: Machine,
     time_s: Array,
     inputs: Array,
@@ -107,38 +118,41 @@ def rollout(
     measured: Array | None = None,
     gains: Array | None = None,
     longest_step: float = LONGEST_STEP,
-    velocities: bool = False,
+    states: bool = True,
+    readings: bool = True,
     parallel: bool = True,
-) -> Array:
-    """Positions (B, n, coordinates), with velocities behind them if asked, of a batch over one time grid.
+) -> Motion:
+    """The motion of a batch of machines of one shape.
 
     inputs (n, inputs) or (B, n, inputs), V; parameters (B, P) in the order of `Machine.parameters`; start (2 c,) or
-    (B, 2 c), own units; extra_force (n, c) or (B, n, c), N or Nm, held; measured (n, sensors) with gains
-    (2 c, sensors): output injection, state += gains @ (measured - reading) at every row, own units.  parallel: spread
-    blocks of lanes over threads (off where the caller spreads recordings).
+    (B, 2 c), own units; extra_force (n, c) or (B, n, c), N or Nm, held; measured (n, sensors) or (B, n, sensors) with
+    gains (2 c, sensors): output injection, state += gains @ (measured - reading) at every row, own units.  parallel:
+    spread blocks of lanes over threads (off where the caller spreads recordings).
     """
     kernel: Kernel = kernel_for(machine, forced=extra_force is not None)
     count = len(machine.coordinates)
     radii = machine.radii
-    inputs = np.ascontiguousarray(inputs if np.ndim(inputs) == 3 else np.asarray(inputs)[None], float)
+
+    def series(values: Array | None) -> Array:
+        if values is None:
+            return _NO_SERIES
+        return np.ascontiguousarray(values if np.ndim(values) == 3 else np.asarray(values)[None], float)
+
+    inputs, force, observed = series(inputs), series(extra_force), series(measured)
     parameters = parameter_batch(machine) if parameters is None else parameters
-    start = rest_state(machine) if start is None else start
-    start = np.atleast_2d(start)
-    force = np.zeros((1, 1, count)) if extra_force is None else np.asarray(extra_force)
-    force = force[None] if force.ndim == 2 else force
-    batch = max(len(inputs), len(parameters), len(start), len(force))
+    start = np.atleast_2d(rest_state(machine) if start is None else start)
+    batch = max(map(len, (inputs, parameters, start, force, observed)))
     parameters = np.ascontiguousarray(np.broadcast_to(parameters, (batch, parameters.shape[1])))
     travel = np.ascontiguousarray(np.broadcast_to(start * np.tile(radii, 2), (batch, 2 * count)))
-    out = np.empty((batch, len(time_s), count * (2 if velocities else 1)))
-    sensors = machine.sensor_matrix / radii if measured is not None else _NOTHING
+    force = np.ascontiguousarray(force / radii) if len(force) else np.zeros((1, 1, count))
     travel_gains = gains * np.tile(radii, 2)[:, None] if gains is not None else _NOTHING
-    observed = np.ascontiguousarray(measured, float) if measured is not None else _NOTHING
-    force = np.ascontiguousarray(force / radii, float)
     grid = np.ascontiguousarray(time_s, float)
+    out = np.empty((batch, len(grid), 2 * count)) if states else _NO_SERIES
+    shown = np.empty((batch, len(grid), len(machine.sensors))) if readings else _NO_SERIES
 
     def run(first: int, last: int) -> None:
         kernel.rollout(
-            grid, inputs, parameters, travel, observed, sensors, travel_gains, force, longest_step, first, last, out
+            grid, inputs, parameters, travel, observed, travel_gains, force, longest_step, first, last, out, shown
         )
 
     blocks = -(-batch // LANES)
@@ -146,8 +160,15 @@ def rollout(
         in_parallel(run, blocks)
     else:
         run(0, blocks)
-    out /= np.tile(radii, 2 if velocities else 1)
-    return out
+    if states:
+        out /= np.tile(radii, 2)
+    return Motion(out[..., :count], out[..., count:], shown)
+
+
+def rollout(machine: Machine, time_s: Array, inputs: Array, *, velocities: bool = False, **options: Any) -> Array:
+    """Positions (B, n, coordinates), with velocities behind them if asked; options as of `respond`."""
+    motion = respond(machine, time_s, inputs, readings=False, **options)
+    return np.concatenate(motion[:2], axis=2) if velocities else motion.positions
 
 
 def simulate(
@@ -177,15 +198,13 @@ def simulate(
         row, column = map(int, np.argwhere(~np.isfinite(voltages))[0])
         raise ValueError(f"inputs: row {row}, {machine.input_channels[column]} is {voltages[row, column]}")
     start = None if initial is None else np.asarray(initial, float)
-    out = rollout(machine, grid, voltages, start=start, longest_step=longest_step, velocities=True)[0]
-    wild = ~(np.abs(out) < _BEYOND)
+    motion = respond(machine, grid, voltages, start=start, longest_step=longest_step)
+    wild = ~(np.abs(np.concatenate(motion, axis=2)[0]) < _BEYOND)
     if wild.any():
         row = int(np.argwhere(wild)[0][0])
         raise NotFiniteError(
             f"machine {machine.name!r}: the motion leaves all bounds at t = {grid[row]:g} s; "
             f"is it stiffer than steps of {longest_step:g} s can follow?"
         )
-    count = len(machine.coordinates)
-    positions, velocities = out[:, :count], out[:, count:]
-    outputs = positions @ machine.sensor_matrix.T + np.asarray(offset, float)
-    return Trajectory(grid, positions, velocities, outputs, machine.output_channels)
+    outputs = motion.readings[0] + np.asarray(offset, float)
+    return Trajectory(grid, motion.positions[0], motion.velocities[0], outputs, machine.output_channels)

@@ -38,6 +38,7 @@ UNITS: dict[Kind, dict[str, str]] = {
         "viscous": "Ns/m",
         "stiffness": "N/m",
         "drag": "Ns^2/m^2",
+        "rad/position": "rad/m",
     },
     "rotary": {
         "position": "rad",
@@ -47,6 +48,7 @@ UNITS: dict[Kind, dict[str, str]] = {
         "viscous": "Nms",
         "stiffness": "Nm/rad",
         "drag": "Nms^2",
+        "rad/position": "1",
     },
 }
 
@@ -118,6 +120,7 @@ class Drive:
 class Sensor:
     """A measured channel: reading = sum(row[c] * position[c]), in the coordinates' own units.
 
+    A row's key may be a product, "y*yaw": the reading then has that coefficient times both positions.
     noise: standard deviation; resolution: quantum (0: none); both in the channel's unit.
     """
 
@@ -125,6 +128,11 @@ class Sensor:
     row: Row
     noise: float = 0.0
     resolution: float = 0.0
+
+    @property
+    def coordinate(self) -> str:
+        """The coordinate that it measures above all."""
+        return max((c for c in self.row if "*" not in c), key=lambda c: abs(self.row[c]))
 
 
 @dataclass(frozen=True)
@@ -161,7 +169,11 @@ FIXED_UNITS = {
 
 @dataclass(frozen=True)
 class Machine:
-    """The stage.  Build one from the built-in names or a file with `hframe_gym.load_machine`."""
+    """The stage.  Build one from the built-in names or a file with `hframe_gym.load_machine`.
+
+    ties: numbers of the tables that are no parameters of their own but a factor times one, by full name, e.g.
+    {"phi3.radius": ("phi1.radius", 1.0)}: what a structural effect adds hangs on its parameters.
+    """
 
     name: str
     coordinates: tuple[Coordinate, ...]
@@ -171,6 +183,7 @@ class Machine:
     effects: tuple[AppliedEffect, ...] = ()
     uncertainty: Uncertainty | None = None
     description: str = ""
+    ties: Mapping[str, tuple[str, float]] = field(default_factory=dict)
 
     @cached_property
     def coordinate_names(self) -> tuple[str, ...]:
@@ -191,14 +204,16 @@ class Machine:
             tuple((c.name, c.kind) for c in self.coordinates),
             tuple((b.name, tuple(b.extension.items()), tuple(b.length.items())) for b in self.belts),
             tuple((d.name, d.coordinate) for d in self.drives),
+            tuple((s.channel, tuple(s.row.items())) for s in self.sensors),
             tuple((e.definition, e.site) for e in self.effects),
+            tuple(self.ties.items()),
         )
 
     def coordinate(self, name: str) -> Coordinate:
         return self.coordinates[self.coordinate_names.index(name)]
 
     def row(self, row: Row) -> NDArray[np.float64]:
-        """A row over names as an array over all coordinates, shape (n,)."""
+        """A row over names as an array over all coordinates, shape (n,); products have no place in it."""
         return np.array([row.get(name, 0.0) for name in self.coordinate_names])
 
     @cached_property
@@ -208,8 +223,32 @@ class Machine:
 
     @cached_property
     def sensor_matrix(self) -> NDArray[np.float64]:
-        """C of reading = C q, shape (sensors, coordinates)."""
+        """C of reading = C q, shape (sensors, coordinates), without products and effects."""
         return np.array([self.row(s.row) for s in self.sensors])
+
+    def drive(self, name: str) -> Drive:
+        return next(d for d in self.drives if d.name == name)
+
+    def sensor(self, channel: str) -> Sensor:
+        return next(s for s in self.sensors if s.channel == channel)
+
+    def site_coordinate(self, site: str) -> str | None:
+        """The coordinate of a site: itself, the drive's, or the one that the sensor measures; None for wider sites."""
+        if site in self.coordinate_names:
+            return site
+        by_drive = {d.name: d.coordinate for d in self.drives}
+        by_sensor = {s.channel: s.coordinate for s in self.sensors}
+        return (by_drive | by_sensor).get(site)
+
+    @cached_property
+    def sprung(self) -> tuple[str, ...]:
+        """Coordinates with a spring of their own, which an effect added: zero at rest."""
+        return tuple(e.definition.coordinate for e in self.effects if e.definition.coordinate)
+
+    def across(self, coordinate: str) -> str | None:
+        """The other linear coordinate, where there are just two."""
+        others = [c.name for c in self.coordinates if c.kind == "linear" and c.name != coordinate]
+        return others[0] if len(others) == 1 else None
 
     @cached_property
     def parameters(self) -> dict[str, float]:
@@ -217,7 +256,8 @@ class Machine:
         values: dict[str, float] = {}
         tables: tuple[Any, ...] = (*self.coordinates, *self.belts, *self.drives)
         for item in tables:
-            values |= {f"{item.name}.{key}": getattr(item, key) for key in PARAMETERS[type(item)]}
+            names = {key: f"{item.name}.{key}" for key in PARAMETERS[type(item)]}
+            values |= {name: getattr(item, key) for key, name in names.items() if name not in self.ties}
         for e in self.effects:
             values |= {f"{e.label}.{key}": value for key, value in e.parameters.items()}
         return values
@@ -235,9 +275,8 @@ class Machine:
     def effect_unit(self, effect: AppliedEffect, key: str) -> str:
         """The unit of an effect's parameter at its site (a friction level is N at x and Nm at a motor)."""
         unit = effect.definition.parameter(key).unit
-        if effect.site in self.coordinate_names:
-            return UNITS[self.coordinate(effect.site).kind].get(unit, unit)
-        return unit
+        coordinate = self.site_coordinate(effect.site)
+        return UNITS[self.coordinate(coordinate).kind].get(unit, unit) if coordinate else unit
 
     def replace(self, values: Mapping[str, float] | None = None, **fields: object) -> Machine:
         """This machine with other parameter values (by full name) and other fields.
@@ -248,6 +287,7 @@ class Machine:
         unknown = sorted(set(values) - set(self.parameters))
         if unknown:
             raise KeyError(f"machine {self.name!r} has no parameter {', '.join(unknown)}")
+        values |= {tied: factor * values[name] for tied, (name, factor) in self.ties.items() if name in values}
 
         def changed(item: Any) -> Any:
             own = {k.rpartition(".")[2]: v for k, v in values.items() if k.rpartition(".")[0] == item.name}
@@ -272,5 +312,10 @@ class Machine:
         return simulate(self, time_s, inputs, initial)
 
     def with_effects(self, *effects: AppliedEffect) -> Machine:
-        """This machine with more effects."""
-        return dataclasses.replace(self, effects=(*self.effects, *effects))
+        """This machine with more effects; structural ones change its tables."""
+        machine = self
+        for e in effects:
+            machine = dataclasses.replace(machine, effects=(*machine.effects, e))
+            if e.definition.structure:
+                machine = e.definition.structure(machine, e)
+        return machine

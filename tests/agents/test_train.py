@@ -1,49 +1,108 @@
-"""Training end to end, small: recipes, files, resume, and that a little training already helps."""
+"""Training end to end, small: recipes, files, a kill and what resumes after it, and that a little training already helps."""
 
 import json
+import os
+import signal
+import subprocess
+import sys
+import time
 
 import numpy as np
 import pytest
 from hframe_gym.agents.agent import Agent
 from hframe_gym.agents.recipe import load_recipe
-from hframe_gym.agents.train import evaluate, train
+from hframe_gym.agents.score import judge
+from hframe_gym.agents.train import train
 
 from hframe_gym.env import HFrameVectorEnv
+from hframe_gym.evaluate import Trial
 from hframe_gym.machine import BUILTIN
 
 
+def silent(line):
+    pass
+
+
 def test_recipes_are_listed_when_one_is_missing():
-    with pytest.raises(ValueError, match="ppo on reach, sac on reach"):
+    with pytest.raises(ValueError, match="ppo on reach, residual on reach, sac on reach, sac_her on reach"):
         load_recipe("ppo", "juggle")
 
 
-def test_ppo_learns_saves_and_resumes(tmp_path):
+def test_ppo_learns_and_is_read_back_as_it_was(tmp_path):
     lines = []
-    score = train("ppo", steps=100_000, out=tmp_path, say=lines.append)
-    machine = BUILTIN["hframe"]()
+    card = train("ppo", steps=150_000, out=tmp_path, say=lines.append)
+    first, last = card["curve"][0], card["curve"][-1]
+    assert last["settling_s_1mm"] < first["settling_s_1mm"]
+    assert len(lines) == len(card["curve"]) > 5
+    assert json.loads((tmp_path / "card.json").read_text()) == card
+    trial = Trial(randomize="default", episodes=256, seed=1_000_000)
+    assert judge(Agent.load(tmp_path), trial).items() <= last.items()
+
+
+def test_same_seed_same_agent(tmp_path):
+    weights = []
+    for name in ("a", "b"):
+        train("residual", steps=8192, seed=3, out=tmp_path / name, say=silent)
+        weights.append((tmp_path / name / "policy.safetensors").read_bytes())
+    assert weights[0] == weights[1]
+
+
+def test_untrained_residual_is_nearly_its_base(tmp_path):
+    train("residual", steps=1, out=tmp_path, say=silent)
     agent = Agent.load(tmp_path)
-    start = Agent(agent.policy.__class__(**agent.policy._get_constructor_parameters()), agent.card)
-    assert score["median_mm"] < 0.8 * evaluate(start, machine, "reach", "default")["median_mm"]
-    # The agent read back is the agent that was scored.
-    assert evaluate(agent, machine, "reach", "default") == score
-    assert json.loads((tmp_path / "agent.json").read_text())["steps"] >= 100_000
-    assert len(lines) > 5
-
-    train("ppo", steps=104_000, out=tmp_path, resume=True, say=lines.append)
-    assert json.loads((tmp_path / "agent.json").read_text())["steps"] >= 104_000
+    envs = HFrameVectorEnv(6)
+    observation, _ = envs.reset(seed=0)
+    base = agent.actuation.base.__class__(BUILTIN["hframe"](), 0.01)
+    assert np.abs(agent.act(observation) - base.act(observation)).max() < 0.2
 
 
-def test_agent_acts_on_batches(tmp_path):
-    train("sac", steps=400, out=tmp_path, say=lambda line: None)
-    observation, _ = HFrameVectorEnv(5).reset(seed=0)
-    actions = Agent.load(tmp_path).act(observation)
-    assert actions.shape == (5, 2)
-    assert np.abs(actions).max() <= 1.0
+def test_agent_forgets_on_reset(tmp_path):
+    train("ppo", steps=1, out=tmp_path, say=silent)
+    agent = Agent.load(tmp_path)
+    envs = HFrameVectorEnv(5)
+    observation, _ = envs.reset(seed=0)
+    first = agent.act(observation)
+    moved = envs.step(first)[0]
+    assert np.abs(agent.act(moved)).max() <= 1.0
+    mask = np.array([True, False, True, False, False])
+    agent.reset(mask)
+    again = agent.act(observation)
+    assert np.array_equal(again[mask], first[mask])
+    agent.reset()
+    assert np.array_equal(agent.act(observation), first)
+
+
+def test_machine_that_is_no_builtin_comes_back_whole(tmp_path):
+    machine = BUILTIN["hframe"]()
+    heavier = machine.replace({"x.mass": 1.5 * machine.parameters["x.mass"]})
+    train("ppo", heavier, steps=1, out=tmp_path, say=silent)
+    assert Agent.load(tmp_path).machine.parameters == heavier.parameters
+
+
+def test_resume_after_a_kill(tmp_path):
+    code = "import sys; from hframe_gym.agents import train; train('sac', steps=60_000, out=sys.argv[1])"
+    with subprocess.Popen([sys.executable, "-c", code, str(tmp_path)], stdout=subprocess.DEVNULL) as running:
+        deadline = time.monotonic() + 120.0
+        while not (tmp_path / "card.json").exists() and time.monotonic() < deadline and running.poll() is None:
+            time.sleep(0.05)
+        os.kill(running.pid, signal.SIGKILL)
+    before = json.loads((tmp_path / "card.json").read_text())["curve"]
+    Agent.load(tmp_path)
+    steps = before[-1]["steps"] + 320
+    card = train("sac", steps=steps, out=tmp_path, resume=True, say=silent)
+    assert card["curve"][: len(before)] == before
+    assert card["curve"][-1]["steps"] >= steps
 
 
 def test_nothing_to_resume_is_said(tmp_path):
     with pytest.raises(ValueError, match="nothing to resume"):
         train("ppo", steps=10, out=tmp_path, resume=True)
+
+
+def test_other_runs_are_not_resumed(tmp_path):
+    train("ppo", steps=1, out=tmp_path, say=silent)
+    with pytest.raises(ValueError, match=r"holds a run of ppo_reach with seed 0, not of ppo_reach with seed 1"):
+        train("ppo", steps=10, seed=1, out=tmp_path, resume=True)
 
 
 def test_folder_without_an_agent_is_refused(tmp_path):

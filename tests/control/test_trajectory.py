@@ -37,7 +37,7 @@ def test_replanning_follows_the_reference(pid: ModelPID) -> None:
     goal = np.array([[0.0, 0.0]])
     error = model.goal_state(np.array([[-0.2, 0.1]]))
     least = np.array([pid.transfers.shortest])
-    A, B = model.discretise(goal[0], pid.period)
+    A, B, _ = model.discretise(goal[0], pid.period)
     first = pid.transfers.choose(error, goal, LIMITS, least)
     second = pid.transfers.choose(error @ A.T + first.volts @ B.T, goal, LIMITS, least)
     assert second.periods[0] == first.periods[0] - 1

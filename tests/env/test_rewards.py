@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from hframe_gym.env import HFrameEnv, HFrameVectorEnv
-from hframe_gym.env.rewards import as_reward, dense
+from hframe_gym.env.rewards import as_reward
 
 
 def line(distances):
     achieved = np.zeros((len(distances), 2), np.float32)
     achieved[:, 0] = distances
-    return dense(achieved, np.zeros_like(achieved))
+    return as_reward("dense", 1e-3)(achieved, np.zeros_like(achieved))
 
 
 def test_dense_pays_for_every_halving():

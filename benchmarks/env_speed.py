@@ -1,0 +1,193 @@
+"""How fast the environment is: beside EnvPool's and gymnasium's Pendulum-v1, its bare kernel, and its resets.
+
+    python -m benchmarks.env_speed
+
+Everything compared runs in this one process, alternating, with random actions drawn before the clock starts; a ratio is
+the median over repetitions, its spread their extremes.
+"""
+
+from __future__ import annotations
+
+import gc
+import time
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+import hframe_gym  # noqa: F401  registers the environment
+from benchmarks.results_file import write_results
+from benchmarks.throughput import interleaved
+from hframe_gym.env import HFrameVectorEnv
+from hframe_gym.machine.simulate import in_parallel, threads
+
+SEED, ENVS, STEPS, REPEATS = 3, 4096, 150, 11  # STEPS: an episode, so every run has each environment's reset in it
+OPTIONS: dict[str, dict[str, Any]] = {
+    "default": {},
+    "integration step 0.25 ms": {"longest_step": 0.25e-3},
+    "wide randomisation": {"randomize": "wide"},
+    "sensors and drives of the rig": {"sensors": "rig", "drives": "rig"},
+    "task track": {"task": "track"},
+}
+
+
+def seconds(run: Callable[[], object]) -> float:
+    gc.collect()
+    begin = time.perf_counter()
+    run()
+    return time.perf_counter() - begin
+
+
+class Vector:
+    """The vector environment under random actions."""
+
+    def __init__(self, count: int, **options: Any) -> None:
+        self.envs = HFrameVectorEnv(count, **{"randomize": "default", **options})
+        self.envs.reset(seed=SEED)
+        self.actions = np.random.default_rng(SEED).uniform(-1, 1, (STEPS, count, 2)).astype(np.float32)
+        # From an episode's middle, so that stages are spread as they are on average.
+        for action in self.actions[: STEPS // 2]:
+            self.envs.step(action)
+
+    def rate(self) -> float:
+        """Environment steps a second."""
+
+        def run() -> None:
+            for action in self.actions:
+                self.envs.step(action)
+
+        return len(self.actions) * self.envs.num_envs / seconds(run)
+
+    def kernel_rate(self) -> float:
+        """The same by the kernel alone: one call of `advance_blocks` a thread and step, states put back between."""
+        stages = self.envs.batch.stages
+        state = stages.state.copy()
+
+        def advance(first: int, last: int) -> None:
+            stages._kernel.advance_blocks(
+                state, stages.parameters, stages.derived, stages.inputs, stages.h, stages.steps, first, last
+            )
+
+        spent = 0.0
+        for _ in self.actions:
+            state[:] = stages.state
+            begin = time.perf_counter()
+            in_parallel(advance, stages.blocks)
+            spent += time.perf_counter() - begin
+        return len(self.actions) * self.envs.num_envs / spent
+
+
+def envpool_rate() -> Callable[[], float]:
+    """Steps a second of EnvPool's Pendulum-v1 with as many environments and threads."""
+    import envpool
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        pool = envpool.make("Pendulum-v1", env_type="gymnasium", num_envs=ENVS, num_threads=threads(), seed=SEED)
+    actions = np.random.default_rng(SEED).uniform(-2, 2, (STEPS, ENVS, 1)).astype(np.float32)
+    pool.reset()
+
+    def rate() -> float:
+        def run() -> None:
+            for action in actions:
+                pool.step(action)
+
+        return STEPS * ENVS / seconds(run)
+
+    return rate
+
+
+def single_rate(name: str, size: int, steps: int = 3000) -> Callable[[], float]:
+    """Steps a second of a single environment as `gym.make` gives it, resets included."""
+    env = gym.make(name)
+    env.reset(seed=SEED)
+    limit = float(env.action_space.high[0])  # type: ignore[attr-defined]
+    actions = np.random.default_rng(SEED).uniform(-limit, limit, (steps, size)).astype(np.float32)
+
+    def rate() -> float:
+        def run() -> None:
+            for action in actions:
+                _, _, terminated, truncated, _ = env.step(action)
+                if terminated or truncated:
+                    env.reset()
+
+        return steps / seconds(run)
+
+    return rate
+
+
+def resets(count: int) -> dict[str, float]:
+    """Microseconds of a reset: of one environment among count, one with its whole observation, and all, each."""
+    envs = HFrameVectorEnv(count, randomize="default", autoreset_mode="Disabled")
+    envs.reset(seed=SEED)
+    one = np.array([count // 2])
+    mask = np.zeros(count, np.bool_)
+    mask[one] = True
+
+    def median(run: Callable[[], object], repeats: int) -> float:
+        run()
+        return float(np.median([seconds(run) for _ in range(repeats)])) * 1e6
+
+    return {
+        "one_us": median(lambda: envs.batch.reset(one), 101),
+        "one_through_reset_us": median(lambda: envs.reset(options={"reset_mask": mask}), 101),
+        "all_us_per_environment": median(lambda: envs.batch.reset(np.arange(count)), 7) / count,
+    }
+
+
+def main() -> None:
+    console = Console(width=130)
+    content: dict[str, Any] = {"environments": ENVS, "threads": threads()}
+
+    def show(title: str, ratio: Any, ours: str, theirs: str) -> dict[str, Any]:
+        r = ratio.report()
+        low, high = r["spread"]
+        table.add_row(
+            title,
+            f"{ours} {r['ours_steps_per_s']:.3g}",
+            f"{theirs} {r['theirs_steps_per_s']:.3g}",
+            f"{r['ratio']:.3g}",
+            f"{low:.3g} - {high:.3g}",
+        )
+        return r
+
+    table = Table(title=f"Environment steps a second, medians of {REPEATS} alternating runs, {threads()} threads")
+    for column in ("what", "ours", "theirs", "ratio", "spread"):
+        table.add_column(column)
+    pool = envpool_rate()
+    for name, options in OPTIONS.items():
+        vector = Vector(ENVS, **options)
+        repeats = REPEATS if name == "default" else 5
+        content[f"over EnvPool's Pendulum: {name}"] = show(
+            f"{ENVS} environments, {name}", interleaved(vector.rate, pool, repeats), "HFrame", "EnvPool Pendulum"
+        )
+        if "sensors" not in options:
+            content[f"share of the bare kernel: {name}"] = show(
+                "  of which the bare kernel (share of time)",
+                interleaved(vector.rate, vector.kernel_rate, repeats),
+                "HFrame",
+                "kernel",
+            )
+    content["single over gymnasium's Pendulum"] = show(
+        "one environment, gym.make",
+        interleaved(single_rate("HFrame-v0", 2), single_rate("Pendulum-v1", 1), REPEATS),
+        "HFrame",
+        "gymnasium Pendulum",
+    )
+    console.print(table)
+    table = Table(title="Microseconds of a reset, default randomisation")
+    for column in ("environments", "one of them", "one, with everybody's observation", "all, each"):
+        table.add_column(column, justify="right")
+    for count in (64, 1024, 4096, 16384):
+        row = content[f"reset among {count}"] = resets(count)
+        table.add_row(str(count), *(f"{value:.3g}" for value in row.values()))
+    console.print(table)
+    write_results("env_speed", content, seed=SEED)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,66 @@
+"""Does the environment teach an agent from the sparse reward?  SAC with hindsight on `reach`, 0 within 5 mm, else -1.
+
+    python -m benchmarks.her [--seeds 3]
+
+Trains by the recipe sac_her_reach, then judges on draws that no training saw: the share within 5 mm at the end and
+staying there.  The bar is 90 %.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from typing import Any
+
+import numpy as np
+from hframe_gym.agents import train
+from hframe_gym.agents.agent import Agent
+
+from hframe_gym.evaluate import Trial, rollout
+from hframe_gym.evaluate.scorecard import settling
+
+from .results_file import write_results
+
+BAND = 5e-3  # m, of the recipe's reward
+BAR = 0.9
+EPISODES = 512
+JUDGING_SEED = 0
+
+
+def one(seed: int) -> dict[str, Any]:
+    """Train with a seed and judge."""
+    with tempfile.TemporaryDirectory() as folder:
+        card = train("sac_her", seed=seed, out=folder)
+        agent = Agent.load(folder)
+    run = rollout(agent, Trial(episodes=EPISODES, seed=JUDGING_SEED))
+    error = np.linalg.norm(run.position - run.goal, axis=2)
+    times, success = settling(error, run.time_s, BAND)
+    last = card["curve"][-1]
+    first = next((row for row in card["curve"] if row["success"] > BAR), None)
+    return {
+        "seed": seed,
+        "success_5mm": float(success.mean()),
+        "settling_s_5mm": float(times.mean()),
+        "final_error_mm": {"median": float(1e3 * np.median(error[:, -1])), "max": float(1e3 * error[:, -1].max())},
+        "steps": last["steps"],
+        "seconds": last["seconds"],
+        "cpu_s": last["cpu_s"],
+        "steps_to_bar": first and first["steps"],
+        "settings": card["settings"],
+        "curve": card["curve"],
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=3)
+    runs: list[dict[str, Any]] = []
+    for seed in range(parser.parse_args().seeds):
+        runs.append(one(seed))
+        print({k: v for k, v in runs[-1].items() if k not in ("curve", "settings")}, flush=True)
+        # After each: a long job that is stopped leaves what it had.
+        write_results("her", {"bar": BAR, "episodes": EPISODES, "runs": runs}, seed=JUDGING_SEED)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,70 @@
+"""The identification benchmark in three pictures: counts by set, error before and after, time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+
+from benchmarks.scoring import SCORES
+
+FIGURES = Path(__file__).parents[1] / "docs" / "figures"
+COLOURS = dict(zip(SCORES, ("#3b7d4f", "#c9c9c9", "#9fc2a8", "#e0b04c", "#c4513d", "#7a1f12"), strict=True))
+_LEAST_UM = 0.05  # lower errors are drawn here
+
+
+def draw(rows: list[dict[str, Any]]) -> None:
+    """Write the figures for these rows."""
+    FIGURES.mkdir(parents=True, exist_ok=True)
+    _counts(rows, FIGURES / "identification_hits.png")
+    _errors(rows, FIGURES / "identification_errors.png")
+    _time(rows, FIGURES / "identification_time.png")
+
+
+def _counts(rows: list[dict[str, Any]], path: Path) -> None:
+    groups = list(dict.fromkeys(r["group"] for r in rows))
+    figure, axes = plt.subplots(figsize=(7, 0.45 * len(groups) + 1.2), layout="constrained")
+    left = np.zeros(len(groups))
+    for score in SCORES:
+        counts = np.array([sum(r["group"] == g and r["score"] == score for r in rows) for g in groups])
+        axes.barh(groups, counts, left=left, color=COLOURS[score], label=score)
+        left += counts
+    axes.invert_yaxis()
+    axes.set_xlabel("rigs")
+    axes.legend(ncols=len(SCORES), fontsize=7, loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False)
+    _save(figure, path)
+
+
+def _errors(rows: list[dict[str, Any]], path: Path) -> None:
+    figure, axes = plt.subplots(figsize=(5, 4.5), layout="constrained")
+    for score in SCORES:
+        some = [r["truth_um"] for r in rows if r["score"] == score]
+        if some:
+            before, after = (np.maximum([e[k] for e in some], _LEAST_UM) for k in ("before", "after"))
+            axes.loglog(before, after, "o", ms=4, color=COLOURS[score], label=score)
+    ends = np.array([_LEAST_UM, 1e4])
+    axes.loglog(ends, ends, color="0.7", lw=0.8)
+    axes.axhline(20.0, color="0.7", lw=0.8, ls="--")
+    axes.text(_LEAST_UM, 22.0, " laser noise", fontsize=7, color="0.4")
+    axes.set_xlabel("tool error of the refitted declared machine, um rms")
+    axes.set_ylabel("with the effects found, um rms")
+    axes.legend(fontsize=7)
+    _save(figure, path)
+
+
+def _time(rows: list[dict[str, Any]], path: Path) -> None:
+    figure, axes = plt.subplots(figsize=(5, 3), layout="constrained")
+    axes.hist([r["seconds"] for r in rows], bins=30, color="#3b7d4f")
+    axes.set_xlabel("identification of one rig, s")
+    axes.set_ylabel("rigs")
+    _save(figure, path)
+
+
+def _save(figure: Any, path: Path) -> None:
+    figure.savefig(path, dpi=150, metadata={"Software": None})
+    plt.close(figure)

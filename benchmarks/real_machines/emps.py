@@ -1,0 +1,74 @@
+"""EMPS, a ball-screw axis under a known controller: one coordinate, judged by the force of its inverse dynamics."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+from benchmarks.real_machines.study import (
+    MACHINES,
+    by_stage,
+    data_folder,
+    picture,
+    show,
+    show_effects,
+    write_recording,
+)
+from benchmarks.results_file import write_results
+from hframe_gym.effects import LIBRARY
+from hframe_gym.files import load_machine, read_recordings
+from hframe_gym.identify import identify
+from hframe_gym.identify.residual import force_error, smooth_force_residual
+from hframe_gym.machine import Machine
+
+# Janot et al. 2019: textbook friction and an offset, least squares on the first record.
+PUBLISHED = {"train": 0.04083, "test": 0.05982}
+PUBLISHED_OFFSET = -3.165  # N, on the side of the inertia: a force of the opposite sign
+RECORDS = ("emps_train", "emps_test_pulses")
+
+
+def convert(source: Path, target: Path) -> None:
+    """Both records in the recordings' format: time_s, v_V, x_m."""
+    for name in RECORDS:
+        table = np.genfromtxt(source / f"{name}.csv", delimiter=",", names=True)
+        columns = {"time_s": table["t_s"], "v_V": table["vir_V"], "x_m": table["qm_meas_m"]}
+        write_recording(target / f"{name}.csv", columns)
+
+
+def run(console: Console) -> None:
+    """Relative force error of both records: published, declared, before and after."""
+    source = data_folder("emps", console)
+    if source is None:
+        return
+    machine = load_machine(MACHINES / "emps.json")
+    with tempfile.TemporaryDirectory() as folder:
+        convert(source, Path(folder))
+        recordings = read_recordings(folder, machine)
+    answer = identify(recordings, machine, held_out=("emps_test_pulses",), say=console.print)
+
+    def judge(m: Machine) -> dict[str, float]:
+        return {
+            "train": float(force_error(m, answer.fitted) or np.nan),
+            "test": float(force_error(m, answer.held_out) or np.nan),
+        }
+
+    textbook = machine.with_effects(LIBRARY["constant_force"].at("x", size=-PUBLISHED_OFFSET))
+    stages = by_stage(answer, judge)
+    errors = {"published": PUBLISHED, "declared (textbook friction, no offset)": stages.pop("declared")}
+    errors |= {"declared with the published offset": judge(textbook)} | stages
+    show("EMPS, relative force error", "%", {k: {n: 100 * v for n, v in e.items()} for k, e in errors.items()}, console)
+    show_effects(answer, console)
+    test = answer.held_out.runs[0]
+    after = {"before": answer.before.machine, "after": answer.after.machine}
+    panels = [
+        (
+            "force not explained, N",
+            test.time_s,
+            {k: smooth_force_residual(m, test, answer.held_out)[:, 0] for k, m in after.items()},
+        )
+    ]
+    picture("emps", "EMPS, held-out record: force that the model lacks", panels, console)
+    write_results("real_machines_emps", {"force_error": errors, "answer": answer.as_json()}, seed=None)

@@ -1,0 +1,106 @@
+"""What the studies share: where data lie, recordings written, an answer shown, stages judged, pictures."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+from hframe_gym.atomic import whole_file
+from hframe_gym.identify import Answer
+from hframe_gym.machine import Machine
+
+Array = NDArray[np.float64]
+
+ROOT = Path(__file__).parents[2]
+MACHINES = ROOT / "benchmarks" / "machines"
+FIGURES = ROOT / "docs" / "figures"
+
+
+def data_folder(name: str, console: Console) -> Path | None:
+    """The folder of a machine's data, under $HFRAME_DATA or ../shared/data; None, and said, where it is not there."""
+    base = Path(os.environ.get("HFRAME_DATA") or ROOT.parent / "shared" / "data")
+    if (base / name).is_dir():
+        return base / name
+    console.print(f"{name}: skipped, no folder {name} in $HFRAME_DATA (docs/real_machines.md tells where to get it)")
+    return None
+
+
+def write_recording(path: Path, columns: Mapping[str, Array]) -> None:
+    """A recording by column names, whole."""
+    table = np.column_stack(list(columns.values()))
+    with whole_file(path) as temporary:
+        np.savetxt(temporary, table, fmt="%.9g", delimiter=",", header=",".join(columns), comments="")
+
+
+def machines_of(answer: Answer) -> dict[str, Machine]:
+    """The machines of an answer's three stages, as tables name them."""
+    return {
+        "declared": answer.declared.machine,
+        "before: refitted": answer.before.machine,
+        "after: with the effects found": answer.after.machine,
+    }
+
+
+def show(title: str, unit: str, errors: Mapping[str, Mapping[str, float]], console: Console) -> None:
+    """Errors by stage and record set as a table."""
+    columns = list(next(iter(errors.values())))
+    table = Table(title, *columns)
+    for stage, values in errors.items():
+        table.add_row(stage, *(f"{values[c]:.4g} {unit}" if np.isfinite(values[c]) else "-" for c in columns))
+    console.print(table)
+
+
+def show_effects(answer: Answer, console: Console) -> None:
+    """The verdict, the effects found with how sure they are, or what the residual follows."""
+    report = answer.as_json()
+    table = Table("effect", "parameter", "value", "std", "unit", "held-out gain", "rivals")
+    for e in report["effects"]:
+        for key, p in e["parameters"].items():
+            std = "-" if p["std"] is None else f"{p['std']:.2g}"
+            gain = f"{e['held_out_gain']:.3f}"
+            table.add_row(
+                f"{e['name']}@{e['site']}", key, f"{p['value']:.4g}", std, p["unit"], gain, ", ".join(e["rivals"])
+            )
+    if report["effects"]:
+        console.print(table)
+    follows = ", ".join(f"{d['variable']} {100 * d['share']:.0f} %" for d in report["residual"]["depends_on"][:4])
+    console.print(
+        f"verdict {report['verdict']} in {report['seconds']:.1f} s; the residual force before followed: {follows}"
+    )
+
+
+def picture(
+    name: str,
+    title: str,
+    panels: Sequence[tuple[str, Array, Mapping[str, Array]]],
+    console: Console,
+    abscissa: str = "s",
+) -> None:
+    """Curves, one panel each (label, abscissa, curves by name), into docs/figures/real_NAME.png."""
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        console.print("no picture: it needs the extra `report`")
+        return
+    figure = Figure(figsize=(9, 2.4 * len(panels)), layout="constrained")
+    axes = figure.subplots(len(panels), 1, squeeze=False)[:, 0]
+    for axis, (label, time_s, curves) in zip(axes, panels, strict=True):
+        for curve, values in curves.items():
+            axis.plot(time_s, values, label=curve, linewidth=0.9)
+        axis.set_ylabel(label)
+        axis.legend(fontsize=7, ncols=len(curves))
+    axes[-1].set_xlabel(abscissa)
+    figure.suptitle(title, fontsize=10)
+    with whole_file(FIGURES / f"real_{name}.png") as temporary:
+        figure.savefig(temporary, dpi=110)
+
+
+def by_stage(answer: Answer, judge: Callable[[Machine], dict[str, float]]) -> dict[str, dict[str, float]]:
+    """A judge's numbers for each stage of an answer."""
+    return {stage: judge(machine) for stage, machine in machines_of(answer).items()}

@@ -1,0 +1,96 @@
+"""XL330 servo with a pendulum (Rhoban's BAM logs): one rotary coordinate, driven through its own position loop.
+
+    python -m benchmarks.real_machines.xl330       # writes examples/xl330 from the logs
+
+The loop needs no model: its output is logged.  `load` is proportional to goal minus position (254 a rad at kp 100) and
+stops at 885, the servo's default limit of its duty cycle, so it is the duty cycle and voltage = load / 885 * supply.
+The servo renews it about every millisecond, the log every 4 to 5; between rows the mean of both ends is held.  Rows
+after the torque is switched off (lift_and_drop) are left out: a released motor has no voltage, which is not 0 V.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+from benchmarks.real_machines.study import (
+    MACHINES,
+    ROOT,
+    Array,
+    by_stage,
+    data_folder,
+    picture,
+    show,
+    show_effects,
+    write_recording,
+)
+from benchmarks.results_file import write_results
+from hframe_gym.files import Recording, load_machine, read_recordings
+from hframe_gym.identify import identify
+from hframe_gym.machine import Machine, rollout
+
+FULL_DUTY = 885.0
+EXAMPLE = ROOT / "examples" / "xl330"
+# One trajectory of each kind, at gains that are in the fitted records as well.
+HELD_OUT = ("sin_sin_kp400", "sin_time_square_kp200", "up_and_down_kp100", "up_and_down_kp800")
+
+
+def convert(source: Path, target: Path) -> None:
+    """Every log in the recordings' format: time_s, v_V, arm_rad (0: pendulum down)."""
+    for path in sorted(source.glob("*_kp*.csv")):
+        log = np.genfromtxt(path, delimiter=",", names=True)
+        released = np.flatnonzero(log["torque_enable"] == 0)
+        log = log[: released[0]] if len(released) else log
+        voltage = log["load_raw_signed"] / FULL_DUTY * log["input_V"]
+        held = np.append((voltage[:-1] + voltage[1:]) / 2, voltage[-1])
+        write_recording(target / path.name, {"time_s": log["t_s"], "v_V": held, "arm_rad": log["position_rad"]})
+
+
+def free_run(machine: Machine, run: Recording) -> Array:
+    """Angle (n,), rad, under the logged voltages, from the first reading at rest."""
+    start = np.array([run.outputs[0, 0], 0.0])
+    return rollout(machine, run.time_s, run.inputs, start=start)[0, :, 0]
+
+
+def run(console: Console) -> None:
+    """Free-run angle error on held-out logs: the servo as its data sheet says, refitted, and with effects.
+
+    The machine file does not declare the pendulum's weight: a force that follows the sine of the angle is to be found.
+    """
+    if not EXAMPLE.is_dir():
+        console.print(f"xl330: skipped, no folder {EXAMPLE.relative_to(ROOT)}")
+        return
+    machine = load_machine(MACHINES / "xl330.json")
+    recordings = read_recordings(EXAMPLE, machine)
+    groups = {
+        "fitted": [r for r in recordings if r.name not in HELD_OUT],
+        "held out": [r for r in recordings if r.name in HELD_OUT],
+    }
+
+    def judge(m: Machine) -> dict[str, float]:
+        return {k: _rms([free_run(m, r) - r.outputs[:, 0] for r in runs]) for k, runs in groups.items()}
+
+    answer = identify(recordings, machine, held_out=HELD_OUT, say=console.print)
+    errors = by_stage(answer, judge)
+    shown = {stage: {k: 1e3 * v for k, v in e.items()} for stage, e in errors.items()}
+    show("XL330, rms angle in free run", "mrad", shown, console)
+    show_effects(answer, console)
+    stages = {"before": answer.before.machine, "after": answer.after.machine}
+    panels = [
+        (f"{r.name}, rad", r.time_s, {"measured": r.outputs[:, 0]} | {k: free_run(m, r) for k, m in stages.items()})
+        for r in groups["held out"]
+    ]
+    picture("xl330", "XL330 with a pendulum, held-out logs in free run", panels, console)
+    write_results("real_machines_xl330", {"rms_rad": errors, "answer": answer.as_json()}, seed=None)
+
+
+def _rms(errors: list[Array]) -> float:
+    return float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
+
+
+if __name__ == "__main__":
+    logs = data_folder("bam_xl330", Console())
+    if logs is not None:
+        convert(logs, EXAMPLE)

@@ -1,0 +1,18 @@
+"""Damping inside the belts, tension k (s + c ds/dt): Kelvin and Voigt's solid."""
+
+from ..machine.effect import Effect, EffectParameter
+
+
+def tension(s, rate, k, c):  # type: ignore[no-untyped-def]
+    return k * (s + c * rate)
+
+
+EFFECT = Effect(
+    name="belt_damping",
+    family="belt_damping",
+    site="belts",
+    formula="T = k s + c k ds/dt",
+    source="Kelvin-Voigt model",
+    tension=tension,
+    parameters=(EffectParameter("c", "s", 0.0, 1e-2, scale=1e-4, role="amplitude"),),
+)

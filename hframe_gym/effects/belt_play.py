@@ -1,0 +1,19 @@
+"""Play in the belts' teeth and clamps: within +-d of extension a belt carries nothing."""
+
+from ..machine.effect import Effect, EffectParameter
+from ..machine.vector_math import maximum, minimum
+
+
+def tension(s, k, d):  # type: ignore[no-untyped-def]
+    return k * (s - minimum(maximum(s, -d), d))
+
+
+EFFECT = Effect(
+    name="belt_play",
+    family="belt_play",
+    site="belts",
+    formula="T = k (s - clip(s, -d, d))",
+    source="backlash of timing belts in their pulleys' grooves",
+    tension=tension,
+    parameters=(EffectParameter("d", "m", 0.0, 1e-2, scale=0.05, role="amplitude"),),
+)

@@ -1,0 +1,19 @@
+"""Belts that go slack: tension beyond the pretension T0 cannot fall below -T0."""
+
+from ..machine.effect import Effect, EffectParameter
+from ..machine.vector_math import maximum
+
+
+def tension(s, k, T0):  # type: ignore[no-untyped-def]
+    return maximum(k * s, -T0)
+
+
+EFFECT = Effect(
+    name="belt_slack",
+    family="belt_slack",
+    site="belts",
+    formula="T = max(k s, -T0)",
+    source="a belt cannot push",
+    tension=tension,
+    parameters=(EffectParameter("T0", "N", 0.0, 1e5, scale=0.1, grid=(0.15, 0.3, 0.45, 0.6, 0.75, 0.9)),),
+)

@@ -1,0 +1,65 @@
+"""A bridge that yaws (racks): a coordinate `yaw` with inertia J, stiffness k and damping c, half-width w.
+
+The left belt sees x + w yaw, the right one x - w yaw, the bottom one x; the tool is at x + y yaw.  It gives the
+oscillation of 0.2 mm in x that the paper saw in a y-move and could not explain (section V).
+"""
+
+import dataclasses
+
+from ..machine.effect import AppliedEffect, Effect, EffectParameter
+from ..machine.tables import Coordinate, Machine
+
+
+def force(q, k):  # type: ignore[no-untyped-def]
+    return -k * q
+
+
+def _sides(machine: Machine) -> dict[str, float]:
+    """By belt that runs along y: on which side of the bridge it pulls."""
+    rows = {b.name: b.extension for b in machine.belts}
+    return {name: row["y"] / row["x"] for name, row in rows.items() if row.get("x") and row.get("y")}
+
+
+def fits(machine: Machine) -> bool:
+    return set(_sides(machine).values()) == {1.0, -1.0} and "yaw" not in machine.coordinate_names
+
+
+def structure(machine: Machine, effect: AppliedEffect) -> Machine:
+    own = effect.parameters
+    yaw = Coordinate("yaw", own["J"], own["c"], kind="rotary", radius=own["w"])
+    sides = _sides(machine)
+    belts = tuple(
+        dataclasses.replace(b, extension={**b.extension, "yaw": sides[b.name]}) if b.name in sides else b
+        for b in machine.belts
+    )
+    sensors = tuple(
+        dataclasses.replace(s, row={**s.row, "y*yaw": s.row["x"]}) if s.row.get("x") else s for s in machine.sensors
+    )
+    ties = {"yaw.mass": ("J", 1.0), "yaw.viscous": ("c", 1.0), "yaw.coulomb": ("c", 0.0), "yaw.radius": ("w", 1.0)}
+    tied = {name: (f"{effect.label}.{key}", factor) for name, (key, factor) in ties.items()}
+    return dataclasses.replace(
+        machine,
+        coordinates=(*machine.coordinates, yaw),
+        belts=belts,
+        sensors=sensors,
+        ties={**machine.ties, **tied},
+    )
+
+
+EFFECT = Effect(
+    name="bridge_yaw",
+    family="bridge_yaw",
+    site="machine",
+    formula="J yaw'' + c yaw' + k yaw = w (T_r - T_l); tool at x + y yaw",
+    source="racking of gantries; the paper's section V",
+    force=force,
+    coordinate="yaw",
+    structure=structure,
+    fits=fits,
+    parameters=(
+        EffectParameter("J", "kg m^2", 1e-5, 1e3, scale=0.1, grid=(0.03, 0.15)),
+        EffectParameter("k", "Nm/rad", 1.0, 1e8, scale=100.0, grid=(500.0, 2e3, 8e3, 3e4)),
+        EffectParameter("c", "Nms", 0.0, 1e4, scale=1.0, grid=(1.0,)),
+        EffectParameter("w", "m", 1e-3, 10.0, scale=0.1, grid=(0.25,)),
+    ),
+)

@@ -1,0 +1,21 @@
+"""A spring between the coordinate and the frame, -k (q - q0): an energy chain, a hose, a cable's loop."""
+
+from ..machine.effect import Effect, EffectParameter
+
+
+def force(q, k, q0):  # type: ignore[no-untyped-def]
+    return -k * (q - q0)
+
+
+EFFECT = Effect(
+    name="cable_spring",
+    family="cable_spring",
+    site="coordinate",
+    formula="f = -k (q - q0)",
+    source="Hooke",
+    force=force,
+    parameters=(
+        EffectParameter("k", "stiffness", -1e6, 1e6, scale=0.3, role="amplitude"),
+        EffectParameter("q0", "position", -1e3, 1e3, scale=0.5, grid=(-0.5, 0.0, 0.5)),
+    ),
+)

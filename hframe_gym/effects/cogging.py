@@ -1,0 +1,26 @@
+"""Torque that varies with the motor's angle, A sin(n q + p): detent torque of a motor with iron, commutation ripple.
+
+n = 1 on an arm in the vertical plane is its weight.
+"""
+
+from ..machine.effect import Effect, EffectParameter
+from ..machine.vector_math import sin
+
+
+def force(q, A, n, p):  # type: ignore[no-untyped-def]
+    return A * sin(n * q + p)
+
+
+EFFECT = Effect(
+    name="cogging",
+    family="cogging",
+    site="motor",
+    formula="f = A sin(n q + p)",
+    source="Hanselman, Brushless Permanent Magnet Motor Design, chapter 7",
+    force=force,
+    parameters=(
+        EffectParameter("A", "force", -1e3, 1e3, scale=0.3, role="amplitude"),
+        EffectParameter("n", "rad/position", 1e-3, 1e5, scale=0.1, role="rate"),
+        EffectParameter("p", "rad", -100.0, 100.0, scale=1.0, role="phase"),
+    ),
+)

@@ -1,0 +1,19 @@
+"""An amplifier that limits the motor's current: |i| <= I, i = (V - Ke N w)/R."""
+
+from ..machine.effect import Effect, EffectParameter
+from ..machine.vector_math import maximum, minimum
+
+
+def current(i, I):  # type: ignore[no-untyped-def]
+    return minimum(maximum(i, -I), I)
+
+
+EFFECT = Effect(
+    name="current_limit",
+    family="current_limit",
+    site="drive",
+    formula="|i| <= I",
+    source="protection of amplifiers and motors",
+    current=current,
+    parameters=(EffectParameter("I", "A", 1e-3, 1e4, scale=0.1, grid=(0.3, 0.45, 0.6, 0.7, 0.8, 0.88, 0.95)),),
+)

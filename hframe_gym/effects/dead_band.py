@@ -1,0 +1,26 @@
+"""An amplifier that drives nothing below a voltage: V' = 0 for |V| < Vd, else V less a share of Vd.
+
+drop = 0: a switch (a servo amplifier's enable threshold); drop = 1: a continuous dead zone (the base-emitter voltage of
+an output stage, brushes' contact voltage).
+"""
+
+from ..machine.effect import Effect, EffectParameter
+from ..machine.lanes import absolute, copysign, where
+
+
+def voltage(V, Vd, drop):  # type: ignore[no-untyped-def]
+    return where(absolute(V) < Vd, 0.0, V - copysign(drop * Vd, V))
+
+
+EFFECT = Effect(
+    name="dead_band",
+    family="dead_band",
+    site="drive",
+    formula="V' = 0 for |V| < Vd, else V - drop Vd sign V",
+    source="output stages without bias; brush contact voltage",
+    voltage=voltage,
+    parameters=(
+        EffectParameter("Vd", "V", 0.0, 100.0, scale=0.2, grid=(0.03, 0.06, 0.12, 0.25, 0.5, 1.0)),
+        EffectParameter("drop", "1", 0.0, 1.0, scale=0.3, grid=(0.0, 1.0)),
+    ),
+)

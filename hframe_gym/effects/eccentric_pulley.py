@@ -1,0 +1,36 @@
+"""A pulley that runs out of true: belt travel r phi + e sin(phi + p), torque arm r + e cos(phi + p).
+
+The stretch is counted from where a run starts: at rest the belts are slack of any difference that friction lets go.
+"""
+
+from ..machine.effect import Effect, EffectParameter
+from ..machine.vector_math import cos, sin
+
+
+def evolve(z, dq):  # type: ignore[no-untyped-def]
+    return z + dq
+
+
+def travel(q, z, e, p):  # type: ignore[no-untyped-def]
+    return e * (sin(q + p) - sin(q - z + p))
+
+
+def arm(q, e, p):  # type: ignore[no-untyped-def]
+    return e * cos(q + p)
+
+
+EFFECT = Effect(
+    name="eccentric_pulley",
+    family="eccentric_pulley",
+    site="motor",
+    formula="travel r phi + e sin(phi + p), arm r + e cos(phi + p)",
+    source="kinematics of an eccentric circle, first order in e/r",
+    travel=travel,
+    arm=arm,
+    evolve=evolve,
+    fits=lambda machine: bool(machine.belts),
+    parameters=(
+        EffectParameter("e", "m", -1e-2, 1e-2, scale=1e-4, role="amplitude"),
+        EffectParameter("p", "rad", -100.0, 100.0, scale=1.0, role="phase"),
+    ),
+)

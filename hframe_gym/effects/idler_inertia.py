@@ -1,0 +1,93 @@
+"""Idlers with inertia: the 20th-order model (eq. 25-34) in place of the 8th, every pulley a coordinate.
+
+Each belt becomes its three sections between pulleys, which share its EA and its length in the paper's proportions; the
+inertia J and friction B of an idler are taken out of the motors and the cart, where the 8th-order model lumps them
+(eq. 4-8): M_cart - 4 J/r^2, J_M - J.
+"""
+
+import dataclasses
+
+from ..machine.builtin import SECTIONS
+from ..machine.effect import AppliedEffect, Effect, EffectParameter
+from ..machine.tables import Belt, Coordinate, Machine, Row
+
+# Sections by belt: (name, number in the paper, extension, length).  The first holds the belt's parameters.
+_SECTIONS: dict[str, tuple[tuple[str, int, Row, Row], ...]] = {
+    "left": (
+        ("left", 1, {"phi1": 1, "phi3": -1}, {}),
+        ("left_rail", 5, {"x": 1, "phi3": 1, "phi7": 1}, {"x": 1}),
+        ("left_cart", 7, {"y": 1, "phi7": -1}, {"y": 1}),
+    ),
+    "right": (
+        ("right", 2, {"phi2": -1, "phi4": 1}, {}),
+        ("right_rail", 6, {"x": 1, "phi4": -1, "phi8": -1}, {"x": 1}),
+        ("right_cart", 8, {"y": -1, "phi8": 1}, {"y": -1}),
+    ),
+    "bottom": (
+        ("bottom", 9, {"phi5": 1, "phi6": -1}, {}),
+        ("bottom_left", 3, {"x": -1, "phi1": -1, "phi5": -1}, {"x": -1}),
+        ("bottom_right", 4, {"x": -1, "phi2": 1, "phi6": 1}, {"x": -1}),
+    ),
+}
+_ROWS: dict[str, Row] = {
+    "left": {"x": 1, "y": 1, "phi1": 1},
+    "right": {"x": 1, "y": -1, "phi2": -1},
+    "bottom": {"x": -2, "phi1": -1, "phi2": 1},
+}
+
+
+def fits(machine: Machine) -> bool:
+    return {b.name: dict(b.extension) for b in machine.belts} == _ROWS and not machine.ties
+
+
+def structure(machine: Machine, effect: AppliedEffect) -> Machine:
+    inertia, viscous = effect.parameters["J"], effect.parameters["B"]
+    radius = machine.coordinate("phi1").radius
+    lump = 4.0 / radius**2
+    idlers = tuple(Coordinate(f"phi{i}", inertia, viscous, kind="rotary", radius=radius) for i in range(3, 9))
+    ties: dict[str, tuple[str, float]] = {}
+    for c in idlers:
+        ties |= {f"{c.name}.mass": (f"{effect.label}.J", 1.0), f"{c.name}.viscous": (f"{effect.label}.B", 1.0)}
+        ties |= {f"{c.name}.coulomb": (f"{effect.label}.B", 0.0), f"{c.name}.radius": ("phi1.radius", 1.0)}
+
+    def without(name: str, mass: float, friction: float) -> Coordinate:
+        c = machine.coordinate(name)
+        return dataclasses.replace(
+            c, mass=max(c.mass - mass, 0.2 * c.mass), viscous=max(c.viscous - friction, 0.2 * c.viscous)
+        )
+
+    lumped = {
+        "phi1": without("phi1", inertia, viscous),
+        "phi2": without("phi2", inertia, viscous),
+        "y": without("y", lump * inertia, lump * viscous),
+    }
+    belts = []
+    for b in machine.belts:
+        whole = sum(SECTIONS[number - 1] for _, number, _, _ in _SECTIONS[b.name])
+        shares = [SECTIONS[number - 1] / whole for _, number, _, _ in _SECTIONS[b.name]]
+        for (name, _, extension, length), share in zip(_SECTIONS[b.name], shares, strict=True):
+            belts.append(Belt(name, b.EA, share * b.rest_length, extension, length if b.length else {}))
+            if name != b.name:
+                ties |= {f"{name}.EA": (f"{b.name}.EA", 1.0)}
+                ties |= {f"{name}.rest_length": (f"{b.name}.rest_length", share / shares[0])}
+    return dataclasses.replace(
+        machine,
+        coordinates=(*(lumped.get(c.name, c) for c in machine.coordinates), *idlers),
+        belts=tuple(belts),
+        ties={**machine.ties, **ties},
+    )
+
+
+EFFECT = Effect(
+    name="idler_inertia",
+    family="idler_inertia",
+    site="machine",
+    formula="J phi_i'' + B phi_i' = r (T_before - T_after), i = 3..8",
+    source="Sollmann et al., eq. 25-34 with errata",
+    structure=structure,
+    fits=fits,
+    parameters=(
+        EffectParameter("J", "kg m^2", 2e-6, 1.0, scale=1e-5, grid=(2e-5, 5.6e-5)),
+        EffectParameter("B", "Nms", 0.0, 1.0, scale=1e-3, grid=(1e-3,)),
+    ),
+)

@@ -1,0 +1,26 @@
+"""Dry friction that varies periodically along the way: F(q) = Fc + A sin(2 pi q/L + p).
+
+A leadscrew's or rack's pitch, the balls of a recirculating carriage, a bent rail.
+"""
+
+from ..machine.effect import Effect, EffectParameter
+from ..machine.vector_math import sin
+
+
+def coulomb(q, A, L, p):  # type: ignore[no-untyped-def]
+    return A * sin(6.283185307179586 * q / L + p)
+
+
+EFFECT = Effect(
+    name="position_friction",
+    family="position_friction",
+    site="coordinate",
+    formula="F(q) = Fc + A sin(2 pi q/L + p)",
+    source="Armstrong-Helouvry et al. 1994, section 2.1.4",
+    coulomb=coulomb,
+    parameters=(
+        EffectParameter("A", "force", -1e3, 1e3, scale=0.3, role="amplitude"),
+        EffectParameter("L", "position", 1e-4, 1e3, scale=0.1, role="period"),
+        EffectParameter("p", "rad", -100.0, 100.0, scale=1.0, role="phase"),
+    ),
+)

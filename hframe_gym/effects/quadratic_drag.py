@@ -1,0 +1,19 @@
+"""Drag that grows with the square of speed, -c v |v|: air, grease that churns, a fan on the spindle."""
+
+from ..machine.effect import Effect, EffectParameter
+from ..machine.lanes import absolute
+
+
+def force(v, c):  # type: ignore[no-untyped-def]
+    return -c * v * absolute(v)
+
+
+EFFECT = Effect(
+    name="quadratic_drag",
+    family="quadratic_drag",
+    site="coordinate",
+    formula="f = -c v |v|",
+    source="drag at high Reynolds number",
+    force=force,
+    parameters=(EffectParameter("c", "drag", -1e6, 1e6, scale=0.3, role="amplitude"),),
+)

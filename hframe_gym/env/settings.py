@@ -1,0 +1,74 @@
+"""What an environment is made of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from ..machine import Machine
+from .drives import DrivesLike
+from .randomisation import Randomise
+from .rewards import RewardLike
+from .sensors import SensorsLike
+from .tasks import TaskLike
+
+MachineLike: TypeAlias = Machine | str | Path
+Ends = Literal["stops", "terminate"]
+
+# Taken from the reward when an episode ends at the workspace's edge: as much as a hundred steps can lose, so that
+# leaving does not pay.
+PENALTY = 100.0
+# s.  At 0.5 ms the tool is off by 0.9 um after 0.4 s of random voltages, at 0.25 ms by 0.2 um (median, decision record
+# 0003): a fiftieth of a laser's noise, for half the time.
+LONGEST_STEP = 0.5e-3
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Every keyword of `gym.make("HFrame-v0", ...)` but the rendering.
+
+    machine: a `Machine`, a built-in name or the path of a machine.json.
+    task: "reach", "track" or a `Task`.
+    reward: "dense", "sparse" (0 within the task's band, else -1) or a function of (achieved, desired), (n, 2) -> (n,).
+    randomize: "none" (the machine as it is), "default", "wide", "identified" or a list of rules.
+    sensors: what is observed: "state", the full true state, "rig", the paper's encoders and lasers, or `Sensors`.
+    drives: what applies the voltages: "ideal", "rig", a 12-bit converter and 12 A, or `Drives`.
+    privileged: whether the observation has the true state and the drawn parameters as well, for a critic in training.
+    ends: what the edge of the workspace is: "stops", rubber buffers, or "terminate", the end of the episode with
+        `penalty`.  Buffers learn better: with an episode's end, giving up becomes a choice that has to be priced out.
+    period: of control, s.  longest_step: of the integrator, s.
+
+    Raises ValueError for values that none of these are.
+    """
+
+    machine: MachineLike = "hframe"
+    task: TaskLike = "reach"
+    reward: RewardLike = "dense"
+    randomize: Randomise = "none"
+    sensors: SensorsLike = "state"
+    drives: DrivesLike = "ideal"
+    privileged: bool = False
+    ends: Ends = "stops"
+    penalty: float = PENALTY
+    period: float = 0.01
+    longest_step: float = LONGEST_STEP
+
+    def __post_init__(self) -> None:
+        if self.ends not in ("stops", "terminate"):
+            raise ValueError(f"ends is {self.ends!r}, choose 'stops' or 'terminate'")
+        if not isinstance(self.privileged, bool):
+            raise ValueError(f"privileged is {self.privileged!r}, it must be True or False")
+        if not (np.isfinite(self.penalty) and self.penalty >= 0.0):
+            raise ValueError(f"penalty is {self.penalty!r}, it must be a number that is not negative")
+
+
+def as_machine(machine: MachineLike) -> Machine:
+    """The machine itself, or the one of a built-in name or file."""
+    if isinstance(machine, Machine):
+        return machine
+    from ..files import load_machine
+
+    return load_machine(machine)

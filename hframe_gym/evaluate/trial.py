@@ -1,0 +1,46 @@
+"""What every controller of a comparison faces."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+from ..env.batch import MachineLike
+from ..env.randomisation import Randomise
+from ..env.tasks import Task, TaskLike, Track, as_task
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Episodes to be judged on; episode b is the environment's of seed + b, whoever controls it.
+
+    machine: the stage as declared, around which `randomize` draws.  task: "reach", "track" or a `Task`.
+    period: of control, s.  duration_s: of an episode; 1.5 s is twice the longest move.
+    """
+
+    machine: MachineLike = "hframe"
+    task: TaskLike = "reach"
+    randomize: Randomise = "default"
+    episodes: int = 512
+    seed: int = 0
+    period: float = 0.01
+    duration_s: float = 1.5
+
+    @property
+    def periods(self) -> int:
+        """Control periods in an episode.
+
+        Raises ValueError for an episode that is shorter than one.
+        """
+        count = round(self.duration_s / self.period)
+        if count < 1:
+            raise ValueError(
+                f"duration_s is {self.duration_s!r}, it must hold at least one control period of {self.period:g} s"
+            )
+        return count
+
+    @property
+    def own_task(self) -> Task:
+        """The task as its controller is to see it: future goals are a control period apart."""
+        task = as_task(self.task)
+        return dataclasses.replace(task, preview_s=self.period) if isinstance(task, Track) else task

@@ -1,0 +1,191 @@
+"""What an effect would add along a known motion: forces on coordinates and changes of readings, by its own formulas.
+
+Parameters may be arrays (G,): G variants of an effect at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..machine import Effect, Machine
+from ..machine.effect import AppliedEffect
+
+Array = NDArray[np.float64]
+
+
+class Addition(NamedTuple):
+    """force (G, n, coordinates), own units; reading (G, n, sensors) or None where no sensor is touched."""
+
+    force: Array
+    reading: Array | None
+
+
+class Along(NamedTuple):
+    """A motion of a machine: time (n,) s, volts (n, drives), positions and velocities (n, coordinates), readings
+    (n, sensors), own units."""
+
+    time_s: Array
+    inputs: Array
+    positions: Array
+    velocities: Array
+    readings: Array
+
+
+def addition(machine: Machine, effect: Effect, site: str, parameters: Mapping[str, Array], motion: Along) -> Addition:
+    """What `effect` at `site` adds, for each of G sets of parameters, by name (G,)."""
+    own = {name: np.asarray(value)[:, None] for name, value in parameters.items()}
+    variants = len(next(iter(own.values())))
+    applied = AppliedEffect(effect, site, own)
+    force = np.zeros((variants, *motion.positions.shape))
+    reading = np.zeros((variants, *motion.readings.shape)) if effect.reading or effect.lag else None
+    coordinate = machine.site_coordinate(site)
+    if coordinate is not None and site not in machine.output_channels:
+        i = machine.coordinate_names.index(coordinate)
+        force[:, :, i] += _on_coordinate(machine, applied, coordinate, motion)
+    if effect.voltage or effect.current:
+        _on_drive(machine, applied, motion, force)
+    if effect.delay:
+        _late(machine, applied, motion, force)
+    if effect.tension:
+        _in_belts(machine, applied, motion, force)
+    if effect.travel and coordinate is not None:
+        _by_pulley(machine, applied, coordinate, motion, force)
+    if reading is not None:
+        _in_sensor(machine, applied, motion, reading)
+    return Addition(force, reading)
+
+
+def _on_coordinate(machine: Machine, e: AppliedEffect, name: str, motion: Along) -> Any:
+    d = e.definition
+    i = machine.coordinate_names.index(name)
+    q, v = motion.positions[:, i], motion.velocities[:, i]
+    level = machine.coordinate(name).coulomb
+    scope: dict[str, Any] = {"q": q, "v": v, "t": motion.time_s, "u": variable(machine, d, motion), "z": 0.0}
+    if d.evolve and not d.current:
+        scope["z"] = _own_state(e, q, v, level, motion.time_s)
+    total: Any = 0.0
+    if d.force:
+        total = total + e("force", **scope)
+    if d.coulomb:
+        total = total - np.sign(v) * e("coulomb", **scope)
+    if d.friction:
+        total = total + np.sign(v) * level - e("friction", **scope, level=level)
+    if d.viscous:
+        b = machine.coordinate(name).viscous
+        total = total - (e("viscous", b=b, direction=np.sign(v)) - b) * v
+    return total
+
+
+def variable(machine: Machine, definition: Effect, motion: Along) -> Array:
+    """The variable `u` of a table along a motion."""
+    what, _, coordinate = definition.against.partition(" of ")
+    if what in ("", "time"):
+        return motion.time_s
+    i = machine.coordinate_names.index(coordinate)
+    if what == "velocity":
+        return motion.velocities[:, i]
+    if what == "path":
+        return np.concatenate([[0.0], np.cumsum(np.abs(np.diff(motion.positions[:, i])))])
+    return motion.positions[:, i]
+
+
+def _own_state(e: AppliedEffect, q: Array, v: Array, level: float, time_s: Array) -> Array:
+    """The effect's own state (G, n) along a motion."""
+    steps, dt = np.diff(q, prepend=q[0]), np.diff(time_s, prepend=time_s[0])
+    z = np.zeros((len(next(iter(e.parameters.values()))), 1))
+    states = np.empty((len(z), len(q)))
+    for k in range(len(q)):
+        z = e("evolve", z=z, dq=steps[k], dt=dt[k], v=v[k], level=level, i=0.0)
+        states[:, k] = np.broadcast_to(z, (len(states), 1))[:, 0]
+    return states
+
+
+def _on_drive(machine: Machine, e: AppliedEffect, motion: Along, force: Array) -> None:
+    for j, d in enumerate(machine.drives):
+        if e.site not in (d.name, "drives"):
+            continue
+        i = machine.coordinate_names.index(d.coordinate)
+        volts = motion.inputs[:, j]
+        if e.definition.voltage:
+            force[:, :, i] += d.gain * (e("voltage", V=volts) - volts)
+        if e.definition.current:
+            ohm = (volts - d.Ke * d.gear_ratio * motion.velocities[:, i]) / d.resistance
+            z: Any = 0.0
+            if e.definition.evolve:
+                # The winding's lag hardly moves while a row's voltage is held: its mean over the row.
+                z = _filtered(ohm, motion.time_s, e.parameters["tau"])
+            force[:, :, i] += d.gear_ratio * d.Kt * (e("current", i=ohm, z=z) - ohm)
+
+
+def _filtered(values: Array, time_s: Array, tau: Array) -> Array:
+    """Mean over each row of a first-order lag's answer (G, n), values held from row to row."""
+    period = float(np.median(np.diff(time_s)))
+    tau = np.maximum(tau, 1e-9)
+    decay = np.exp(-period / tau)
+    mean = tau / period * (1.0 - decay)
+    found = np.empty((len(tau), len(values)))
+    z = np.full((len(tau), 1), values[0])
+    for k, value in enumerate(values):
+        found[:, k : k + 1] = value + (z - value) * mean
+        z = value + (z - value) * decay
+    return found
+
+
+def _late(machine: Machine, e: AppliedEffect, motion: Along, force: Array) -> None:
+    late = e("delay") / np.median(np.diff(motion.time_s))
+    for j, d in enumerate(machine.drives):
+        if e.site in (d.name, "drives"):
+            i = machine.coordinate_names.index(d.coordinate)
+            volts = motion.inputs[:, j]
+            before = np.concatenate([volts[:1], volts[:-1]])
+            force[:, :, i] += d.gain * (before - volts) * late
+
+
+class _Stretch(NamedTuple):
+    row: Array
+    s: Array
+    rate: Array
+    k: Array
+
+
+def _stretches(machine: Machine, motion: Along) -> list[_Stretch]:
+    travel, speed = motion.positions * machine.radii, motion.velocities * machine.radii
+    found = []
+    for b in machine.belts:
+        row = machine.row(b.extension)
+        k = b.EA / (b.rest_length + travel @ machine.row(b.length))
+        found.append(_Stretch(row * machine.radii, travel @ row, speed @ row, k))
+    return found
+
+
+def _in_belts(machine: Machine, e: AppliedEffect, motion: Along, force: Array) -> None:
+    for b in _stretches(machine, motion):
+        more = e("tension", s=b.s, rate=b.rate, k=b.k) - b.k * b.s
+        force -= np.asarray(more)[:, :, None] * b.row
+
+
+def _by_pulley(machine: Machine, e: AppliedEffect, name: str, motion: Along, force: Array) -> None:
+    i = machine.coordinate_names.index(name)
+    q = motion.positions[:, i]
+    gone = q - q[0]
+    travel, arm = e("travel", q=q, z=gone), e("arm", q=q, z=gone)
+    radius = machine.radii[i]
+    for b in _stretches(machine, motion):
+        share = b.row[i] / radius
+        force -= (b.k * share * travel)[:, :, None] * b.row
+        force[:, :, i] -= share * b.k * b.s * arm
+
+
+def _in_sensor(machine: Machine, e: AppliedEffect, motion: Along, reading: Array) -> None:
+    j = machine.output_channels.index(e.site)
+    shown = motion.readings[:, j]
+    if e.definition.lag:
+        reading[:, :, j] -= e("lag") * np.gradient(shown, motion.time_s)
+        return
+    other = machine.across(machine.sensors[j].coordinate)
+    across = motion.positions[:, machine.coordinate_names.index(other)] if other else 0.0
+    reading[:, :, j] += e("reading", r=shown, across=across) - shown
