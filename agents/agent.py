@@ -21,7 +21,7 @@ from .actuation import Actuation
 from .extra import load, one_thread
 
 SCHEMA = 2
-STATED = ("schema", "name", "task", "kind", "machine", "seed", "recipe", "settings", "features", "previews")
+STATED = ("schema", "name", "task", "kind", "machine", "seed", "recipe", "settings", "period", "features", "previews")
 # Networks of stable-baselines3's policies that judge and do not act; an agent on disk goes without.
 CRITICS = ("critic", "value_net", "mlp_extractor.value_net")
 
@@ -48,7 +48,16 @@ class Agent:
         self.card = dict(card)
 
     def act(self, observation: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
-        """Actions (B, drives) in [-1, 1] for observations, each (B, n)."""
+        """Actions (B, drives) in [-1, 1] for observations, each (B, n).
+
+        Raises ValueError for observations of another size than the agent was trained on, as other sensors give.
+        """
+        for key, space in self.policy.observation_space.spaces.items():
+            if key in observation and observation[key].shape[1:] != space.shape:
+                raise ValueError(
+                    f"agent {self.card['name']}: {key} has shape {observation[key].shape}, it was trained on "
+                    f"(B, {space.shape[0]})"
+                )
         seen = self.actuation.see(observation) if self.actuation else dict(observation)
         with one_thread():
             outputs, _ = self.policy.predict(seen, deterministic=True)
@@ -86,7 +95,7 @@ class Agent:
         if card.get("schema") != SCHEMA:
             raise ValueError(f"{path / 'agent.json'}: schema is {card.get('schema')!r}, this version reads {SCHEMA}")
         machine = load_machine(path / "machine.json")
-        actuation = actuation_for(machine, card["settings"]["actuation"])
+        actuation = actuation_for(machine, card["settings"]["actuation"], card["period"])
         space = observation_space(machine, card["previews"])
         kind = load("stable_baselines3.ppo" if card["kind"] == "ppo" else "stable_baselines3.sac")
         policy = kind.MultiInputPolicy(
@@ -104,6 +113,6 @@ class Agent:
         return cls(policy, actuation, machine, card)
 
 
-def actuation_for(machine: Machine, settings: Mapping[str, Any], period: float = 0.01) -> Actuation | None:
+def actuation_for(machine: Machine, settings: Mapping[str, Any], period: float) -> Actuation | None:
     """The actuation of a recipe's [actuation], None where that is empty."""
     return Actuation(machine, period, **settings) if settings else None

@@ -20,7 +20,7 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
 Array = NDArray[np.float64]
 
-ERROR_SCALES = (1e-2, 1e-3, 1e-4)  # m
+ERROR_SCALES = (1e-1, 1e-2, 1e-3, 1e-4)  # m
 SPEED_SCALES = (0.3, 0.02)  # m/s
 STRETCH_SCALES = (1e-3, 1e-4)  # m
 ACTION_SCALES = (1.0, 0.03)  # of the rated voltage: all of it, and about what friction takes
@@ -88,7 +88,7 @@ def feature_map(sizes: dict[str, int], radii: Array, rest: Array) -> tuple[Array
     ]
     if "preview" in own:
         ahead = [own["preview"][:, i : i + 2] - goal for i in range(0, sizes["preview"], 2)]
-        parts.append(_scaled(np.hstack(ahead), ERROR_SCALES[:2], LARGEST_ERROR))
+        parts.append(_scaled(np.hstack(ahead), ERROR_SCALES[1:3], LARGEST_ERROR))
     if "last_observation" in own:
         parts.append(_scaled(speeds - np.hstack(motion(own["last_observation"])[2:]), SPEED_SCALES, LARGEST_SPEED))
     for key in ("last_action", "base_action"):

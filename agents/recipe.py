@@ -7,16 +7,21 @@ from dataclasses import asdict, dataclass, field
 from importlib import resources
 from typing import Any
 
+from hframe_gym.env.settings import Settings
+
 
 @dataclass(frozen=True)
 class Linear:
-    """A rate that goes linearly from first to last as the share of a run that remains goes from 1 to 0."""
+    """A rate that goes linearly from first to last as the share of a run that remains goes from 1 to 0, and stays so.
+
+    A run may end a little later than asked for: it ends with a whole round.
+    """
 
     first: float
     last: float
 
     def __call__(self, remaining: float) -> float:
-        return self.last + (self.first - self.last) * remaining
+        return self.last + (self.first - self.last) * max(remaining, 0.0)
 
 
 @dataclass(frozen=True)
@@ -44,6 +49,11 @@ class Recipe:
     def settings(self) -> dict[str, Any]:
         """`algorithm` as the class takes it, rates as functions."""
         return {k: Linear(*v) if isinstance(v, list) else v for k, v in self.algorithm.items()}
+
+    @property
+    def period(self) -> float:
+        """Of control, s."""
+        return float(self.env.get("period", Settings.period))
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data."""

@@ -15,7 +15,8 @@ def judge(controller: Any, trial: Trial) -> dict[str, float]:
     """Flat scores of a controller on a trial's episodes.
 
     For a goal that stands: `success`, the share that is in the task's band at the end and stays there, and for each
-    band `success_BAND` and `settling_s_BAND`, the mean, where a failure counts its whole length.  For one that moves:
+    band `success_BAND` and `settling_s_BAND`, the mean, where a failure counts its whole length; `final_error_mm`, the
+    median.  For one that moves:
     `contour_rms_mm`, `tracking_rms_mm` and `tracking_max_mm`, means over episodes.
     """
     run = rollout(controller, trial)
@@ -28,7 +29,7 @@ def _reaching(error: Any, run: Episodes, own_band: float) -> dict[str, float]:
     for name, band in BANDS.items():
         times, success = settling(error, run.time_s, band)
         row |= {f"success_{name}": float(success.mean()), f"settling_s_{name}": float(times.mean())}
-    return row
+    return {**row, "final_error_mm": float(1e3 * np.median(error[:, -1]))}
 
 
 def _tracking(error: Any, contour: Any) -> dict[str, float]:

@@ -30,7 +30,8 @@ EVALUATION_SEED = 1_000_000
 TRAINING_SEED = 10_000_000
 SEEDS_APART = 100_000
 EVALUATION_EPISODES = 256
-REPORTS = 12  # evaluations and checkpoints in a run
+REPORTS = 12  # evaluations and checkpoints in a run,
+LEAST_APART = 2_000  # in steps of the environment
 
 
 def train(
@@ -67,6 +68,8 @@ def train(
     model.set_logger(load("stable_baselines3.common.logger").configure(str(folder / "tensorboard"), ["tensorboard"]))
     environment.seed(TRAINING_SEED + seed * SEEDS_APART + model.num_timesteps)
     progress = _Progress(model, card, built, recipe, steps, folder, say, advance)
+    if not resume:
+        progress.report()
     with one_thread():
         model.learn(steps - model.num_timesteps, callback=progress, reset_num_timesteps=False)
     progress.report()
@@ -80,7 +83,7 @@ def _environment(recipe: Recipe, machine: Machine, task: str) -> Any:
     from .actuated import ActuatedVecEnv
 
     environment = HFrameVecEnv(**recipe.env, machine=machine, task=task_of(recipe.task, task))
-    actuation = actuation_for(machine, recipe.actuation)
+    actuation = actuation_for(machine, recipe.actuation, recipe.period)
     return ActuatedVecEnv(environment, actuation) if actuation else environment
 
 
@@ -136,6 +139,7 @@ def _begin(recipe: Recipe, algorithm: str, task: str, machine: Machine, seed: in
         "seed": seed,
         "recipe": recipe.name,
         "settings": recipe.as_dict(),
+        "period": recipe.period,
         "features": features_for(machine),
         "versions": versions(),
         "curve": [],
@@ -158,15 +162,16 @@ class _Progress:
     ) -> None:
         self.model, self.card, self.machine, self.folder = model, card, machine, folder
         self.steps, self.say, self.advance = steps, say, advance
-        self.actuation = actuation_for(machine, recipe.actuation)
+        self.actuation = actuation_for(machine, recipe.actuation, recipe.period)
         self.trial = Trial(
             machine=machine,
             task=task_of(recipe.task, card["task"]),
             randomize=recipe.env["randomize"],
+            period=recipe.period,
             episodes=EVALUATION_EPISODES,
             seed=EVALUATION_SEED,
         )
-        self.interval = max(1, steps // REPORTS)
+        self.interval = max(LEAST_APART, steps // REPORTS)
         self.next = model.num_timesteps + self.interval
         last = card["curve"][-1] if card["curve"] else {"seconds": 0.0, "cpu_s": 0.0}
         self._clocks = time.monotonic() - last["seconds"], time.process_time() - last["cpu_s"]
@@ -174,7 +179,7 @@ class _Progress:
     def __call__(self, local: dict[str, Any], outer: dict[str, Any]) -> bool:
         self.advance(self.model.num_timesteps, self.steps)
         if self.model.num_timesteps >= self.next:
-            self.next += self.interval
+            self.next = self.model.num_timesteps + self.interval
             self.report()
         return True
 

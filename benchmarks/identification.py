@@ -16,6 +16,9 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
+import sys
+import time
+import traceback
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
@@ -65,7 +68,7 @@ def source_key() -> str:
 
 
 def answered(case: Case, folder: str, key: str, resume: bool) -> Row:
-    """The row of one rig, from the last answer if that still holds."""
+    """The row of one rig, from the last answer if that still holds; {"rig", "failed"} where identification crashed."""
     session = record(case, Path(folder))
     kept = ANSWERS / f"{session.folder.name}.json"
     key = hashlib.sha256((key + (session.folder / "session.json").read_text()).encode()).hexdigest()
@@ -74,10 +77,13 @@ def answered(case: Case, folder: str, key: str, resume: bool) -> Row:
         if resume or old["key"] == key:
             row: Row = old["row"]
             return row
+    recordings, machine = session.recordings(), session.machine()
+    began = time.process_time()
     try:
-        row = scored(session, identify(session.recordings(), session.machine()))
-    except (ArithmeticError, ValueError, RuntimeError, np.linalg.LinAlgError) as error:
-        raise RuntimeError(f"{case.name}: {error}") from error
+        row = scored(session, identify(recordings, machine))
+    except Exception as error:  # whatever it is, hours of other rigs must not be lost with it
+        return {"rig": case.name, "failed": "".join(traceback.format_exception(error))}
+    row["cpu_seconds"] = round(time.process_time() - began, 2)  # of all threads: what other load does not change
     write_text(kept, json.dumps({"key": key, "row": row}, indent=1) + "\n")
     return row
 
@@ -95,6 +101,8 @@ def rows_of(some: list[Case], folder: str, jobs: int, resume: bool) -> Iterator[
 
 def line(row: Row) -> str:
     """One rig on one line, as it is done."""
+    if "failed" in row:
+        return f"{'CRASHED':12} {row['rig']}\n{row['failed']}"
     named = row["found"] or row["verdict"]
     errors = f"{row['before']:.3g} -> {row['after']:.3g}"
     return f"{row['score']:12} {row['rig']}: {named}; {errors}; {row['seconds']:.0f} s"
@@ -102,7 +110,7 @@ def line(row: Row) -> str:
 
 def show(console: Console, rows: list[Row]) -> None:
     """Every rig, and the count by set."""
-    table = Table("rig", "found", "", "noise ratio", "tool, um", "worst parameter", "s")
+    table = Table("rig", "found", "", "noise ratio", "tool, um", "worst parameter", "s", "cpu s")
     for r in rows:
         worst = max(r["parameter_error"].values(), default=None)
         table.add_row(
@@ -113,11 +121,14 @@ def show(console: Console, rows: list[Row]) -> None:
             f"{r['truth_um']['before']:.3g} -> {r['truth_um']['after']:.3g}",
             "" if worst is None else f"{100 * worst:.2g} %",
             f"{r['seconds']:.0f}",
+            f"{r['cpu_seconds']:.0f}",
         )
-    counts = Table("set", "rigs", *SCORES, "before", "after", "um before", "um after", "s")
+    counts = Table("set", "rigs", *SCORES, "before", "after", "um before", "um after", "s", "cpu s")
     for group in dict.fromkeys(r["group"] for r in rows):
         s = summary([r for r in rows if r["group"] == group])
-        medians = [f"{s['median'][k]:.3g}" for k in ("before", "after", "um_before", "um_after", "seconds")]
+        medians = [
+            f"{s['median'][k]:.3g}" for k in ("before", "after", "um_before", "um_after", "seconds", "cpu_seconds")
+        ]
         counts.add_row(group, str(s["rigs"]), *(str(s["scores"][score]) for score in SCORES), *medians)
     console.print(table, counts)
 
@@ -137,6 +148,7 @@ def summary(rows: list[Row]) -> dict[str, Any]:
             "um_before": median([r["truth_um"]["before"] for r in rows]),
             "um_after": median([r["truth_um"]["after"] for r in rows]),
             "seconds": median([r["seconds"] for r in rows]),
+            "cpu_seconds": median([r["cpu_seconds"] for r in rows]),
         },
     }
 
@@ -161,7 +173,7 @@ def plots() -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("sets", nargs="*", default=["examples", "all"], metavar="SET")
+    parser.add_argument("sets", nargs="*", metavar="SET")
     parser.add_argument("--only", action="append", default=[], metavar="NAME", help="of these sets, only this rig")
     parser.add_argument("--jobs", type=int, default=1, help="rigs at once")
     parser.add_argument("--resume", action="store_true", help="take earlier answers although the source has changed")
@@ -169,24 +181,29 @@ def main() -> None:
         "--rigs", default=DEFAULT_FOLDER, metavar="DIR", help="recordings (made where they are missing)"
     )
     arguments = parser.parse_args()
-    console = Console(width=170)
-    if "examples" in arguments.sets:
-        examples(console)
+    sets = arguments.sets or (["all"] if arguments.only else ["examples", "all"])
     try:
-        some = chosen([name for name in arguments.sets if name not in ("examples", "plots")])
+        some = chosen([name for name in sets if name not in ("examples", "plots")])
+        if arguments.only:
+            only = {case.name for case in chosen(arguments.only)}
+            some = [case for case in some if case.name in only]
     except ValueError as error:
         parser.error(str(error))
-    if arguments.only:
-        some = [case for case in some if case.name in arguments.only]
-    if some:
-        rows = []
-        for row in rows_of(some, arguments.rigs, arguments.jobs, arguments.resume):
-            console.print(line(row), highlight=False)
-            rows.append(row)
-        show(console, rows)
-        write(rows)
-    if "plots" in arguments.sets or (some and not arguments.only):
+    console = Console(width=170)
+    if "examples" in sets:
+        examples(console)
+    rows = []
+    for row in rows_of(some, arguments.rigs, arguments.jobs, arguments.resume):
+        console.print(line(row), highlight=False, markup=False, soft_wrap=True)
+        rows.append(row)
+    done = [row for row in rows if "failed" not in row]
+    if done:
+        show(console, done)
+        write(done)
+    if "plots" in sets or (done and not arguments.only):
         plots()
+    if len(done) < len(rows):
+        sys.exit(f"identification crashed on {len(rows) - len(done)} of {len(rows)} rigs")
 
 
 if __name__ == "__main__":

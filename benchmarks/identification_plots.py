@@ -59,8 +59,8 @@ def _errors(rows: list[dict[str, Any]], path: Path) -> None:
 
 def _time(rows: list[dict[str, Any]], path: Path) -> None:
     figure, axes = plt.subplots(figsize=(5, 3), layout="constrained")
-    axes.hist([r["seconds"] for r in rows], bins=30, color="#3b7d4f")
-    axes.set_xlabel("identification of one rig, s")
+    axes.hist([r["cpu_seconds"] for r in rows], bins=30, color="#3b7d4f")
+    axes.set_xlabel("identification of one rig, s of one core")
     axes.set_ylabel("rigs")
     _save(figure, path)
 

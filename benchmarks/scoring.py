@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.planted import Planted
 from benchmarks.reference import Array
-from benchmarks.rigs import Case, Planted
+from benchmarks.rigs import Case
 from benchmarks.sessions import Session
 from hframe_gym.identify import Answer
 from hframe_gym.identify.residual import channel_errors

@@ -16,6 +16,7 @@ from collections.abc import Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -29,6 +30,7 @@ from hframe_gym.files import Recording, load_machine, read_recordings, save_mach
 from hframe_gym.machine import Machine
 
 DEFAULT_FOLDER = "out/rigs"
+FORMAT = 1  # of the folder: a change here makes every session again
 DURATION_S = 2.0
 # A rig has come to rest when its recording begins; the simulated one starts with unstretched belts and gets time.
 SETTLING_S = 0.3
@@ -71,7 +73,16 @@ def record(case: Case, folder: Path) -> Session:
     note = place / "session.json"
     if note.is_file() and json.loads(note.read_text())["key"] == key:
         return session
-    shutil.rmtree(place, ignore_errors=True)
+    folder.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory(dir=folder, prefix=".") as scratch:
+        whole = Path(scratch) / "session"
+        _make(case, whole, key)
+        shutil.rmtree(place, ignore_errors=True)
+        whole.rename(place)
+    return session
+
+
+def _make(case: Case, place: Path, key: str) -> None:
     (place / "runs").mkdir(parents=True)
     rig, sensors = case.rig()
     rng = np.random.default_rng([case.seed, 2])
@@ -88,15 +99,15 @@ def record(case: Case, folder: Path) -> Session:
     np.savez_compressed(place / "truth.npz", **truth)
     save_machine(load_machine("hframe"), place / "machine.json")
     planted = {p.label: p.truth for p in case.planted}
-    # Last: a session without its note was interrupted, and is made again.
-    write_text(note, json.dumps({"key": key, "name": case.name, "planted": planted, "rig": repr(rig)}, indent=1) + "\n")
-    return session
+    note = {"key": key, "name": case.name, "planted": planted, "rig": repr(rig)}
+    write_text(place / "session.json", json.dumps(note, indent=1) + "\n")
 
 
 def _key(case: Case) -> str:
     """Hash of all that a session follows from."""
-    text = hashlib.sha256(repr((case.rig(), case.seed, case.runs, case.start_share, DURATION_S, SETTLING_S)).encode())
-    sources = [*sorted(Path(reference.__file__).parent.glob("*.py")), Path(excitation.__file__), Path(__file__)]
+    made_from = (FORMAT, case.rig(), case.seed, case.runs, case.start_share, DURATION_S, SETTLING_S)
+    text = hashlib.sha256(repr(made_from).encode())
+    sources = [*sorted(Path(reference.__file__).parent.glob("*.py")), Path(excitation.__file__)]
     for source in sources:
         text.update(ast.dump(ast.parse(source.read_text())).encode())  # a comment changes nothing
     return text.hexdigest()

@@ -8,17 +8,13 @@ from __future__ import annotations
 import sys
 import webbrowser
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 from rich.console import Console
 from rich.table import Table
 
 from .files import InputError
-
-if TYPE_CHECKING:
-    from .control import Controller
-    from .machine import Machine
 
 app = typer.Typer(
     help="H-frame stages: simulate, identify from measured data, train and evaluate controllers.",
@@ -204,31 +200,38 @@ def train(
 
 @app.command()
 def evaluate(
-    controllers: Annotated[list[str], typer.Argument(help="pid, textbook, or the folder of a trained agent.")],
+    controllers: Annotated[list[str], typer.Argument(help="pid, textbook-pid, ppo, sac, or a trained agent's folder.")],
     out: OutOption,
     machine: MachineOption = "hframe",
+    task: Annotated[Literal["reach", "track"], typer.Option(help="What to do.")] = "reach",
+    path: Annotated[str, typer.Option(help="To track: circle, square, lissajous or a CSV of x_m,y_m.")] = "circle",
     randomize: Annotated[Preset, typer.Option(help="What each episode draws; identified: by the file.")] = "default",
+    sensors: Annotated[Literal["state", "rig"], typer.Option(help="What controllers see.")] = "state",
+    period: Annotated[float, typer.Option(help="Of control, s.")] = 0.01,
     episodes: Annotated[int, typer.Option(min=1, help="Draws; the same for every controller.")] = 512,
     seed: Annotated[int, typer.Option(help="Of the draws: starts, goals, machine parameters.")] = 0,
 ) -> None:
     """Score controllers on identical draws: scores.json, and a picture of each one's first episode.
 
-    Example:  hframe evaluate pid textbook --episodes 64 --out out/scores
+    Example:  hframe evaluate pid textbook-pid --episodes 64 --out out/scores
     """
+    from .env import Track
+    from .evaluate import Trial, contender, write_scores
     from .evaluate import evaluate as run
-    from .evaluate import write_scores
     from .files import load_machine
 
     declared = load_machine(machine)
     require_folder(out)
-    chosen = {name: load_controller(name, declared) for name in dict.fromkeys(controllers)}
     try:
-        answer, recorded = run(chosen, declared, randomize=randomize, episodes=episodes, seed=seed)
+        chosen_task = Track(path=path) if task == "track" else task
+        trial = Trial(declared, chosen_task, randomize, sensors, episodes, seed, period)
+        chosen = {name: contender(name, trial) for name in dict.fromkeys(controllers)}
+        answer, recorded = run(chosen, trial)
     except ValueError as error:
         raise InputError(str(error)) from None
-    path = write_scores(out, answer)
+    written = write_scores(out, answer)
     show_scores(answer)
-    say(f"wrote {path}")
+    say(f"wrote {written}")
     try:
         from .evaluate.picture import save
 
@@ -240,39 +243,30 @@ def evaluate(
         say(f"no pictures: {error}")
 
 
-def load_controller(name: str, machine: Machine) -> Controller:
-    """A controller by name, or a trained agent by its folder, for a machine at the default control period.
-
-    Raises InputError for what is neither.
-    """
-    from .control import CONTROLLERS
-
-    if name in CONTROLLERS:
-        return CONTROLLERS[name](machine, 0.01)
-    if Path(name).is_dir():
-        from .agents.agent import Agent
-
-        try:
-            return Agent.load(name)
-        except ValueError as error:
-            raise InputError(str(error)) from None
-    raise InputError(f"controller {name!r} is none of {', '.join(CONTROLLERS)}, and no folder of a trained agent")
-
-
 def show_scores(answer: dict[str, Any]) -> None:
-    """Success and settling of each controller as a table."""
+    """Success of each controller, and settling times or errors along the path, as a table."""
+    task = answer["task"].partition("(")[0].lower()
     title = (
-        f"{answer['episodes']} episodes, {answer['machine']}, randomize {answer['randomize']}, seed {answer['seed']}"
+        f"{task}: {answer['episodes']} episodes, {answer['machine']}, randomize {answer['randomize']}, "
+        f"sensors {answer['sensors']}, seed {answer['seed']}"
     )
     table = Table(title=title, title_justify="left")
-    bands = ("1mm", "0.2mm", "0.05mm")
     table.add_column("controller", no_wrap=True)
-    for column in (*(f"in {b}" for b in bands), *(f"s to {b}" for b in bands)):
+    bands = ("1mm", "0.2mm", "0.05mm")
+    errors = {"contour_mm": "off the path", "tracking_mm": "off the goal"}
+    settles = all("settling_s" in score for score in answer["controllers"].values())
+    last = (
+        [f"s to {b}" for b in bands] if settles else [f"{n}, mm {k}" for n in errors.values() for k in ("rms", "max")]
+    )
+    for column in (*(f"in {b}" for b in bands), *last):
         table.add_column(column, justify="right")
     for name, score in answer["controllers"].items():
         shares = (f"{100 * score['success'][b]:.1f} %" for b in bands)
-        times = (f"{score['settling_s'][b]['mean']:.3f}" for b in bands)
-        table.add_row(name, *shares, *times)
+        if settles:
+            numbers = [score["settling_s"][b]["mean"] for b in bands]
+        else:
+            numbers = [score[key][kind]["mean"] for key in errors for kind in ("rms", "max")]
+        table.add_row(name, *shares, *(f"{number:.3f}" for number in numbers))
     console.print(table)
 
 

@@ -29,7 +29,7 @@ from benchmarks.real_machines.study import (
 from benchmarks.results_file import write_results
 from hframe_gym.files import Recording, load_machine, read_recordings
 from hframe_gym.identify import identify
-from hframe_gym.machine import Machine, rollout
+from hframe_gym.machine import Machine
 
 FULL_DUTY = 885.0
 EXAMPLE = ROOT / "examples" / "xl330"
@@ -49,9 +49,9 @@ def convert(source: Path, target: Path) -> None:
 
 
 def free_run(machine: Machine, run: Recording) -> Array:
-    """Angle (n,), rad, under the logged voltages, from the first reading at rest."""
-    start = np.array([run.outputs[0, 0], 0.0])
-    return rollout(machine, run.time_s, run.inputs, start=start)[0, :, 0]
+    """Angle that the sensor would show (n,), rad, under the logged voltages, from the first reading at rest."""
+    shown = machine.simulate(run.time_s, run.inputs, [run.outputs[0, 0], 0.0]).outputs[:, 0]
+    return shown - shown[0] + run.outputs[0, 0]
 
 
 def run(console: Console) -> None:

@@ -90,7 +90,7 @@ def wiring(data: Data, machine: Machine) -> list[Finding]:
         message = (
             f"measured and simulated speeds hardly agree (correlation {agreement:.2f}): is this the right machine?"
         )
-        return [Finding("fault", "", "", message)]
+        return [Finding("advice", "", "", message)]
     return []
 
 

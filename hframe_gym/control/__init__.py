@@ -1,9 +1,30 @@
-"""Controllers built from a machine's tables: a model-based PID and a textbook one.  Batches of stages, no gym."""
+"""Controllers built from a machine's tables, for batches of stages; no gym.
+
+model.py, places.py    the machine as controllers see it; where in the workspace gains are worked out
+trajectory.py          transfers to rest         tracking.py    plans along a path
+pid.py                 both as one controller    delay.py       dead time
+observer.py            the full state from encoders and lasers
+textbook_pid.py        the baseline
+"""
 
 from .controller import CONTROLLERS, Controller
 from .model import MotionModel
-from .pid import ModelPID
+from .observer import Channel, Observed, Observer
+from .pid import ESTIMATED, EXACT, Care, ModelPID
 from .textbook_pid import TextbookPID
 from .trajectory import Transfers
 
-__all__ = ["CONTROLLERS", "Controller", "ModelPID", "MotionModel", "TextbookPID", "Transfers"]
+__all__ = [
+    "CONTROLLERS",
+    "ESTIMATED",
+    "EXACT",
+    "Care",
+    "Channel",
+    "Controller",
+    "ModelPID",
+    "MotionModel",
+    "Observed",
+    "Observer",
+    "TextbookPID",
+    "Transfers",
+]

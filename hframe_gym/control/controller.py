@@ -17,11 +17,12 @@ class Controller(Protocol):
     """A controller of B stages at once; it may remember what it saw of each since its last reset."""
 
     def act(self, observation: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
-        """Actions (B, drives) in [-1, 1] for `observation` (B, entries) and `desired_goal` (B, 2), m."""
+        """Actions (B, drives) in [-1, 1] for `observation` (B, entries), `desired_goal` (B, 2), m, and for a goal that
+        moves `preview` (B, 2 P), m, where it is at the end of this period, of the next, ..."""
 
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
         """Forget the stages of mask (B,), or all: their next observation begins an episode."""
 
 
 # By the names of `hframe evaluate`; each is made as (machine, period in s).
-CONTROLLERS: dict[str, Callable[[Machine, float], Controller]] = {"pid": ModelPID, "textbook": TextbookPID}
+CONTROLLERS: dict[str, Callable[[Machine, float], Controller]] = {"pid": ModelPID, "textbook-pid": TextbookPID}

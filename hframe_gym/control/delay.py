@@ -1,4 +1,4 @@
-"""A known dead time between a voltage and its effect: what is under way, and the state when a new voltage takes hold."""
+"""A known dead time of the drives: what is under way, and the state when a new voltage takes hold."""
 
 from __future__ import annotations
 

@@ -4,7 +4,7 @@ State: travel and speed of all coordinates (z), and a force on each that the mod
 belts are never quite as declared.
 
     predict    z by the machine's kernel under the held voltages and f, so a stage that sticks sticks in the estimate;
-               the covariance by the belts' linear model, z+ = A z + B u + E f, f a random walk
+               the covariance by the belts' linear model, z+ = A z + B u + E f, f fading
     correct    by the readings that say something: a laser at an end of its range does not, and then the encoders,
                the belts' stretch under f, and what is known of f place the tool
 """
@@ -26,12 +26,13 @@ from .model import MotionModel
 from .places import Places
 
 Array = NDArray[np.float64]
-# Of the Coulomb level of a coordinate: how far its force may be off at first, and how far it walks in a second.
-FRICTION = 0.5
-BELTS = 0.2
-FADE = 0.05
+FRICTION = 0.5  # share of a coordinate's Coulomb level by which it may be off
+BELTS = 0.2  # share of the belts' pull on a coordinate by which it may be off
+# s, in which an unknown force is forgotten.  Short: the belts' pull that it mostly makes up for follows the motion, and
+# what is kept from a stretch of it that the lasers saw would bend the estimate where they do not.
+FADE = 0.005
 START = 1e-4  # m, by which the belts may be stretched at the start of an episode
-PUSH = 2e-3  # m/s a square root second: what is left to the speeds beside f
+PUSH = 1e-2  # m/s a square root second: what is left to the speeds beside f
 
 
 @dataclass(frozen=True)

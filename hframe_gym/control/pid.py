@@ -1,7 +1,7 @@
 """The model-based PID: everything from the machine's tables, nothing tuned by hand.
 
 P and D    state feedback on the carriage and the motors: the first voltage of the fastest transfer to rest that keeps
-           within the rated voltage (trajectory.py).  Far from the goal this is the time-optimal-like reference,
+           near the rated voltage (trajectory.py).  Far from the goal this is the time-optimal-like reference,
            replanned from the measured state every period, so it cannot wind up behind saturated motors; near it, where
            the shortest transfer fits, it is a constant gain that brings the model to rest in the fewest periods.
 forward    the voltage that Coulomb friction and the machine's known effects take at the present motion.
@@ -20,6 +20,7 @@ dead time in the machine's effects is bridged by running the model ahead (delay.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -28,7 +29,7 @@ from numpy.typing import NDArray
 from ..machine import Machine
 from .delay import DeadTime
 from .model import MotionModel
-from .tracking import Tracker
+from .tracking import CHANGE, Tracker
 from .trajectory import Transfers
 
 Array = NDArray[np.float64]
@@ -38,21 +39,41 @@ MOST_UNEXPLAINED = 6.0
 # full speed takes three or four; every as many again lengthen the transfers by a period.
 ARRIVALS = 6
 AROUND = 2  # shortest transfers more to go than wanted, beyond which a stage is on its way and not around its goal
+# Of the rated voltage: what a transfer may ask for.  It is cut to the rated one and planned again a period later, which
+# comes closer to full voltage until the brake, and then full brake, than a least-effort transfer that keeps within it.
+EAGER = 1.6
 STILL = 3e-5  # m, travel in a period below which a stage is at rest and does not ring
 HOLD = 2.0  # longest time to go while holding, of the shortest transfer's
-SMOOTH = 1.0
 FOLLOW = 0.2  # of the belts' stretch at rest not yet in the motors' reference, a period
+
+
+@dataclass(frozen=True)
+class Care:
+    """How far the state is to be believed.
+
+    average_s: time over which what is unexplained at rest is averaged, s.  change: of the plans along a path, m/V
+    (tracking.py).
+    """
+
+    average_s: float
+    change: float
+
+
+EXACT = Care(average_s=0.0, change=CHANGE)
+# Behind an observer: the noise of its speeds would come back as friction, and shake the belts as voltage.
+ESTIMATED = Care(average_s=0.045, change=10.0 * CHANGE)
 
 
 class ModelPID:
     """Model-based PID with full state for B stages of one machine, each perhaps a little off it.
 
-    machine: the model, of which gains and feed-forward are made.  period: of control, s.
+    machine: the model, of which gains and feed-forward are made.  period: of control, s.  care: with the state that it
+    is given, `EXACT` or `ESTIMATED`.
 
     Raises ValueError for a machine that it cannot control (see `MotionModel`) or a period that is not positive.
     """
 
-    def __init__(self, machine: Machine, period: float = 0.01) -> None:
+    def __init__(self, machine: Machine, period: float = 0.01, *, care: Care = EXACT) -> None:
         self.model = MotionModel(machine)
         self.transfers = Transfers(self.model, period)
         self.period = period
@@ -60,6 +81,9 @@ class ModelPID:
         self._tracker: Tracker | None = None  # made when it is known how far the goals are seen
         self._most = MOST_UNEXPLAINED * np.abs(self.model.rigid.T) @ self.model.coulomb
         self._hold = int(np.ceil(HOLD * self.transfers.shortest))
+        self._care = care
+        self._share = 1.0 - np.exp(-period / care.average_s) if care.average_s > 0.0 else 1.0
+        self._unexplained = np.zeros((0, 2))  # N, along x and y
         self._fresh = np.zeros(0, np.bool_)  # stages whose episode begins with the next observation
         self._state = np.zeros((0, 0))
         self._stretch = np.zeros((0, 0))  # motors' positions at rest beyond those of unstretched belts, m
@@ -78,6 +102,7 @@ class ModelPID:
             self._fresh = np.ones(len(state), np.bool_)
             self._state = state
             self._stretch = np.zeros((len(state), len(self.model.mass)))
+            self._unexplained = np.zeros((len(state), 2))
             self._near, self._restless, self._elapsed = (np.zeros(len(state), np.intp) for _ in range(3))
         self._late.begin(self._fresh)
         self._near, self._restless = (np.where(self._fresh, 0, n) for n in (self._near, self._restless))
@@ -110,23 +135,25 @@ class ModelPID:
         """Voltages (B, 2) for states (B, 2 n) with goals (B, 1 + P, 2), m, now and at the end of each period."""
         goals = self._late.skip(goals)
         if self._tracker is None or self._tracker.goals > goals.shape[1] - 1:
-            self._tracker = Tracker(self.model, self.transfers.places, self.period, goals.shape[1] - 1)
+            self._tracker = Tracker(
+                self.model, self.transfers.places, self.period, goals.shape[1] - 1, self._care.change
+            )
         self._tracker.learn(self._state, state, self._late.arrived(), self._fresh)
-        elapsed_s = self._elapsed * self.period + self._late.seconds
+        elapsed_s = self._elapsed.astype(np.float64) * self.period + self._late.seconds
         return self._tracker.volts(self._late.ahead(state), goals, self._late.last, elapsed_s)
 
     def _reach(self, seen: Array, goal: Array) -> Array:
         """Voltages (B, 2) for states (B, 2 n) with goals (B, 2), m, that stay where they are."""
         model = self.model
-        unexplained = model.disturbance(self._state, seen, self._late.arrived(), self.period)
         state = self._late.ahead(seen)
         # Stages that begin have no last period, and none of them has arrived: `_near` is 0.
         elapsed_s = self._elapsed.astype(np.float64) * self.period
         pushes = model.pushes(state, elapsed_s)
         known = (pushes + model.friction(state, elapsed_s)) @ model.rigid
-        if not hasattr(self,"_sm") or len(self._sm)!=len(seen) : self._sm=unexplained-known
-        self._sm = np.where(self._fresh[:,None],0.0, self._sm + SMOOTH*(unexplained-known-self._sm))
-        measured = known + np.clip(self._sm, -self._most, self._most)
+        unexplained = model.disturbance(self._state, seen, self._late.arrived(), self.period) - known
+        learnt = self._unexplained + self._share * (unexplained - self._unexplained)
+        self._unexplained = np.where(self._fresh[:, None], 0.0, learnt)
+        measured = known + np.clip(self._unexplained, -self._most, self._most)
         forward = -model.voltage(np.where(self._near[:, None] > 0, measured, known))
         error = state - model.goal_state(goal)
         stretch = model.stretch(error)
@@ -140,7 +167,8 @@ class ModelPID:
         shortest = self.transfers.shortest
         at_least = np.minimum(shortest + self._restless // (ARRIVALS * shortest), self._hold)
         # What forward takes of the voltage one way, it gives the other way: a brake gains by friction.
-        choice = self.transfers.choose(error, goal, (-model.rated - forward, model.rated - forward), at_least)
+        limit = EAGER * model.rated
+        choice = self.transfers.choose(error, goal, (-limit - forward, limit - forward), at_least)
         # One period more than the shortest (or than the hold) is still an arrival: corrections may ask for it.
         arriving = choice.periods <= at_least + 1
         self._near = np.where(arriving, self._near + 1, 0)

@@ -1,4 +1,4 @@
-"""Places of the workspace for which a controller's gains are worked out, because the belts' stiffness depends on them."""
+"""Places of the workspace for which gains are worked out, because the belts' stiffness depends on them."""
 
 from __future__ import annotations
 

@@ -21,7 +21,9 @@ CLEAR = 5.0  # of the closed loop's frequency, from the slowest belt mode and fr
 
 
 class TextbookPID:
-    """PID on x and y with the derivative on the measured speed and an integral that stops while a drive saturates.
+    """PID on x and y with an integral that stops while a drive saturates.
+
+    The derivative is on the measured speed, and for a goal that moves on how much it is off the goal's.
 
     machine: the model that the gains are made of.  period: of control, s.
 
@@ -51,7 +53,8 @@ class TextbookPID:
     def act(self, observation: Mapping[str, NDArray[Any]]) -> Array:
         """Actions (B, 2) in [-1, 1], shares of the rated voltage.
 
-        observation: `observation` (B, 2 n) and `desired_goal` (B, 2), m, as for `ModelPID.act`.
+        observation: `observation` (B, 2 n), `desired_goal` (B, 2), m, and for a goal that moves `preview`, as for
+        `ModelPID.act`.
 
         Raises ValueError for an observation that is not of this machine.
         """
@@ -59,7 +62,10 @@ class TextbookPID:
         if len(self._sum) != len(state):
             self._sum = np.zeros((len(state), 2))
         speed = state[:, len(self.model.mass) + self._axes]
-        error = np.asarray(observation["desired_goal"], np.float64) - state[:, self._axes]
+        goal = np.asarray(observation["desired_goal"], np.float64)
+        if "preview" in observation:
+            speed = speed - (np.asarray(observation["preview"], np.float64)[:, :2] - goal) / self.period
+        error = goal - state[:, self._axes]
         total = self._sum + self.integral * self.period * error
         volts = self.model.voltage(self.proportional * error - self.derivative * speed + total)
         saturated = np.any(np.abs(volts) > self.model.rated, axis=1, keepdims=True)

@@ -3,7 +3,7 @@
 With held voltages the state goes z+ = A z + B u + E f, f the force on each coordinate.  Of all voltages over the H
 periods whose goals g are seen, the plan takes those that are least in
 
-    sum_j |C z_j - g_j|^2 + CHANGE^2 sum_j |u_j - u_(j-1)|^2,        C z the tool
+    sum_j |C z_j - g_j|^2 + change^2 sum_j |u_j - u_(j-1)|^2,        C z the tool
 
 and plays the first (preview control, Tomizuka 1975, over a finite horizon).  Solved once for each place of the
 workspace it is a gain on the state (P and D, of carriage and motors), on the goals (the feed-forward: what speed,
@@ -29,17 +29,18 @@ ENOUGH = 0.1  # s of goals in sight; what comes later changes nothing now
 class Plans:
     """First voltages of the plans, by place of the workspace.
 
-    period: of control, s; goals: in sight, H.  Attributes (places, 2, .): state (2 n), V per m and m/s; last (2), V/V;
-    goal (2 H), V/m; force (n H), V/N, on each coordinate in each period.
+    period: of control, s; goals: in sight, H; change: m/V.  Attributes (places, 2, .): state (2 n), V per m and m/s;
+    last (2), V/V; goal (2 H), V/m; force (n H), V/N, on each coordinate in each period.
     """
 
-    def __init__(self, model: MotionModel, places: Places, period: float, goals: int) -> None:
-        gains = [self._solve(model, place, period, goals) for place in places.points]
+    def __init__(self, model: MotionModel, places: Places, period: float, goals: int, change: float) -> None:
+        gains = [self._solve(model, *model.discretise(place, period), goals, change) for place in places.points]
         self.state, self.last, self.goal, self.force = (np.stack(g) for g in zip(*gains, strict=True))
 
     @staticmethod
-    def _solve(model: MotionModel, place: Array, period: float, goals: int) -> tuple[Array, Array, Array, Array]:
-        A, B, E = model.discretise(place, period)
+    def _solve(
+        model: MotionModel, A: Array, B: Array, E: Array, goals: int, change: float
+    ) -> tuple[Array, Array, Array, Array]:
         C = np.zeros((len(AXES), len(A)))
         for row, axis in enumerate(AXES):
             C[row, model.machine.coordinate_names.index(axis)] = 1.0
@@ -55,22 +56,22 @@ class Plans:
 
         by_volts = response(B)
         inputs = B.shape[1]
-        change = np.eye(inputs * goals) - np.eye(inputs * goals, k=-inputs)
-        first = np.linalg.inv(by_volts.T @ by_volts + CHANGE**2 * change.T @ change)[:inputs]
+        steps = np.eye(inputs * goals) - np.eye(inputs * goals, k=-inputs)
+        first = np.asarray(np.linalg.inv(by_volts.T @ by_volts + change**2 * steps.T @ steps)[:inputs], np.float64)
         goal = first @ by_volts.T
-        return -goal @ np.vstack(powers[1:]), CHANGE**2 * first[:, :inputs], goal, -goal @ response(E)
+        return -goal @ np.vstack(powers[1:]), change**2 * first[:, :inputs], goal, -goal @ response(E)
 
 
 class Tracker:
     """Plans for B stages, and what each has learnt of the forces on it.
 
-    goals: in sight, H.  A stage's memory begins anew where `fresh` says so.
+    goals: in sight, H; change: see `Plans`.  A stage's memory begins anew where `fresh` says so.
     """
 
-    def __init__(self, model: MotionModel, places: Places, period: float, goals: int) -> None:
+    def __init__(self, model: MotionModel, places: Places, period: float, goals: int, change: float = CHANGE) -> None:
         self.model, self.places, self.period = model, places, period
         self.goals = min(goals, max(1, round(ENOUGH / period)))
-        self.plans = Plans(model, places, period, self.goals)
+        self.plans = Plans(model, places, period, self.goals, change)
         steps = [model.discretise(place, period) for place in places.points]
         self._A, self._B, self._E = (np.stack(matrices) for matrices in zip(*steps, strict=True))
         self._share = 1.0 - np.exp(-period / LEARN)

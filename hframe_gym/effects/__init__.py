@@ -32,7 +32,7 @@ def sites(effect: Effect, machine: Machine) -> tuple[str, ...]:
         return ()
     drives = tuple(d.name for d in machine.drives)
     sensors = tuple(s.channel for s in machine.sensors)
-    if effect.reading and effect.name == "sensor_skew":
+    if effect.name == "sensor_skew":
         sensors = tuple(s.channel for s in machine.sensors if machine.coordinate(s.coordinate).kind == "linear")
     return {
         "coordinate": machine.coordinate_names,

@@ -8,6 +8,11 @@ def tension(s, k, d):  # type: ignore[no-untyped-def]
     return k * (s - minimum(maximum(s, -d), d))
 
 
+def growth(s, d):  # type: ignore[no-untyped-def]
+    z = s - minimum(maximum(s, -d), d)
+    return 0.5 * z * z
+
+
 EFFECT = Effect(
     name="belt_play",
     family="belt_play",
@@ -15,5 +20,6 @@ EFFECT = Effect(
     formula="T = k (s - clip(s, -d, d))",
     source="backlash of timing belts in their pulleys' grooves",
     tension=tension,
+    growth=growth,
     parameters=(EffectParameter("d", "m", 0.0, 1e-2, scale=0.05, role="amplitude"),),
 )

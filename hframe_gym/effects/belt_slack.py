@@ -8,6 +8,11 @@ def tension(s, k, T0):  # type: ignore[no-untyped-def]
     return maximum(k * s, -T0)
 
 
+def growth(s, k, T0):  # type: ignore[no-untyped-def]
+    taut = maximum(s, -T0 / k)
+    return 0.5 * taut * taut
+
+
 EFFECT = Effect(
     name="belt_slack",
     family="belt_slack",
@@ -15,5 +20,6 @@ EFFECT = Effect(
     formula="T = max(k s, -T0)",
     source="a belt cannot push",
     tension=tension,
+    growth=growth,
     parameters=(EffectParameter("T0", "N", 0.0, 1e5, scale=0.1, grid=(0.15, 0.3, 0.45, 0.6, 0.75, 0.9)),),
 )

@@ -4,7 +4,7 @@ from ..machine.effect import Effect, EffectParameter
 from ..machine.vector_math import maximum, minimum
 
 
-def current(i, I):  # type: ignore[no-untyped-def]
+def current(i, I):  # type: ignore[no-untyped-def]  # noqa: E741
     return minimum(maximum(i, -I), I)
 
 

@@ -1,4 +1,4 @@
-"""Dry friction that grows along the way, F(q) = Fc + s q: rails that are not parallel, a belt that climbs its flange."""
+"""Dry friction that grows along the way, F(q) = Fc + s q: rails out of parallel, a belt on its flange."""
 
 from ..machine.effect import Effect, EffectParameter
 

@@ -20,5 +20,6 @@ EFFECT = Effect(
     source="tolerance of amplifiers and motor constants",
     voltage=voltage,
     equivalent=("a torque constant that differs",),
+    refitted=True,
     parameters=(EffectParameter("g", "1", -0.9, 9.0, scale=0.05, role="amplitude"),),
 )

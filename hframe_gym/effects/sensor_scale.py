@@ -18,5 +18,7 @@ EFFECT = Effect(
     source="calibration",
     reading=reading,
     equivalent=("a pulley's radius",),
+    # A rig whose only sensor has another gain is a rig of other masses and forces.
+    fits=lambda machine: len(machine.sensors) > sum(c.kind == "linear" for c in machine.coordinates),
     parameters=(EffectParameter("g", "1", -0.9, 9.0, scale=0.01, role="amplitude"),),
 )

@@ -16,19 +16,19 @@ from ..machine.lanes import LANES
 from . import blocks
 from .draws import reset_uniforms
 from .drives import as_drives
+from .observing import Observation, Observer
 from .randomisation import Sampler, as_rules
 from .rewards import Builtin, Reward, WithPenalty, as_reward, distances, judge, outside_of
-from .sensors import as_sensors, channels, sensed_entries
+from .sensors import as_sensors
 from .settings import MachineLike as MachineLike
 from .settings import Settings, as_machine
-from .spaces import BEYOND, observation_space, privileged_entries, workspace
-from .stage import Stages, View, runs
+from .spaces import observation_space, workspace
+from .stage import Stages, runs
 from .tasks import as_task, check_point
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Flags = NDArray[np.bool_]
-Observation = dict[str, NDArray[np.float32]]
 
 
 class Outcome(NamedTuple):
@@ -57,7 +57,7 @@ class Batch:
             raise ValueError(f"num_envs is {count}, it must be at least 1")
         self.settings = settings
         self.count = count
-        drives, self.sensors = as_drives(s.drives), as_sensors(s.sensors)
+        drives = as_drives(s.drives)
         self.machine = drives.on(as_machine(s.machine))
         self.workspace = workspace(self.machine)
         self.task = as_task(s.task)
@@ -73,12 +73,17 @@ class Batch:
             drives=drives,
             end_stops=s.ends == "stops",
         )
-        self._observe_by()
+        self.observer = Observer(self.stages, as_sensors(s.sensors), self._shares() if s.privileged else None)
+        self.observation_space = observation_space(
+            self.machine,
+            len(self.task.ahead_s),
+            observed=self.observer.entries,
+            privileged=self.observer.privileged,
+        )
         self._edges = self.workspace.astype(np.float32)
         self._plan = np.zeros((self.count, self.task.plan_size))
         self._goals = np.zeros((self.count, 2), np.float32)  # as they are at reset, for a task whose goals stay
         self.rngs: list[np.random.Generator | None] = [None] * self.count
-        self._keys = np.zeros(self.count, np.uint64)  # of each environment's episode, for its noise
         self.elapsed = np.zeros(self.count, np.int64)
         self.clipped = np.zeros(self.count, np.int64)
 
@@ -91,30 +96,6 @@ class Batch:
         nominal = np.array(list(self.machine.parameters.values()))
         self._base = np.tile(nominal, (self.count if self._startup.names else 1, 1))
         self._to_start = np.ones(self.count, np.bool_)  # startup draws not made yet
-
-    def _observe_by(self) -> None:
-        """The space of observations, and what is read for them."""
-        self.entries = sensed_entries(self.machine, self.sensors)
-        goals = self.workspace + np.array([-BEYOND, BEYOND])
-        self._tool = self.stages.view([("x", False), ("y", False)], goals[:, 0], goals[:, 1])
-        wanted = [e for e in self.entries if self.sensors is None or not e.velocity]
-        self._view = self._view_of(wanted)
-        self._readings = np.zeros((self.count, 2, len(wanted)))
-        if self.sensors is not None:
-            self._channels = channels(self.machine, self.sensors)
-            low, high = (np.array([getattr(e, edge) for e in self.entries]) for edge in ("low", "high"))
-            self._report = (self.settings.period, *self._channels[2:], low, high, goals)
-        self.privileged = privileged_entries(self.machine, self._shares()) if self.settings.privileged else ()
-        self._all_state = self._view_of([e for e in self.privileged if e.coordinate])
-        self._drawn_shares = np.zeros((self.count, len(self._drawn)), np.float32)
-        self.observation_space = observation_space(
-            self.machine, len(self.task.ahead_s), observed=self.entries, privileged=self.privileged
-        )
-
-    def _view_of(self, wanted: Any) -> View:
-        # The box is float32; its edges may lie inside those of the entries.
-        low, high = (np.array([getattr(e, edge) for e in wanted], np.float32) for edge in ("low", "high"))
-        return self.stages.view([(e.coordinate, e.velocity) for e in wanted], low, high)
 
     def _nominal(self) -> Array:
         """What drawn parameters are shares of: their nominal values, or 1 where those are zero."""
@@ -135,13 +116,11 @@ class Batch:
 
     def _new_keys(self, index: Index) -> NDArray[np.uint64]:
         """One 64-bit number from the generator of each environment of index (k,)."""
-        keys = []
-        for b in index.tolist():
-            generator = self.rngs[b]
-            if generator is None:
-                generator = self.rngs[b] = seeding.np_random()[0]
-            keys.append(generator.bit_generator.random_raw())
-        return np.array(keys, np.uint64)
+        own = index.tolist()
+        for b in own:
+            if self.rngs[b] is None:
+                self.rngs[b] = seeding.np_random()[0]
+        return np.array([self.rngs[b].bit_generator.random_raw() for b in own], np.uint64)  # type: ignore[union-attr]
 
     def reset(self, index: Index, start: ArrayLike | None = None, target: ArrayLike | None = None) -> None:
         """Begin new episodes in environments index (k,), ascending.
@@ -157,7 +136,7 @@ class Batch:
             uniforms = reset_uniforms(self._new_keys(fresh), self._startup.draws)
             self._base[fresh] = self._startup.draw(nominal, uniforms)
             self._to_start[fresh] = False
-        self._keys[index] = keys = self._new_keys(index)
+        keys = self._new_keys(index)
         uniforms = reset_uniforms(keys, self.task.draws + self._at_reset.draws)
         position, plan = self.task.begin(self.workspace, uniforms[:, : self.task.draws])
         base = self._base[index] if self._startup.names else np.repeat(self._base, len(index), axis=0)
@@ -167,10 +146,7 @@ class Batch:
         self.clipped[index] = 0
         self._goals[index] = self.task.goal(self._plan[index], np.zeros(len(index)))
         self.stages.place(index, position if given[0] is None else given[0], values)
-        if self.privileged:
-            self._drawn_shares[index] = values[:, self._drawn_columns] / self._nominal()
-        if self.sensors is not None:
-            self._read(index, fresh=True)
+        self.observer.begin(index, keys, values[:, self._drawn_columns] / self._nominal(), self.elapsed)
 
     def _points(self, name: str, points: ArrayLike | None, k: int) -> Array | None:
         if points is None:
@@ -214,15 +190,14 @@ class Batch:
         self.elapsed += 1
         observation, tool = self._blank()
         achieved, desired = observation["achieved_goal"], observation["desired_goal"]
-        sensed = self.sensors is not None
+        sensed = self.observer.sensors is not None
         reward, distance = np.empty(self.count), np.empty(self.count)
         builtin = self.reward if isinstance(self.reward, Builtin) else None
 
         def finish(first: int, last: int) -> int:
             begin, end = first * LANES, min(last * LANES, self.count)
-            if sensed:
-                self._read(np.arange(begin, end), fresh=False)
-            broken = self._see(first, last, observation, tool)
+            self.observer.read(first, last, self.elapsed)
+            broken = self.observer.see(first, last, observation, tool)
             if builtin is not None:
                 judge(tool, achieved, sensed, desired, builtin.kind, builtin.band, begin, end, distance, reward)
             return broken
@@ -239,12 +214,12 @@ class Batch:
         """Begin new episodes in environments index (k,), ascending, and write how they look into their rows."""
         self.reset(index)
         observation = outcome.observation
-        tool = observation["achieved_goal"] if self.sensors is None else np.empty((self.count, 2), np.float32)
+        tool = self.observer.tool(observation)
         observation["desired_goal"][index] = self.goals(index)
         if "preview" in observation:
             observation["preview"][index] = self.previews(index)
         for first, last in runs(index):
-            self._see(first, last, observation, tool)
+            self.observer.see(first, last, observation, tool)
         outcome.distance[index] = distances(tool[index], observation["desired_goal"][index])
         if outcome.contour is not None:
             outcome.contour[index] = self.contour(index)
@@ -252,63 +227,19 @@ class Batch:
     def observe(self) -> Observation:
         """The observation of all environments as they are, fresh arrays."""
         observation, tool = self._blank()
-        self._see(0, self.stages.blocks, observation, tool)
+        self.observer.see(0, self.stages.blocks, observation, tool)
         return observation
 
     # -- what is seen ----------------------------------------------------------------------------------------------
 
     def _blank(self) -> tuple[Observation, NDArray[np.float32]]:
         """Arrays for an observation of all environments, goals written, and for where the tools are (count, 2)."""
-        achieved = np.empty((self.count, 2), np.float32)
+        observation, tool = self.observer.blank()
         everyone = slice(None)
-        observation = {
-            "observation": np.empty((self.count, len(self.entries)), np.float32),
-            "achieved_goal": achieved,
-            "desired_goal": self.goals(everyone),
-        }
+        observation["desired_goal"] = self.goals(everyone)
         if self.task.ahead_s:
             observation["preview"] = self.previews(everyone)
-        if self.privileged:
-            observation["privileged"] = np.empty((self.count, len(self.privileged)), np.float32)
-        # With the full state, what is achieved is where the tool is.
-        return observation, achieved if self.sensors is None else np.empty((self.count, 2), np.float32)
-
-    def _see(self, first: int, last: int, observation: Observation, tool: NDArray[np.float32]) -> int:
-        """Write what environments of blocks first..last-1 observe; returns one that is not finite, or -1."""
-        stages = self.stages
-        begin, end = first * LANES, min(last * LANES, self.count)
-        if self.sensors is None:
-            broken = stages.observe(first, last, self._view, observation["observation"], tool)
-        else:
-            broken = stages.observe(first, last, self._tool, tool, tool)
-            out = observation["observation"], observation["achieved_goal"]
-            blocks.report(self._readings, *self._report, np.arange(begin, end), *out)
-        if self.privileged:
-            row = observation["privileged"]
-            broken = max(broken, stages.observe(first, last, self._all_state, row, tool))
-            row[begin:end, len(self._all_state[0]) :] = self._drawn_shares[begin:end]
-        return broken
-
-    def _read(self, index: Index, *, fresh: bool) -> None:
-        """Take the readings of the sensors of environments index (k,)."""
-        rows, radii = self._view[:2]
-        c = self._channels
-        state, parameters = self.stages.state, self.stages.parameters
-        blocks.read(
-            state,
-            parameters,
-            rows,
-            radii,
-            c.quanta,
-            c.noise,
-            c.least,
-            c.most,
-            self._keys,
-            self.elapsed,
-            index,
-            fresh,
-            self._readings,
-        )
+        return observation, tool
 
     def goals(self, index: Index | slice) -> NDArray[np.float32]:
         """Where environments index (k,) should be now, (k, 2) m, fresh."""
@@ -322,6 +253,11 @@ class Batch:
         plans = np.repeat(self._plan[index], times.shape[1], axis=0)
         return self.task.goal(plans, times.ravel()).reshape(len(times), -1).astype(np.float32)
 
+    def path(self, b: int, elapsed_s: Array) -> NDArray[np.float32]:
+        """Where environment b should be elapsed_s (n,) after its reset, (n, 2) m; nothing for a goal that stays."""
+        times = elapsed_s if self.task.ahead_s else elapsed_s[:0]
+        return self.task.goal(np.repeat(self._plan[b : b + 1], len(times), axis=0), times).astype(np.float32)
+
     def contour(self, index: Index | slice) -> Array | None:
         """Distance (k,) of the tools themselves to their paths, m; None for a task without a path."""
         if not self.task.ahead_s:
@@ -332,7 +268,7 @@ class Batch:
         """Distance (k,) of the tools themselves to their goals, m."""
         tool = np.empty((self.count, 2), np.float32)
         for first, last in runs(index):
-            self.stages.observe(first, last, self._tool, tool, tool)
+            self.observer.see_tools(first, last, tool)
         return distances(tool[index], self.goals(index))
 
     def _elapsed_s(self, index: Index | slice) -> Array:

@@ -44,7 +44,7 @@ def command(
             own = b < count
             b = b if own else count - 1
             for k in range(actions.shape[1]):
-                share = np.float64(actions[b, k])
+                share: Any = np.float64(actions[b, k])
                 if share > 1.0 or share < -1.0:
                     share = 1.0 if share > 1.0 else -1.0
                     clipped[b] += own
@@ -121,10 +121,11 @@ def observe(
     out: Any,
     tool: Any,
 ) -> int:
-    """Rows of the state as float32 observations out (B, n or more), clipped to [low, high] (n,), and x, y as tool (B, 2).
+    """Rows of the state as float32 observations out (B, n or more), clipped to [low, high] (n,).
 
-    rows (n,): which rows of the state, those of x and y first; radius_rows (n,): the row of the parameters that turns travel (m) into the
-    coordinate's own unit (rad), or -1.  Returns an environment whose state is not finite, or -1.
+    rows (n,): which rows of the state, those of x and y first: tool (B, 2) gets them too; radius_rows (n,): the row of
+    the parameters that turns travel (m) into the coordinate's own unit (rad), or -1.  Returns an environment whose
+    state is not finite, or -1.
     """
     count = rows.shape[0]
     values = np.empty((count, LANES))
@@ -275,17 +276,22 @@ def put(index: Any, rows: Any, table: Any) -> None:
 
 
 @compiled
-def gather(source: Any, lanes: Any, out: Any) -> None:
-    """Copy lanes (k,) of source (blocks, rows, LANES) to the front of out; what is left of out repeats the last."""
-    for i in range(out.shape[0] * LANES):
-        lane = lanes[min(i, lanes.shape[0] - 1)]
+def gather(source: Any, lanes: Any, first: int, out: Any) -> None:
+    """Copy lanes (k,) of source (blocks, rows, LANES) to the front of out's blocks from `first` on.
+
+    What is left of the last block that is touched repeats the last lane.
+    """
+    for i in range(-(-lanes.shape[0] // LANES) * LANES):
+        block, lane = divmod(lanes[min(i, lanes.shape[0] - 1)], LANES)
+        to, at = first + i // LANES, i % LANES
         for row in range(source.shape[1]):
-            out[i // LANES, row, i % LANES] = source[lane // LANES, row, lane % LANES]
+            out[to, row, at] = source[block, row, lane]
 
 
 @compiled
-def scatter(source: Any, lanes: Any, out: Any) -> None:
-    """Copy the first k lanes of source back to lanes (k,) of out, `gather` in reverse."""
+def scatter(source: Any, first: int, lanes: Any, out: Any) -> None:
+    """Copy k lanes of source's blocks from `first` on back to lanes (k,) of out, `gather` in reverse."""
     for i in range(lanes.shape[0]):
+        block, lane = divmod(lanes[i], LANES)
         for row in range(out.shape[1]):
-            out[lanes[i] // LANES, row, lanes[i] % LANES] = source[i // LANES, row, i % LANES]
+            out[block, row, lane] = source[first + i // LANES, row, i % LANES]

@@ -62,10 +62,10 @@ def with_end_stops(machine: Machine) -> Machine:
 class EndStops:
     """The kernel with end stops, for the stages of a batch that meet one.
 
-    period: for which a stage is advanced at a time, s.  state: of the batch, for its shape.
+    period: for which a stage is advanced at a time, s.  tables: of the batch, for their shapes.
     """
 
-    def __init__(self, machine: Machine, period: float, state: Array) -> None:
+    def __init__(self, machine: Machine, period: float, tables: Tables) -> None:
         stopped = with_end_stops(machine)
         self._kernel = kernel_for(stopped)
         ranges = np.array([machine.coordinate(name).range for name in ("x", "y")])
@@ -74,8 +74,12 @@ class EndStops:
         # The largest way out and back within a period that an acceleration allows: a T^2 / 8.
         mass = np.array([machine.coordinate(name).mass for name in ("x", "y")])
         self._bulge = HASTE * stall_force(machine) / mass * period**2 / 8.0
-        self._added = np.array(list(stopped.parameters.values())[len(machine.parameters) :])
-        self._before = np.empty_like(state)
+        # Room for the stages that are run again, in the blocks of their own range; the stops' parameters stay.
+        self._before = np.empty_like(tables[0])
+        self._again = [np.empty_like(table) for table in tables]
+        added = np.array(list(stopped.parameters.values())[len(machine.parameters) :])
+        columns = np.broadcast_to(added[:, None], (len(tables[1]), len(added), LANES))
+        self._again[1] = np.concatenate([tables[1], columns], axis=1)
 
     def remember(self, state: Array, first: int, last: int) -> None:
         """Keep the state of blocks first..last-1, before a period."""
@@ -87,18 +91,14 @@ class EndStops:
         run: advances blocks by a kernel, run(kernel, tables, first, last).  tables: state, after the period without end
         stops, parameters, derived numbers and inputs of all, (blocks, rows, LANES).
         """
-        state = tables[0]
-        lanes = blocks.beyond(self._before, state, self._rows, self._low, self._high, self._bulge, first, last)
+        lanes = blocks.beyond(self._before, tables[0], self._rows, self._low, self._high, self._bulge, first, last)
         if not len(lanes):
             return
-        count = -(-len(lanes) // LANES)
-        copies = [np.empty((count, table.shape[1], LANES)) for table in tables]
-        for table, copy in zip((self._before, *tables[1:]), copies, strict=True):
-            blocks.gather(table, lanes, copy)
-        stopped, parameters, derived, inputs = copies
-        added = np.broadcast_to(self._added[:, None], (count, len(self._added), LANES))
-        run(self._kernel, (stopped, np.concatenate([parameters, added], axis=1), derived, inputs), 0, count)
-        blocks.scatter(stopped, lanes, state)
+        for table, copy in zip((self._before, *tables[1:]), self._again, strict=True):
+            blocks.gather(table, lanes, first, copy)
+        state, parameters, derived, inputs = self._again
+        run(self._kernel, (state, parameters, derived, inputs), first, first - (-len(lanes) // LANES))
+        blocks.scatter(state, first, lanes, tables[0])
 
 
 def stall_force(machine: Machine) -> float:

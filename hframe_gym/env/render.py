@@ -23,20 +23,21 @@ if TYPE_CHECKING:
 Point = tuple[float, float]
 
 TRAIL = 300  # points of the trail that are kept
+PATH_S = 3.0  # s of an episode for which the path of a moving goal is drawn
 WIDTH, HEIGHT = 880, 660  # pixels
 RADIUS = 0.0194  # m, of the drawn pulleys
 HALF_BRIDGE = 0.045  # m, from the bridge's middle to the belts at its sides
 CLEARANCE = 0.075  # m, from the workspace to the frame
-FULL_COLOUR = 60.0  # N of tension beyond (or below) pretension for the full colour
+FULL_COLOUR = 40.0  # N of tension beyond (or below) pretension for the full colour
 
 PAPER, RAIL, BODY, CART, INK = (250, 250, 248), (214, 217, 222), (176, 183, 193), (92, 103, 120), (44, 50, 60)
 SLACK, NEUTRAL, TAUT, UNKNOWN = (43, 108, 196), (146, 146, 150), (214, 48, 39), (120, 120, 124)
-TARGET, TRACE = (22, 140, 92), (240, 160, 60)
+TARGET, PATH, TRACE = (22, 140, 92), (150, 206, 178), (238, 140, 20)
 
 
 @dataclass(frozen=True)
 class Scene:
-    """What a picture shows.  position, target, trail: m.  angles: of the two motors, rad.  tensions: by belt, N."""
+    """What a picture shows.  position, target, trail, path: m.  angles: of the motors, rad.  tensions: by belt, N."""
 
     position: Point
     target: Point
@@ -44,6 +45,7 @@ class Scene:
     angles: tuple[float, float]
     tensions: dict[str, float]
     trail: Sequence[Point]
+    path: Sequence[Point]
     time_s: float
     distance: float
 
@@ -63,6 +65,7 @@ def scene(batch: Batch, b: int, trail: Sequence[Point]) -> Scene:
         angles=(angles[0], angles[1]),
         tensions=batch.stages.tensions(b),
         trail=list(trail),
+        path=batch.path(b, np.arange(0.0, PATH_S, batch.settings.period)).tolist(),
         time_s=float(batch.elapsed[b] * batch.settings.period),
         distance=float(batch.distance(index)[0]),
     )
@@ -204,12 +207,13 @@ class Renderer:
         surface, draw = self._surface, self._pygame.draw
         surface.blit(self._background, (0, 0))
         self._draw_bridge(scene.position[0])
-        self._draw_trail(scene)
-        self._draw_target(scene)
         self._draw_belt(scene)
         self._draw_pulleys(scene)
         x, y = scene.position
         draw.rect(surface, CART, self._box(x - 0.055, y - 0.028, x + 0.055, y + 0.028), border_radius=6)
+        self._draw_line(scene.path, PATH, 3)
+        self._draw_line(scene.trail, TRACE, 2)
+        self._draw_target(scene)
         draw.circle(surface, PAPER, self._at(scene.position), 5)
         draw.circle(surface, INK, self._at(scene.position), 2)
         text = f"t = {scene.time_s:.2f} s    distance = {1e3 * scene.distance:.3f} mm    belts: "
@@ -223,10 +227,10 @@ class Renderer:
             draw.rect(self._surface, BODY, self._box(x - 0.092, low, x + 0.092, high), border_radius=8)
         draw.rect(self._surface, BODY, self._box(x - 0.025, g.y0, x + 0.025, g.y1), border_radius=4)
 
-    def _draw_trail(self, scene: Scene) -> None:
-        points = [self._at(p) for p in scene.trail]
-        if len(points) > 1:
-            self._pygame.draw.aalines(self._surface, TRACE, False, points)
+    def _draw_line(self, points: Sequence[Point], colour: tuple[int, int, int], width: int) -> None:
+        pixels = [self._at(p) for p in points]
+        if len(pixels) > 1:
+            self._pygame.draw.lines(self._surface, colour, False, pixels, width)
 
     def _draw_target(self, scene: Scene) -> None:
         draw, (x, y) = self._pygame.draw, self._at(scene.target)
@@ -238,7 +242,7 @@ class Renderer:
         for name, points in self._geometry.sections(*scene.position).items():
             colour = tension_colour(section_tension(scene.tensions, name))
             pixels = [self._at(p) for p in points]
-            self._pygame.draw.lines(self._surface, colour, False, pixels, 3)
+            self._pygame.draw.lines(self._surface, colour, False, pixels, 4)
 
     def _draw_pulleys(self, scene: Scene) -> None:
         draw, g = self._pygame.draw, self._geometry

@@ -48,13 +48,20 @@ def judge(
 
     sensed: whether what is achieved may be another place than the tool's.
     """
+    # Loops of one thing each, which the compiler turns into vector code.
     for b in range(first, last):
-        distance[b] = d = _distance(tool, desired, b)
-        if sensed:
-            d = _distance(achieved, desired, b)
-        if kind == SPARSE:
-            reward[b] = 0.0 if d <= band else -1.0
-        else:
+        distance[b] = _distance(tool, desired, b)
+    if sensed:
+        for b in range(first, last):
+            reward[b] = _distance(achieved, desired, b)
+    else:
+        reward[first:last] = distance[first:last]
+    if kind == SPARSE:
+        for b in range(first, last):
+            reward[b] = 0.0 if reward[b] <= band else -1.0
+    else:
+        for b in range(first, last):
+            d = reward[b]
             # The sum of d / (d + scale) as one fraction: a division costs as much as ten products.
             above, below = 0.0, 1.0
             for scale in SCALES:

@@ -21,8 +21,8 @@ Ends = Literal["stops", "terminate"]
 # Taken from the reward when an episode ends at the workspace's edge: as much as a hundred steps can lose, so that
 # leaving does not pay.
 PENALTY = 100.0
-# s.  At 0.5 ms the tool is off by 0.9 um after 0.4 s of random voltages, at 0.25 ms by 0.2 um (median, decision record
-# 0003): a fiftieth of a laser's noise, for half the time.
+# s.  After 0.4 s of random voltages up to 12 V the tool is off by 1.1 um (median; 3 um at most), with 0.25 ms by 0.2 um
+# (0.8 um) (benchmarks/accuracy.py): a twentieth of a laser's noise, for half the time.
 LONGEST_STEP = 0.5e-3
 
 

@@ -9,7 +9,8 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from .batch import Batch, Observation
+from .batch import Batch
+from .observing import Observation
 from .render import TRAIL, Renderer, check_mode, scene
 from .settings import Settings
 from .spaces import Entry, action_space
@@ -47,12 +48,12 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
     @property
     def entries(self) -> tuple[Entry, ...]:
         """What each number of `observation` is: name, unit, bounds."""
-        return self.batch.entries
+        return self.batch.observer.entries
 
     @property
     def privileged_entries(self) -> tuple[Entry, ...]:
         """What each number of `privileged` is; empty without privileged=True."""
-        return self.batch.privileged
+        return self.batch.observer.privileged
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

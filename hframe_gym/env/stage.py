@@ -67,7 +67,7 @@ class Stages:
         nominal = np.array(list(machine.parameters.values()))
         self.parameters = in_blocks(np.tile(nominal, (count, 1)))
         self._with_ends = end_stops
-        self._compile()
+        self._kernel = kernel_for(machine)
         self.derived = np.zeros((self.blocks, len(self._kernel.layout.derived), LANES))
         self._kernel.prepare_blocks(self.parameters, self.h, 0, self.blocks, self.derived)
         rows = self.steps * self._inputs if self._kernel.delayed else self._inputs
@@ -76,6 +76,7 @@ class Stages:
         self._history = np.zeros((self.blocks, 1 + periods, self._inputs, LANES))
         self._delays = np.zeros((self.blocks, self._inputs, LANES))
         self._set_delays(0, self.blocks)
+        self._compile()
 
     def _ranges(self, drives: Drives) -> tuple[Array, Array, Array, Array]:
         """Rated voltage, the converter's quantum, lowest and highest voltage of each input, V."""
@@ -106,7 +107,11 @@ class Stages:
 
     def _compile(self) -> None:
         self._kernel = kernel_for(self.machine)
-        self._ends = EndStops(self.machine, self.period, self.state) if self._with_ends else None
+        self._ends = EndStops(self.machine, self.period, self._tables) if self._with_ends else None
+
+    @property
+    def _tables(self) -> Tables:
+        return self.state, self.parameters, self.derived, self.inputs
 
     def __getstate__(self) -> dict[str, Any]:
         return {k: v for k, v in self.__dict__.items() if k not in ("_kernel", "_ends")}
@@ -181,12 +186,11 @@ class Stages:
             blocks.command(actions, *self._converter, first, last, volts, clipped)
             if self._kernel.delayed:
                 blocks.late(self._history, self._delays, self.period, self.h, first, last, self.inputs)
-            tables = (self.state, self.parameters, self.derived, self.inputs)
             if self._ends:
                 self._ends.remember(self.state, first, last)
-            self._run(self._kernel, tables, first, last)
+            self._run(self._kernel, self._tables, first, last)
             if self._ends:
-                self._ends.correct(self._run, tables, first, last)
+                self._ends.correct(self._run, self._tables, first, last)
             b = finish(first, last)
             if b >= 0:
                 broken.append(b)

@@ -12,7 +12,8 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from .batch import Batch, Flags, Index, Observation, Outcome
+from .batch import Batch, Flags, Index, Outcome
+from .observing import Observation
 from .render import TRAIL, Renderer, check_mode, scene
 from .settings import Settings
 from .single import check_options
@@ -70,12 +71,12 @@ class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]])
     @property
     def entries(self) -> tuple[Entry, ...]:
         """What each number of `observation` is: name, unit, bounds."""
-        return self.batch.entries
+        return self.batch.observer.entries
 
     @property
     def privileged_entries(self) -> tuple[Entry, ...]:
         """What each number of `privileged` is; empty without privileged=True."""
-        return self.batch.privileged
+        return self.batch.observer.privileged
 
     # -- reset -----------------------------------------------------------------------------------------------------
 

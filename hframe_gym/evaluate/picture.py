@@ -1,4 +1,4 @@
-"""A picture of one episode: the path, the error over time, the voltages."""
+"""A picture of one episode: the way of the tool, the error over time, the voltages."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ FLOOR = 1e-3  # mm, least error that is drawn
 
 
 def draw(run: Episodes, episode: int = 0, *, title: str = "") -> Any:
-    """A matplotlib figure of one episode: path in the plane, distance to the goal (log), voltages.
+    """A matplotlib figure of one episode: the tool's way, its distance to the goal and to the path (log), voltages.
 
     Raises ImportError naming the extra where matplotlib is not installed, IndexError for an episode that is not there.
     """
@@ -28,17 +28,24 @@ def draw(run: Episodes, episode: int = 0, *, title: str = "") -> Any:
     position, goal, volts = 1e3 * run.position[episode], 1e3 * run.goal[episode], run.volts[episode]
     figure = Figure(figsize=(11, 3.6), layout="constrained")
     path, distance, voltage = figure.subplots(1, 3)
+    moves = run.contour is not None
+    if moves:
+        path.plot(*goal.T, color="0.6", lw=2.5, label="path")
     path.plot(*position.T, lw=1.2)
     path.plot(*position[0], "o", ms=4, label="start")
-    path.plot(*goal, "x", ms=7, label="goal")
+    if not moves:
+        path.plot(*goal[-1], "x", ms=7, label="goal")
     path.set(xlabel="x (mm)", ylabel="y (mm)", aspect="equal", adjustable="datalim")
     path.legend(frameon=False)
     off = np.linalg.norm(position - goal, axis=1)
-    distance.semilogy(run.time_s, np.maximum(off, FLOOR), lw=1.2)
+    distance.semilogy(run.time_s, np.maximum(off, FLOOR), lw=1.2, label="to the goal")
+    if run.contour is not None:
+        distance.semilogy(run.time_s, np.maximum(1e3 * run.contour[episode], FLOOR), lw=1.2, label="to the path")
+        distance.legend(frameon=False, ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     for name, band in BANDS.items():
         distance.axhline(1e3 * band, color="0.6", lw=0.7, ls="--")
         distance.annotate(name, (run.time_s[-1], 1e3 * band), ha="right", va="bottom", fontsize=7, color="0.4")
-    distance.set(xlabel="time (s)", ylabel="distance to the goal (mm)")
+    distance.set(xlabel="time (s)", ylabel="distance (mm)" if moves else "distance to the goal (mm)")
     period = (run.time_s[-1] - run.time_s[0]) / len(volts)
     edges = run.time_s[0] + period * np.arange(len(volts) + 1)
     for j in range(volts.shape[1]):

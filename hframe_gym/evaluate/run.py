@@ -81,6 +81,7 @@ def rollout(controller: Controller, trial: Trial) -> Episodes:
         machine=trial.machine,
         task=trial.own_task,
         randomize=trial.randomize,
+        sensors=trial.sensors,
         period=sample_s,
     )
     samples = trial.periods * SAMPLES + 1
@@ -119,7 +120,7 @@ def evaluate(
     """Scores of controllers, by name, on the draws of a trial, and their episodes.
 
     bound_s: least possible time to 0.2 mm of each draw (episodes,), s, where it was computed.
-    The scores are plain data: `{"schema": 1, "machine", "task", "randomize", "episodes", "seed", "period_s",
+    The scores are plain data: `{"schema": 1, "machine", "task", "randomize", "episodes", "seed", "sensors", "period_s",
     "controllers"}`.
 
     Raises ValueError as `rollout` does.
@@ -133,6 +134,7 @@ def evaluate(
         "randomize": randomize if isinstance(randomize, str) else [repr(rule) for rule in randomize],
         "episodes": trial.episodes,
         "seed": trial.seed,
+        "sensors": trial.sensors if isinstance(trial.sensors, str) else repr(trial.sensors),
         "period_s": trial.period,
         "controllers": {name: scores(run, bound_s, seed=trial.seed) for name, run in runs.items()},
     }

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from ..env.batch import MachineLike
 from ..env.randomisation import Randomise
+from ..env.sensors import SensorsLike
 from ..env.tasks import Task, TaskLike, Track, as_task
 
 
@@ -14,13 +15,15 @@ from ..env.tasks import Task, TaskLike, Track, as_task
 class Trial:
     """Episodes to be judged on; episode b is the environment's of seed + b, whoever controls it.
 
-    machine: the stage as declared, around which `randomize` draws.  task: "reach", "track" or a `Task`.
+    machine: the stage as declared, around which `randomize` draws.  task: "reach", "track" or a `Task`.  sensors: what
+    controllers see, "state", "rig" or `Sensors`; all are judged by where the tool is.
     period: of control, s.  duration_s: of an episode; 1.5 s is twice the longest move.
     """
 
     machine: MachineLike = "hframe"
     task: TaskLike = "reach"
     randomize: Randomise = "default"
+    sensors: SensorsLike = "state"
     episodes: int = 512
     seed: int = 0
     period: float = 0.01
@@ -41,6 +44,10 @@ class Trial:
 
     @property
     def own_task(self) -> Task:
-        """The task as its controller is to see it: future goals are a control period apart."""
+        """The task as its controller is to see it: future goals a control period apart, as far ahead as its own."""
         task = as_task(self.task)
-        return dataclasses.replace(task, preview_s=self.period) if isinstance(task, Track) else task
+        if not isinstance(task, Track):
+            return task
+        return dataclasses.replace(
+            task, preview_s=self.period, previews=max(1, round(task.previews * task.preview_s / self.period))
+        )

@@ -2,12 +2,14 @@
 
 from ..atomic import whole_file, write_text
 from .errors import InputError
+from .gaps import fill_gaps
 from .machine_file import load_machine, machine_to_dict, save_machine
 from .recording import Recording, read_recording, read_recordings, run_name, write_trajectory
 
 __all__ = [
     "InputError",
     "Recording",
+    "fill_gaps",
     "load_machine",
     "machine_to_dict",
     "read_recording",

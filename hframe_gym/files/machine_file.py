@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from ..atomic import write_text
-from ..effects import LIBRARY, sites
+from ..effects import LIBRARY, effect_of, sites
 from ..machine import BUILTIN, Belt, Coordinate, Drive, Machine, Sensor, Uncertainty
 from ..machine.tables import FIXED_UNITS, UNITS
 from .errors import InputError
@@ -85,6 +85,7 @@ class _MachineFile(_Table):
     drives: list[_Drive] = Field(min_length=1)
     sensors: list[_Sensor] = Field(min_length=1)
     effects: list[_AppliedEffect] = []
+    ties: dict[str, tuple[str, FiniteFloat]] = {}
     uncertainty: _Uncertainty | None = None
 
 
@@ -125,9 +126,6 @@ def machine_to_dict(machine: Machine) -> dict[str, Any]:
         std = machine.uncertainty.std(name) if machine.uncertainty else None
         return entry | ({} if std is None else {"std": std})
 
-    def channel_unit(row: dict[str, float]) -> str:
-        return machine.coordinate(next(iter(row))).unit("position")
-
     coordinates = []
     for c in machine.coordinates:
         keys = ("mass", "viscous", "coulomb", *(("radius",) if c.kind == "rotary" else ()))
@@ -148,7 +146,10 @@ def machine_to_dict(machine: Machine) -> dict[str, Any]:
     ]
     sensors = [
         {"channel": s.channel, "row": dict(s.row)}
-        | {key: {"value": getattr(s, key), "unit": channel_unit(dict(s.row))} for key in ("noise", "resolution")}
+        | {
+            key: {"value": getattr(s, key), "unit": machine.coordinate(s.coordinate).unit("position")}
+            for key in ("noise", "resolution")
+        }
         for s in machine.sensors
     ]
     effects = [
@@ -157,6 +158,8 @@ def machine_to_dict(machine: Machine) -> dict[str, Any]:
     ]
     content: dict[str, Any] = {"schema": SCHEMA, "name": machine.name, "description": machine.description}
     content |= {"coordinates": coordinates, "belts": belts, "drives": drives, "sensors": sensors, "effects": effects}
+    if machine.ties:
+        content["ties"] = {name: list(tie) for name, tie in machine.ties.items()}
     if machine.uncertainty is not None:
         covariance = [[float(f"{value:.9g}") for value in row] for row in machine.uncertainty.covariance]
         content["uncertainty"] = {"names": list(machine.uncertainty.names), "covariance": covariance}
@@ -178,11 +181,11 @@ def _to_machine(file: _MachineFile, path: str) -> Machine:
     if len(kinds) < len(file.coordinates):
         raise fail("coordinates", "two have the same name")
 
-    def row(where: str, entries: dict[str, float], *, empty: bool = False) -> dict[str, float]:
-        for name in entries:
+    def row(where: str, entries: dict[str, float], *, empty: bool = False, products: bool = False) -> dict[str, float]:
+        for name in (part for key in entries for part in (key.split("*") if products else (key,))):
             if name not in kinds:
                 raise fail(where, f"no coordinate is called {name!r}")
-        if not empty and not any(entries.values()):
+        if not empty and not any(value for key, value in entries.items() if "*" not in key):
             raise fail(where, "names no coordinate")
         return entries
 
@@ -227,7 +230,8 @@ def _to_machine(file: _MachineFile, path: str) -> Machine:
     sensors = []
     for s in file.sensors:
         where = f"sensors.{s.channel}"
-        unit = UNITS[kinds[next(iter(row(f"{where}.row", s.row)))]]["position"]
+        row(f"{where}.row", s.row, products=True)
+        unit = UNITS[kinds[Sensor(s.channel, s.row).coordinate]]["position"]
         noise, resolution = (value(f"{where}.{k}", getattr(s, k), unit) for k in ("noise", "resolution"))
         sensors.append(Sensor(s.channel, s.row, noise, resolution))
     names = [*kinds, *(b.name for b in belts), *(d.name for d in drives)]
@@ -238,21 +242,33 @@ def _to_machine(file: _MachineFile, path: str) -> Machine:
     machine = Machine(
         file.name, tuple(coordinates), tuple(belts), tuple(drives), tuple(sensors), description=file.description
     )
+    numbers_of = {**machine.parameters}
     for e in file.effects:
         where = f"effects.{e.name}"
-        if e.name not in LIBRARY:
-            raise fail(where, f"no such effect; there are {', '.join(LIBRARY)}")
-        if e.site not in sites(LIBRARY[e.name], machine):
-            raise fail(where, f"site {e.site!r} is none of {', '.join(sites(LIBRARY[e.name], machine))}")
         try:
-            applied = LIBRARY[e.name].at(e.site, **{k: q.value for k, q in e.parameters.items()})
+            effect = effect_of(e.name)
+        except KeyError:
+            raise fail(where, f"no such effect; there are {', '.join(LIBRARY)}") from None
+        # A structural effect has changed these tables already: they have no room for it any more.
+        possible = ("machine",) if effect.structure else sites(effect, machine)
+        if e.site not in possible:
+            raise fail(where, f"site {e.site!r} is none of {', '.join(possible) or 'this machine'}")
+        try:
+            applied = effect.at(e.site, **{k: q.value for k, q in e.parameters.items()})
         except ValueError as error:
             raise fail(where, str(error)) from None
         for key, quantity in e.parameters.items():
             expected = machine.effect_unit(applied, key)
             if quantity.unit != expected:
                 raise fail(f"{where}.{key}", f"unit is {quantity.unit!r}, must be {expected!r}")
-        machine = machine.with_effects(applied)
+        machine = machine.replace(effects=(*machine.effects, applied))
+        numbers_of |= {f"{applied.label}.{k}": v for k, v in applied.parameters.items()}
+    for tied, (owner, _) in file.ties.items():
+        if tied not in numbers_of or owner not in numbers_of or owner in file.ties:
+            raise fail(
+                f"ties.{tied}", f"{owner!r} to {tied!r}: both must be numbers of this machine, the owner a free one"
+            )
+    machine = machine.replace(ties=file.ties)
     if file.uncertainty is not None:
         machine = machine.replace(uncertainty=_to_uncertainty(file.uncertainty, machine, path))
     return machine

@@ -10,11 +10,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import signal
 
 from ..machine import Effect, Machine
-from ..machine.effect import AppliedEffect
+from ..machine.effect import AppliedEffect, asked
 
 Array = NDArray[np.float64]
+_COARSE = 5
 
 
 class Addition(NamedTuple):
@@ -65,8 +67,8 @@ def _on_coordinate(machine: Machine, e: AppliedEffect, name: str, motion: Along)
     q, v = motion.positions[:, i], motion.velocities[:, i]
     level = machine.coordinate(name).coulomb
     scope: dict[str, Any] = {"q": q, "v": v, "t": motion.time_s, "u": variable(machine, d, motion), "z": 0.0}
-    if d.evolve and not d.current:
-        scope["z"] = _own_state(e, q, v, level, motion.time_s)
+    if d.friction:
+        scope["z"] = _bristles(e, q, level)
     total: Any = 0.0
     if d.force:
         total = total + e("force", **scope)
@@ -93,15 +95,24 @@ def variable(machine: Machine, definition: Effect, motion: Along) -> Array:
     return motion.positions[:, i]
 
 
-def _own_state(e: AppliedEffect, q: Array, v: Array, level: float, time_s: Array) -> Array:
-    """The effect's own state (G, n) along a motion."""
-    steps, dt = np.diff(q, prepend=q[0]), np.diff(time_s, prepend=time_s[0])
-    z = np.zeros((len(next(iter(e.parameters.values()))), 1))
-    states = np.empty((len(z), len(q)))
-    for k in range(len(q)):
-        z = e("evolve", z=z, dq=steps[k], dt=dt[k], v=v[k], level=level, i=0.0)
-        states[:, k] = np.broadcast_to(z, (len(states), 1))[:, 0]
-    return states
+def _bristles(e: AppliedEffect, q: Array, level: float) -> Array:
+    """The own state (G, n) of a friction along a motion.
+
+    Its flow over a way that does not turn is closed, so few steps do: every fifth row.
+    """
+    evolve, own = e.definition.evolve, e.parameters
+    assert evolve is not None
+    scope = {"level": level, "dt": 0.0, "v": 0.0, **own}
+    names = asked(evolve)
+    coarse = np.append(np.arange(0, len(q) - 1, _COARSE), len(q) - 1)
+    z = np.zeros((len(next(iter(own.values()))), 1))
+    states = np.zeros((len(z), len(coarse)))
+    for k, step in enumerate(np.diff(q[coarse]), start=1):
+        known = {**scope, "z": z, "dq": step}
+        z = evolve(*(known[name] for name in names))
+        states[:, k] = z[:, 0]
+    rows = np.arange(len(q))
+    return np.array([np.interp(rows, coarse, line) for line in states])
 
 
 def _on_drive(machine: Machine, e: AppliedEffect, motion: Along, force: Array) -> None:
@@ -124,15 +135,13 @@ def _on_drive(machine: Machine, e: AppliedEffect, motion: Along, force: Array) -
 def _filtered(values: Array, time_s: Array, tau: Array) -> Array:
     """Mean over each row of a first-order lag's answer (G, n), values held from row to row."""
     period = float(np.median(np.diff(time_s)))
-    tau = np.maximum(tau, 1e-9)
-    decay = np.exp(-period / tau)
-    mean = tau / period * (1.0 - decay)
-    found = np.empty((len(tau), len(values)))
-    z = np.full((len(tau), 1), values[0])
-    for k, value in enumerate(values):
-        found[:, k : k + 1] = value + (z - value) * mean
-        z = value + (z - value) * decay
-    return found
+    found = []
+    for lag in np.maximum(tau[:, 0], 1e-9):
+        decay = float(np.exp(-period / lag))
+        mean = lag / period * (1.0 - decay)
+        z, _ = signal.lfilter([0.0, 1.0 - decay], [1.0, -decay], values, zi=[values[0]])
+        found.append(values + (z - values) * mean)
+    return np.array(found)
 
 
 def _late(machine: Machine, e: AppliedEffect, motion: Along, force: Array) -> None:

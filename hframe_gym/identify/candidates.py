@@ -72,7 +72,7 @@ def candidates(machine: Machine, data: Data, scale: References, residual: Mappin
     present = {e.label for e in machine.effects}
     found: list[Candidate] = []
     for effect in LIBRARY.values():
-        if effect.structure:
+        if effect.structure or effect.refitted:
             continue
         for site in sites(effect, machine):
             if f"{effect.name}@{site}" in present:
@@ -139,20 +139,26 @@ def _ranges(j: int, data: Data) -> list[Mapping[str, float]]:
     ]
 
 
-def effect_parameters(effect: AppliedEffect, own: Mapping[str, float]) -> tuple[Free, ...]:
-    """The free parameters of an effect: what may be nought or negative linear, the rest as logarithms."""
+def effect_parameters(effect: AppliedEffect, machine: Machine, scale: References) -> tuple[Free, ...]:
+    """The free parameters of an effect: what may be nought or negative linear, the rest as logarithms.
+
+    A current is the difference of voltage and back-EMF: who shapes it tells the one from the other.
+    """
+    own = scale.of(machine.site_coordinate(effect.site) or "")
     free = []
+    if effect.definition.current:
+        free.append(Free(f"{effect.site}.Ke", machine.drive(effect.site).Ke, prior=0.2))
     for p in effect.definition.parameters:
         if p.role == "fixed":
             continue
         name, value = f"{effect.label}.{p.name}", effect.parameters[p.name]
-        scale = p.scale * own.get(p.unit, 1.0)
+        size = p.scale * own.get(p.unit, 1.0)
         if p.amplitude or p.role == "phase":
-            free.append(Free(name, value, prior=10.0, scale=scale, lower=p.lower, upper=p.upper))
+            free.append(Free(name, value, prior=10.0, scale=size, lower=p.lower, upper=p.upper))
         elif p.role in ("rate", "period"):
             free.append(Free(name, value, prior=0.1, lower=p.lower, upper=p.upper))
         elif p.lower < 0.0 or value == 0.0:
-            free.append(Free(name, value, prior=3.0, scale=scale, lower=p.lower, upper=p.upper))
+            free.append(Free(name, value, prior=3.0, scale=size, lower=p.lower, upper=p.upper))
         else:
             free.append(Free(name, value, prior=1.0, lower=p.lower, upper=p.upper))
     return tuple(free)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..files import Recording
+from ..files import Recording, fill_gaps
 from ..machine import Machine
 from .start import start_of
 
@@ -62,6 +62,7 @@ class Data:
 
 def prepare(recordings: Sequence[Recording], machine: Machine) -> Data:
     """Runs ready for fitting a machine of this shape."""
+    recordings = [fill_gaps(recording) for recording in recordings]
     runs = []
     for recording in recordings:
         start = start_of(recording, machine)
@@ -97,8 +98,13 @@ def _noise(recordings: Sequence[Recording], runs: Sequence[Run], j: int, machine
         first = values[: run.rest]
         resting = first[np.isfinite(first)]
         if len(resting) >= 10:
-            deviations += float(np.sum((resting - resting.mean()) ** 2))
-            rows += len(resting) - 1
+            # Around a parabola: a stage that still creeps to rest is no noise.
+            rows_of = np.linspace(-1.0, 1.0, len(resting))
+            left = resting - np.polynomial.polynomial.polyval(
+                rows_of, np.polynomial.polynomial.polyfit(rows_of, resting, 2)
+            )
+            deviations += float(np.sum(left**2))
+            rows += len(resting) - 3
     least, declared = quantum / np.sqrt(12), machine.sensors[j].noise
     if rows >= 30:
         return max(float(np.sqrt(deviations / rows)), least) or declared or _difference_noise(channel)

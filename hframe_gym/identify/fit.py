@@ -74,8 +74,8 @@ class Fit:
         return {f.name: float(f.value(t)) for f, t in zip(self.free, self.theta, strict=True)}
 
 
-def own_parameters(machine: Machine) -> tuple[Free, ...]:
-    """What of a machine is refitted: masses, friction, belts, and every drive's gain but the first.
+def own_parameters(machine: Machine, *, effects: bool = True) -> tuple[Free, ...]:
+    """What of a machine is refitted: masses, friction, belts, every drive's gain but the first, declared effects.
 
     Voltages tell only ratios to the motor gain, so the first drive's stays; back-EMF acts as viscous friction does.
     Friction and gain of each motor are free to differ.  A friction that is declared as zero may rise.
@@ -94,6 +94,13 @@ def own_parameters(machine: Machine) -> tuple[Free, ...]:
         if b.length:
             free.append(Free(f"{b.name}.rest_length", b.rest_length, prior=0.1))
     free += [Free(f"{d.name}.Kt", d.Kt, prior=0.2) for d in machine.drives[1:]]
+    for e in machine.effects if effects else ():
+        for p in e.definition.parameters:
+            value = e.parameters[p.name]
+            if p.role != "fixed" and value != 0.0:
+                signed = p.lower < 0.0
+                scale = (1.0 if p.role == "phase" else abs(value)) if signed else None
+                free.append(Free(f"{e.label}.{p.name}", value, prior=0.5, scale=scale, lower=p.lower, upper=p.upper))
     return tuple(f for f in free if f.name not in machine.ties)
 
 

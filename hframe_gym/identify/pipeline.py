@@ -14,13 +14,21 @@ from .data import Data, prepare
 from .fit import Fit, fit, own_parameters
 from .prediction import POLISH_STEP, Mode
 from .residual import channel_errors, depends_on, force_error, is_white
-from .trace import Found, trace, without_idle
+from .trace import LEAST_GAIN, LEAST_INNOVATION, Found, add_tables, trace, without_idle
 from .uncertainty import with_uncertainty
 
 # A free run this far off, over the signal's own size, has drifted: then innovations judge, and the force error.
 _DRIFT = 0.3
 # Cost a sample up to which what is left is the sensors' noise.
 _EXPLAINED = 1.5
+# Up to here a free run is near enough to the data for its own search.
+_NEAR = 50.0
+# ... or this share of the cost before, where that was large.
+_NEXT_TO_NOTHING = 1e-4
+# Named effects that take less than this off what is missed are no explanation.
+_MOSTLY = 0.25
+
+Say = Callable[[str], None]
 
 
 def hold_out(recordings: Sequence[Recording], chosen: Sequence[str] = ()) -> tuple[str, ...]:
@@ -62,13 +70,7 @@ def identify(
     mode = before.mode
     say(f"refitted: chi2 a sample {base.chi2:.4g} by innovations, {before.chi2:.4g} in {mode} run")
     say("searching for effects")
-    traced, found = trace(base, data, say)
-    after = before
-    if found:
-        after, found = without_idle(_polish(traced, data, mode), found, data, say, longest_step=POLISH_STEP)
-    verdict = _verdict(before, after, found)
-    if verdict != "effect_found":
-        found, after = (), before
+    verdict, after, found = _explain(base, before, data, say)
     say(f"verdict: {verdict}")
     corrected = with_uncertainty(after, data).replace(name=f"{machine.name}-identified")
     refitted = before.machine.replace(name=f"{machine.name}-refitted")
@@ -102,10 +104,35 @@ def _polish(fitted: Fit, data: Data, mode: Mode | None = None) -> Fit:
     return fit(fitted.machine, fitted.free, data, mode, theta=fitted.theta, longest_step=POLISH_STEP)
 
 
-def _verdict(before: Fit, after: Fit, found: Sequence[Found]) -> Verdict:
-    if found and after.cost < before.cost:
-        return "effect_found"
-    return "no_effect" if before.chi2 < _EXPLAINED else "unexplained"
+def _explain(base: Fit, before: Fit, data: Data, say: Say) -> tuple[Verdict, Fit, tuple[Found, ...]]:
+    """Named effects if they explain the residual; else a table, alone or beside them; else nothing."""
+
+    def settled(traced: Fit, found: tuple[Found, ...]) -> tuple[Fit, tuple[Found, ...]]:
+        """Polished, completed where a free run shows what innovations cannot, and rid of what is idle."""
+        polished = _polish(traced, data, before.mode) if found else before
+        if before.mode == "free" and polished.chi2 < _NEAR:
+            polished, found = trace(polished, found, data, say, LEAST_GAIN)
+        return without_idle(polished, found, data, say, longest_step=POLISH_STEP)
+
+    traced, named = trace(base, (), data, say, LEAST_INNOVATION)
+    after, found = settled(traced, named)
+    if _explains(after, before):
+        return ("effect_found", after, found) if found else ("no_effect", before, ())
+    say("searching for what has no name here")
+    for start, beside, most in ((base, (), 1), (traced, named, 2)):
+        tabled, more = add_tables(start, beside, data, say, most)
+        if len(more) > len(beside):
+            candidate, kept = settled(tabled, more)
+            if kept and _explains(candidate, before):
+                return "effect_found", candidate, kept
+    if found and after.cost < _MOSTLY * before.cost:
+        return "effect_found", after, found
+    return "unexplained", before, ()
+
+
+def _explains(after: Fit, before: Fit) -> bool:
+    """Whether what is left is the sensors' noise, or next to nothing of what was missed."""
+    return after.chi2 < max(_EXPLAINED, _NEXT_TO_NOTHING * before.chi2)
 
 
 def _errors(machine: Machine, data: Data) -> Errors:
@@ -126,5 +153,6 @@ def _gain(found: Found, machine: Machine, judge: Data, mode: Mode) -> float:
             np.mean([e.noise_ratio**2 for e in channel_errors(m, judge).values() if e.noise_ratio is not None])
         )
 
-    without = machine.replace(effects=tuple(e for e in machine.effects if e.label != found.effect.label))
+    others = tuple(e for e in machine.effects if e.label != found.effect.label)
+    without = found.lacking if found.effect.definition.structure else machine.replace(effects=others)
     return 1.0 - cost(machine) / cost(without)

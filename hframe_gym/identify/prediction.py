@@ -89,7 +89,7 @@ def _start(machine: Machine, run: Run) -> Array:
 
 
 def residuals(run: Run, data: Data, readings: Array) -> Array:
-    """Measured minus predicted readings (B, n, sensors) in units of the noise, (B, n * sensors): zero where not measured.
+    """Measured minus predicted readings (B, n, sensors) in units of the noise, (B, n * sensors); zero where unmeasured.
 
     Each channel's zero is where its resting rows put it, given where the machine comes to rest (see `zeroed`).
     """

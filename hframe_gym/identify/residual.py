@@ -211,5 +211,3 @@ def _forces(machine: Machine, run: Run, q: Array, v: Array) -> tuple[Array, Arra
             parameters = {key: np.array([value]) for key, value in e.parameters.items()}
             model -= addition(machine, e.definition, e.site, parameters, motion).force[0]
     return drive, model
-
-

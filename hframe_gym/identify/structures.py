@@ -1,6 +1,7 @@
-"""Effects that change the machine's tables (a yawing bridge, idlers with inertia): no small version, so they are tried.
+"""Effects that change the machine's tables (a yawing bridge, idlers with inertia): where a fit of one would begin.
 
-Every starting value of the library's grid is one innovations run; the best is where a fit would begin.
+There is no small version of them to linearise around; instead every starting value of the library's grid is simulated,
+and the way from the present machine's readings to its own is held against the residual.
 """
 
 from __future__ import annotations
@@ -14,10 +15,11 @@ from ..effects import LIBRARY, sites
 from ..machine import Effect, Machine
 from ..machine.simulate import parameter_batch
 from .data import Data, Run
-from .fit import Fit, over_runs
+from .fit import Fit, over_runs, parameter_table
 from .prediction import predict, residuals
 
 Array = NDArray[np.float64]
+_STEP = 1e-4
 
 
 def starts(effect: Effect) -> list[dict[str, float]]:
@@ -26,25 +28,42 @@ def starts(effect: Effect) -> list[dict[str, float]]:
     return [dict(zip((p.name for p in effect.parameters), v, strict=True)) for v in itertools.product(*grids)]
 
 
-def structural(current: Fit, data: Data) -> list[Machine]:
-    """The current machine with each structural effect that it has room for, at its best starting values."""
+def structural(current: Fit, data: Data, least: float) -> list[Machine]:
+    """The current machine with each structural effect that could save `least` (chi2 a sample), at its best start."""
     present = {e.name for e in current.machine.effects}
     found = []
     for effect in LIBRARY.values():
         if effect.structure and effect.name not in present and sites(effect, current.machine):
             machines = [current.machine.with_effects(effect.at("machine", **values)) for values in starts(effect)]
-            found.append(machines[int(np.argmin(_costs(machines, current, data)))])
+            saved = _savings(machines, current, data)
+            if saved.max() > least * data.count:
+                found.append(machines[int(np.argmax(saved))])
     return found
 
 
-def _costs(machines: list[Machine], current: Fit, data: Data) -> Array:
-    """Innovations cost of machines of one shape."""
-    table = np.concatenate([parameter_batch(m) for m in machines])
+def _savings(machines: list[Machine], current: Fit, data: Data) -> Array:
+    """Cost that going from the current machine towards each of these could save, to first order.
 
-    def of(run: Run) -> Array:
-        motion = predict(machines[0], run, current.mode, period=data.period, parameters=table)
-        left = residuals(run, data, motion.readings)
-        return np.einsum("bi,bi->b", left, left)
+    The step from one to the other, less what the machine's own parameters could mimic, with the best weight.
+    """
+    own = len(current.free)
+    thetas = np.vstack([current.theta, current.theta + _STEP * np.eye(own)])
+    now, then = (
+        parameter_table(current.machine, current.free, thetas),
+        np.concatenate(list(map(parameter_batch, machines))),
+    )
 
-    total = np.sum(list(over_runs(of, data)), axis=0)
-    return np.where(np.isfinite(total), total, np.inf)
+    def products(run: Run) -> Array:
+        base, moved = (
+            residuals(run, data, predict(m, run, current.mode, period=data.period, parameters=table).readings)
+            for m, table in ((current.machine, now), (machines[0], then))
+        )
+        stacked = np.vstack([(base[1:] - base[0]) / _STEP, moved - base[0], base[:1]])
+        return stacked @ stacked.T
+
+    gram = np.sum(list(over_runs(products, data)), axis=0)
+    hessian = gram[:own, :own] + np.diag([1.0 / f.prior**2 for f in current.free])
+    left = gram[own:, own:] - gram[own:, :own] @ np.linalg.solve(hessian, gram[:own, own:])
+    size, towards = np.diag(left)[:-1], left[:-1, -1]
+    saved = np.where(towards < 0.0, towards**2 / np.maximum(size, 1e-300), 0.0)
+    return np.where(np.isfinite(saved), saved, 0.0)

@@ -9,6 +9,7 @@ share of what is missed.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -17,15 +18,19 @@ import numpy as np
 from ..machine import AppliedEffect, Machine
 from .candidates import candidates, effect_parameters
 from .data import Data
+from .fallback import tables
 from .fit import Fit, fit, over_runs, own_parameters
 from .prediction import predict
 from .references import References, references
 from .residual import missing_force
 from .screening import Screened, screen
 from .structures import structural
+from .uncertainty import with_uncertainty
 
-# Smaller savings are nothing, by share of samples (calibrated on rigs without effects, benchmarks/identification.py).
+# Smaller savings are nothing, by share of samples: in free run, calibrated on rigs without effects
+# (benchmarks/identification.py); by innovations, whose memory can pretend more.
 LEAST_GAIN = 0.003
+LEAST_INNOVATION = 0.01
 # ... and where the model misses by far more than the noise, by share of what is missed.
 LEAST_SHARE = 0.02
 # Candidates that save at least this share of what the best one saves are not told apart from it.
@@ -33,49 +38,73 @@ RIVAL_SHARE = 0.97
 # ... nor are those within this share of samples.
 RIVAL_GAIN = 0.002
 NOTHING_LEFT = 1.01
+# An effect smaller than this many of its own (robust) standard deviations is not there.
+DOUBT = 4.0
+# What a table of two dozen values must save: as a share of samples, and of what is missed.
+TABLE_GAIN, TABLE_SHARE = 0.02, 0.2
 MOST_EFFECTS = 5
 _FITTED_IN_FULL = 5
 # Candidates that promise less than this share of the best promise are not worth a fit.
 _PROMISING = 0.4
+# ... and a fit finds more than the linear promise, but hardly twice as much.
+_LINEAR = 0.6
+# Innovations of a right model, quantised encoders and all, are about this large (chi2 a sample).
+_FLOOR = 1.1
+_REST = 0.2
 
 Say = Callable[[str], None]
 
 
 @dataclass(frozen=True)
 class Found:
-    """An effect of the corrected machine, with those not told apart from it and what it saved (in-sample chi2)."""
+    """An effect of the corrected machine, with those not told apart from it and what it saved (in-sample chi2).
+
+    lacking: the machine as it was fitted before the effect was added.
+    """
 
     effect: AppliedEffect
     rivals: tuple[str, ...]
     saved: float
+    lacking: Machine
 
     def with_values(self, machine: Machine) -> Found:
         """The same finding with the numbers of a machine fitted later."""
         effect = next(e for e in machine.effects if e.label == self.effect.label)
-        return Found(effect, self.rivals, self.saved)
+        return dataclasses.replace(self, effect=effect)
 
 
-def trace(base: Fit, data: Data, say: Say) -> tuple[Fit, tuple[Found, ...]]:
-    """The machine with the effects that the data demand, fitted by innovations, and the effects."""
-    current = base
-    found: list[Found] = []
+def trace(
+    current: Fit, found: tuple[Found, ...], data: Data, say: Say, smallest: float
+) -> tuple[Fit, tuple[Found, ...]]:
+    """The machine with the effects that the data demand beyond those found, in the mode of `current`.
+
+    smallest: the gain (chi2 a sample) below which an effect is nothing.
+    """
     while len(found) < MOST_EFFECTS and current.chi2 > NOTHING_LEFT:
+        enough = least(current, smallest)
         scale = typical(current, data)
         everything = candidates(current.machine, data, scale, missing_force(current.machine, data))
-        promising = _best(screen(current, everything, data), current)
-        trials = [_add(current, s, data) for s in promising]
-        trials += [_restructured(current, machine, scale, data) for machine in structural(current, data)]
+        promising = _best(screen(current, everything, data), enough * data.count)
+        trials = [_add(current, s, scale, data) for s in promising]
+        if not any(_explains(trial, current) for trial in trials):
+            trials += [_restructured(current, machine, scale, data) for machine in structural(current, data, enough)]
         if not trials:
             break
         trials.sort(key=lambda t: t.cost)
-        best, effect = trials[0], trials[0].machine.effects[-1]
+        best = fit(trials[0].machine, trials[0].free, data, current.mode, theta=trials[0].theta)
+        effect = best.machine.effects[-1]
         saved = (current.cost - best.cost) / data.count
-        say(f"  {effect.label} saves {saved:.3g} of {current.chi2:.4g} (chi2 a sample)")
-        if saved < least(current):
+        say(f"  {effect.label} saves {saved:.3g} of {current.chi2:.4g} (chi2 a sample, {current.mode})")
+        if saved < enough:
             break
-        found.append(Found(effect, _rivals(trials, current, data), saved))
+        found = (*found, Found(effect, _rivals(trials, current, data), saved, current.machine))
         current = best
     return current, tuple(f.with_values(current.machine) for f in found)
+
+
+def _explains(trial: Fit, current: Fit) -> bool:
+    """Whether a trial leaves so little that no change of structure needs to be tried."""
+    return trial.chi2 - _FLOOR < _REST * (current.chi2 - _FLOOR)
 
 
 def _rivals(trials: list[Fit], current: Fit, data: Data) -> tuple[str, ...]:
@@ -86,33 +115,69 @@ def _rivals(trials: list[Fit], current: Fit, data: Data) -> tuple[str, ...]:
     return close + best.machine.effects[-1].definition.equivalent
 
 
-def least(current: Fit) -> float:
+def least(current: Fit, smallest: float) -> float:
     """The gain (chi2 a sample) below which an effect is nothing."""
-    return max(LEAST_GAIN, LEAST_SHARE * (current.chi2 - 1.0))
+    return max(smallest, LEAST_SHARE * (current.chi2 - 1.0))
 
 
 def without_idle(
     current: Fit, found: tuple[Found, ...], data: Data, say: Say, *, longest_step: float
 ) -> tuple[Fit, tuple[Found, ...]]:
-    """Drop the effects whose absence costs less than the least gain, in the mode of `current`.
+    """Drop the effects that are not worth their place in the mode of `current`, weakest first.
 
-    Later effects make earlier ones idle, and what only improves the innovations does not predict anything.  A
-    structural effect stays: the others stand on its tables.
+    Later effects make earlier ones idle, and what only improves the innovations does not predict anything.  An effect
+    also goes when its size is within DOUBT of its own standard deviations of nought.  A structural effect stays: the
+    others stand on its tables.
     """
-    for f in found:
+    for f in sorted(found, key=lambda f: f.saved):
         if f.effect.definition.structure:
             continue
         shorter = without(current, f.effect.label, data, longest_step=longest_step)
-        if (shorter.cost - current.cost) / data.count < least(current):
-            say(f"  {f.effect.label} is idle")
+        idle = (shorter.cost - current.cost) / data.count < least(current, LEAST_GAIN)
+        if idle or _doubtful(current, f.effect, data):
+            say(f"  {f.effect.label} is {'idle' if idle else 'in doubt'}")
             current, found = shorter, tuple(other for other in found if other is not f)
+    return current, tuple(f.with_values(current.machine) for f in found)
+
+
+def _doubtful(current: Fit, effect: AppliedEffect, data: Data) -> bool:
+    names = effect.definition.amplitudes
+    if len(names) != 1:
+        return False
+    machine = with_uncertainty(current, data)
+    name = f"{effect.label}.{names[0]}"
+    std = machine.uncertainty.std(name) if machine.uncertainty else None
+    return std is not None and abs(machine.parameters[name]) < DOUBT * std
+
+
+def add_tables(
+    current: Fit, found: tuple[Found, ...], data: Data, say: Say, most: int
+) -> tuple[Fit, tuple[Found, ...]]:
+    """The machine with up to `most` tables for what its effects leave, fitted by innovations."""
+    for _ in range(most):
+        scale = typical(current, data)
+        ranked = screen(current, tables(current.machine, data, scale), data)
+        enough = max(TABLE_GAIN, TABLE_SHARE * (current.chi2 - _FLOOR)) * data.count
+        if not ranked or ranked[0].gain < enough:
+            break
+        trials = sorted((_add(current, s, scale, data) for s in ranked[:2]), key=lambda t: t.cost)
+        best = fit(trials[0].machine, trials[0].free, data, current.mode, theta=trials[0].theta)
+        effect = best.machine.effects[-1]
+        saved = (current.cost - best.cost) / data.count
+        say(f"  {effect.label} saves {saved:.3g} of {current.chi2:.4g} (chi2 a sample)")
+        if saved < enough / data.count:
+            break
+        found = (*found, Found(effect, (), saved, current.machine))
+        current = best
     return current, tuple(f.with_values(current.machine) for f in found)
 
 
 def without(current: Fit, label: str, data: Data, *, longest_step: float) -> Fit:
     """The fit without one effect, everything else fitted anew."""
+    removed = next(e for e in current.machine.effects if e.label == label)
     others = tuple(e for e in current.machine.effects if e.label != label)
-    kept = [i for i, free in enumerate(current.free) if not free.name.startswith(f"{label}.")]
+    gone = [f"{label}.", *([f"{removed.site}.Ke"] if removed.definition.current else [])]
+    kept = [i for i, free in enumerate(current.free) if not free.name.startswith(tuple(gone))]
     return fit(
         current.machine.replace(effects=others),
         [current.free[i] for i in kept],
@@ -128,33 +193,36 @@ def typical(current: Fit, data: Data) -> References:
     motions = list(
         over_runs(lambda run: predict(current.machine, run, current.mode, period=data.period, states=True), data)
     )
-    positions, velocities = (np.concatenate([getattr(m, key)[0] for m in motions]) for key in ("positions", "velocities"))
+    positions, velocities = (
+        np.concatenate([getattr(m, key)[0] for m in motions]) for key in ("positions", "velocities")
+    )
     return references(current.machine, positions, velocities, [run.inputs for run in data.runs])
 
 
-def _best(ranked: list[Screened], current: Fit) -> list[Screened]:
-    """The few best, one shape of each effect and site, that could save enough."""
+def _best(ranked: list[Screened], enough: float) -> list[Screened]:
+    """The few best, one shape of each effect and site, that could save enough (cost)."""
     chosen: dict[str, Screened] = {}
-    enough = max(0.3 * least(current) * current.count, _PROMISING * ranked[0].gain if ranked else 0.0)
+    least_promise = max(_LINEAR * enough, _PROMISING * ranked[0].gain if ranked else 0.0)
     for s in ranked:
-        if s.gain > enough:
+        if s.gain > least_promise:
             chosen.setdefault(s.candidate.label, s)
     return list(chosen.values())[:_FITTED_IN_FULL]
 
 
-def _add(current: Fit, screened: Screened, data: Data) -> Fit:
+def _add(current: Fit, screened: Screened, scale: References, data: Data) -> Fit:
     """The machine with one more effect, everything fitted together by innovations."""
     candidate = screened.candidate
     machine = current.machine.with_effects(candidate.applied(screened.amounts))
-    own = effect_parameters(machine.effects[-1], candidate.references)
+    names = {f.name for f in current.free}
+    own = effect_parameters(machine.effects[-1], machine, scale)
+    own = tuple(f for f in own if f.name not in names)
     theta = np.concatenate([current.theta, np.zeros(len(own))])
-    return fit(machine, current.free + own, data, current.mode, theta=theta)
+    return fit(machine, current.free + own, data, current.mode, theta=theta, iterations=8, tolerance=1e-3)
 
 
 def _restructured(current: Fit, machine: Machine, scale: References, data: Data) -> Fit:
     """A machine with other tables, its own parameters free around what the fit so far has found."""
-    free = list(own_parameters(machine))
+    free = list(own_parameters(machine, effects=False))
     for e in machine.effects:
-        free += effect_parameters(e, scale.of(machine.site_coordinate(e.site) or ""))
-    return fit(machine, free, data, current.mode)
-
+        free += effect_parameters(e, machine, scale)
+    return fit(machine, free, data, current.mode, iterations=8, tolerance=1e-3)

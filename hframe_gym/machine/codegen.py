@@ -271,6 +271,11 @@ class KernelSource:
             rate = combination(b.extension, lambda c: f"{point.velocity}_{identifier(c)}")
             yield from self.effects.tension(b.name, f"s_{name}", f"({rate})", f"stiffness_{name}")
             if b.length:
+                growth = self.effects.growth(b.name, f"s_{name}", f"stiffness_{name}")
+                if growth:
+                    yield f"e_{name} = {growth} * stiffness_{name} * per_{name}"
+                    yield f"net_{name} = T_{name} - e_{name}"
+                    continue
                 yield f"half_strain_{name} = 0.5 * (s_{name} * per_{name})"
                 if all(b.extension.get(c) == factor for c, factor in b.length.items()):
                     yield f"net_{name} = fma(-half_strain_{name}, T_{name}, T_{name})"

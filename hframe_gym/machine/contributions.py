@@ -158,6 +158,11 @@ class Contributions:
         for j, e in self.at("tension", "belts", belt):
             yield f"T_{belt} = T_{belt} + ({self.call('tension', j, e, s=s, rate=rate, k=k)} - {k} * {s})"
 
+    def growth(self, belt: str, s: str, k: str) -> str:
+        """How the belt's energy grows with its stiffness, where it is not s^2/2."""
+        own = [self.call("growth", j, e, s=s, k=k) for j, e in self.at("growth", "belts", belt)]
+        return own[0] + "".join(f" + ({more} - 0.5 * {s} * {s})" for more in own[1:]) if own else ""
+
     def forces(self, point: Point) -> Iterator[str]:
         """Forces f and friction levels F of all coordinates at a point; f of the belts and drives is there already."""
         for c in self.machine.coordinate_names:
@@ -202,7 +207,8 @@ class Contributions:
         for k, e in self.at("current", drive):
             yield f"ohm_{k} = current_{name}"
             if e.definition.evolve:
-                yield f"half_z_{k} = {self.call('evolve', k, e, z=f'z_{k}', dt='half', i=f'ohm_{k}', dq='0.0', v='0.0')}"
+                scope = {"z": f"z_{k}", "dt": "half", "i": f"ohm_{k}"}
+                yield f"half_z_{k} = {self.call('evolve', k, e, **scope)}"
             yield f"current_{name} = {self.call('current', k, e, i=f'ohm_{k}', z=f'half_z_{k}')}"
 
     def unscale(self, coordinate: str) -> str:

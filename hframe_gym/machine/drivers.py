@@ -52,8 +52,8 @@ def rollout(time, inputs, parameters, start, measured, gains, extra, longest_ste
     time (n,) s; inputs (1 or B, n, INPUTS) V, held until the next row; parameters (B, PARAMETERS); start
     (B, 2 COORDINATES) travel and velocity; measured (1 or B, n, SENSORS) or none for a free run, NaN where not
     measured; gains (2 COORDINATES, SENSORS) of the output injection; extra (1 or B, n, COORDINATES) N, held, where the
-    kernel takes it; longest_step s; out (B, n, k) gets the first k rows of the state; readings (B, n, SENSORS), or none,
-    what the sensors show.
+    kernel takes it; longest_step s; out (B, n, k) gets the first k rows of the state; readings (B, n, SENSORS), or
+    none, what the sensors show.
     """
     S = np.zeros((STATES, LANES))
     P = np.zeros((PARAMETERS, LANES))
@@ -158,8 +158,8 @@ def prepare_blocks(parameters, h, first, last, derived):
 def advance_blocks(state, parameters, derived, inputs, h, steps, first, last):
     """Advance blocks first..last-1 in place by `steps` steps of h with held inputs.
 
-    state (blocks, STATES, LANES): travel, velocity, time, effects' own; inputs (blocks, INPUTS, LANES) V, or one such set
-    for each step in (blocks, steps * INPUTS, LANES) where a drive is delayed.
+    state (blocks, STATES, LANES): travel, velocity, time, effects' own; inputs (blocks, INPUTS, LANES) V, or one such
+    set for each step in (blocks, steps * INPUTS, LANES) where a drive is delayed.
     """
     W = np.zeros((COORDINATES, LANES))
     for block in range(first, last):

@@ -13,6 +13,7 @@ their arguments, beside the effect's own parameters, and that the kernel inlines
     delay         time by which the drive's voltage arrives late, s
     current       current of the drive, A                                  i, z
     tension       a belt's tension, N                                      s, rate, k
+    growth        its energy's slope with stiffness, m^2 (else s^2/2)      s, k
     travel, arm   belt travel added by a pulley, m, and its slope, m/rad   q, z
     reading       what a sensor shows, in its unit                         r, across
     lag           time by which a sensor is late, s
@@ -50,6 +51,7 @@ CONTRIBUTIONS = (
     "delay",
     "current",
     "tension",
+    "growth",
     "travel",
     "arm",
     "reading",
@@ -88,6 +90,7 @@ class Effect:
 
     family: the effect's line in a user's catalogue, of which there may be several members.  equivalent: what no
     recording can tell from it, in words.  against: the variable `u` of a table ("position of y", "time", ...).
+    refitted: whether a refit of the machine's own parameters holds it, so that nobody need search for it.
     coordinate: the one that `structure` adds, on which the force acts.  fits: whether a machine has room for it.
     """
 
@@ -105,6 +108,7 @@ class Effect:
     delay: Contribution | None = None
     current: Contribution | None = None
     tension: Contribution | None = None
+    growth: Contribution | None = None
     travel: Contribution | None = None
     arm: Contribution | None = None
     reading: Contribution | None = None
@@ -113,6 +117,7 @@ class Effect:
     structure: Callable[..., Any] | None = None
     fits: Callable[..., bool] | None = None
     equivalent: tuple[str, ...] = ()
+    refitted: bool = False
     against: str = ""
     coordinate: str = ""
 

@@ -1,4 +1,4 @@
-"""Training end to end, small: recipes, files, a kill and what resumes after it, and that a little training already helps."""
+"""Training end to end, small: recipes, files, what resumes after a kill, and that a little training already helps."""
 
 import json
 import os
@@ -10,10 +10,10 @@ import time
 import numpy as np
 import pytest
 from hframe_gym.agents.agent import Agent
-from hframe_gym.agents.recipe import load_recipe
 from hframe_gym.agents.score import judge
 from hframe_gym.agents.train import train
 
+from hframe_gym.control import ModelPID
 from hframe_gym.env import HFrameVectorEnv
 from hframe_gym.evaluate import Trial
 from hframe_gym.machine import BUILTIN
@@ -23,16 +23,11 @@ def silent(line):
     pass
 
 
-def test_recipes_are_listed_when_one_is_missing():
-    with pytest.raises(ValueError, match="ppo on reach, residual on reach, sac on reach, sac_her on reach"):
-        load_recipe("ppo", "juggle")
-
-
 def test_ppo_learns_and_is_read_back_as_it_was(tmp_path):
     lines = []
-    card = train("ppo", steps=150_000, out=tmp_path, say=lines.append)
+    card = train("ppo", steps=200_000, out=tmp_path, say=lines.append)
     first, last = card["curve"][0], card["curve"][-1]
-    assert last["settling_s_1mm"] < first["settling_s_1mm"]
+    assert last["final_error_mm"] < 0.2 * first["final_error_mm"]
     assert len(lines) == len(card["curve"]) > 5
     assert json.loads((tmp_path / "card.json").read_text()) == card
     trial = Trial(randomize="default", episodes=256, seed=1_000_000)
@@ -42,18 +37,18 @@ def test_ppo_learns_and_is_read_back_as_it_was(tmp_path):
 def test_same_seed_same_agent(tmp_path):
     weights = []
     for name in ("a", "b"):
-        train("residual", steps=8192, seed=3, out=tmp_path / name, say=silent)
+        train("residual", steps=4096, seed=3, out=tmp_path / name, say=silent)
         weights.append((tmp_path / name / "policy.safetensors").read_bytes())
     assert weights[0] == weights[1]
 
 
-def test_untrained_residual_is_nearly_its_base(tmp_path):
+def test_residual_is_its_base_and_no_more_than_its_authority(tmp_path):
     train("residual", steps=1, out=tmp_path, say=silent)
     agent = Agent.load(tmp_path)
     envs = HFrameVectorEnv(6)
     observation, _ = envs.reset(seed=0)
-    base = agent.actuation.base.__class__(BUILTIN["hframe"](), 0.01)
-    assert np.abs(agent.act(observation) - base.act(observation)).max() < 0.2
+    off = np.abs(agent.act(observation) - ModelPID(BUILTIN["hframe"](), 0.01).act(observation))
+    assert 0.0 < off.max() <= agent.actuation.authority.most + 1e-6
 
 
 def test_agent_forgets_on_reset(tmp_path):
@@ -72,6 +67,14 @@ def test_agent_forgets_on_reset(tmp_path):
     assert np.array_equal(agent.act(observation), first)
 
 
+def test_other_sensors_than_in_training_are_refused(tmp_path):
+    train("ppo", steps=1, out=tmp_path, say=silent)
+    observation, _ = HFrameVectorEnv(2).reset(seed=0)
+    observation["observation"] = observation["observation"][:, :4]
+    with pytest.raises(ValueError, match=r"observation has shape \(2, 4\), it was trained on \(B, 8\)"):
+        Agent.load(tmp_path).act(observation)
+
+
 def test_machine_that_is_no_builtin_comes_back_whole(tmp_path):
     machine = BUILTIN["hframe"]()
     heavier = machine.replace({"x.mass": 1.5 * machine.parameters["x.mass"]})
@@ -79,19 +82,27 @@ def test_machine_that_is_no_builtin_comes_back_whole(tmp_path):
     assert Agent.load(tmp_path).machine.parameters == heavier.parameters
 
 
+def rows(folder):
+    """The learning curve in a folder so far."""
+    card = folder / "card.json"
+    return json.loads(card.read_text())["curve"] if card.exists() else []
+
+
 def test_resume_after_a_kill(tmp_path):
     code = "import sys; from hframe_gym.agents import train; train('sac', steps=60_000, out=sys.argv[1])"
     with subprocess.Popen([sys.executable, "-c", code, str(tmp_path)], stdout=subprocess.DEVNULL) as running:
-        deadline = time.monotonic() + 120.0
-        while not (tmp_path / "card.json").exists() and time.monotonic() < deadline and running.poll() is None:
+        deadline = time.monotonic() + 240.0
+        while len(rows(tmp_path)) < 2 and time.monotonic() < deadline and running.poll() is None:
             time.sleep(0.05)
         os.kill(running.pid, signal.SIGKILL)
-    before = json.loads((tmp_path / "card.json").read_text())["curve"]
+    before = rows(tmp_path)
+    assert before[-1]["steps"] > 0
     Agent.load(tmp_path)
     steps = before[-1]["steps"] + 320
     card = train("sac", steps=steps, out=tmp_path, resume=True, say=silent)
     assert card["curve"][: len(before)] == before
     assert card["curve"][-1]["steps"] >= steps
+    assert card["curve"][-1]["cpu_s"] > before[-1]["cpu_s"]
 
 
 def test_nothing_to_resume_is_said(tmp_path):

@@ -71,7 +71,7 @@ def test_force_on_the_cart(name):
     plain = _solve(lambda t, z: [z[1], (10.0 - B * z[1] - FC) / M], [0.0, 0.0], time_s)
     assert np.abs(y - expected[0]).max() < 1e-9
     assert np.abs(v - expected[1]).max() < 1e-8
-    assert np.abs(plain[0] - expected[0]).max() > 1e-4  # and it does something
+    assert np.abs(plain[0] - expected[0]).max() > 2e-5  # and it does something
 
 
 @pytest.mark.parametrize(("damping", "stribeck"), [(0.0, 0.0), (20.0, 0.3)])
@@ -98,7 +98,7 @@ def test_presliding_springs_back_below_the_level():
     """Dahl's bristle under half its level: a spring, at F/s0 (-ln(1 - f/F)) where it comes to rest."""
     rig = Rig(
         constant_force=(0.0, 0.2, 0.0, 0.0),
-        viscous=(32.5, 400.0, 0.0036, 0.0036),  # creeps there without overshoot
+        viscous=(32.5, 100.0, 0.0036, 0.0036),  # creeps there without overshoot
         bristle_stiffness=(0.0, 2e3, 0.0, 0.0),
         **LOOSE,
     )
@@ -163,10 +163,11 @@ def test_drive(name):
 
     def rhs(t, z):
         amps = current(t, *z)
-        return [z[1], (PER_AMP * amps - BM * z[1] - FM) / J, state(z[1], z[2], amps) if state else 0.0]
+        friction = FM if z[1] > 0.0 else min(FM, PER_AMP * amps)
+        return [z[1], (PER_AMP * amps - BM * z[1] - friction) / J, state(z[1], z[2], amps) if state else 0.0]
 
     expected = _solve(rhs, [0.0, 0.0, 0.0], time_s)
-    kink = 1e-6 if name == "limit" else 1e-8  # SciPy steps over the kink
+    kink = 1e-6 if name in ("limit", "lag") else 1e-8  # SciPy steps over the kink
     assert np.abs(q[:, 2] - expected[0]).max() < kink
     assert expected[0, -1] > 5.0
     assert np.all(q[:, 3] == 0.0)

@@ -29,6 +29,17 @@ def test_plain_lines_where_nobody_looks_and_a_table_on_a_terminal() -> None:
     assert "stuck [at 0.1]" in rich.getvalue()
 
 
+def test_the_same_in_many_runs_is_said_once() -> None:
+    found = [Finding("advice", f"run_{i}", "time_s", f"{i} gaps (3.{i} ms): samples were dropped") for i in range(5)]
+    plain = io.StringIO()
+    show(
+        [*found, Finding("note", "", "x", "told to 1 %"), Finding("note", "", "x", "told to 2 %")], Console(file=plain)
+    )
+    lines = plain.getvalue().splitlines()
+    assert lines[0].startswith("advice: run_0 and 4 more runs, time_s: 0 gaps")
+    assert len(lines) == 4
+
+
 def test_the_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     written = tmp_path / "found.json"
     monkeypatch.setattr(sys, "argv", ["hframe", "check", "examples/rig_b", "--json", str(written)])

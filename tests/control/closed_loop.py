@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +16,7 @@ from hframe_gym.machine.simulate import parameter_batch
 Array = NDArray[np.float64]
 STEPS = 40  # of the integrator, a control period of 10 ms
 PERIOD = 0.01  # s
+PREVIEW = 10  # goals ahead
 
 
 @dataclass(frozen=True)
@@ -34,8 +35,12 @@ def closed_loop(
     *,
     changes: Mapping[str, Array] | None = None,
     periods: int = 120,
+    sense: Callable[[Array], Array] | None = None,
 ) -> ClosedLoop:
-    """Run stages of a machine, with other parameters in changes (B,) by name, from rest at start to goal (B, 2)."""
+    """Run stages of a machine, with other parameters in changes (B,) by name, from rest at start (B, 2).
+
+    goal (B, 2), or (B, periods + 1 + PREVIEW, 2) of one that moves, at the beginning of each period.
+    """
     kernel = kernel_for(machine)
     count, n = len(start), len(machine.coordinates)
     table = parameter_batch(machine, dict(changes or {}))
@@ -49,12 +54,14 @@ def closed_loop(
     controller.reset()
     errors, actions = [], []
     for k in range(periods + 1):
+        now = goal if goal.ndim == 2 else goal[:, k]
         values = state.transpose(0, 2, 1).reshape(-1, 2 * n + 1)[:count, : 2 * n] / scale
-        errors.append(np.linalg.norm(values[:, :2] - goal, axis=1))
+        errors.append(np.linalg.norm(values[:, :2] - now, axis=1))
         if k < periods:
-            actions.append(
-                controller.act({"observation": values, "achieved_goal": values[:, :2], "desired_goal": goal})
-            )
+            seen = {"observation": values if sense is None else sense(values), "desired_goal": now}
+            if goal.ndim == 3:
+                seen["preview"] = goal[:, k + 1 : k + 1 + PREVIEW].reshape(count, -1)
+            actions.append(controller.act(seen))
             volts = in_blocks(actions[-1] * rated)
             kernel.advance_blocks(state, parameters, derived, volts, PERIOD / STEPS, STEPS, 0, len(state))
     return ClosedLoop(np.stack(errors, axis=1), np.stack(actions, axis=1))
@@ -78,3 +85,14 @@ def random_stages(machine: Machine, count: int, seed: int) -> dict[str, Array]:
 def random_points(count: int, seed: int) -> Array:
     """Points (count, 2) of the workspace, m."""
     return np.random.default_rng(seed).uniform([-0.25, -0.16], [0.25, 0.16], (count, 2))
+
+
+def circles(count: int, seed: int, periods: int = 120, radius: float = 0.025, speed: float = 0.3) -> Array:
+    """Goals (count, periods + 1 + PREVIEW, 2) on circles that begin at rest, m."""
+    rng = np.random.default_rng(seed)
+    centre, phase = rng.uniform([-0.2, -0.12], [0.2, 0.12], (count, 2)), rng.uniform(0.0, 2.0 * np.pi, count)
+    t = PERIOD * np.arange(periods + 1 + PREVIEW)
+    u = np.minimum(t / 0.2, 1.0)
+    way = speed * (0.2 * (u**3 - 0.5 * u**4) + np.maximum(t - 0.2, 0.0))
+    angle = phase[:, None] + way / radius
+    return centre[:, None] + radius * np.stack([np.cos(angle), np.sin(angle)], axis=2)

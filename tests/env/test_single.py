@@ -7,9 +7,10 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from hframe_gym.env import HFrameEnv, Reach, Vary, register
+from hframe_gym.env import Drives, HFrameEnv, Reach, Vary, register
 from hframe_gym.env.randomisation import Uniform
 from hframe_gym.machine import BUILTIN, simulate
+from hframe_gym.machine.simulate import LONGEST_STEP
 
 register()
 FULL = np.array([1.0, -0.3], np.float32)
@@ -94,7 +95,7 @@ def test_rest_stays_at_rest():
 
 def test_follows_the_machine_s_own_simulation():
     machine = BUILTIN["hframe"]()
-    env = HFrameEnv(machine=machine, task=Reach(start=(0.0, 0.0), target=(0.1, 0.0)))
+    env = HFrameEnv(machine=machine, task=Reach(start=(0.0, 0.0), target=(0.1, 0.0)), longest_step=LONGEST_STEP)
     env.reset(seed=0)
     time = np.arange(11) * 0.01
     volts = np.random.default_rng(0).uniform(-12, 12, (11, 2))
@@ -189,9 +190,13 @@ def through_pickle(env):
     return pickle.loads(pickle.dumps(env))
 
 
+RIG = {"sensors": "rig", "drives": Drives(bits=12, current_limit=5.0, delay=0.004), "privileged": True}
+
+
+@pytest.mark.parametrize("options", [{}, RIG], ids=["state", "rig"])
 @pytest.mark.parametrize("twin", [copy.deepcopy, through_pickle])
-def test_a_copy_goes_on_alike(twin):
-    env = HFrameEnv(randomize="wide")
+def test_a_copy_goes_on_alike(twin, options):
+    env = HFrameEnv(randomize="wide", **options)
     episode(env, steps=5, seed=3)
     other = twin(env)
     for _ in range(5):
@@ -201,7 +206,8 @@ def test_a_copy_goes_on_alike(twin):
     np.testing.assert_array_equal(episode(env), episode(other))
 
 
-def test_spec_makes_the_same_environment_again():
-    env = gym.make("HFrame-v0", randomize="default", period=0.005)
+@pytest.mark.parametrize("options", [{}, {"sensors": "rig", "drives": "rig", "privileged": True}], ids=str)
+def test_spec_makes_the_same_environment_again(options):
+    env = gym.make("HFrame-v0", randomize="default", period=0.005, **options)
     again = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
     np.testing.assert_array_equal(episode(env, seed=1), episode(again, seed=1))

@@ -7,6 +7,7 @@ from hframe_gym.effects import LIBRARY
 from hframe_gym.env import HFrameEnv, Reach, Vary
 from hframe_gym.env.randomisation import Uniform
 from hframe_gym.machine import BUILTIN, simulate
+from hframe_gym.machine.simulate import LONGEST_STEP
 
 
 def late_machine(delay):
@@ -16,7 +17,7 @@ def late_machine(delay):
 @pytest.mark.parametrize("delay", [0.0, 0.0031, 0.01, 0.0234])
 def test_late_drives_match_the_simulation(delay):
     machine = late_machine(delay)
-    env = HFrameEnv(machine=machine, task=Reach(start=(0.0, 0.0), target=(0.1, 0.0)))
+    env = HFrameEnv(machine=machine, task=Reach(start=(0.0, 0.0), target=(0.1, 0.0)), longest_step=LONGEST_STEP)
     env.reset(seed=0)
     volts = np.random.default_rng(1).uniform(-12, 12, (20, 2))
     for row in volts:

@@ -15,7 +15,8 @@ def episodes(**changes: object) -> Episodes:
     fields: dict[str, object] = {
         "time_s": 0.1 * np.arange(4),
         "position": np.stack([x, np.zeros_like(x)], axis=2),
-        "goal": np.array([[0.01, 0.0], [0.01, 0.0]]),
+        "goal": np.tile([0.01, 0.0], (2, 4, 1)),
+        "contour": None,
         "volts": np.array([[[12.0, 0.0], [-3.0, 0.0]], [[0.0, 0.0], [0.0, 0.0]]]),
         "rated": np.array([12.0, 12.0]),
         "energy_J": np.array([1.0, 3.0]),
@@ -64,6 +65,23 @@ def test_scores_by_hand() -> None:
 def test_over_bound_is_the_mean_of_ratios() -> None:
     card = scores(episodes(), np.array([0.1, 0.3]))
     assert card["over_bound"]["0.2mm"]["mean"] == pytest.approx((2.0 + 1.0) / 2)
+
+
+def test_tracking_by_hand() -> None:
+    """A goal at 10 mm/s along x; a tool 1 mm behind it, and one 2 mm off to the side."""
+    time_s = 0.1 * np.arange(5)
+    goal = np.tile(np.stack([0.01 * time_s, np.zeros(5)], axis=1), (2, 1, 1))
+    position = goal + np.array([[[-1e-3, 0.0]], [[0.0, 2e-3]]])
+    contour = np.array([np.zeros(5), np.full(5, 2e-3)])
+    card = scores(
+        episodes(time_s=time_s, goal=goal, position=position, contour=contour, volts=np.zeros((2, 4, 2))),
+    )
+    assert card["success"] == {"1mm": 0.5, "0.2mm": 0.5, "0.05mm": 0.5}
+    assert card["contour_mm"]["rms"]["mean"] == pytest.approx(1.0)
+    assert card["contour_mm"]["max"]["mean"] == pytest.approx(1.0)
+    assert card["tracking_mm"]["rms"]["mean"] == pytest.approx(1.5)
+    assert card["delay_ms"]["mean"] == pytest.approx(50.0)
+    assert "settling_s" not in card
 
 
 @pytest.mark.parametrize("bound", [[0.1], [0.1, 0.0], [0.1, np.nan]])

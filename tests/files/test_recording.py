@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import datetime
 import gzip
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -59,6 +61,7 @@ def test_gzip_and_parquet_hold_the_same_run(write_run: WriteRun, hframe: Machine
         ({(7, "time_s"): ""}, "row 7, column time_s"),
         ({(7, "x_m"): "125.0"}, "row 7, column x_m: 125 cannot be m: millimetres?"),
         ({(7, "x_m"): "15.0"}, "column x_m: moves by 15, x can move by 0.56: millimetres?"),
+        ({(7, "x_m"): "2.0"}, "column x_m: moves by 2, x can move by 0.56: millimetres?"),
         ({(r, c): "" for r in range(1, 21) for c in ("phi1_rad", "phi2_rad", "x_m", "y_m")}, "all outputs are blank"),
     ],
 )
@@ -111,6 +114,17 @@ def test_angles_in_degrees_under_a_rad_name_are_refused(tmp_path: Path, hframe: 
         read_recording(path, hframe)
 
 
+def test_a_small_move_in_millimetres_is_refused_by_the_belts(tmp_path: Path, hframe: Machine) -> None:
+    time = np.arange(200) * 1e-3
+    y = 0.005 * time
+    phi = -y / 0.0194
+    table = np.column_stack([time, 0 * time, 0 * time, phi, phi, 0 * time, 1000 * y])
+    path = tmp_path / "mm.csv"
+    np.savetxt(path, table, delimiter=",", header="time_s,v1_V,v2_V,phi1_rad,phi2_rad,x_m,y_m", comments="")
+    with pytest.raises(InputError, match="columns x_m, y_m: 1000 times what the belts allow: millimetres"):
+        read_recording(path, hframe)
+
+
 @pytest.mark.parametrize("content", ["", "time_s,v1_V,v2_V,phi1_rad,phi2_rad,x_m,y_m\n"])
 def test_nothing_in_a_file_is_refused(content: str, tmp_path: Path, hframe: Machine) -> None:
     (tmp_path / "empty.csv").write_text(content)
@@ -123,9 +137,55 @@ def test_a_short_row_and_a_broken_gzip_are_refused(write_run: WriteRun, tmp_path
     path.write_text(path.read_text() + "5.1,1,1\n")
     with pytest.raises(InputError, match="row 21: 3 cells under 7 columns"):
         read_recording(path, hframe)
-    (tmp_path / "broken.csv.gz").write_bytes(b"not gzip")
-    with pytest.raises(InputError, match=r"broken\.csv\.gz: cannot be read"):
-        read_recording(tmp_path / "broken.csv.gz", hframe)
+    whole = gzip.compress(b"time_s,v1_V\n" + b"0.001,1\n" * 1000)
+    damaged = whole[:20] + b"\xff\xff\xff" + whole[23:]
+    for content in (b"not gzip", whole[: len(whole) // 2], damaged):
+        (tmp_path / "broken.csv.gz").write_bytes(content)
+        with pytest.raises(InputError, match=r"broken\.csv\.gz: cannot be read"):
+            read_recording(tmp_path / "broken.csv.gz", hframe)
+    (tmp_path / "latin.csv").write_bytes("time_s,größe\n".encode("latin-1"))
+    with pytest.raises(InputError, match=r"latin\.csv: cannot be read"):
+        read_recording(tmp_path / "latin.csv", hframe)
+
+
+def test_byte_order_mark_windows_line_ends_and_blank_lines_are_read(write_run: WriteRun, hframe: Machine) -> None:
+    path = write_run()
+    plain = read_recording(path, hframe)
+    text = path.read_text()
+    path.write_bytes(b"\xef\xbb\xbf" + text.replace("\n", "\r\n").encode() + b"\r\n\r\n")
+    np.testing.assert_array_equal(read_recording(path, hframe).outputs, plain.outputs)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        (["0", "oops"], "row 2, column x_m: 'oops' is not a number"),
+        ([datetime.datetime(2020, 1, 1)] * 2, "row 1, column x_m: datetime.datetime"),
+    ],
+)
+def test_a_wrong_column_of_parquet_is_refused_by_place(
+    values: list[object], message: str, tmp_path: Path, hframe: Machine
+) -> None:
+    columns: dict[str, list[object]] = {"time_s": [0.0, 1.0], "v1_V": [0, 1], "v2_V": [0, 1]}
+    columns |= {"phi1_rad": [0.0, None], "phi2_rad": [0.0, 0.0], "x_m": values, "y_m": [0.0, 0.0]}
+    pyarrow.parquet.write_table(pyarrow.table(columns), tmp_path / "run.parquet")
+    with pytest.raises(InputError) as error:
+        read_recording(tmp_path / "run.parquet", hframe)
+    assert message in str(error.value)
+    columns["x_m"] = [0.0, 0.1]
+    pyarrow.parquet.write_table(pyarrow.table(columns), tmp_path / "run.parquet")
+    run = read_recording(tmp_path / "run.parquet", hframe)
+    np.testing.assert_array_equal(run.inputs, [[0, 0], [1, 1]])
+    np.testing.assert_array_equal(run.outputs[:, 0], [0.0, np.nan])
+
+
+def test_parquet_without_its_library_names_the_extra(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, hframe: Machine
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
+    (tmp_path / "run.parquet").write_bytes(b"")
+    with pytest.raises(InputError, match=r"hframe_gym\[parquet\]"):
+        read_recording(tmp_path / "run.parquet", hframe)
 
 
 def test_a_folder_is_read_in_order(write_run: WriteRun, tmp_path: Path, hframe: Machine) -> None:
@@ -135,6 +195,11 @@ def test_a_folder_is_read_in_order(write_run: WriteRun, tmp_path: Path, hframe: 
     assert [r.name for r in read_recordings(tmp_path, hframe)] == ["a", "b"]
     with pytest.raises(InputError, match="no such folder"):
         read_recordings(tmp_path / "none", hframe)
+    with pytest.raises(InputError, match="is a file, give the folder"):
+        read_recordings(tmp_path / "a.csv", hframe)
+    (tmp_path / "a.csv.gz").write_bytes(gzip.compress((tmp_path / "a.csv").read_bytes()))
+    with pytest.raises(InputError, match=r"the run 'a' is there twice"):
+        read_recordings(tmp_path, hframe)
 
 
 def test_written_predictions_read_back(tmp_path: Path, hframe: Machine) -> None:

@@ -1,0 +1,73 @@
+"""How well the built controllers do, on identical draws: settling on a point, and error along paths.
+
+python -m benchmarks.controllers
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from hframe_gym.env import Track
+from hframe_gym.evaluate import Trial, contender, rollout, scores
+
+from .results_file import write_results
+
+SEED, EPISODES = 1000, 512  # draws that nothing was tuned on
+BAND = "0.2mm"
+RUNS = {
+    "pid": ("pid", 0.01, "state"),
+    "pid 2 ms": ("pid", 0.002, "state"),
+    "pid, rig": ("pid", 0.01, "rig"),
+    "textbook-pid": ("textbook-pid", 0.01, "state"),
+}
+# 50 mm across at 0.3 m/s, the whole episode counted: lead-in, and for the square its sharp corners, which no stage can
+# pass at speed; so errors there are compared, not feasible minima.
+PATHS = ("circle", "square", "lissajous")
+
+
+def measure(seed: int, episodes: int, pictures: Path | None = None) -> dict[str, Any]:
+    """Scores by task and controller."""
+    answer: dict[str, Any] = {}
+    for task in ("reach", *PATHS):
+        answer[task] = {}
+        for label, (name, period, sensors) in RUNS.items():
+            chosen = Track(path=task) if task in PATHS else task
+            trial = Trial("hframe", chosen, "default", sensors, episodes, seed, period)
+            run = rollout(contender(name, trial), trial)
+            answer[task][label] = card = scores(run, seed=seed)
+            if "settling_s" in card:
+                time = card["settling_s"][BAND]
+                shown = f"to {BAND} {time['mean']:.3f} s {time['ci95']}, success {card['success'][BAND]:.3f}"
+            else:
+                parts = (
+                    f"{k} {card['contour_mm'][k]['mean']:.3f} {card['contour_mm'][k]['ci95']}" for k in ("rms", "max")
+                )
+                shown = f"off the path, mm: {', '.join(parts)}; off the goal {card['tracking_mm']['rms']['mean']:.3f}"
+            print(f"{task:10s} {label:14s} {shown}", flush=True)
+            if pictures is not None:
+                from hframe_gym.evaluate.picture import save
+
+                save(pictures / f"{task}_{label.replace(' ', '_').replace(',', '')}.png", run, title=f"{label}: {task}")
+    return answer
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seed", type=int, default=SEED)
+    parser.add_argument("--episodes", type=int, default=EPISODES)
+    parser.add_argument("--pictures", type=Path, default=None, help="folder for a picture of each first episode")
+    given = parser.parse_args()
+    if given.pictures is not None:
+        given.pictures.mkdir(parents=True, exist_ok=True)
+    content = {
+        "episodes": given.episodes,
+        "randomize": "default",
+        "tasks": measure(given.seed, given.episodes, given.pictures),
+    }
+    print(f"wrote {write_results('controllers', content, seed=given.seed)}")
+
+
+if __name__ == "__main__":
+    main()

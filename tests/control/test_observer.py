@@ -1,0 +1,114 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from closed_loop import PERIOD, closed_loop, random_points, random_stages
+from scipy.linalg import solve_discrete_are
+
+from hframe_gym.control import ESTIMATED, Channel, ModelPID, Observed, Observer
+from hframe_gym.machine import BUILTIN, Machine, rest_state, simulate
+
+QUANTUM = 2 * np.pi / (4 * 512 * 5.9)
+NOISE = 20e-6
+ENCODERS = [Channel(name, QUANTUM / np.sqrt(12.0)) for name in ("phi1", "phi2")]
+
+
+def rig(span: float) -> list[Channel]:
+    """Lasers of a range around the middle, and encoders."""
+    return [*(Channel(axis, NOISE, -span / 2, span / 2) for axis in ("x", "y")), *ENCODERS]
+
+
+class Readings:
+    """Positions (B, 8) as a rig's sensors of `rig(span)` show them: noisy, quantised, stuck at the ends."""
+
+    def __init__(self, span: float, seed: int) -> None:
+        self.half, self.rng = span / 2, np.random.default_rng(seed)
+
+    def __call__(self, values: np.ndarray) -> np.ndarray:
+        tool = values[:, :2] + self.rng.normal(0.0, NOISE, (len(values), 2))
+        return np.hstack([np.clip(tool, -self.half, self.half), QUANTUM * np.rint(values[:, 2:4] / QUANTUM)])
+
+
+def observed(machine: Machine, span: float) -> Observed:
+    return Observed(ModelPID(machine, PERIOD, care=ESTIMATED), Observer(machine, PERIOD, rig(span)))
+
+
+@pytest.mark.parametrize("span", [np.inf, 0.1])
+def test_settles_on_random_machines_from_readings_alone(hframe: Machine, span: float) -> None:
+    start, goal = random_points(48, 1), random_points(48, 2)
+    run = closed_loop(
+        observed(hframe, span), hframe, start, goal, changes=random_stages(hframe, 48, 3), sense=Readings(span, 4)
+    )
+    assert np.mean(run.error[:, -1] < 2e-4) >= 0.95
+    settled = np.argmax(run.error[:, ::-1] > 2e-4, axis=1)
+    assert PERIOD * np.mean(run.error.shape[1] - settled) < 0.42
+
+
+def test_the_state_of_its_own_machine_is_found_while_lasers_stick(hframe: Machine) -> None:
+    """Voltages played to the machine alone, the tool far out of the lasers' range: the encoders say where it is."""
+    time = PERIOD * np.arange(61)
+    volts = np.random.default_rng(5).uniform(-9.0, 9.0, (61, 2))
+    start = np.array([0.15, -0.1])
+    run = simulate(hframe, time, volts, rest_state(hframe, start))
+    readings = Readings(0.1, 6)
+    observer = Observer(hframe, PERIOD, rig(0.1))
+    for k in range(61):
+        estimate = observer.update(readings(run.positions[k : k + 1]))
+        observer.sent(volts[k : k + 1])
+    truth = np.concatenate([run.positions[-1], run.velocities[-1]]) * np.tile(hframe.radii, 2)
+    np.testing.assert_allclose(estimate[0, :4], truth[:4], atol=3e-5)
+    np.testing.assert_allclose(estimate[0, 4:], truth[4:], atol=1e-2)
+
+
+def test_a_stuck_laser_changes_nothing(hframe: Machine) -> None:
+    """With both lasers at their ends the estimate is to the bit that of the encoders alone."""
+    with_lasers, without = Observer(hframe, PERIOD, rig(0.1)), Observer(hframe, PERIOD, ENCODERS)
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        angles = rng.normal([-9.0, 8.0], 0.01, (3, 2))
+        stuck = np.hstack([np.full((3, 1), 0.05), np.full((3, 1), -0.05), angles])
+        a, b = with_lasers.update(stuck), without.update(angles)
+        np.testing.assert_allclose(a, b, rtol=0.0, atol=1e-12)
+        for o in (with_lasers, without):
+            o.sent(np.ones((3, 2)))
+
+
+def test_covariance_goes_to_that_of_the_riccati_equation() -> None:
+    """On the linear machine at rest, against SciPy's solution for the same noises."""
+    machine = BUILTIN["hframe-linear"]()
+    observer = Observer(machine, PERIOD, rig(np.inf))
+    place = observer._places.nearest(np.zeros((1, 2)))[0]
+    for _ in range(400):
+        observer.update(np.zeros((1, 4)))
+    n = 4
+    F, H = observer._F[place], np.zeros((4, 3 * n))
+    H[np.arange(4), observer._rows] = 1.0
+    force = observer._friction
+    Q = observer._Q + np.diag(np.concatenate([np.zeros(2 * n), (1.0 - observer._keep**2) * force**2]))
+    R = np.diag(observer._noise)
+    prior = solve_discrete_are(F.T, H.T, Q, R)
+    gain = prior @ H.T @ np.linalg.inv(H @ prior @ H.T + R)
+    posterior = prior - gain @ H @ prior
+    scale = np.sqrt(np.outer(np.diag(posterior), np.diag(posterior))) + 1e-30
+    np.testing.assert_allclose(observer._P[0] / scale, posterior / scale, atol=1e-4)
+
+
+def test_masked_reset_begins_anew(hframe: Machine) -> None:
+    observer = Observer(hframe, PERIOD, rig(0.1))
+    rng = np.random.default_rng(1)
+    for _ in range(5):
+        observer.update(np.hstack([np.zeros((2, 2)), rng.normal(0.0, 0.05, (2, 2))]))
+        observer.sent(np.full((2, 2), 3.0))
+    reading = np.array([[0.01, 0.02, -0.03 / 0.0194, -0.01 / 0.0194]])
+    observer.reset(np.array([True, False]))
+    kept = observer.update(np.repeat(reading, 2, axis=0))
+    fresh = Observer(hframe, PERIOD, rig(0.1)).update(reading)
+    np.testing.assert_allclose(kept[0], fresh[0], atol=1e-12)
+    assert not np.allclose(kept[1], fresh[0], atol=1e-6)
+
+
+def test_refuses_channels_that_do_not_tell_where_the_tool_is(hframe: Machine) -> None:
+    with pytest.raises(ValueError, match="do not tell where its tool is"):
+        Observer(hframe, PERIOD, [Channel("x", 1e-5)])
+    with pytest.raises(ValueError, match="phi9"):
+        Observer(hframe, PERIOD, [Channel("x", 1e-5), Channel("phi9", 1e-5)])
