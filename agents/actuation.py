@@ -105,8 +105,11 @@ class Actuation:
 
     def apply(self, output: NDArray[Any]) -> Array:
         """Actions (B, drives) in [-1, 1] from the policy's output (B, drives)."""
-        action = self._scale * output
-        if self.base:
-            action = action + self._base
-        self._last = np.clip(action, -1.0, 1.0)
+        self.applied(np.clip(self._scale * output + (self._base if self.base else 0.0), -1.0, 1.0))
         return self._last
+
+    def applied(self, actions: Array) -> None:
+        """The stages are given actions (B, drives): what the policy sees as its last, and the base as its own."""
+        self._last = actions
+        if self.base:
+            self.base.applied(actions)

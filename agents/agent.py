@@ -63,6 +63,11 @@ class Agent:
             outputs, _ = self.policy.predict(seen, deterministic=True)
         return self.actuation.apply(outputs) if self.actuation else np.asarray(outputs, np.float64)
 
+    def applied(self, actions: NDArray[np.float64]) -> None:
+        """The stages were given actions (B, drives) in [-1, 1], and not what `act` answered last."""
+        if self.actuation:
+            self.actuation.applied(actions)
+
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
         """Forget the stages of mask (B,), or all."""
         if self.actuation:
@@ -104,13 +109,21 @@ class Agent:
             lambda _: 0.0,
             **policy_keywords(card["settings"]["policy"], card["features"]),
         )
-        weights = load("safetensors.torch").load_file(path / "policy.safetensors")
-        missing, unexpected = policy.load_state_dict(weights, strict=False)
-        strangers = [*unexpected, *(name for name in missing if not name.startswith(CRITICS))]
-        if strangers:
-            raise ValueError(f"{path / 'policy.safetensors'} does not fit agent.json: {', '.join(sorted(strangers))}")
+        load_weights(policy, path)
         policy.set_training_mode(False)
         return cls(policy, actuation, machine, card)
+
+
+def load_weights(policy: Any, folder: Path) -> None:
+    """Give a policy the weights in a folder, all but those of critics.
+
+    Raises ValueError naming the weights that are not there, or that the policy has no place for.
+    """
+    weights = load("safetensors.torch").load_file(folder / "policy.safetensors")
+    missing, unexpected = policy.load_state_dict(weights, strict=False)
+    strangers = [*unexpected, *(name for name in missing if not name.startswith(CRITICS))]
+    if strangers:
+        raise ValueError(f"{folder / 'policy.safetensors'} does not fit the policy: {', '.join(sorted(strangers))}")
 
 
 def actuation_for(machine: Machine, settings: Mapping[str, Any], period: float) -> Actuation | None:

@@ -32,7 +32,8 @@ class Recipe:
     `HFrameVecEnv`.  algorithm, policy: keywords of the stable-baselines3 class and its policy; a pair in `algorithm`
     stands for a rate that goes from one to the other over the run.  task: keywords of the task.  actuation: keywords of
     `Actuation`, empty where the policy's outputs are the actions.  hindsight: keywords of `HerReplayBuffer`, empty for
-    the plain buffer.
+    the plain buffer.  start: the shipped agent, by what its name begins with, that training goes on from; empty for
+    none.
     """
 
     name: str
@@ -44,6 +45,7 @@ class Recipe:
     task: dict[str, Any] = field(default_factory=dict)
     actuation: dict[str, Any] = field(default_factory=dict)
     hindsight: dict[str, Any] = field(default_factory=dict)
+    start: str = ""
 
     @property
     def settings(self) -> dict[str, Any]:

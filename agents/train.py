@@ -10,16 +10,18 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from hframe_gym.atomic import whole_file
 from hframe_gym.env.tasks import TASKS, Task
 from hframe_gym.evaluate import Trial
+from hframe_gym.evaluate.contenders import shipped
 from hframe_gym.files import load_machine
 from hframe_gym.machine import Machine
 
-from .agent import SCHEMA, Agent, actuation_for, policy_keywords
+from .agent import SCHEMA, Agent, actuation_for, load_weights, policy_keywords
 from .card import versions, write_card
 from .extra import load, one_thread
 from .recipe import Recipe, load_recipe
@@ -44,12 +46,15 @@ def train(
     out: str | Path = "agent",
     say: Callable[[str], None] = print,
     advance: Callable[[int, int], None] = lambda done, steps: None,
+    randomize: str | None = None,
 ) -> dict[str, Any]:
     """Train an agent and write it to the folder `out`; gives its card.
 
     algorithm: a recipe, "ppo", "sac", "sac_her" or "residual".  machine: a name, file or `Machine`.  steps: of the
     environment, in all, those before a resume included; as many as the recipe says where not given.  say: takes a line
     at each evaluation.  advance: is told how many steps are done, of how many, after each of the environments.
+    randomize: what each episode draws of the machine, in place of the recipe's: "identified" for one whose file says
+    how well it is known.
 
     The same seed gives the same agent, to the bit, on the same versions and processor; a resumed run goes on with
     other draws than one that was never stopped.
@@ -58,6 +63,8 @@ def train(
     `agents` where it is missing.
     """
     recipe = load_recipe(algorithm, task)
+    if randomize is not None:
+        recipe = replace(recipe, env={**recipe.env, "randomize": randomize})
     steps = recipe.steps if steps is None else steps
     built = load_machine(machine)
     folder = Path(out)
@@ -65,6 +72,8 @@ def train(
     environment = _environment(recipe, built, task)
     card["previews"] = len(environment.get_attr("batch", 0)[0].task.ahead_s)
     model = _resumed(recipe, folder, environment, card) if resume else _new_model(recipe, built, environment, seed)
+    if recipe.start and not resume:
+        load_weights(model.policy, shipped(recipe.start, task))
     model.set_logger(load("stable_baselines3.common.logger").configure(str(folder / "tensorboard"), ["tensorboard"]))
     environment.seed(TRAINING_SEED + seed * SEEDS_APART + model.num_timesteps)
     progress = _Progress(model, card, built, recipe, steps, folder, say, advance)

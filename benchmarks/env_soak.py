@@ -65,8 +65,8 @@ class Energy:
 def bound(envs: HFrameVectorEnv) -> float:
     """More energy than any drawn stage can hold, J: all masses at no-load speed, and belts at twice the stall force."""
     machine, batch = envs.batch.machine, envs.batch
-    most = dict(zip(machine.parameters, batch._at_reset.high.tolist(), strict=True))
-    least = dict(zip(machine.parameters, batch._at_reset.low.tolist(), strict=True))
+    most = dict(zip(machine.parameters, batch.population.high.tolist(), strict=True))
+    least = dict(zip(machine.parameters, batch.population.low.tolist(), strict=True))
     speed = 0.0
     for d in machine.drives:
         w = d.rated_voltage / (least[f"{d.name}.Ke"] * d.gear_ratio)

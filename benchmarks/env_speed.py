@@ -3,7 +3,8 @@
     python -m benchmarks.env_speed
 
 Everything compared runs in this one process, alternating, with random actions drawn before the clock starts; a ratio is
-the median over repetitions, its spread their extremes.
+the median over repetitions, its spread their extremes.  The kernel's share is of processor time, which other programs
+on the machine leave alone, and of wall time.
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ import hframe_gym  # noqa: F401  registers the environment
 from benchmarks.results_file import write_results
 from benchmarks.throughput import interleaved
 from hframe_gym.env import HFrameVectorEnv
+from hframe_gym.machine.kernel import kernel_for
+from hframe_gym.machine.lanes import LANES
 from hframe_gym.machine.simulate import in_parallel, threads
 
 SEED, ENVS, STEPS, REPEATS = 3, 4096, 150, 7  # STEPS: an episode, so every run has each environment's reset in it
@@ -62,23 +65,42 @@ class Vector:
 
         return len(self.actions) * self.envs.num_envs / seconds(run)
 
-    def kernel_rate(self) -> float:
-        """The same by the kernel alone: one call of `advance_blocks` a thread and step, states put back between."""
+    def beside_kernel(self) -> dict[str, tuple[float, float]]:
+        """Seconds of an episode's steps, and of the bare kernel on the very same states and voltages, step by step.
+
+        By "processor", the time of all threads, and by "wall".  The bare kernel is that of the machine without end
+        stops, one call of `advance_blocks` a thread.
+        """
         stages = self.envs.batch.stages
-        state = stages.state.copy()
+        kernel = kernel_for(stages.machine)
+        parameters = np.empty((stages.blocks, len(kernel.layout.parameters), LANES))
+        tables = parameters, stages.derived, stages.supply.inputs, stages.h, stages.steps
+        clocks = {"processor": time.process_time, "wall": time.perf_counter}
+        spent = dict.fromkeys(clocks, np.zeros(2))
+        for action in self.actions:
+            state = stages.state.copy()
+            began = {name: clock() for name, clock in clocks.items()}
+            self.envs.step(action)
+            between = {name: clock() for name, clock in clocks.items()}
+            parameters[:] = stages.parameters[:, : parameters.shape[1]]
 
-        def advance(first: int, last: int) -> None:
-            stages._kernel.advance_blocks(
-                state, stages.parameters, stages.derived, stages.inputs, stages.h, stages.steps, first, last
-            )
+            def advance(first: int, last: int, state: Any = state) -> None:
+                kernel.advance_blocks(state, *tables, first, last)
 
-        spent = 0.0
-        for _ in self.actions:
-            state[:] = stages.state
-            begin = time.perf_counter()
+            again = {name: clock() for name, clock in clocks.items()}
             in_parallel(advance, stages.blocks)
-            spent += time.perf_counter() - begin
-        return len(self.actions) * self.envs.num_envs / spent
+            for name, clock in clocks.items():
+                spent[name] = spent[name] + (between[name] - began[name], clock() - again[name])
+        return {name: (float(step), float(kernel)) for name, (step, kernel) in spent.items()}
+
+    def share(self, repeats: int) -> dict[str, Any]:
+        """Share of the bare kernel in a step, medians and spread over repetitions."""
+        self.beside_kernel()
+        runs = [self.beside_kernel() for _ in range(repeats)]
+        shares = {name: [run[name][1] / run[name][0] for run in runs] for name in ("processor", "wall")}
+        return {
+            name: {"share": float(np.median(each)), "spread": [min(each), max(each)]} for name, each in shares.items()
+        }
 
 
 def envpool_rate() -> Callable[[], float]:
@@ -178,13 +200,11 @@ def main() -> None:
         content[f"over EnvPool's Pendulum: {name}"] = show(
             f"{ENVS} environments, {name}", interleaved(vector.rate, pool, repeats), "HFrame", "EnvPool Pendulum"
         )
-        if "sensors" not in options:
-            content[f"share of the bare kernel: {name}"] = show(
-                "  of which the bare kernel (share of time)",
-                interleaved(vector.rate, vector.kernel_rate, repeats),
-                "HFrame",
-                "kernel",
-            )
+        shares = content[f"share of the bare kernel: {name}"] = vector.share(repeats)
+        for clock, own in shares.items():
+            low, high = own["spread"]
+            title = f"  of which the bare kernel, {clock} time"
+            table.add_row(title, "", "", f"{own['share']:.3g}", f"{low:.3g} - {high:.3g}")
     content["single over gymnasium's Pendulum"] = show(
         "one environment, gym.make",
         interleaved(single_rate("HFrame-v0", 2), single_rate("Pendulum-v1", 1), REPEATS),

@@ -161,7 +161,7 @@ def effect(name: str, site: str, size: float) -> Planted:
             drag = size * _sized(site, 40.0, 1e-4)
             return _plant(name, site, partial(coordinate, quadratic_drag=drag), {"c": drag}, forces=("c",))
         case "cable_spring":
-            k, rest = size * 60.0, 0.05
+            k, rest = size * 20.0, 0.05
             build = partial(coordinate, spring_stiffness=k, spring_rest=rest)
             return _plant(name, site, build, {"k": k, "q0": rest}, forces=("k",))
         case "position_friction":

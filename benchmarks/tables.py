@@ -7,6 +7,8 @@ A table stands between `<!-- table: NAME -->` and `<!-- end -->`; whatever is th
 
 from __future__ import annotations
 
+import importlib
+import inspect
 import json
 import re
 from collections.abc import Callable, Iterable, Sequence
@@ -16,14 +18,15 @@ from typing import Any
 from benchmarks.results_file import RESULTS
 from hframe_gym.atomic import write_text
 from hframe_gym.effects import LIBRARY
+from hframe_gym.machine import Effect
 
 ROOT = Path(__file__).parents[1]
 STAGES = ("declared", "before", "after")
 
 
-def markdown(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A Markdown table; all columns but the first to the right."""
-    lines = [header, ["---", *["---:"] * (len(header) - 1)], *rows]
+def markdown(header: Sequence[str], rows: Iterable[Sequence[str]], others: str = "---:") -> str:
+    """A Markdown table; all columns but the first to the right, or as `others` says."""
+    lines = [header, ["---", *[others] * (len(header) - 1)], *rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
@@ -125,14 +128,41 @@ def fill(path: Path) -> None:
     write_text(path, re.sub(r"<!-- table: (\w+) -->.*?<!-- end -->", replaced, text, flags=re.DOTALL))
 
 
+_EFFECTS_HEAD = """# Effects
+
+Made from `hframe_gym/effects/` by `python -m benchmarks.tables`. Units in words follow the site: a force is N at x and
+Nm at a motor. An effect vanishes where its amplitude is zero.
+
+"""
+_EFFECTS_TAIL = """
+## Tables
+
+`smooth_force[VARIABLE]` and `smooth_friction[VARIABLE]` stand for what no formula here explains: straight lines between
+two dozen knots, against a position, a velocity, the way gone, or time.
+"""
+
+
 def effects_page() -> str:
-    """docs/effects.md: the library as a table."""
-    rows = [
-        [f"`{e.name}`", e.family, e.site, f"`{e.formula}`", ", ".join(p.name for p in e.parameters), e.source]
-        for e in LIBRARY.values()
-    ]
-    head = "# Effects\n\nMade from `hframe_gym/effects/` by `python -m benchmarks.tables`.\n\n"
-    return head + markdown(["effect", "family", "site", "formula", "parameters", "source"], rows) + "\n"
+    """docs/effects.md: the library as a table, then a section an effect."""
+    rows = [[f"[`{e.name}`](#{e.name})", e.site, f"`{_in_cell(e.formula)}`"] for e in LIBRARY.values()]
+    table = markdown(["effect", "site", "formula"], rows, "---")
+    return f"{_EFFECTS_HEAD}{table}\n{''.join(map(_section, LIBRARY.values()))}{_EFFECTS_TAIL}"
+
+
+def _in_cell(text: str) -> str:
+    return text.replace("|", "\\|")
+
+
+def _section(effect: Effect) -> str:
+    """An effect's heading, what it is, its formula and parameters, and what no recording tells from it."""
+    text = inspect.getdoc(importlib.import_module(f"hframe_gym.effects.{effect.name}"))
+    rows = [[f"`{p.name}`", p.unit, f"{p.lower:g} to {p.upper:g}", p.role] for p in effect.parameters]
+    family = "" if effect.family == effect.name else f" Family: {effect.family}."
+    same = f"\n\nThe same for any recording: {', '.join(effect.equivalent)}." if effect.equivalent else ""
+    return (
+        f"\n## {effect.name}\n\n{text}\n\nAt: {effect.site}.{family} Source: {effect.source}.\n\n"
+        f"    {effect.formula}\n\n{markdown(['parameter', 'unit', 'bounds', 'kind'], rows, '---')}{same}\n"
+    )
 
 
 def main() -> None:

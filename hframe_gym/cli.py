@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from .files import InputError
@@ -114,11 +115,11 @@ def identify(
     declared = load_machine(machine)
     require_folder(out)
     recordings = read_recordings(runs_dir, declared)
-    for recording in recordings:
-        for finding in warnings_of(recording, declared):
-            say(f"warning: {finding}")
+    warnings = [str(finding) for recording in recordings for finding in warnings_of(recording, declared)]
+    for warning in warnings:
+        say(f"warning: {warning}")
     answer = run(recordings, declared, held_out=hold_out or (), say=say)
-    write_answer(answer, out)
+    write_answer(answer, out, warnings)
     show_answer(answer.as_json(), list(declared.output_channels))
     say(verdict_sentence(answer.as_json(), list(declared.output_channels)))
     try:
@@ -166,6 +167,7 @@ def train(
     out: OutOption,
     machine: MachineOption = "hframe",
     task: Annotated[str, typer.Option(help="What to learn: reach or track.")] = "reach",
+    randomize: Annotated[Preset | None, typer.Option(help="What each episode draws (default: the recipe's).")] = None,
     steps: Annotated[int | None, typer.Option(min=1, help="Environment steps in all (default: the recipe's).")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the network, the draws and the environment.")] = 0,
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the checkpoint in the folder.")] = False,
@@ -192,7 +194,7 @@ def train(
             bar.update(shown, completed=done, total=total)
 
         try:
-            run(algorithm, declared, task, steps, seed, resume, require_folder(out), say, advance)
+            run(algorithm, declared, task, steps, seed, resume, require_folder(out), say, advance, randomize)
         except ValueError as error:
             raise InputError(str(error)) from None
     say(f"wrote {out}")
@@ -289,16 +291,18 @@ def machines() -> None:
 
 @app.command()
 def effects() -> None:
-    """The effects that identification knows.
+    """The effects that identification knows; units in words follow the site (a force is N at x, Nm at a motor).
 
     Example:  hframe effects
     """
     from .effects import LIBRARY
 
-    table = Table("effect", "family", "site", "formula", "parameters", "source")
+    table = Table("effect", "family", "site", "parameters", "formula")
     for e in LIBRARY.values():
-        table.add_row(e.name, e.family, e.site, e.formula, ", ".join(p.name for p in e.parameters), e.source)
+        parameters = ", ".join(f"{p.name} ({p.unit})" for p in e.parameters)
+        table.add_row(e.name, e.family, e.site, parameters, escape(e.formula))
     console.print(table)
+    say("beside them: smooth_force[VARIABLE] and smooth_friction[VARIABLE], tables of what has no formula here")
 
 
 def main() -> None:

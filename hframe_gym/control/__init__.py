@@ -3,6 +3,7 @@
 model.py, places.py    the machine as controllers see it; where in the workspace gains are worked out
 trajectory.py          transfers to rest         tracking.py    plans along a path
 pid.py                 both as one controller    delay.py       dead time
+amplifiers.py          dead bands and offsets of the drives, undone
 observer.py            the full state from encoders and lasers
 textbook_pid.py        the baseline
 """

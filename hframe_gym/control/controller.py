@@ -20,6 +20,9 @@ class Controller(Protocol):
         """Actions (B, drives) in [-1, 1] for `observation` (B, entries), `desired_goal` (B, 2), m, and for a goal that
         moves `preview` (B, 2 P), m, where it is at the end of this period, of the next, ..."""
 
+    def applied(self, actions: NDArray[np.float64]) -> None:
+        """The stages were given actions (B, drives) in [-1, 1], and not what `act` answered last."""
+
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
         """Forget the stages of mask (B,), or all: their next observation begins an episode."""
 

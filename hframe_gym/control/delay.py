@@ -39,6 +39,10 @@ class DeadTime:
         """Voltages (B, drives) given for the period that begins."""
         self._sent = np.concatenate([volts[:, None], self._sent[:, :-1]], axis=1)
 
+    def correct(self, volts: Array) -> None:
+        """Voltages (B, drives) that were given in place of those sent last."""
+        self._sent[:, 0] = volts
+
     def arrived(self) -> Array:
         """Mean voltage (B, drives) at the motors over the last period."""
         share = self._part / self.period

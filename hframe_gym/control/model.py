@@ -130,10 +130,11 @@ class MotionModel:
         return force
 
     def _effects(self, state: Array) -> Iterator[tuple[AppliedEffect, int, Array, Array, float]]:
-        """Effects at coordinates: each with its coordinate, position and speed in own units (B,), and radius."""
+        """Effects at coordinates and motors: each with its coordinate, position and speed in own units (B,), and radius."""
         for e in self.machine.effects:
-            if e.site in self.machine.coordinate_names:
-                i = self.machine.coordinate_names.index(e.site)
+            coordinate = self.machine.site_coordinate(e.site)
+            if coordinate is not None:
+                i = self.machine.coordinate_names.index(coordinate)
                 radius = float(self.machine.radii[i])
                 yield e, i, state[:, i] / radius, state[:, len(self.mass) + i] / radius, radius
 

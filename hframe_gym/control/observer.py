@@ -124,6 +124,10 @@ class Observer:
         """Voltages (B, 2), V, that are held from now on."""
         self._late.send(volts)
 
+    def corrected(self, volts: Array) -> None:
+        """Voltages (B, 2), V, that are held from now on in place of those sent last."""
+        self._late.correct(volts)
+
     def _at_rest(self, y: Array, says: NDArray[np.bool_]) -> Array:
         """States (B, 2 n) at rest on unstretched belts, by weighted least squares from what is read."""
         rigid = self.model.rigid[self._rows]
@@ -184,3 +188,8 @@ class Observed:
         actions = self.controller.act({**observation, "observation": model.observation(state)})
         self.observer.sent(np.clip(actions, -1.0, 1.0) * model.rated)
         return actions
+
+    def applied(self, actions: Array) -> None:
+        """The stages were given actions (B, 2) in [-1, 1], and not what `act` answered last."""
+        self.controller.applied(actions)
+        self.observer.corrected(actions * self.observer.model.rated)

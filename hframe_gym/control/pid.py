@@ -14,7 +14,8 @@ reference  of the motors: belts stretched by the machine's known forces on the c
 hold       an arrival that keeps moving rings because the model is off; longer transfers, thus lower gains, end that.
 
 All this is for a goal that stays.  Where the observation has a preview of one that moves, tracking.py follows it.  A
-dead time in the machine's effects is bridged by running the model ahead (delay.py).
+dead time in the machine's effects is bridged by running the model ahead (delay.py); what they do to a drive's voltage
+is undone (amplifiers.py).
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..machine import Machine
+from .amplifiers import Amplifiers
 from .delay import DeadTime
 from .model import MotionModel
 from .tracking import CHANGE, Tracker
@@ -78,6 +80,7 @@ class ModelPID:
         self.transfers = Transfers(self.model, period)
         self.period = period
         self._late = DeadTime(machine, period)
+        self._amplifiers = Amplifiers(machine)
         self._tracker: Tracker | None = None  # made when it is known how far the goals are seen
         self._most = MOST_UNEXPLAINED * np.abs(self.model.rigid.T) @ self.model.coulomb
         self._hold = int(np.ceil(HOLD * self.transfers.shortest))
@@ -125,11 +128,16 @@ class ModelPID:
             volts = self._follow(state, np.concatenate([goal[:, None], later], axis=1))
         else:
             volts = self._reach(state, goal)
+        volts = self._amplifiers.asked(volts)
         self._late.send(volts)
         self._elapsed = self._elapsed + 1
         self._state = state
         self._fresh = np.zeros(len(state), np.bool_)
         return volts / self.model.rated
+
+    def applied(self, actions: Array) -> None:
+        """The stages were given actions (B, 2) in [-1, 1], and not what `act` answered last."""
+        self._late.correct(actions * self.model.rated)
 
     def _follow(self, state: Array, goals: Array) -> Array:
         """Voltages (B, 2) for states (B, 2 n) with goals (B, 1 + P, 2), m, now and at the end of each period."""
@@ -138,9 +146,10 @@ class ModelPID:
             self._tracker = Tracker(
                 self.model, self.transfers.places, self.period, goals.shape[1] - 1, self._care.change
             )
-        self._tracker.learn(self._state, state, self._late.arrived(), self._fresh)
+        self._tracker.learn(self._state, state, self._amplifiers.given(self._late.arrived()), self._fresh)
         elapsed_s = self._elapsed.astype(np.float64) * self.period + self._late.seconds
-        return self._tracker.volts(self._late.ahead(state), goals, self._late.last, elapsed_s)
+        last = self._amplifiers.given(self._late.last)
+        return self._tracker.volts(self._late.ahead(state), goals, last, elapsed_s)
 
     def _reach(self, seen: Array, goal: Array) -> Array:
         """Voltages (B, 2) for states (B, 2 n) with goals (B, 2), m, that stay where they are."""
@@ -150,7 +159,8 @@ class ModelPID:
         elapsed_s = self._elapsed.astype(np.float64) * self.period
         pushes = model.pushes(state, elapsed_s)
         known = (pushes + model.friction(state, elapsed_s)) @ model.rigid
-        unexplained = model.disturbance(self._state, seen, self._late.arrived(), self.period) - known
+        arrived = self._amplifiers.given(self._late.arrived())
+        unexplained = model.disturbance(self._state, seen, arrived, self.period) - known
         learnt = self._unexplained + self._share * (unexplained - self._unexplained)
         self._unexplained = np.where(self._fresh[:, None], 0.0, learnt)
         measured = known + np.clip(self._unexplained, -self._most, self._most)

@@ -50,6 +50,9 @@ class TextbookPID:
         """Forget the integral of the stages of mask (B,), or of all."""
         self._sum = np.zeros((0, 2)) if mask is None or not len(self._sum) else np.where(mask[:, None], 0.0, self._sum)
 
+    def applied(self, actions: Array) -> None:
+        """Changes nothing: it remembers errors, and no voltage."""
+
     def act(self, observation: Mapping[str, NDArray[Any]]) -> Array:
         """Actions (B, 2) in [-1, 1], shares of the rated voltage.
 

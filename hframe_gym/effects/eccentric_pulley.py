@@ -30,7 +30,7 @@ EFFECT = Effect(
     evolve=evolve,
     fits=lambda machine: bool(machine.belts),
     parameters=(
-        EffectParameter("e", "m", -1e-2, 1e-2, scale=1e-4, role="amplitude"),
+        EffectParameter("e", "m", -1e-2, 1e-2, scale=0.1, role="amplitude"),
         EffectParameter("p", "rad", -100.0, 100.0, scale=1.0, role="phase"),
     ),
 )

@@ -11,8 +11,7 @@ from functools import lru_cache
 from typing import Any
 
 from ..machine.effect import Effect, EffectParameter
-from ..machine.lanes import absolute
-from ..machine.vector_math import maximum, minimum
+from ..machine.lanes import absolute, where
 
 KNOTS = 24
 KINDS = {"smooth_force": "force", "smooth_friction": "coulomb"}
@@ -25,14 +24,15 @@ def _evolve(z, dq):  # type: ignore[no-untyped-def]
 def _table(contribution: str) -> Callable[..., Any]:
     """f(u) through (k_i, f_i), constant beyond the ends, as a function with its source."""
     knots, values = ([f"{letter}{i:02d}" for i in range(KNOTS)] for letter in "kf")
+    # Piece by piece the way of u beyond each knot, times the slope there: nothing here needs a branch.
     terms = [
         f"    total = total + ({values[i + 1]} - {values[i]}) / ({knots[i + 1]} - {knots[i]}) "
-        f"* (minimum(maximum(u, {knots[i]}), {knots[i + 1]}) - {knots[i]})"
+        f"* where(u < {knots[i]}, 0.0, where(u > {knots[i + 1]}, {knots[i + 1]}, u) - {knots[i]})"
         for i in range(KNOTS - 1)
     ]
     lines = [f"def {contribution}(u, {', '.join(knots + values)}):", f"    total = {values[0]}", *terms]
     text = "\n".join([*lines, "    return total"]) + "\n"
-    scope: dict[str, Any] = {"minimum": minimum, "maximum": maximum}
+    scope: dict[str, Any] = {"where": where}
     exec(text, scope)  # a function of 49 arguments that nobody should have to read
     function = scope[contribution]
     function.text = text  # what the kernel inlines

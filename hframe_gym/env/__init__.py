@@ -3,8 +3,9 @@
 The stable-baselines3 adapter is `hframe_gym.env.sb3.HFrameVecEnv`; it is imported on its own because it needs an extra.
 """
 
+from .distributions import LogUniform, Normal, Uniform
 from .drives import Drives
-from .randomisation import Identified, LogUniform, Normal, Uniform, Vary
+from .randomisation import Identified, Vary
 from .registration import register
 from .rewards import Reward
 from .sensors import Encoders, Lasers, Sensors

@@ -1,9 +1,9 @@
 """Random numbers by counting: number `channel` of step `step` is a hash of (key, step, channel), whoever asks.
 
-An episode's key is one 64-bit draw of its environment's own generator; all else that is random in the episode follows
-from it, in any order, batch, lane or thread.  The hash is the finaliser of SplitMix64 (Steele, Lea and Flood 2014),
-applied after each of the three; normals are Box and Muller's (1958).  Logarithm, sine and cosine are polynomials, for
-the system's own would differ between systems.
+An episode's key is made of one 64-bit draw of its environment's own generator and of the episode's number; all else
+that is random in the episode follows from it, in any order, batch, lane or thread.  The hash is the finaliser of
+SplitMix64 (Steele, Lea and Flood 2014), applied after each of the three; normals are Box and Muller's (1958).
+Logarithm, sine and cosine are polynomials, for the system's own would differ between systems.
 """
 
 from __future__ import annotations
@@ -64,25 +64,27 @@ def _log(x: float) -> float:
 
 
 @compiled
-def _turn(u: float) -> tuple[float, float]:
-    """Cosine and sine of u turns, to 1e-11."""
+def turn(u: float) -> tuple[float, float]:
+    """Cosine and sine of u turns, to 1e-15."""
     quarter = math.floor(4.0 * u + 0.5)
     r = (4.0 * u - quarter) * 1.5707963267948966
     s = r * r
-    cosine = 1.0 - s * (0.5 - s * (1.0 / 24 - s * (1.0 / 720 - s * (1.0 / 40320 - s * (1.0 / 3628800)))))
-    sine = r * (1.0 - s * (1.0 / 6 - s * (1.0 / 120 - s * (1.0 / 5040 - s * (1.0 / 362880)))))
-    if quarter % 2 == 1:
-        cosine, sine = -sine, cosine
-    if quarter % 4 >= 2:
-        cosine, sine = -cosine, -sine
-    return cosine, sine
+    # Taylor to r**14 and r**15: |r| <= pi/4, remainders 1e-15 and 5e-17.
+    cosine = 1.0 / 479001600 - s * (1.0 / 87178291200)
+    sine = 1.0 / 6227020800 - s * (1.0 / 1307674368000)
+    cosine = 1.0 - s * (0.5 - s * (1.0 / 24 - s * (1.0 / 720 - s * (1.0 / 40320 - s * (1.0 / 3628800 - s * cosine)))))
+    sine = 1.0 / 120 - s * (1.0 / 5040 - s * (1.0 / 362880 - s * (1.0 / 39916800 - s * sine)))
+    sine = r * (1.0 - s * (1.0 / 6 - s * sine))
+    odd, back = (quarter & 1) == 1, (quarter & 2) == 2
+    along, across = (-sine, cosine) if odd else (cosine, sine)
+    return (-along, -across) if back else (along, across)
 
 
 @compiled
 def normal_pair(key: Any, step: Any, channel: Any) -> tuple[float, float]:
     """Two independent standard normal numbers; takes the uniform numbers channel and channel + 1."""
     radius = math.sqrt(-2.0 * _log(uniform(key, step, channel)))
-    cosine, sine = _turn(uniform(key, step, channel + 1))
+    cosine, sine = turn(uniform(key, step, channel + 1))
     return radius * cosine, radius * sine
 
 
@@ -98,3 +100,8 @@ def reset_uniforms(keys: NDArray[np.uint64], count: int) -> NDArray[np.float64]:
     out = np.empty((len(keys), count))
     _fill(keys, out)
     return out
+
+
+def episode_keys(keys: NDArray[np.uint64], episodes: NDArray[np.int64]) -> NDArray[np.uint64]:
+    """Keys (k,) of episodes number `episodes` (k,) of environments with keys (k,): SplitMix64's sequence of seeds."""
+    return keys + _GOLDEN * episodes.astype(np.uint64)

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..machine.lanes import LANES
-from . import blocks
+from .population import Population
+from .readings import read, report
 from .sensors import Sensors, channels, sensed_entries
 from .spaces import BEYOND, Entry, privileged_entries, workspace
 from .stage import Stages, View
@@ -28,7 +29,10 @@ class Observer:
     """
 
     def __init__(
-        self, stages: Stages, sensors: Sensors | None, drawn: Mapping[str, tuple[float, float]] | None
+        self,
+        stages: Stages,
+        sensors: Sensors | None,
+        drawn: Mapping[str, tuple[float, float]] | None,
     ) -> None:
         self._stages = stages
         self.sensors = sensors
@@ -53,11 +57,13 @@ class Observer:
         low, high = (np.array([getattr(e, edge) for e in wanted], np.float32) for edge in ("low", "high"))
         return self._stages.view([(e.coordinate, e.velocity) for e in wanted], low, high)
 
-    def begin(self, index: Index, keys: NDArray[np.uint64], shares: Array, elapsed: NDArray[np.int64]) -> None:
-        """Episodes of environments index (k,) begin, with keys (k,) and drawn parameters' shares (k, drawn)."""
+    def begin(
+        self, index: Index, keys: NDArray[np.uint64], values: Array, population: Population, elapsed: NDArray[np.int64]
+    ) -> None:
+        """Episodes of environments index (k,) begin, with keys (k,) and parameters values (k, P)."""
         self._keys[index] = keys
         if self.privileged:
-            self._shares[index] = shares
+            self._shares[index] = population.shares(values)
         if self.sensors is not None:
             self._read(index, elapsed, fresh=True)
 
@@ -70,16 +76,17 @@ class Observer:
         return np.arange(first * LANES, min(last * LANES, self._stages.count))
 
     def _read(self, index: Index, elapsed: NDArray[np.int64], *, fresh: bool) -> None:
-        rows, radii = self._view[:2]
-        tables = self._stages.state, self._stages.parameters
-        own = self._channels[:4]
-        blocks.read(*tables, rows, radii, *own, self._keys, elapsed, index, fresh, self._readings)
+        own = self._view.entries, *self._channels[:4]
+        read(*self._stages.tables, *own, self._keys, elapsed, index, fresh, self._readings)
 
     def blank(self) -> tuple[Observation, NDArray[np.float32]]:
         """Arrays for the observations of all environments, without goals, and for where the tools are (count, 2)."""
         count = self._stages.count
         achieved = np.empty((count, 2), np.float32)
-        observation = {"observation": np.empty((count, len(self.entries)), np.float32), "achieved_goal": achieved}
+        observation = {
+            "observation": np.empty((count, len(self.entries)), np.float32),
+            "achieved_goal": achieved,
+        }
         if self.privileged:
             observation["privileged"] = np.empty((count, len(self.privileged)), np.float32)
         return observation, self.tool(observation)
@@ -98,12 +105,12 @@ class Observer:
             broken = look(first, last, self._tool, tool, tool)
             index = self._rows(first, last)
             out = observation["observation"], observation["achieved_goal"]
-            blocks.report(self._readings, *self._report, index, *out)
+            report(self._readings, *self._report, index, *out)
         if self.privileged:
             rows = observation["privileged"]
             broken = max(broken, look(first, last, self._all_state, rows, tool))
             own = slice(first * LANES, last * LANES)
-            rows[own, len(self._all_state[0]) :] = self._shares[own]
+            rows[own, len(self._all_state.entries) :] = self._shares[own]
         return broken
 
     def see_tools(self, first: int, last: int, tool: NDArray[np.float32]) -> None:

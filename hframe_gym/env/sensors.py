@@ -63,7 +63,8 @@ class Sensors:
     Entries of the observation are those of the full state, as far as there is a sensor: positions are readings, and
     velocities the difference of the last two over the control period, unfiltered.  `achieved_goal` is what these
     sensors know of the tool: the laser's reading strictly inside its range, else the position that the encoders' angles
-    mean on unstretched belts.
+    mean on unstretched belts.  Effects of the machine's own sensors (skew, scale, range, delay) are about its
+    recordings; they do not act on these.
 
     Raises ValueError without any sensor.
     """

@@ -42,6 +42,7 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
         self.metadata = {**self.metadata, "render_fps": round(1.0 / self.batch.settings.period)}  # type: ignore[misc]
         self.observation_space = self.batch.observation_space  # type: ignore[assignment]
         self.action_space = action_space(self.batch.machine)  # type: ignore[assignment]
+        self._generator: np.random.Generator | None = None  # the one that the batch was seeded by
         self._renderer: Renderer | None = None
         self._trail: deque[tuple[float, float]] = deque(maxlen=TRAIL)
 
@@ -65,11 +66,12 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
         Raises ValueError for options it does not know or that are outside the workspace.
         """
         super().reset(seed=seed)
-        if seed is not None or self.batch.rngs[0] is not self.np_random:
-            self.batch.seed(0, self.np_random)
+        if self._generator is not self.np_random or seed is not None:
+            self._generator = self.np_random
+            self.batch.population.seed(0, self.np_random)
         self.batch.reset(_ONLY, **check_options(options))
         observation = {k: v[0] for k, v in self.batch.observe().items()}
-        info = self._info(self.batch.distance(_ONLY)[0], self.batch.contour(_ONLY))
+        info = self._info(self.batch.distance(_ONLY).item(), self.batch.contour(_ONLY))
         drawn = self.batch.drawn(_ONLY)
         if drawn:
             info["parameters"] = {name: float(value[0]) for name, value in drawn.items()}
@@ -87,10 +89,10 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
         self._show()
         return (
             observation,
-            float(outcome.reward[0]),
-            bool(outcome.terminated[0]),
+            outcome.reward.item(),
+            outcome.terminated.item(),
             False,
-            self._info(outcome.distance[0], outcome.contour),
+            self._info(outcome.distance.item(), outcome.contour),
         )
 
     def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
@@ -99,11 +101,11 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     def _info(self, distance: float, contour: NDArray[np.float64] | None) -> dict[str, Any]:
         info: dict[str, Any] = {
-            "distance_m": float(distance),
-            "is_success": bool(distance <= self.batch.task.band),
-            "clipped_actions": int(self.batch.clipped[0]),
+            "distance_m": distance,
+            "is_success": distance <= self.batch.task.band,
+            "clipped_actions": self.batch.clipped.item(),
         }
-        return info if contour is None else info | {"contour_m": float(contour[0])}
+        return info if contour is None else info | {"contour_m": contour.item()}
 
     # -- rendering -------------------------------------------------------------------------------------------------
 

@@ -74,14 +74,15 @@ def entries(machine: Machine) -> tuple[Entry, ...]:
 
 
 def _furthest(machine: Machine, name: str, ranges: NDArray[np.float64]) -> float:
-    """Half as much again as the angle that a driven coordinate has at the furthest corner, rad."""
+    """Half as much again as a coordinate's angle at the furthest corner, at least `BEYOND` of travel, rad."""
     linear = [c.name for c in machine.coordinates if c.kind == "linear"]
     index = machine.coordinate_names.index(name)
     total = 0.0
     for axis, edges in zip(("x", "y"), ranges, strict=True):
         unit = rest_state(machine, [float(c == axis) for c in linear])[index]
         total += abs(unit) * float(np.abs(edges).max())
-    return 1.5 * total
+    c = machine.coordinate(name)
+    return max(1.5 * total, BEYOND / (c.radius if c.kind == "rotary" else 1.0))
 
 
 def privileged_entries(machine: Machine, drawn: Mapping[str, tuple[float, float]]) -> tuple[Entry, ...]:

@@ -95,7 +95,7 @@ class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]])
         for b in index.tolist():
             own = seed[b] if isinstance(seed, Sequence) else None if seed is None else seed + b
             if own is not None:
-                self.batch.seed(b, seeding.np_random(own)[0])
+                self.batch.population.seed(b, seeding.np_random(own)[0])
         self.batch.reset(index, **check_options(options))
         self._over[index] = False
         self._follow(index)

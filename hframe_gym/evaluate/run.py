@@ -19,6 +19,7 @@ from ..atomic import write_text
 from ..control import Controller
 from ..env import HFrameVectorEnv
 from ..machine import Machine
+from .bounds import known_bounds
 from .episodes import Episodes
 from .scorecard import scores
 from .trial import Trial
@@ -114,19 +115,16 @@ def rollout(controller: Controller, trial: Trial) -> Episodes:
     return Episodes(time_s, position, goal, contour, volts, rated, energy, peak)
 
 
-def evaluate(
-    controllers: Mapping[str, Controller], trial: Trial, *, bound_s: Array | None = None
-) -> tuple[dict[str, Any], dict[str, Episodes]]:
+def evaluate(controllers: Mapping[str, Controller], trial: Trial) -> tuple[dict[str, Any], dict[str, Episodes]]:
     """Scores of controllers, by name, on the draws of a trial, and their episodes.
 
-    bound_s: least possible time to 0.2 mm of each draw (episodes,), s, where it was computed.
     The scores are plain data: `{"schema": 1, "machine", "task", "randomize", "episodes", "seed", "sensors", "period_s",
     "controllers"}`.
 
     Raises ValueError as `rollout` does.
     """
     runs = {name: rollout(controller, trial) for name, controller in controllers.items()}
-    machine, randomize = trial.machine, trial.randomize
+    machine, randomize, bound_s = trial.machine, trial.randomize, known_bounds(trial)
     answer = {
         "schema": 1,
         "machine": machine.name if isinstance(machine, Machine) else str(machine),

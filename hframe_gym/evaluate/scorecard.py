@@ -63,13 +63,14 @@ def mean_with_interval(values: Array, seed: int) -> dict[str, Any]:
 def scores(run: Episodes, bound_s: Array | None = None, *, seed: int = 0) -> dict[str, Any]:
     """The scores of one controller, plain data as in scores.json.
 
-    bound_s: least possible time of each episode (B,), s; without it `over_bound` is None.  seed: of the bootstrap.
+    bound_s: least possible time of each episode (B,), s, NaN where it is not known.  `over_bound` is the mean of the
+    ratios, settling time over bound, of the `episodes` that have one, None without any.  seed: of the bootstrap.
 
     `voltage_variation` is the sum over drives and control periods of |change of voltage| in V, from 0 V before the
     first; `saturation_share` the share of drives and periods at rated voltage.  See `reaching` and `tracking` for what
     depends on the task.
 
-    Raises ValueError when bound_s has another length or holds what is not a positive number.
+    Raises ValueError when bound_s has another length or holds a time that is not positive and finite.
     """
     before = np.concatenate([np.zeros_like(run.volts[:, :1]), run.volts[:, :-1]], axis=1)
     variation = np.abs(run.volts - before).sum(axis=(1, 2))
@@ -87,12 +88,6 @@ def reaching(run: Episodes, bound_s: Array | None, seed: int) -> dict[str, Any]:
     """Success and settling in each band, overshoot along the line from start to goal, error at the end."""
     error = np.linalg.norm(run.position - run.goal, axis=2)
     settled = {name: settling(error, run.time_s, band) for name, band in BANDS.items()}
-    over_bound = None
-    if bound_s is not None:
-        bound = np.asarray(bound_s, np.float64)
-        if bound.shape != (len(error),) or not np.all(np.isfinite(bound) & (bound > 0.0)):
-            raise ValueError(f"bound_s must hold {len(error)} positive times, one an episode")
-        over_bound = {JUDGED: mean_with_interval(settled[JUDGED][0] / bound, seed)}
     return {
         "success": {name: float(np.mean(success)) for name, (_, success) in settled.items()},
         "settling_s": {
@@ -104,10 +99,21 @@ def reaching(run: Episodes, bound_s: Array | None, seed: int) -> dict[str, Any]:
             }
             for name, (times, _) in settled.items()
         },
-        "over_bound": over_bound,
+        "over_bound": None if bound_s is None else over_bound(settled[JUDGED][0], bound_s, seed),
         "overshoot_mm": mean_with_interval(1e3 * overshoot(run.position, run.goal[:, -1]), seed),
         "final_error_mm": mean_with_interval(1e3 * error[:, -1], seed),
     }
+
+
+def over_bound(times: Array, bound_s: Array, seed: int) -> dict[str, Any] | None:
+    """Mean of times (B,) over bound_s (B,), of the episodes whose bound is known (not NaN), and how many these are."""
+    bound = np.asarray(bound_s, np.float64)
+    known = ~np.isnan(bound)
+    if bound.shape != times.shape or not np.all(np.isfinite(bound[known]) & (bound[known] > 0.0)):
+        raise ValueError(f"bound_s must hold {len(times)} positive times, one an episode, or NaN where none is known")
+    if not known.any():
+        return None
+    return {JUDGED: mean_with_interval(times[known] / bound[known], seed) | {"episodes": int(known.sum())}}
 
 
 def tracking(run: Episodes, contour: Array, seed: int) -> dict[str, Any]:

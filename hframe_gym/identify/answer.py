@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 from ..machine import Machine
 from .data import Data
+from .experiment import Experiment
 from .residual import ChannelError, Dependence
 from .trace import Found
 
@@ -39,7 +40,8 @@ class Answer:
     """What `identify` found out.
 
     declared: the machine as given; before: its own parameters refitted; after: with the effects.  gains: by effect, the
-    share of the held-out squared error (in noise units) that leaving it out would add.
+    share of the held-out squared error (in noise units) that leaving it out would add.  experiment: the run that would
+    tell the leading effect from its rival, where one would.
     """
 
     verdict: Verdict
@@ -53,6 +55,7 @@ class Answer:
     fitted: Data
     held_out: Data
     seconds: float
+    experiment: Experiment | None = None
 
     def as_json(self) -> dict[str, Any]:
         """report.json, schema 1."""
@@ -71,7 +74,7 @@ class Answer:
                 ],
                 "white": self.white,
             },
-            "next_experiment": None,
+            "next_experiment": self.experiment.as_json() if self.experiment else None,
             "seconds": round(self.seconds, 2),
         }
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..files import Recording, fill_gaps
 from ..machine import Machine
-from .start import start_of
+from .start import common_zeros, start_of
 
 Array = NDArray[np.float64]
 
@@ -63,12 +63,13 @@ class Data:
 def prepare(recordings: Sequence[Recording], machine: Machine) -> Data:
     """Runs ready for fitting a machine of this shape."""
     recordings = [fill_gaps(recording) for recording in recordings]
+    quanta = np.array([_quantum(recordings, j, machine) for j in range(len(machine.sensors))])
+    zeros = common_zeros([start_of(recording, machine) for recording in recordings], machine, quanta)
+    starts = [start_of(recording, machine, zeros) for recording in recordings]
     runs = []
-    for recording in recordings:
-        start = start_of(recording, machine)
+    for recording, start in zip(recordings, starts, strict=True):
         outputs = recording.outputs - start.offset
         runs.append(Run(recording.name, recording.time_s, recording.inputs, outputs, start.state, start.rows))
-    quanta = np.array([_quantum(recordings, j, machine) for j in range(len(machine.sensors))])
     noise = np.array([_noise(recordings, runs, j, machine, quanta[j]) for j in range(len(machine.sensors))])
     belted = [bool(machine.belts) and machine.coordinate(s.coordinate).kind == "rotary" for s in machine.sensors]
     return Data(tuple(runs), noise, quanta, np.array(belted))

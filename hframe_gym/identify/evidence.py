@@ -22,6 +22,7 @@ def evidence(answer: Answer) -> dict[str, Array]:
     `RUN/time_s` (n,), `RUN/measured`, `RUN/declared`, `RUN/before`, `RUN/after` (n, sensors): held-out runs,
     measured outputs and the three machines' errors.  `force/variable`, `force/before`, `force/after` (m,): the
     residual force on the coordinate, against the variable, that leads the answer's dependence (fitted runs, thinned).
+    `coverage/NAME` (m,): where the fitted runs went, by position, velocity and input (thinned).
     """
     found: dict[str, Array] = {}
     stages = {"declared": answer.declared, "before": answer.before, "after": answer.after}
@@ -41,7 +42,18 @@ def evidence(answer: Answer) -> dict[str, Array]:
             machine = stages[name].machine
             forces = [smooth_force_residual(machine, run, data)[:, i] for run in data.runs]
             found[f"force/{name}"] = np.concatenate(forces)[::thin]
+    found |= {f"coverage/{name}": values for name, values in _coverage(answer).items()}
     return found
+
+
+def _coverage(answer: Answer) -> dict[str, Array]:
+    machine, data = answer.before.machine, answer.fitted
+    linear = [c.name for c in machine.coordinates if c.kind == "linear"]
+    shown = [f"{what} of {c}" for what in ("position", "velocity") for c in linear or machine.coordinate_names]
+    by_run = [variables(machine, run, data) for run in data.runs]
+    thin = max(1, sum(len(run.time_s) for run in data.runs) // _POINTS)
+    names = (*shown, *machine.input_channels)
+    return {name: np.concatenate([known[name] for known in by_run])[::thin] for name in names}
 
 
 def save_evidence(answer: Answer, path: Path) -> None:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ..machine import Machine
 from ..machine.simulate import threads
 from .data import Data, Run
+from .nuisance import Projection, projection
 from .prediction import SEARCH_STEP, Mode, predict, residuals
 
 Array = NDArray[np.float64]
@@ -158,18 +159,26 @@ def fit(
         motion = predict(machine, run, mode, period=period, parameters=table, longest_step=longest_step)
         return residuals(run, data, motion.readings)
 
+    projections: dict[str, Projection | None] = {}
+
+    def without_start(run: Run, left: Array) -> Array:
+        project = projections.get(run.name)
+        return left if project is None else project(left)
+
     def gram(thetas: Array) -> Array:
         """Sum over runs of the products of (Jacobian columns, residual), (k + 1, k + 1)."""
+        here = machine.replace({f.name: float(f.value(t)) for f, t in zip(free, thetas[0], strict=True)})
 
         def of(run: Run) -> Array:
-            r = left(run, thetas)
+            projections[run.name] = projection(here, run, data, mode, longest_step)
+            r = without_start(run, left(run, thetas))
             columns = np.vstack([(r[1:] - r[0]) / _STEP, r[:1]])
             return columns @ columns.T
 
         return np.sum(list(over_runs(of, data)), axis=0)
 
     def costs(thetas: Array) -> Array:
-        parts = over_runs(lambda run: np.einsum("bi,bi->b", r := left(run, thetas), r), data)
+        parts = over_runs(lambda run: np.einsum("bi,bi->b", r := without_start(run, left(run, thetas)), r), data)
         total = np.sum(list(parts), axis=0) + np.square(thetas) @ precision
         return np.where(np.isfinite(total), total, np.inf)
 

@@ -1,20 +1,33 @@
-"""The folder that `identify` leaves: report.json, before.json, machine.json, evidence.npz, plots and report.html."""
+"""The folder that `identify` leaves: report.json, before.json, machine.json, evidence.npz, plots and report.html.
+
+Where the leading effect has a rival that another run would tell from it, next_experiment.csv holds that run's voltages.
+"""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 from ..files import save_machine, write_text
 from .answer import Answer
 from .evidence import save_evidence
+from .experiment import FILE
 
 
-def write_answer(answer: Answer, folder: Path) -> None:
-    """Write everything but the plots and the page, each file whole; report.json last."""
+def write_answer(answer: Answer, folder: Path, warnings: Sequence[str] = ()) -> None:
+    """Write everything but the plots and the page, each file whole; report.json last.
+
+    warnings: what is odd about the recordings, for the page.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     save_machine(answer.declared.machine, folder / "declared.json")
     save_machine(answer.before.machine, folder / "before.json")
     save_machine(answer.after.machine, folder / "machine.json")
     save_evidence(answer, folder / "evidence.npz")
-    write_text(folder / "report.json", json.dumps(answer.as_json(), indent=1, allow_nan=False) + "\n")
+    if answer.experiment:
+        answer.experiment.write(folder / FILE, answer.declared.machine)
+    else:
+        (folder / FILE).unlink(missing_ok=True)
+    report = answer.as_json() | {"warnings": list(warnings)}
+    write_text(folder / "report.json", json.dumps(report, indent=1, allow_nan=False) + "\n")

@@ -10,7 +10,8 @@ Array = NDArray[np.float64]
 _FEWEST, _MOST = 0.5, 150.0  # periods over the way gone
 _FINENESS = 4  # grid points a resolvable period
 _TRIED = 4
-_ROWS = 4000
+_ROWS = 3000
+_PARTS = 8
 
 
 def rates(residual: Array, *, friction: bool) -> Array:
@@ -30,13 +31,8 @@ def rates(residual: Array, *, friction: bool) -> Array:
     basis, _ = np.linalg.qr(known)
     force = force - basis @ (basis.T @ force)
     grid = 2 * np.pi / span * np.arange(_FEWEST, _MOST, 1.0 / _FINENESS)
-    sign = np.sign(velocity) if friction else 1.0
-    power = np.empty(len(grid))
-    for k, n in enumerate(grid):
-        wave = np.exp(1j * n * position) * sign
-        pair = np.stack([wave.real, wave.imag], axis=1)
-        pair -= basis @ (basis.T @ pair)
-        power[k] = force @ pair @ np.linalg.lstsq(pair.T @ pair, pair.T @ force, rcond=1e-9)[0]
+    sign = np.sign(velocity) if friction else np.ones_like(velocity)
+    power = np.concatenate([_powers(n, position, sign, force, basis) for n in np.array_split(grid, _PARTS)])
     found: list[float] = []
     for k in np.argsort(-power):
         if all(abs(grid[k] - other) > 1.5 * np.pi / span for other in found):
@@ -44,3 +40,16 @@ def rates(residual: Array, *, friction: bool) -> Array:
         if len(found) == _TRIED:
             break
     return np.array(found)
+
+
+def _powers(rates: Array, position: Array, sign: Array, force: Array, basis: Array) -> Array:
+    """What a sine and a cosine at each rate explain of the force, both beyond the basis (n, k)."""
+    angle = np.outer(rates, position)
+    waves = np.stack([np.cos(angle) * sign, np.sin(angle) * sign])
+    waves -= (waves @ basis) @ basis.T
+    onto = waves @ force
+    cc, ss = np.einsum("krn,krn->kr", waves, waves)
+    cs = np.einsum("rn,rn->r", *waves)
+    determinant = np.maximum(cc * ss - cs**2, 1e-9 * cc * ss + 1e-300)
+    explained: Array = (ss * onto[0] ** 2 + cc * onto[1] ** 2 - 2 * cs * onto[0] * onto[1]) / determinant
+    return explained

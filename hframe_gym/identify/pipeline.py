@@ -11,6 +11,7 @@ from ..files import InputError, Recording
 from ..machine import Machine
 from .answer import Answer, Errors, Stage, Verdict
 from .data import Data, prepare
+from .experiment import separating
 from .fit import Fit, fit, own_parameters
 from .prediction import POLISH_STEP, Mode
 from .residual import channel_errors, depends_on, force_error, is_white
@@ -74,6 +75,7 @@ def identify(
     say(f"verdict: {verdict}")
     corrected = with_uncertainty(after, data).replace(name=f"{machine.name}-identified")
     refitted = before.machine.replace(name=f"{machine.name}-refitted")
+    experiments = (separating(after, corrected, f.effect.label, f.rival_effects, data) for f in found)
     stages = [Stage(m, _errors(m, judge)) for m in (machine, refitted, corrected)]
     return Answer(
         verdict=verdict,
@@ -87,6 +89,7 @@ def identify(
         fitted=data,
         held_out=judge,
         seconds=time.perf_counter() - began,
+        experiment=next(filter(None, experiments), None),
     )
 
 

@@ -50,12 +50,14 @@ def predict(
     parameters: Array | None = None,
     extra_force: Array | None = None,
     extra_reading: Array | None = None,
+    start: Array | None = None,
     longest_step: float = SEARCH_STEP,
     states: bool = False,
 ) -> Motion:
     """The machine's readings over a run, with its motion if asked, for a batch of parameters or additions.
 
-    extra_force (B, n, coordinates); extra_reading (B, n, sensors): what the sensors show beyond the machine's readings.
+    start (B, 2 coordinates) in place of the run's own; extra_force (B, n, coordinates); extra_reading (B, n, sensors):
+    what the sensors show beyond the machine's readings.
     """
     observed = mode == "innovations"
     measured = None
@@ -66,7 +68,7 @@ def predict(
         run.time_s,
         run.inputs,
         parameters=parameters,
-        start=_start(machine, run),
+        start=start_of_run(machine, run) if start is None else start,
         extra_force=extra_force,
         measured=measured,
         gains=injection(machine, period) if observed else None,
@@ -77,7 +79,7 @@ def predict(
     return motion if extra_reading is None else motion._replace(readings=motion.readings + extra_reading)
 
 
-def _start(machine: Machine, run: Run) -> Array:
+def start_of_run(machine: Machine, run: Run) -> Array:
     """The run's resting state; coordinates that an effect has added behind the run's follow from unstretched belts."""
     known, count = len(run.start) // 2, len(machine.coordinates)
     if known == count:

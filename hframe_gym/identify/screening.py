@@ -20,7 +20,8 @@ from .addition import Addition, Along, addition
 from .candidates import Candidate
 from .data import Data, Run
 from .fit import Fit, over_runs, parameter_table
-from .prediction import predict, residuals
+from .nuisance import projection
+from .prediction import SEARCH_STEP, predict, residuals
 
 Array = NDArray[np.float64]
 _STEP = 1e-4
@@ -80,6 +81,8 @@ def screen(fit: Fit, candidates: Sequence[Candidate], data: Data) -> list[Screen
             )
             columns.append((residuals(run, data, moved.readings) - quiet) / _STEP)
         stacked = np.vstack([jacobian, *columns, base[:1]])
+        project = projection(fit.machine, run, data, fit.mode, SEARCH_STEP)
+        stacked = stacked if project is None else project(stacked)
         return stacked @ stacked.T
 
     gram = np.sum(list(over_runs(products, data)), axis=0)
@@ -102,7 +105,7 @@ def _saving(candidate: Candidate, L: Array, towards: Array, before: Array) -> Sc
     if not np.all(np.isfinite(L)) or not np.any(np.diag(L) > 1e-6 * before):
         return nothing
     if candidate.fixed:
-        amounts = np.ones(len(towards))
+        amounts = np.ones_like(towards)
     else:
         amounts = -np.linalg.solve(L + 1e-9 * np.diag(np.maximum(np.diag(L), 1e-300)), towards)
     if len(amounts) == 1 and not candidate.fixed:

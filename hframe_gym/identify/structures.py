@@ -16,7 +16,8 @@ from ..machine import Effect, Machine
 from ..machine.simulate import parameter_batch
 from .data import Data, Run
 from .fit import Fit, over_runs, parameter_table
-from .prediction import predict, residuals
+from .nuisance import projection
+from .prediction import SEARCH_STEP, predict, residuals
 
 Array = NDArray[np.float64]
 _STEP = 1e-4
@@ -59,6 +60,8 @@ def _savings(machines: list[Machine], current: Fit, data: Data) -> Array:
             for m, table in ((current.machine, now), (machines[0], then))
         )
         stacked = np.vstack([(base[1:] - base[0]) / _STEP, moved - base[0], base[:1]])
+        project = projection(current.machine, run, data, current.mode, SEARCH_STEP)
+        stacked = stacked if project is None else project(stacked)
         return stacked @ stacked.T
 
     gram = np.sum(list(over_runs(products, data)), axis=0)

@@ -44,6 +44,7 @@ DOUBT = 4.0
 TABLE_GAIN, TABLE_SHARE = 0.02, 0.2
 MOST_EFFECTS = 5
 _FITTED_IN_FULL = 5
+_TABLES = 4
 # Candidates that promise less than this share of the best promise are not worth a fit.
 _PROMISING = 0.4
 # ... and a fit finds more than the linear promise, but hardly twice as much.
@@ -51,6 +52,8 @@ _LINEAR = 0.6
 # Innovations of a right model, quantised encoders and all, are about this large (chi2 a sample).
 _FLOOR = 1.1
 _REST = 0.2
+# Where this much is missed, what saves less than that share of it is a crutch, not the effect.
+_MUCH, _LEAST_OF_MUCH = 3.0, 0.1
 
 Say = Callable[[str], None]
 
@@ -59,13 +62,14 @@ Say = Callable[[str], None]
 class Found:
     """An effect of the corrected machine, with those not told apart from it and what it saved (in-sample chi2).
 
-    lacking: the machine as it was fitted before the effect was added.
+    lacking: the machine as it was fitted before the effect was added.  rival_effects: the rivals that were fitted.
     """
 
     effect: AppliedEffect
     rivals: tuple[str, ...]
     saved: float
     lacking: Machine
+    rival_effects: tuple[AppliedEffect, ...] = ()
 
     def with_values(self, machine: Machine) -> Found:
         """The same finding with the numbers of a machine fitted later."""
@@ -91,15 +95,30 @@ def trace(
         if not trials:
             break
         trials.sort(key=lambda t: t.cost)
-        best = fit(trials[0].machine, trials[0].free, data, current.mode, theta=trials[0].theta)
+        best = _finished(trials[0], data)
         effect = best.machine.effects[-1]
         saved = (current.cost - best.cost) / data.count
         say(f"  {effect.label} saves {saved:.3g} of {current.chi2:.4g} (chi2 a sample, {current.mode})")
         if saved < enough:
             break
-        found = (*found, Found(effect, _rivals(trials, current, data), saved, current.machine))
+        close = _rivals(trials, current, data)
+        names = (*(e.label for e in close), *effect.definition.equivalent)
+        found = (*found, Found(effect, names, saved, current.machine, close))
         current = best
     return current, tuple(f.with_values(current.machine) for f in found)
+
+
+def _finished(trial: Fit, data: Data) -> Fit:
+    """A trial fitted to the last digit, from where it stands and from the machine as declared.
+
+    Without the effect the machine's own numbers had bent to do its work, sometimes into a valley of their own.
+    """
+    effects = np.array(["@" in f.name for f in trial.free])
+    fits = [
+        fit(trial.machine, trial.free, data, trial.mode, theta=theta)
+        for theta in (trial.theta, np.where(effects, trial.theta, 0.0))
+    ]
+    return min(fits, key=lambda f: f.cost)
 
 
 def _explains(trial: Fit, current: Fit) -> bool:
@@ -107,17 +126,17 @@ def _explains(trial: Fit, current: Fit) -> bool:
     return trial.chi2 - _FLOOR < _REST * (current.chi2 - _FLOOR)
 
 
-def _rivals(trials: list[Fit], current: Fit, data: Data) -> tuple[str, ...]:
+def _rivals(trials: list[Fit], current: Fit, data: Data) -> tuple[AppliedEffect, ...]:
     """The effects that the data do not tell apart from the best trial's."""
     best = trials[0]
     margin = max(RIVAL_GAIN * data.count, (1.0 - RIVAL_SHARE) * (current.cost - best.cost))
-    close = tuple(t.machine.effects[-1].label for t in trials[1:] if t.cost - best.cost < margin)
-    return close + best.machine.effects[-1].definition.equivalent
+    return tuple(t.machine.effects[-1] for t in trials[1:] if t.cost - best.cost < margin)
 
 
 def least(current: Fit, smallest: float) -> float:
     """The gain (chi2 a sample) below which an effect is nothing."""
-    return max(smallest, LEAST_SHARE * (current.chi2 - 1.0))
+    missed = current.chi2 - 1.0
+    return max(smallest, (LEAST_SHARE if missed < _MUCH else _LEAST_OF_MUCH) * missed)
 
 
 def without_idle(
@@ -160,7 +179,7 @@ def add_tables(
         enough = max(TABLE_GAIN, TABLE_SHARE * (current.chi2 - _FLOOR)) * data.count
         if not ranked or ranked[0].gain < enough:
             break
-        trials = sorted((_add(current, s, scale, data) for s in ranked[:2]), key=lambda t: t.cost)
+        trials = sorted((_add(current, s, scale, data) for s in ranked[:_TABLES]), key=lambda t: t.cost)
         best = fit(trials[0].machine, trials[0].free, data, current.mode, theta=trials[0].theta)
         effect = best.machine.effects[-1]
         saved = (current.cost - best.cost) / data.count

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from ..machine import Machine, Uncertainty
 from .data import Data, Run
 from .fit import Fit, over_runs, parameter_table
-from .prediction import predict, residuals
+from .nuisance import projection
+from .prediction import SEARCH_STEP, predict, residuals
 
 Array = NDArray[np.float64]
 _STEP = 1e-4
@@ -31,6 +32,8 @@ def with_uncertainty(fitted: Fit, data: Data) -> Machine:
     def scores(run: Run) -> tuple[Array, Array]:
         motion = predict(fitted.machine, run, fitted.mode, period=data.period, parameters=table)
         left = residuals(run, data, motion.readings)
+        project = projection(fitted.machine, run, data, fitted.mode, SEARCH_STEP)
+        left = left if project is None else project(left)
         jacobian = (left[1:] - left[0]) / _STEP
         product = jacobian * left[0]
         edges = np.arange(0, product.shape[1], rows * sensors)

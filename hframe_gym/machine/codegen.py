@@ -118,7 +118,7 @@ class KernelSource:
             friction = self.p(c + ".viscous")
             for k, e in self.effects.on("viscous", c):
                 direction = "-1.0" if sign else "1.0"
-                friction = self.effects.call("viscous", k, e, inline=True, b=friction, direction=direction)
+                friction = self.effects.call("viscous", k, e, {"b": friction, "direction": direction}, inline=True)
             emf = "".join(f" + emf_{identifier(d.name)}" for d in self.machine.drives if d.coordinate == c)
             yield f"    viscous = ({friction}{emf}) / (radius * radius)"
             yield "    z = viscous * h / mass"
@@ -133,7 +133,7 @@ class KernelSource:
         lines = ["@inlined", "def delays(P, D):"]
         for i, d in enumerate(self.machine.drives):
             late = self.effects.at("delay", d.name, "drives")
-            terms = [self.effects.call("delay", k, e, inline=True) for k, e in late]
+            terms = [self.effects.call("delay", k, e, {}, inline=True) for k, e in late]
             lines.append(f"    store(D, {i}, {' + '.join(terms) or '0.0'})")
         return "\n".join(lines)
 
@@ -154,7 +154,7 @@ class KernelSource:
             other = self.machine.across(sensor.coordinate)
             across = f"q_{identifier(other)}" if other else ""
             for k, e in self.effects.at("reading", sensor.channel):
-                lines.append(f"    r = {self.effects.call('reading', k, e, inline=True, r='r', across=across)}")
+                lines.append(f"    r = {self.effects.call('reading', k, e, {'r': 'r', 'across': across}, inline=True)}")
             lines.append(f"    store(R, {j}, r)")
         return "\n".join(lines)
 
@@ -163,7 +163,7 @@ class KernelSource:
         lines = ["@inlined", "def lags(P, L):"]
         for j, sensor in enumerate(self.machine.sensors):
             late = self.effects.at("lag", sensor.channel)
-            terms = [self.effects.call("lag", k, e, inline=True) for k, e in late]
+            terms = [self.effects.call("lag", k, e, {}, inline=True) for k, e in late]
             lines.append(f"    store(L, {j}, {' + '.join(terms) or '0.0'})")
         return "\n".join(lines)
 

@@ -6,7 +6,7 @@ with the half-way velocity.  `Point` holds the names of what a contribution may 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 from .effect import AppliedEffect, asked
@@ -67,8 +67,10 @@ class Contributions:
             if getattr(e.definition, contribution) and self.coordinate(e) == coordinate:
                 yield k, e
 
-    def call(self, contribution: str, k: int, e: AppliedEffect, /, *, inline: bool = False, **scope: str) -> str:
-        """The text of a call.  inline: parameters straight from their block instead of by their names."""
+    def call(
+        self, contribution: str, k: int, e: AppliedEffect, scope: Mapping[str, str], *, inline: bool = False
+    ) -> str:
+        """The text of a call; scope: what its arguments are, by name.  inline: parameters straight from their block."""
 
         def argument(name: str) -> str:
             if name in scope:
@@ -129,7 +131,7 @@ class Contributions:
                 name = f"volts_{identifier(d.name)}"
                 yield f"{name} = {load(j)}"
                 for k, e in self.at("voltage", d.name, "drives"):
-                    yield f"{name} = {self.call('voltage', k, e, V=name)}"
+                    yield f"{name} = {self.call('voltage', k, e, {'V': name})}"
 
     def commanded(self, j: int) -> bool:
         """Whether the volts of drive j have a name (see `voltages`) instead of being loaded in place."""
@@ -140,27 +142,26 @@ class Contributions:
         """Belt travel of a coordinate: its own, and what an eccentric pulley adds."""
         name = identifier(coordinate)
         added = "".join(
-            f" + {self.call('travel', k, e, **self.motion(coordinate, point), z=self._half(k, e, point))}"
+            f" + {self.call('travel', k, e, self._turned(k, e, coordinate, point))}"
             for k, e in self.on("travel", coordinate)
         )
-        return f"{point.travel}_{name}{added}"
+        return f"({point.travel}_{name}{added})" if added else f"{point.travel}_{name}"
 
     def arm(self, coordinate: str, point: Point) -> str:
         """Factor of the belts' force on a coordinate, or nothing."""
         parts = [
-            f" + {self.call('arm', k, e, **self.motion(coordinate, point), z=self._half(k, e, point))}"
-            for k, e in self.on("arm", coordinate)
+            f" + {self.call('arm', k, e, self._turned(k, e, coordinate, point))}" for k, e in self.on("arm", coordinate)
         ]
         return f"(1.0 + ({''.join(parts)[3:]}){self.scale(coordinate)})" if parts else ""
 
     def tension(self, belt: str, s: str, rate: str, k: str) -> Iterator[str]:
         """The belt's tension from its linear one, effect by effect: each adds what it changes."""
         for j, e in self.at("tension", "belts", belt):
-            yield f"T_{belt} = T_{belt} + ({self.call('tension', j, e, s=s, rate=rate, k=k)} - {k} * {s})"
+            yield f"T_{belt} = T_{belt} + ({self.call('tension', j, e, {'s': s, 'rate': rate, 'k': k})} - {k} * {s})"
 
     def growth(self, belt: str, s: str, k: str) -> str:
         """How the belt's energy grows with its stiffness, where it is not s^2/2."""
-        own = [self.call("growth", j, e, s=s, k=k) for j, e in self.at("growth", "belts", belt)]
+        own = [self.call("growth", j, e, {"s": s, "k": k}) for j, e in self.at("growth", "belts", belt)]
         return own[0] + "".join(f" + ({more} - 0.5 * {s} * {s})" for more in own[1:]) if own else ""
 
     def forces(self, point: Point) -> Iterator[str]:
@@ -170,6 +171,7 @@ class Contributions:
             yield f"F_{name} = {name}_coulomb"
             if c in self.moving:
                 yield from self._forces_on(c, point)
+        yield from self._guarded(point)
 
     def _forces_on(self, c: str, point: Point) -> Iterator[str]:
         name, scale, motion = identifier(c), self.scale(c), self.motion(c, point)
@@ -177,20 +179,23 @@ class Contributions:
             if e.definition.evolve:
                 yield f"half_z_{k} = {self.evolved(k, e, point)}"
             scope = motion | {"z": f"half_z_{k}", "u": self.variable(e, point, f"half_z_{k}")}
-            yield f"F_{name} = F_{name} + {self.call('coulomb', k, e, **scope)}{scale}"
-        yield f"F_{name} = maximum(F_{name}, 0.0)"
+            yield f"F_{name} = F_{name} + {self.call('coulomb', k, e, scope)}{scale}"
+        if any(self.on("coulomb", c)):
+            yield f"F_{name} = maximum(F_{name}, 0.0)"
         added = ""
         for k, e in self.on("friction", c):
             yield f"level_{k} = F_{name}{self.unscale(c)}"
             yield f"half_z_{k} = {self.evolved(k, e, point)}"
-            call = self.call("friction", k, e, **motion, z=f"half_z_{k}", level=f"level_{k}")
+            call = self.call("friction", k, e, motion | {"z": f"half_z_{k}", "level": f"level_{k}"})
             added += f" - {call}{scale}"
             yield f"F_{name} = 0.0 * F_{name}"
         for k, e in self.on("force", c):
+            if e.definition.guard:
+                continue
             if e.definition.evolve:
                 yield f"half_z_{k} = {self.evolved(k, e, point)}"
             scope = motion | {"z": f"half_z_{k}", "u": self.variable(e, point, f"half_z_{k}")}
-            added += f" {plus(self.call('force', k, e, **scope))}{scale}"
+            added += f" {plus(self.call('force', k, e, scope))}{scale}"
         for d in self.machine.drives:
             if d.coordinate == c and any(self.at("current", d.name)):
                 yield from self._currents(d.name, motion["v"])
@@ -198,6 +203,22 @@ class Contributions:
                 added += f" + {drive}_torque * (current_{drive} - ohm_{drive}){scale}"
         if added:
             yield f"f_{name} = f_{name}{added}"
+
+    def _guarded(self, point: Point) -> Iterator[str]:
+        """Forces that are zero for most stages: worked out only where a lane of the block is on guard.
+
+        Elsewhere they add a zero of the sign that changes nothing, so no lane's bits hang on its neighbours'.
+        """
+        own = [(k, e) for k, e in self.numbered if e.definition.guard]
+        if not own:
+            return
+        motions = {k: self.motion(self.coordinate(e), point) for k, e in own}
+        alarms = [self.call("guard", k, e, motions[k]) for k, e in own]
+        yield f"if any_of({' | '.join(f'({alarm})' for alarm in alarms)}):"
+        for k, e in own:
+            name = identifier(self.coordinate(e))
+            force = f"{self.call('force', k, e, motions[k])}{self.scale(self.coordinate(e))}"
+            yield f"    f_{name} = f_{name} {plus(force)}"
 
     def _currents(self, drive: str, speed: str) -> Iterator[str]:
         """The drive's current by Ohm's law, which the exact flow holds already, and what effects make of it."""
@@ -208,20 +229,22 @@ class Contributions:
             yield f"ohm_{k} = current_{name}"
             if e.definition.evolve:
                 scope = {"z": f"z_{k}", "dt": "half", "i": f"ohm_{k}"}
-                yield f"half_z_{k} = {self.call('evolve', k, e, **scope)}"
-            yield f"current_{name} = {self.call('current', k, e, i=f'ohm_{k}', z=f'half_z_{k}')}"
+                yield f"half_z_{k} = {self.call('evolve', k, e, scope)}"
+            yield f"current_{name} = {self.call('current', k, e, {'i': f'ohm_{k}', 'z': f'half_z_{k}'})}"
 
     def unscale(self, coordinate: str) -> str:
         rotary = self.machine.coordinate(coordinate).kind == "rotary"
         return f" * {identifier(coordinate)}_radius" if rotary else ""
 
-    def _half(self, k: int, e: AppliedEffect, point: Point) -> str:
-        return self.evolved(k, e, point) if e.definition.evolve else ""
+    def _turned(self, k: int, e: AppliedEffect, coordinate: str, point: Point) -> dict[str, str]:
+        z = self.evolved(k, e, point) if e.definition.evolve else ""
+        return self.motion(coordinate, point) | {"z": z}
 
     def evolved(self, k: int, e: AppliedEffect, point: Point) -> str:
         """An effect's own state half a step on."""
         v = self.motion(self.coordinate(e), point)["v"]
-        return self.call("evolve", k, e, z=f"z_{k}", dq=f"half * {v}", dt="half", v=v, level=f"level_{k}")
+        scope = {"z": f"z_{k}", "dq": f"half * {v}", "dt": "half", "v": v, "level": f"level_{k}"}
+        return self.call("evolve", k, e, scope)
 
     def ends(self) -> Iterator[str]:
         """Every effect's own state at the end of the step, by the way that was gone."""
@@ -230,4 +253,4 @@ class Contributions:
                 name, scale = identifier(self.coordinate(e)), self.scale(self.coordinate(e))
                 scope = {"dq": f"(n_{name} - q_{name}){scale}", "v": f"w_{name}{scale}"}
                 own = {"z": f"z_{k}", "dt": "h", "level": f"level_{k}", "i": f"ohm_{k}"}
-                yield f"z_{k} = {self.call('evolve', k, e, **scope, **own)}"
+                yield f"z_{k} = {self.call('evolve', k, e, scope | own)}"

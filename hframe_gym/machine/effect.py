@@ -6,6 +6,7 @@ their arguments, beside the effect's own parameters, and that the kernel inlines
 
     contribution  gives                                                    may ask for
     force         force added to the coordinate, N or Nm                   q, v, t, z, u
+    guard         where the force may be other than zero (default: all)    q
     coulomb       Coulomb level added, N or Nm (never falls below zero)    q, v, t, z, u
     friction      the force of dry friction, in place of the Coulomb one   z, v, level
     viscous       the coordinate's viscous coefficient, Ns/m or Nms        b, direction (+1 or -1)
@@ -44,6 +45,7 @@ Site = Literal["coordinate", "motor", "drive", "drives", "belts", "sensor", "mac
 Contribution = Callable[..., Any]
 CONTRIBUTIONS = (
     "force",
+    "guard",
     "coulomb",
     "friction",
     "viscous",
@@ -101,6 +103,7 @@ class Effect:
     formula: str
     source: str
     force: Contribution | None = None
+    guard: Contribution | None = None
     coulomb: Contribution | None = None
     friction: Contribution | None = None
     viscous: Contribution | None = None
@@ -148,11 +151,11 @@ class Effect:
 
 @dataclass(frozen=True)
 class AppliedEffect:
-    """An effect at a site of a machine, with its numbers."""
+    """An effect at a site of a machine, with its numbers (of a machine: floats; of many variants at once: arrays)."""
 
     definition: Effect
     site: str
-    parameters: Mapping[str, float]
+    parameters: Mapping[str, Any]
 
     @property
     def name(self) -> str:

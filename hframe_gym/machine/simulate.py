@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -47,19 +48,25 @@ class NotFiniteError(ArithmeticError):
 def threads() -> int:
     """How many threads batches use: `$HFRAME_THREADS`, else every core that this process may use."""
     explicit = os.environ.get("HFRAME_THREADS")
-    return max(1, int(explicit)) if explicit else len(os.sched_getaffinity(0))
+    return max(1, int(explicit)) if explicit else _cores(os.getpid())
+
+
+@lru_cache(maxsize=1)
+def _cores(process: int) -> int:
+    """Cores that this process may use, asked for once a process."""
+    return len(os.sched_getaffinity(0))
 
 
 def in_parallel(run: Callable[[int, int], None], blocks: int) -> None:
     """Call run(first, last) on ranges that cover all blocks, one range a thread."""
     count = min(threads(), blocks)
-    edges = np.linspace(0, blocks, count + 1).astype(int)
-    ranges = list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
-    if count == 1:
-        run(*ranges[0])
+    if count <= 1:
+        run(0, blocks)
         return
-    others = [_pool(os.getpid(), count - 1).submit(run, *r) for r in ranges[1:]]
-    run(*ranges[0])
+    edges = [blocks * i // count for i in range(count + 1)]
+    pool = _pool(os.getpid(), count - 1)
+    others = [pool.submit(run, *own) for own in itertools.pairwise(edges[1:])]
+    run(edges[0], edges[1])
     for other in others:
         other.result()
 
@@ -142,8 +149,9 @@ def respond(
     parameters = parameter_batch(machine) if parameters is None else parameters
     start = np.atleast_2d(rest_state(machine) if start is None else start)
     batch = max(map(len, (inputs, parameters, start, force, observed)))
-    parameters = np.ascontiguousarray(np.broadcast_to(parameters, (batch, parameters.shape[1])))
-    travel = np.ascontiguousarray(np.broadcast_to(start * np.tile(radii, 2), (batch, 2 * count)))
+    # Copies: a broadcast row would be read-only, which is another type to Numba and a second compilation.
+    parameters = np.array(np.broadcast_to(parameters, (batch, parameters.shape[1])), order="C")
+    travel = np.array(np.broadcast_to(start * np.tile(radii, 2), (batch, 2 * count)), order="C")
     force = np.ascontiguousarray(force / radii) if len(force) else np.zeros((1, 1, count))
     travel_gains = gains * np.tile(radii, 2)[:, None] if gains is not None else _NOTHING
     grid = np.ascontiguousarray(time_s, float)

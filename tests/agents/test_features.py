@@ -7,6 +7,7 @@ import torch
 from hframe_gym.agents.actuation import Actuation, Authority
 from hframe_gym.agents.features import StageFeatures, features_for
 
+from hframe_gym.control import ModelPID
 from hframe_gym.env import HFrameVectorEnv
 from hframe_gym.env.spaces import observation_space
 from hframe_gym.machine import BUILTIN, rest_state
@@ -84,3 +85,17 @@ def test_actuation_remembers_one_period_and_forgets_at_a_reset():
     assert not seen["last_action"][0].any()
     assert np.array_equal(seen["last_observation"][0], moved["observation"][0])
     assert actuation.space(observation_space(MACHINE)).contains({key: values[1] for key, values in seen.items()})
+
+
+def test_the_base_is_told_what_was_applied():
+    """Its next action builds on the voltage that a stage held by friction had, whoever gave it."""
+    observation = at_rest((0.1, 0.0), (0.10005, 0.0))
+    alone, under = ModelPID(MACHINE, 0.01), Actuation(MACHINE, 0.01, base="pid", least=1.0)
+    for _ in range(3):
+        own = alone.act(observation)
+        under.see(observation)
+        under.apply(np.zeros((1, 2)))
+    under.see(observation)
+    given = under.apply(np.array([[0.05, -0.02]]))
+    more = under.see(observation)["base_action"] - given
+    assert more == pytest.approx(alone.act(observation) - own, rel=1e-3)

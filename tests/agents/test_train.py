@@ -34,6 +34,14 @@ def test_ppo_learns_and_is_read_back_as_it_was(tmp_path):
     assert judge(Agent.load(tmp_path), trial).items() <= last.items()
 
 
+def test_adapting_begins_with_the_shipped_agent_and_draws_as_asked(tmp_path):
+    machine = BUILTIN["hframe"]()
+    heavier = machine.replace({"x.mass": 1.1 * machine.parameters["x.mass"]})
+    card = train("adapt", heavier, steps=1, out=tmp_path, randomize="none", say=silent)
+    assert card["curve"][0]["success_0.2mm"] > 0.95
+    assert card["settings"]["env"]["randomize"] == "none"
+
+
 def test_same_seed_same_agent(tmp_path):
     weights = []
     for name in ("a", "b"):

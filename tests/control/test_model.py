@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 
 from hframe_gym.control import MotionModel
+from hframe_gym.effects.cogging import EFFECT as COGGING
 from hframe_gym.effects.constant_force import EFFECT as CONSTANT_FORCE
 from hframe_gym.machine import BUILTIN, Machine, rollout, simulate
 
@@ -62,3 +63,10 @@ def test_top_speed_is_that_of_the_simulated_stage() -> None:
     time = 0.01 * np.arange(16)
     states = rollout(machine, time, np.full((16, 2), -12.0), velocities=True, start=None)[0]
     assert abs(MotionModel(machine).top_speed()[1] - states[-1, 5]) < 0.02
+
+
+def test_a_motors_torque_pushes_its_belt(hframe: Machine) -> None:
+    model = MotionModel(hframe.with_effects(COGGING.at("motor1", A=0.03, n=24.0, p=0.5)))
+    state = model.state({"observation": np.array([[0.0, 0.0, 2.0, 3.0, 0.0, 0.0, 0.0, 0.0]])})
+    force = model.pushes(state, np.zeros(1))
+    np.testing.assert_allclose(force, [[0.0, 0.0, 0.03 * np.sin(24.0 * 2.0 + 0.5) / RADIUS, 0.0]])

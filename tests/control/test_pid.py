@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from closed_loop import PERIOD, closed_loop, random_points, random_stages
 
-from hframe_gym.control import ModelPID
+from hframe_gym.control import ModelPID, MotionModel
 from hframe_gym.effects.asymmetric_viscous import EFFECT as ASYMMETRIC_VISCOUS
 from hframe_gym.effects.constant_force import EFFECT as CONSTANT_FORCE
 from hframe_gym.machine import BUILTIN, Machine
@@ -96,3 +96,14 @@ def test_refuses_a_period_that_is_not_positive(hframe: Machine) -> None:
 def test_refuses_observations_of_another_shape(pid: ModelPID) -> None:
     with pytest.raises(ValueError, match="observation has shape"):
         pid.act({"observation": np.zeros((3, 7)), "desired_goal": np.zeros((3, 2))})
+
+
+def test_what_was_applied_in_its_place_is_no_disturbance(hframe: Machine) -> None:
+    """Held by friction near its goal, each voltage is the one that the stage had and the same feedback more."""
+    controller = ModelPID(hframe)
+    state = MotionModel(hframe).observation(MotionModel(hframe).goal_state(np.zeros((1, 2))))
+    seen = {"observation": state, "desired_goal": np.array([[5e-5, 0.0]])}
+    _, second, third = (controller.act(seen) for _ in range(3))
+    given = np.array([[0.03, -0.02]])
+    controller.applied(given)
+    np.testing.assert_allclose(controller.act(seen) - given, third - second, rtol=1e-6)

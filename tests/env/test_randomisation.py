@@ -7,7 +7,9 @@ import pytest
 from scipy.stats import kstest, norm
 
 from hframe_gym.env import HFrameEnv, HFrameVectorEnv
-from hframe_gym.env.randomisation import DEFAULT, Identified, LogUniform, Normal, Sampler, Uniform, Vary
+from hframe_gym.env.distributions import LogUniform, Normal, Uniform
+from hframe_gym.env.randomisation import DEFAULT, Identified, Vary
+from hframe_gym.env.sampler import Sampler
 from hframe_gym.machine import BUILTIN, Uncertainty
 
 MACHINE = BUILTIN["hframe"]()

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from hframe_gym.env import HFrameEnv, HFrameVectorEnv
-from hframe_gym.env.render import HEIGHT, NEUTRAL, PATH, TARGET, TAUT, UNKNOWN, WIDTH, Geometry, tension_colour
+from hframe_gym.env.belt_path import Geometry
+from hframe_gym.env.render import HEIGHT, NEUTRAL, PATH, TARGET, TAUT, UNKNOWN, WIDTH, tension_colour
 
 
 def test_picture_shows_the_target_and_the_motion():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hframe_gym.env import Drives, HFrameEnv, Reach, Vary, register
-from hframe_gym.env.randomisation import Uniform
+from hframe_gym.env.distributions import Uniform
 from hframe_gym.machine import BUILTIN, simulate
 from hframe_gym.machine.simulate import LONGEST_STEP
 

@@ -5,7 +5,7 @@ import pytest
 
 from hframe_gym.effects import LIBRARY
 from hframe_gym.env import HFrameEnv, Reach, Vary
-from hframe_gym.env.randomisation import Uniform
+from hframe_gym.env.distributions import Uniform
 from hframe_gym.machine import BUILTIN, simulate
 from hframe_gym.machine.simulate import LONGEST_STEP
 
@@ -36,7 +36,7 @@ def test_delay_may_be_drawn():
     _, info = env.reset(seed=0)
     drawn = info["parameters"]["input_delay@drives.d"]
     assert 0.002 <= drawn <= 0.012
-    np.testing.assert_array_equal(env.batch.stages._delays[0, :, 0], [drawn, drawn])
+    np.testing.assert_array_equal(env.batch.stages.supply.delays[0, :, 0], [drawn, drawn])
 
 
 def test_a_reset_forgets_voltages_on_their_way():

@@ -65,6 +65,13 @@ def test_scores_by_hand() -> None:
 def test_over_bound_is_the_mean_of_ratios() -> None:
     card = scores(episodes(), np.array([0.1, 0.3]))
     assert card["over_bound"]["0.2mm"]["mean"] == pytest.approx((2.0 + 1.0) / 2)
+    assert card["over_bound"]["0.2mm"]["episodes"] == 2
+
+
+def test_over_bound_is_of_the_draws_that_have_one() -> None:
+    card = scores(episodes(), np.array([np.nan, 0.1]))
+    assert card["over_bound"]["0.2mm"] == {"mean": pytest.approx(3.0), "ci95": pytest.approx([3.0, 3.0]), "episodes": 1}
+    assert scores(episodes(), np.array([np.nan, np.nan]))["over_bound"] is None
 
 
 def test_tracking_by_hand() -> None:
@@ -84,7 +91,7 @@ def test_tracking_by_hand() -> None:
     assert "settling_s" not in card
 
 
-@pytest.mark.parametrize("bound", [[0.1], [0.1, 0.0], [0.1, np.nan]])
+@pytest.mark.parametrize("bound", [[0.1], [0.1, 0.0], [0.1, np.inf]])
 def test_refuses_bounds_that_do_not_fit(bound: list[float]) -> None:
     with pytest.raises(ValueError, match="bound_s must hold 2"):
         scores(episodes(), np.array(bound))

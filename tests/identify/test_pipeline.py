@@ -79,6 +79,7 @@ def test_the_folder_is_complete_and_its_machine_runs(found: Answer, tmp_path: Pa
     assert "stribeck friction at x" in text
     assert "http" not in text.replace("http-equiv", "")
     assert {p.name for p in (tmp_path / "plots").iterdir()} == {
+        "coverage.png",
         "error_by_channel.png",
         "error_over_time.png",
         "residual_force.png",

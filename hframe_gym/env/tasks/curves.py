@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from ..draws import compiled
+from ..draws import compiled, turn
 
 Array = NDArray[np.float64]
 # Pieces of a Lissajous figure: 50 mm across, the tightest chord is 0.05 um off the curve.
@@ -61,11 +61,12 @@ class Circle:
         return np.array([[-self.radius, self.radius]] * 2)
 
     def point(self, s: Array) -> Array:
-        angle = s / self.radius
-        return self.radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        points: Array = _on_circle(s, self.radius, self.length)
+        return points
 
     def distance(self, points: Array, s: Array) -> Array:
-        return np.asarray(np.abs(np.hypot(points[:, 0], points[:, 1]) - self.radius))
+        x, y = points.T
+        return np.asarray(np.abs(np.sqrt(x * x + y * y) - self.radius))
 
 
 class Polyline:
@@ -91,8 +92,8 @@ class Polyline:
         return np.mod(s, self.length) if self.closed else np.clip(s, 0.0, self.length)
 
     def point(self, s: Array) -> Array:
-        on = self._on(s)
-        return np.stack([np.interp(on, self._s, v) for v in self._vertices.T], axis=-1)
+        points: Array = _on_pieces(self._vertices, self._s, self._on(s))
+        return points
 
     def distance(self, points: Array, s: Array) -> Array:
         """No further along than the curve can turn back to the point: for one that crosses itself the other branch
@@ -106,6 +107,41 @@ class Polyline:
 
 
 @compiled
+def _on_circle(s: Any, radius: float, length: float) -> Any:
+    """Points (n, 2) at arc length s (n,) on a circle."""
+    out = np.empty((len(s), 2))
+    turns = 1.0 / length
+    for i in range(len(s)):
+        cosine, sine = turn(s[i] * turns)
+        out[i, 0], out[i, 1] = radius * cosine, radius * sine
+    return out
+
+
+@compiled
+def _piece(vertex_s: Any, s: float) -> int:
+    """The piece with arc length s on it."""
+    pieces = len(vertex_s) - 1
+    # Where pieces are alike, it is where its share of the length says.
+    k = min(pieces - 1, max(0, int(s / vertex_s[pieces] * pieces)))
+    if vertex_s[k] <= s < vertex_s[k + 1]:
+        return k
+    after: Any = np.searchsorted(vertex_s, s, "right")
+    return int(min(pieces - 1, max(0, after - 1)))
+
+
+@compiled
+def _on_pieces(vertices: Any, vertex_s: Any, s: Any) -> Any:
+    """Points (n, 2) at arc length s (n,), within [0, length], on straight pieces."""
+    out = np.empty((len(s), 2))
+    for i in range(len(s)):
+        k = _piece(vertex_s, s[i])
+        share = (s[i] - vertex_s[k]) / (vertex_s[k + 1] - vertex_s[k])
+        for axis in range(2):
+            out[i, axis] = vertices[k, axis] + share * (vertices[k + 1, axis] - vertices[k, axis])
+    return out
+
+
+@compiled
 def _nearest(vertices: Any, vertex_s: Any, closed: bool, points: Any, s: Any, window: Any) -> Any:
     """Distance (n,) of points (n, 2) to the pieces that touch [s - window, s + window]."""
     pieces = len(vertex_s) - 1
@@ -114,9 +150,9 @@ def _nearest(vertices: Any, vertex_s: Any, closed: bool, points: Any, s: Any, wi
     for b in range(len(points)):
         low, high = s[b] - window[b], s[b] + window[b]
         lap = math.floor(low / length) if closed else 0
-        first = lap * pieces + min(pieces - 1, max(0, np.searchsorted(vertex_s, low - lap * length, "right") - 1))
+        first = lap * pieces + _piece(vertex_s, low - lap * length)
         lap = math.floor(high / length) if closed else 0
-        last = lap * pieces + min(pieces - 1, max(0, np.searchsorted(vertex_s, high - lap * length, "right") - 1))
+        last = lap * pieces + _piece(vertex_s, high - lap * length)
         # Far off, the nearest of every so many vertices says where to look: the window is wide only there.
         stride = (last - first) // COARSE
         if stride > 1:

@@ -49,7 +49,7 @@ class Reach:
         return target
 
     def goal(self, plan: Array, elapsed_s: Array) -> Array:
-        return plan
+        return plan if elapsed_s.ndim == 1 else np.repeat(plan[:, None], elapsed_s.shape[1], axis=1)
 
     def contour(self, plan: Array, points: Array, elapsed_s: Array) -> None:
         """A target is no path."""

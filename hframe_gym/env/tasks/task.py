@@ -43,7 +43,7 @@ class Task(Protocol):
         """Plans for targets (k, 2), m, that a reset was given.  Raises ValueError where a task has no target."""
 
     def goal(self, plan: Array, elapsed_s: Array) -> Array:
-        """Where the tool should be, (n, 2) m, elapsed_s (n,) after the reset."""
+        """Where the tool should be, (n, 2) m, elapsed_s (n,) after the reset; (n, m, 2) for times (n, m)."""
 
     def contour(self, plan: Array, points: Array, elapsed_s: Array) -> Array | None:
         """Distance of points (n, 2) to the path, (n,) m, whatever the time on it; None where there is no path."""

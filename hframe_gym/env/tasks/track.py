@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from ...files import InputError
 from ...files.path_file import read_path
+from ..draws import compiled
 from .curves import SHAPES, Curve, Polyline
 from .task import Array
 
@@ -137,16 +138,19 @@ class Track:
         raise ValueError("task track has no target; choose where its path is with Track(centre=...)")
 
     def goal(self, plan: Array, elapsed_s: Array) -> Array:
-        out = np.empty((len(plan), 2))
+        times = elapsed_s.reshape(len(plan), -1)
+        out = np.empty((*times.shape, 2))
         for curve, rows in self._split(plan):
-            out[rows] = curve.point(self._arc(curve, plan[rows], elapsed_s[rows])) + plan[rows, CENTRE]
-        return out
+            s = self._arc(curve, plan[rows], times[rows])
+            out[rows] = curve.point(s.ravel()).reshape(*s.shape, 2)
+        _shift(out, plan[:, CENTRE])
+        return out.reshape(*elapsed_s.shape, 2)
 
     def contour(self, plan: Array, points: Array, elapsed_s: Array) -> Array:
         out = np.empty(len(plan))
         for curve, rows in self._split(plan):
-            s = self._arc(curve, plan[rows], elapsed_s[rows])
-            out[rows] = curve.distance(np.asarray(points, np.float64)[rows] - plan[rows, CENTRE], s)
+            s = self._arc(curve, plan[rows], elapsed_s[rows, None])[:, 0]
+            out[rows] = curve.distance(points[rows] - plan[rows, CENTRE], s)
         return out
 
     def _split(self, plan: Array) -> list[tuple[Curve, slice | Array]]:
@@ -156,27 +160,46 @@ class Track:
         return [(curve, plan[:, PATH] == i) for i, curve in enumerate(self._curves)]
 
     def _arc(self, curve: Curve, plan: Array, elapsed_s: Array) -> Array:
-        """Arc length (n,) where the goal is, m."""
+        """Arc length (n, m) where the goal is, m."""
         timed = self._from_file if self._is_file else None
         if timed is not None and timed[1] is not None:
             return np.interp(elapsed_s, timed[1], timed[0].vertex_s)
-        way = travelled(elapsed_s, self.speed, self.lead_s, np.inf if curve.closed else curve.length)
-        return plan[:, BEGIN] + plan[:, DIRECTION] * way
+        way = travelled(elapsed_s.ravel(), self.speed, self.lead_s, np.inf if curve.closed else curve.length)
+        s: Array = way.reshape(elapsed_s.shape)
+        s *= plan[:, DIRECTION, None]
+        s += plan[:, BEGIN, None]
+        return s
 
 
-def travelled(elapsed_s: Array, speed: float, lead_s: float, length: float) -> Array:
+@compiled
+def _shift(points: Any, centres: Any) -> None:
+    """Move points (n, m, 2) by centres (n, 2), in place."""
+    for i in range(points.shape[0]):
+        for j in range(points.shape[1]):
+            points[i, j, 0] += centres[i, 0]
+            points[i, j, 1] += centres[i, 1]
+
+
+@compiled
+def travelled(elapsed_s: Any, speed: float, lead_s: float, length: float) -> Any:
     """Way (n,), m, after elapsed_s (n,) from rest: up to speed in lead_s, and at a finite length (m) down again.
 
     Where the length is too short for that the speed is what it allows.
     """
     speed = min(speed, length / lead_s)
-
-    def up(t: Array) -> Array:
-        u = np.clip(t / lead_s, 0.0, 1.0)
-        return np.asarray(speed * lead_s * (u**3 - 0.5 * u**4) + speed * np.maximum(t - lead_s, 0.0))
-
-    if not np.isfinite(length):
-        return up(elapsed_s)
     duration = length / speed + lead_s
-    half = 0.5 * duration
-    return np.where(elapsed_s < half, up(elapsed_s), length - up(np.maximum(duration - elapsed_s, 0.0)))
+    way = np.empty(len(elapsed_s))
+    for i in range(len(elapsed_s)):
+        t = elapsed_s[i]
+        if t < 0.5 * duration:
+            way[i] = _up(t, speed, lead_s)
+        else:
+            way[i] = length - _up(max(duration - t, 0.0), speed, lead_s)
+    return way
+
+
+@compiled
+def _up(t: float, speed: float, lead_s: float) -> float:
+    """Way after t from rest to speed, m."""
+    u = min(1.0, t / lead_s)
+    return speed * (lead_s * u * u * u * (1.0 - 0.5 * u) + max(t - lead_s, 0.0))

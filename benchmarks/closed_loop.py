@@ -1,0 +1,160 @@
+"""Does the corrected machine make better controllers?  Driven on the rig that it was identified from.
+
+    python -m benchmarks.closed_loop                             # all rigs: identify, train, drive (half an hour)
+    python -m benchmarks.closed_loop --rigs 'cogging@motor1 full'
+
+Each rig of the independent simulator has one undeclared effect and parameters 5 to 20 % off.  From its recordings
+`identify` makes three machines: as declared, refitted (before), corrected (after).  The model-based PID and a PPO agent
+are made from each alone, then drive the rig itself through the same episodes, with the full state every 10 ms: to
+points, and the PID along circles too.  All agents go on from the shipped one by the recipe `adapt`, for the same time:
+on the declared and refitted machine with the default randomisation, for nobody knows how far off they are; on the
+corrected with what its file leaves uncertain.  Differences are of pairs of episodes, with 95 % bootstrap intervals.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from hframe_gym.agents import train
+from hframe_gym.agents.agent import Agent
+from hframe_gym.agents.recipe import load_recipe
+
+from benchmarks.closed_loop_plots import draw
+from benchmarks.reference import Array
+from benchmarks.results_file import write_results
+from benchmarks.rig_loop import PERIOD_S, Driven, drive
+from benchmarks.rigs import cases
+from benchmarks.sessions import DEFAULT_FOLDER, Session, record
+from hframe_gym.control import Controller, ModelPID
+from hframe_gym.env import Reach, Track
+from hframe_gym.evaluate.scorecard import BANDS, JUDGED, mean_with_interval, settling
+from hframe_gym.files import load_machine
+from hframe_gym.identify import identify
+from hframe_gym.identify.output import write_answer
+from hframe_gym.machine import Machine
+
+KEPT = Path("out/closed_loop")
+RIGS = (
+    "stribeck_friction@x full",
+    "dead_band@motor1 full",
+    "input_delay@drives full",
+    "cogging@motor1 full",
+    "cable_spring@x full",
+    "constant_force@y full",
+    "belt_play@belts full",
+)
+STAGES = {"declared": "default", "before": "default", "machine": "identified"}  # files of an answer: randomisation
+NAMES = {"declared": "declared", "before": "refitted", "machine": "corrected"}
+SEED, EPISODES = 2000, 32  # of starts and goals
+REACH, TRACK = Reach(), Track()
+# What decides: less of it, in which success may not be lower.
+DECIDES = {"pid": f"settling_s_{JUDGED}", "pid, circle": "contour_rms_mm", "ppo": f"settling_s_{JUDGED}"}
+
+
+def machines(session: Session) -> dict[str, Machine]:
+    """The three machines of a rig, from the last identification where it was done."""
+    folder = KEPT / session.folder.name
+    if not (folder / "report.json").is_file():
+        write_answer(identify(session.recordings(), session.machine()), folder)
+    return {stage: load_machine(folder / f"{stage}.json") for stage in STAGES}
+
+
+def trained(machine: Machine, randomize: str, folder: Path, seed: int) -> Agent:
+    """The shipped PPO agent, gone on with on a machine; from the folder where that was done."""
+    steps, card = load_recipe("adapt", "reach").steps, folder / "card.json"
+    if not card.is_file() or json.loads(card.read_text())["curve"][-1]["steps"] < steps:
+        train("adapt", machine, seed=seed, out=folder, randomize=randomize, say=lambda line: None)
+    return Agent.load(folder)
+
+
+def runs(session: Session, episodes: int, seed: int) -> Iterator[tuple[str, str, Driven]]:
+    """What drove, the machine it was made from, and how it went."""
+    rig, declared = session.case.rig()[0], session.machine()
+    for stage, machine in machines(session).items():
+        # The declared machine is the same for all rigs, and so is its agent.
+        of = KEPT / ("declared" if stage == "declared" else session.folder.name) / f"adapt-{stage}-seed{seed}"
+        for kind, task in (("pid", REACH), ("pid, circle", TRACK), ("ppo", REACH)):
+            controller: Controller = ModelPID(machine, PERIOD_S)
+            if kind == "ppo":
+                controller = trained(machine, STAGES[stage], of, seed)
+            yield kind, NAMES[stage], drive(controller, rig, declared, task, episodes, SEED)
+
+
+def numbers(run: Driven) -> dict[str, Array]:
+    """What is compared, (B,) each: success in each band, time to settle in it, s, and error at the end, mm; along a
+    path root mean square and largest distance from it, mm."""
+    if run.contour is not None:
+        rms = 1e3 * np.sqrt(np.mean(run.contour**2, axis=1))
+        return {"contour_rms_mm": rms, "contour_max_mm": 1e3 * run.contour.max(axis=1)}
+    found = {"final_error_mm": 1e3 * run.error[:, -1]}
+    for name, band in BANDS.items():
+        times, success = settling(run.error, run.time_s, band)
+        found |= {f"success_{name}": success.astype(np.float64), f"settling_s_{name}": times}
+    return found
+
+
+def compared(session: Session, episodes: int, seed: int) -> dict[str, Any]:
+    """One rig: scores by controller and machine, and what the corrected machine gains over the others."""
+    found: dict[str, dict[str, dict[str, Array]]] = {kind: {} for kind in DECIDES}
+    for kind, name, run in runs(session, episodes, seed):
+        found[kind][name] = numbers(run)
+    report = json.loads((KEPT / session.folder.name / "report.json").read_text())
+    return {
+        "hides": " + ".join(p.label for p in session.case.planted),
+        "found": [f"{e['name']}@{e['site']}" for e in report["effects"]],
+        **{kind: _with_gains(by) for kind, by in found.items()},
+    }
+
+
+def _with_gains(by: dict[str, dict[str, Array]]) -> dict[str, Any]:
+    """Scores by machine, and the corrected one's less those of each other."""
+    gains = {name: {key: by["corrected"][key] - v for key, v in of.items()} for name, of in by.items()}
+    del gains["corrected"]
+    return {
+        what: {name: {key: mean_with_interval(v, SEED) for key, v in of.items()} for name, of in rows.items()}
+        for what, rows in (("scores", by), ("gain", gains))
+    }
+
+
+def better(row: dict[str, Any], kind: str, over: str) -> bool:
+    """Whether the corrected machine's controller is better beyond doubt, and succeeds no less."""
+    gain = row[kind]["gain"][over]
+    return gain[DECIDES[kind]]["ci95"][1] < 0.0 and gain.get(f"success_{JUDGED}", {"mean": 0.0})["mean"] >= 0.0
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rigs", nargs="+", default=list(RIGS), metavar="NAME")
+    parser.add_argument("--episodes", type=int, default=EPISODES)
+    parser.add_argument("--seed", type=int, default=0, help="of the agents")
+    given = parser.parse_args()
+    rows: dict[str, Any] = {}
+    for name in given.rigs:
+        rows[name] = row = compared(record(cases()[name], Path(DEFAULT_FOLDER)), given.episodes, given.seed)
+        print(f"{name}: found {', '.join(row['found']) or 'nothing'}", flush=True)
+        for kind, key in DECIDES.items():
+            shown = []
+            for machine, scores in row[kind]["scores"].items():
+                success = scores.get(f"success_{JUDGED}")
+                shown.append(
+                    f"{machine} {scores[key]['mean']:.4f}" + (f" ({100 * success['mean']:.0f} %)" if success else "")
+                )
+            print(f"  {kind:12s} {key:17s} {', '.join(shown)}", flush=True)
+        wins = {
+            f"{kind} over {over}": [n for n, r in rows.items() if better(r, kind, over)]
+            for kind in DECIDES
+            for over in ("declared", "refitted")
+        }
+        # After each: what is stopped leaves what it had.
+        write_results("closed_loop", {"episodes": given.episodes, "better": wins, "rigs": rows}, seed=SEED)
+    print(json.dumps(wins, indent=1))
+    draw(rows)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,124 @@
+"""Every effect of the library once, at one site, beside the same effect in the independent simulator.
+
+One site an effect: all tests of it share one compiled kernel.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from benchmarks.reference import Rig, Yaw, simulate
+from benchmarks.reference.sensors import Sensors
+from hframe_gym.effects import LIBRARY
+from hframe_gym.machine import AppliedEffect
+
+START = (0.08, -0.05)  # m, where runs begin
+REST_ROWS = 80  # the mean of the later half places a laser's zero to 3 um
+
+
+@dataclass(frozen=True)
+class Case:
+    """An effect with numbers, and the independent simulator's fields that mean the same."""
+
+    name: str
+    site: str
+    parameters: dict[str, float]
+    rig: dict[str, Any] = field(default_factory=dict)
+    sensors: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def effect(self) -> AppliedEffect:
+        return LIBRARY[self.name].at(self.site, **self.parameters)
+
+    def run(self, time_s: np.ndarray, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Positions (n, 4), velocities (n, 4) and ideal readings (n, 4: phi1, phi2, x, y) of a rig with the effect."""
+        positions, velocities = simulate(dataclasses.replace(Rig(), **self.rig), time_s, inputs, START)
+        return positions, velocities, Sensors(**self.sensors).ideal(time_s, positions, velocities)
+
+
+def history(seed: int, seconds: float = 0.45, hold_s: float = 0.01) -> tuple[np.ndarray, np.ndarray]:
+    """Times (n,) at 1 kHz and random voltages (n, 2) up to 8 V, each held, after 80 ms of rest."""
+    time_s = np.arange(round(seconds * 1000) + 1) * 1e-3
+    rows = round(hold_s * 1000)
+    levels = np.random.default_rng(seed).uniform(-8.0, 8.0, (len(time_s) // rows + 1, 2))
+    inputs = np.repeat(levels, rows, axis=0)[: len(time_s)]
+    inputs[:REST_ROWS] = 0.0
+    return time_s, inputs
+
+
+# Phase at which an eccentric second pulley begins where a round one would: encoders count from there.
+_LEVEL = (START[1] - START[0]) / Rig().pulley_radius_m
+
+
+def _x(value: float) -> tuple[float, ...]:
+    return (value, 0.0, 0.0, 0.0)
+
+
+def _turned(value: float) -> tuple[float, ...]:
+    return (0.0, 0.0, value, 0.0)
+
+
+_EVERY = (
+    Case(
+        "stribeck_friction",
+        "x",
+        {"dF": 3.0, "vs": 0.04},
+        {"stribeck_force": _x(3.0), "stribeck_velocity": (0.04,) * 4},
+    ),
+    Case("constant_force", "phi1", {"size": 0.03}, {"constant_force": _turned(0.03)}),
+    Case("asymmetric_viscous", "phi1", {"a": -0.4}, {"viscous_asymmetry": _turned(-0.4)}),
+    Case("quadratic_drag", "x", {"c": 40.0}, {"quadratic_drag": _x(40.0)}),
+    Case("cable_spring", "x", {"k": 60.0, "q0": 0.05}, {"spring_stiffness": _x(60.0), "spring_rest": _x(0.05)}),
+    Case(
+        "position_friction",
+        "x",
+        {"A": 1.2, "L": 0.03, "p": 1.0},
+        {"friction_wave": _x(1.2), "friction_wavelength": (0.03,) * 4, "friction_phase": _x(1.0)},
+    ),
+    Case("friction_slope", "x", {"s": 8.0}, {"friction_slope": _x(8.0)}),
+    Case(
+        "presliding",
+        "x",
+        {"s0": 1e4, "s1": 60.0},
+        {"bristle_stiffness": _x(1e4), "bristle_damping": _x(60.0)},
+    ),
+    Case(
+        "cogging",
+        "motor1",
+        {"A": 0.03, "n": 23.6, "p": 0.5},
+        {"wave_force": _turned(0.03), "wave_number": (23.6,) * 4, "wave_phase": _turned(0.5)},
+    ),
+    Case(
+        "eccentric_pulley",
+        "motor2",
+        {"e": 0.2e-3, "p": _LEVEL},
+        {"eccentricity_m": (0.0, 0.2e-3), "eccentricity_phase": (0.0, _LEVEL)},
+    ),
+    Case("voltage_offset", "motor1", {"V0": 0.15}, {"voltage_offset_V": (0.15, 0.0)}),
+    Case("gain_mismatch", "motor2", {"g": -0.1}, {"drive_gain": (1.0, 0.9)}),
+    Case("dead_band", "motor1", {"Vd": 0.4, "drop": 1.0}, {"dead_band_V": (0.4, 0.0)}),
+    Case("current_limit", "motor1", {"I": 4.5}, {"current_limit_A": (4.5, np.inf)}),
+    Case("electrical_lag", "motor2", {"tau": 1.5e-3}, {"electrical_lag_s": (0.0, 1.5e-3)}),
+    Case("input_delay", "drives", {"d": 2.3e-3}, {"input_delay_s": (2.3e-3, 2.3e-3)}),
+    Case("belt_play", "belts", {"d": 0.15e-3}, {"belt_play_m": 0.15e-3}),
+    Case("belt_damping", "belts", {"c": 1e-3}, {"belt_damping_s": 1e-3}),
+    Case("belt_slack", "belts", {"T0": 15.0}, {"belt_pretension_N": 15.0}),
+    Case("belt_hardening", "belts", {"h": 5e4}, {"belt_hardening": 5e4}),
+    Case(
+        "bridge_yaw",
+        "machine",
+        {"J": 0.06, "k": 4000.0, "c": 0.6, "w": 0.3},
+        {"yaw": Yaw(inertia=0.06, stiffness=4000.0, viscous=0.6, half_width_m=0.3)},
+    ),
+    # The simulator takes half of each motor's inertia and friction for its idlers.
+    Case("idler_inertia", "machine", {"J": 0.56e-4, "B": 0.0018}, {"idlers": True}),
+    Case("sensor_skew", "y_m", {"a": 5e-3}, sensors={"skew": (0.0, 5e-3)}),
+    Case("sensor_scale", "x_m", {"g": 0.005}, sensors={"scale": (1.0, 1.0, 1.005, 1.0)}),
+    Case("sensor_range", "x_m", {"low": 0.077, "high": 0.083}, sensors={"range_x_m": (0.077, 0.083)}),
+    Case("sensor_delay", "x_m", {"d": 2.3e-3}, sensors={"delay_s": (0.0, 0.0, 2.3e-3, 0.0)}),
+)
+CASES = {case.name: case for case in _EVERY}
