@@ -7,6 +7,7 @@ then agree best is named.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from itertools import combinations
 
@@ -154,7 +155,8 @@ def ratios(data: Data, machine: Machine) -> list[Finding]:
 def _head(run: Run) -> Run:
     if len(run.time_s) <= _ROWS:
         return run
-    return Run(run.name, run.time_s[:_ROWS], run.inputs[:_ROWS], run.outputs[:_ROWS], run.start, run.rest)
+    rows = slice(_ROWS)
+    return dataclasses.replace(run, time_s=run.time_s[rows], inputs=run.inputs[rows], outputs=run.outputs[rows])
 
 
 def _simulated(machine: Machine, run: Run, variants: Array) -> Array:

@@ -130,7 +130,7 @@ class MotionModel:
         return force
 
     def _effects(self, state: Array) -> Iterator[tuple[AppliedEffect, int, Array, Array, float]]:
-        """Effects at coordinates and motors: each with its coordinate, position and speed in own units (B,), and radius."""
+        """Effects at coordinates and motors: each with coordinate, position and speed in own units (B,), and radius."""
         for e in self.machine.effects:
             coordinate = self.machine.site_coordinate(e.site)
             if coordinate is not None:

@@ -140,14 +140,9 @@ def _ranges(j: int, data: Data) -> list[Mapping[str, float]]:
 
 
 def effect_parameters(effect: AppliedEffect, machine: Machine, scale: References) -> tuple[Free, ...]:
-    """The free parameters of an effect: what may be nought or negative linear, the rest as logarithms.
-
-    A current is the difference of voltage and back-EMF: who shapes it tells the one from the other.
-    """
+    """The free parameters of an effect: what may be nought or negative linear, the rest as logarithms."""
     own = scale.of(machine.site_coordinate(effect.site) or "")
     free = []
-    if effect.definition.current:
-        free.append(Free(f"{effect.site}.Ke", machine.drive(effect.site).Ke, prior=0.2))
     for p in effect.definition.parameters:
         if p.role == "fixed":
             continue

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -20,7 +21,7 @@ class Run:
     """One recording of a machine.
 
     time_s (n,); inputs (n, drives) V; outputs (n, sensors) with the resting offset removed, NaN where not measured;
-    start (2 coordinates,).
+    start (2 coordinates,); offset (sensors,), the one removed.
     """
 
     name: str
@@ -29,6 +30,7 @@ class Run:
     outputs: Array
     start: Array
     rest: int
+    offset: Array
 
     @property
     def count(self) -> int:
@@ -60,6 +62,13 @@ class Data:
         return Data(tuple(run for run in self.runs if run.name in names), self.noise, self.quantum, self.behind_belts)
 
 
+def shown(data: Data, recordings: Sequence[Recording]) -> Data:
+    """The same runs with all that their recordings show, also what was kept out of a fit."""
+    outputs = {r.name: fill_gaps(r).outputs for r in recordings}
+    runs = tuple(dataclasses.replace(run, outputs=outputs[run.name] - run.offset) for run in data.runs)
+    return dataclasses.replace(data, runs=runs)
+
+
 def prepare(recordings: Sequence[Recording], machine: Machine) -> Data:
     """Runs ready for fitting a machine of this shape."""
     recordings = [fill_gaps(recording) for recording in recordings]
@@ -69,7 +78,9 @@ def prepare(recordings: Sequence[Recording], machine: Machine) -> Data:
     runs = []
     for recording, start in zip(recordings, starts, strict=True):
         outputs = recording.outputs - start.offset
-        runs.append(Run(recording.name, recording.time_s, recording.inputs, outputs, start.state, start.rows))
+        runs.append(
+            Run(recording.name, recording.time_s, recording.inputs, outputs, start.state, start.rows, start.offset)
+        )
     noise = np.array([_noise(recordings, runs, j, machine, quanta[j]) for j in range(len(machine.sensors))])
     belted = [bool(machine.belts) and machine.coordinate(s.coordinate).kind == "rotary" for s in machine.sensors]
     return Data(tuple(runs), noise, quanta, np.array(belted))

@@ -78,7 +78,8 @@ class Fit:
 def own_parameters(machine: Machine, *, effects: bool = True) -> tuple[Free, ...]:
     """What of a machine is refitted: masses, friction, belts, every drive's gain but the first, declared effects.
 
-    Voltages tell only ratios to the motor gain, so the first drive's stays; back-EMF acts as viscous friction does.
+    Voltages tell only ratios to the motor gain, so the first drive's stays.  Back-EMF acts as viscous friction does, so
+    their sum is what the data tell; it may be less than the declared back-EMF alone, which therefore moves too.
     Friction and gain of each motor are free to differ.  A friction that is declared as zero may rise.
     """
     force = typical_force(machine)
@@ -95,6 +96,7 @@ def own_parameters(machine: Machine, *, effects: bool = True) -> tuple[Free, ...
         if b.length:
             free.append(Free(f"{b.name}.rest_length", b.rest_length, prior=0.1))
     free += [Free(f"{d.name}.Kt", d.Kt, prior=0.2) for d in machine.drives[1:]]
+    free += [Free(f"{d.name}.Ke", d.Ke, prior=0.2) for d in machine.drives if d.Ke > 0.0]
     for e in machine.effects if effects else ():
         for p in e.definition.parameters:
             value = e.parameters[p.name]

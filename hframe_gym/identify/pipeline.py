@@ -10,11 +10,12 @@ import numpy as np
 from ..files import InputError, Recording
 from ..machine import Machine
 from .answer import Answer, Errors, Stage, Verdict
-from .data import Data, prepare
+from .data import Data, prepare, shown
 from .experiment import separating
 from .fit import Fit, fit, own_parameters
 from .prediction import POLISH_STEP, Mode
 from .residual import channel_errors, depends_on, force_error, is_white
+from .stuck import range_effects, stuck_ranges, without_stuck
 from .trace import LEAST_GAIN, LEAST_INNOVATION, Found, add_tables, trace, without_idle
 from .uncertainty import with_uncertainty
 
@@ -26,6 +27,8 @@ _EXPLAINED = 1.5
 _NEAR = 50.0
 # ... or this share of the cost before, where that was large.
 _NEXT_TO_NOTHING = 1e-4
+# A table is named as what it is: it may stand where it leaves no more than this share of the best named cost.
+_TABLED = 0.02
 # Named effects that take less than this off what is missed are no explanation.
 _MOSTLY = 0.25
 
@@ -62,8 +65,13 @@ def identify(
     """
     began = time.perf_counter()
     everything = prepare(recordings, machine)
+    ranges = stuck_ranges(recordings, machine, everything.noise)
+    if ranges:
+        say(f"stuck at the ends of a range: {', '.join(ranges)}")
+        noise = everything.noise
+        everything = prepare([without_stuck(r, ranges, machine, noise) for r in recordings], machine)
     kept = hold_out(recordings, held_out)
-    judge = everything.only(kept)
+    judge = shown(everything.only(kept), recordings)
     data = everything.only([r.name for r in recordings if r.name not in kept])
     say(f"fitting {machine.name} to {len(data.runs)} runs, {len(judge.runs)} held out")
     base = fit(machine, own_parameters(machine), data, "innovations")
@@ -73,7 +81,11 @@ def identify(
     say("searching for effects")
     verdict, after, found = _explain(base, before, data, say)
     say(f"verdict: {verdict}")
-    corrected = with_uncertainty(after, data).replace(name=f"{machine.name}-identified")
+    fitted = with_uncertainty(after, data).replace(name=f"{machine.name}-identified")
+    corrected = fitted.with_effects(*range_effects(ranges))
+    found += tuple(Found(e, (), 0.0, fitted) for e in range_effects(ranges))
+    if found and verdict == "no_effect":
+        verdict = "effect_found"
     refitted = before.machine.replace(name=f"{machine.name}-refitted")
     experiments = (separating(after, corrected, f.effect.label, f.rival_effects, data) for f in found)
     stages = [Stage(m, _errors(m, judge)) for m in (machine, refitted, corrected)]
@@ -126,7 +138,7 @@ def _explain(base: Fit, before: Fit, data: Data, say: Say) -> tuple[Verdict, Fit
         tabled, more = add_tables(start, beside, data, say, most)
         if len(more) > len(beside):
             candidate, kept = settled(tabled, more)
-            if kept and _explains(candidate, before):
+            if kept and (_explains(candidate, before) or candidate.cost < _TABLED * min(before.cost, after.cost)):
                 return "effect_found", candidate, kept
     if found and after.cost < _MOSTLY * before.cost:
         return "effect_found", after, found

@@ -104,14 +104,12 @@ def _saving(candidate: Candidate, L: Array, towards: Array, before: Array) -> Sc
     nothing = Screened(candidate, 0.0, (0.0,) * len(towards))
     if not np.all(np.isfinite(L)) or not np.any(np.diag(L) > 1e-6 * before):
         return nothing
-    if candidate.fixed:
-        amounts = np.ones_like(towards)
-    else:
-        amounts = -np.linalg.solve(L + 1e-9 * np.diag(np.maximum(np.diag(L), 1e-300)), towards)
+    ridge = 1e-9 * np.diag(np.maximum(np.diag(L), 1e-300))
+    amounts: Array = np.array(np.ones_like(towards) if candidate.fixed else -np.linalg.solve(L + ridge, towards), float)
     if len(amounts) == 1 and not candidate.fixed:
         p = candidate.effect.parameter(candidate.effect.amplitudes[0])
         unit = candidate.columns[0][p.name]
-        amounts = np.clip(amounts, p.lower / unit, p.upper / unit)
+        amounts = np.array(np.clip(amounts, p.lower / unit, p.upper / unit), float)
     gain = float(-2 * amounts @ towards - amounts @ L @ amounts)
     if not gain > 0.0:
         return nothing

@@ -193,10 +193,8 @@ def add_tables(
 
 def without(current: Fit, label: str, data: Data, *, longest_step: float) -> Fit:
     """The fit without one effect, everything else fitted anew."""
-    removed = next(e for e in current.machine.effects if e.label == label)
     others = tuple(e for e in current.machine.effects if e.label != label)
-    gone = [f"{label}.", *([f"{removed.site}.Ke"] if removed.definition.current else [])]
-    kept = [i for i, free in enumerate(current.free) if not free.name.startswith(tuple(gone))]
+    kept = [i for i, free in enumerate(current.free) if not free.name.startswith(f"{label}.")]
     return fit(
         current.machine.replace(effects=others),
         [current.free[i] for i in kept],
@@ -232,9 +230,7 @@ def _add(current: Fit, screened: Screened, scale: References, data: Data) -> Fit
     """The machine with one more effect, everything fitted together by innovations."""
     candidate = screened.candidate
     machine = current.machine.with_effects(candidate.applied(screened.amounts))
-    names = {f.name for f in current.free}
     own = effect_parameters(machine.effects[-1], machine, scale)
-    own = tuple(f for f in own if f.name not in names)
     theta = np.concatenate([current.theta, np.zeros(len(own))])
     return fit(machine, current.free + own, data, current.mode, theta=theta, iterations=8, tolerance=1e-3)
 
