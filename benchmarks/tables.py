@@ -95,12 +95,89 @@ def throughput(results: dict[str, Any]) -> str:
     return markdown(["stage; MuJoCo's settings; cores", "kernel, M/s", "MuJoCo, M/s", "ratio"], rows)
 
 
+def env_speed(results: dict[str, Any]) -> str:
+    """The environment's steps beside its peers', and what share of them is the kernel."""
+    rows = []
+    for name, found in results.items():
+        if name.startswith(("over EnvPool", "single over")):
+            low, high = found["spread"]
+            rows.append([name, f"{found['ratio']:.2f} ({low:.2f} to {high:.2f})"])
+        elif name.startswith("share of"):
+            shares = (f"{100 * found[clock]['share']:.0f} % of {clock} time" for clock in ("processor", "wall"))
+            rows.append([name, ", ".join(shares)])
+    return markdown(["measure", "value"], rows)
+
+
+def her(results: dict[str, Any]) -> str:
+    """SAC with hindsight on the sparse reward."""
+    rows = [
+        [
+            f"seed {r['seed']}",
+            *(f"{100 * r['success_5mm']:.1f} %", f"{r['steps']}", f"{r['steps_to_bar']}", f"{r['cpu_s']:.0f}"),
+        ]
+        for r in results["runs"]
+    ]
+    return markdown(["SAC + HER", "within 5 mm", "steps", "steps to 90 %", "processor s"], rows)
+
+
+def bound(results: dict[str, Any]) -> str:
+    """Controllers over the least possible time."""
+    rows = []
+    for name, c in results["controllers"].items():
+        pairs = [c["ratio_of_means"], c["mean_of_ratios"]]
+        ratios = [f"{r['mean']:.3f} ({r['ci95'][0]:.3f} to {r['ci95'][1]:.3f})" for r in pairs]
+        rows.append([name, f"{c['mean_s']:.3f}", *ratios])
+    return markdown(["controller", "0.2 mm in, s", "ratio of means", "mean of ratios"], rows)
+
+
+def controllers(results: dict[str, Any]) -> str:
+    """Contour error of the PIDs along paths, mm."""
+    tasks = [t for t in results["tasks"] if t != "reach"]
+    rows = []
+    for name in results["tasks"][tasks[0]]:
+        errors = [results["tasks"][t][name]["contour_mm"] for t in tasks]
+        rows.append([name, *(f"{e['rms']['mean']:.3f} / {e['max']['mean']:.3f}" for e in errors)])
+    return markdown(["rms / largest contour error, mm", *tasks], rows)
+
+
+def agents(results: dict[str, Any]) -> str:
+    """Shipped agents beside the PID on the same draws."""
+    rows = []
+    for name, score in results["tasks"]["reach"].items():
+        settling, success = score["settling_s"]["0.2mm"], score["success"]
+        low, high = settling["ci95"]
+        shares = [f"{100 * success[band]:.1f} %" for band in ("1mm", "0.2mm", "0.05mm")]
+        rows.append([name, *shares, f"{settling['mean']:.3f} ({low:.3f} to {high:.3f})"])
+    return markdown(["agent", "in 1 mm", "in 0.2 mm", "in 0.05 mm", "0.2 mm after, s"], rows)
+
+
+def closed_loop(results: dict[str, Any]) -> str:
+    """Settling to 0.2 mm on the rig, built on the declared, the refitted and the corrected machine."""
+    rows = []
+    for rig, found in results["rigs"].items():
+        for who in ("pid", "ppo"):
+            scores = found[who]["scores"]
+            cells = [
+                f"{scores[m]['settling_s_0.2mm']['mean']:.3f} s, {100 * scores[m]['success_0.2mm']['mean']:.0f} %"
+                for m in ("declared", "refitted", "corrected")
+            ]
+            rows.append([f"{rig}, {who}", *cells])
+    return markdown(["rig", "declared", "refitted", "corrected"], rows)
+
+
+IDENTIFICATION_SETS = ("library_full", "library_small", "pairs", "triples", "four_runs", "order20", "none", "outside")
 TABLES: dict[str, Callable[[dict[str, Any]], str]] = {
     "paper": paper,
     "accuracy": accuracy,
     "throughput": throughput,
     "identify_examples": identify_examples,
-    "identification": identification,
+    **{f"identification_{name}": identification for name in IDENTIFICATION_SETS},
+    "env_speed": env_speed,
+    "her": her,
+    "bound": bound,
+    "controllers": controllers,
+    "agents": agents,
+    "closed_loop": closed_loop,
     "real_machines_emps": real_machines_emps,
 }
 

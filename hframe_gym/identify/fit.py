@@ -135,6 +135,17 @@ def over_runs(function: Callable[[Run], T], data: Data) -> Iterator[T]:
         yield from pool.map(function, data.runs)
 
 
+def cost_of(machine: Machine, data: Data, mode: Mode, *, longest_step: float = SEARCH_STEP) -> float:
+    """Sum of squares in noise units of a machine as it is."""
+
+    def of(run: Run) -> float:
+        left = residuals(run, data, predict(machine, run, mode, period=data.period, longest_step=longest_step).readings)
+        return float(np.sum(left**2))
+
+    total = sum(over_runs(of, data))
+    return total if math.isfinite(total) else math.inf
+
+
 def fit(
     machine: Machine,
     free: Sequence[Free],

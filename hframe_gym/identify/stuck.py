@@ -21,7 +21,7 @@ Range = tuple[float, float]
 
 _LEAST_SHARE = 0.01  # of all rows
 _BAND = 8.0  # noise deviations: readings this close together do not move
-_MOVED = 40.0  # noise deviations that the machine must have moved meanwhile
+_MOVED = 300.0  # noise deviations that the machine must have moved meanwhile: more than belts can stretch
 _ENDLESS = 10.0
 
 

@@ -19,7 +19,7 @@ from ..machine import AppliedEffect, Machine
 from .candidates import candidates, effect_parameters
 from .data import Data
 from .fallback import tables
-from .fit import Fit, fit, over_runs, own_parameters
+from .fit import Fit, cost_of, fit, over_runs, own_parameters
 from .prediction import predict
 from .references import References, references
 from .residual import missing_force
@@ -45,6 +45,8 @@ TABLE_GAIN, TABLE_SHARE = 0.02, 0.2
 MOST_EFFECTS = 5
 _FITTED_IN_FULL = 5
 _TABLES = 4
+# Of the cost of runs that a table was not fitted to, it must take off most.
+_UNSEEN = 0.4
 # Candidates that promise less than this share of the best promise are not worth a fit.
 _PROMISING = 0.4
 # ... and a fit finds more than the linear promise, but hardly twice as much.
@@ -179,8 +181,12 @@ def add_tables(
         enough = max(TABLE_GAIN, TABLE_SHARE * (current.chi2 - _FLOOR)) * data.count
         if not ranked or ranked[0].gain < enough:
             break
-        trials = sorted((_add(current, s, scale, data) for s in ranked[:_TABLES]), key=lambda t: t.cost)
-        best = fit(trials[0].machine, trials[0].free, data, current.mode, theta=trials[0].theta)
+        tested = [(_unseen(current, s, scale, data), s) for s in ranked[:_TABLES] if s.gain > enough]
+        share, chosen = min(tested, key=lambda t: t[0])
+        if share > _UNSEEN:
+            break
+        trial = _add(current, chosen, scale, data)
+        best = fit(trial.machine, trial.free, data, current.mode, theta=trial.theta)
         effect = best.machine.effects[-1]
         saved = (current.cost - best.cost) / data.count
         say(f"  {effect.label} saves {saved:.3g} of {current.chi2:.4g} (chi2 a sample)")
@@ -189,6 +195,22 @@ def add_tables(
         found = (*found, Found(effect, (), saved, current.machine))
         current = best
     return current, tuple(f.with_values(current.machine) for f in found)
+
+
+def _unseen(current: Fit, screened: Screened, scale: References, data: Data) -> float:
+    """Share of the cost of runs that a table was not fitted to which is left with it, each half of the runs in turn.
+
+    Two dozen values fit much that is not there; a table against the wrong variable tells nothing about another run.
+    """
+    names = [run.name for run in data.runs]
+    left = missed = 0.0
+    for fitted, unseen in ((names[0::2], names[1::2]), (names[1::2], names[0::2])):
+        if not fitted or not unseen:
+            return 1.0
+        trial = _add(current, screened, scale, data.only(fitted))
+        left += cost_of(trial.machine, data.only(unseen), current.mode)
+        missed += cost_of(current.machine, data.only(unseen), current.mode)
+    return left / missed
 
 
 def without(current: Fit, label: str, data: Data, *, longest_step: float) -> Fit:
