@@ -9,8 +9,16 @@ ALL = (
     ("benchmarks.paper",),
     ("benchmarks.accuracy",),
     ("benchmarks.throughput",),
-    ("benchmarks.identification",),
-    ("benchmarks.real_machines", "emps"),
+    ("benchmarks.env_speed",),
+    ("benchmarks.env_bits",),
+    ("benchmarks.env_soak",),
+    ("benchmarks.identification", "examples", "all"),
+    ("benchmarks.real_machines", "all"),
+    ("benchmarks.controllers",),
+    ("benchmarks.bound",),
+    ("benchmarks.her",),
+    ("benchmarks.agents", "score"),
+    ("benchmarks.closed_loop",),
     ("benchmarks.tables",),
 )
 

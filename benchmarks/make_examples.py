@@ -48,9 +48,9 @@ machine file has no word for:
     hframe identify examples/rig_a --out out/rig_a
     hframe identify examples/rig_b --out out/rig_b
 
-The recordings are simulated, but not by the simulator in `hframe_gym`: `benchmarks/reference.py` is
-a separate one, which shares no code and no numerical method with it (friction event by event, and
-SciPy's DOP853 at tight tolerances in between). `python -m benchmarks.make_examples` writes them
+The recordings are simulated, but not by the simulator in `hframe_gym`: `benchmarks/reference/` is
+a separate one, which shares no code and no numerical method with it (friction event by event, and an
+adaptive Runge-Kutta pair of Dormand and Prince at tight tolerances in between). `python -m benchmarks.make_examples` writes them
 again, byte for byte with the same versions of NumPy and zlib; what each rig hides stands in that
 script, and nowhere here.
 

@@ -83,7 +83,9 @@ def test_tables(command: str, hframe_command: Run) -> None:
     assert ("hframe" if command == "machines" else "stribeck") in out
 
 
-@pytest.mark.parametrize("command", ["simulate", "identify", "report", "train", "evaluate", "machines", "effects"])
+@pytest.mark.parametrize(
+    "command", ["simulate", "check", "identify", "report", "train", "evaluate", "machines", "effects"]
+)
 def test_help_has_an_example(command: str, hframe_command: Run) -> None:
     code, out, _ = hframe_command(command, "--help")
     assert code == 0

@@ -6,6 +6,7 @@ pid.py                 both as one controller    delay.py       dead time
 amplifiers.py          dead bands and offsets of the drives, undone
 observer.py            the full state from encoders and lasers
 textbook_pid.py        the baseline
+bound.py, equations.py the least possible times (extra: bound)
 """
 
 from .controller import CONTROLLERS, Controller

@@ -1,4 +1,4 @@
-"""The kernel against an event-driven simulator with which it shares no code (benchmarks/reference.py)."""
+"""The kernel against an event-driven simulator with which it shares no code (benchmarks/reference/)."""
 
 from __future__ import annotations
 
