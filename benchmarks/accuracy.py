@@ -2,7 +2,7 @@
 
     python -m benchmarks.accuracy
 
-Truth is `benchmarks.reference`: an adaptive Runge-Kutta pair at tight tolerances between friction events, no code shared.
+Truth is `benchmarks.reference`: an adaptive Runge-Kutta pair between friction events, no code shared.
 Histories are 0.4 s of random voltages, new ones every 10 ms.  An error is the distance of two tips, sqrt(dx^2 + dy^2).
 MuJoCo's belts cannot follow the carriage, so beside it every simulator runs the stage with belts of constant stiffness.
 """

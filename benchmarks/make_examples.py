@@ -50,8 +50,8 @@ machine file has no word for:
 
 The recordings are simulated, but not by the simulator in `hframe_gym`: `benchmarks/reference/` is
 a separate one, which shares no code and no numerical method with it (friction event by event, and an
-adaptive Runge-Kutta pair of Dormand and Prince at tight tolerances in between). `python -m benchmarks.make_examples` writes them
-again, byte for byte with the same versions of NumPy and zlib; what each rig hides stands in that
+adaptive Runge-Kutta pair at tight tolerances in between). `python -m benchmarks.make_examples` writes
+them again, byte for byte with the same versions of NumPy and zlib; what each rig hides stands in that
 script, and nowhere here.
 
 ## Columns
