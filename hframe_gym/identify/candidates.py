@@ -19,6 +19,7 @@ from .data import Data
 from .fit import Free
 from .periods import rates
 from .references import References
+from .structures import replaces
 
 Array = NDArray[np.float64]
 # Beyond every reading of this rig by this factor: a range that does not end.
@@ -72,7 +73,7 @@ def candidates(machine: Machine, data: Data, scale: References, residual: Mappin
     present = {e.label for e in machine.effects}
     found: list[Candidate] = []
     for effect in LIBRARY.values():
-        if effect.structure or effect.refitted:
+        if replaces(effect) or effect.refitted:
             continue
         for site in sites(effect, machine):
             if f"{effect.name}@{site}" in present:

@@ -1,4 +1,5 @@
-"""Effects that change the machine's tables (a yawing bridge, idlers with inertia): where a fit of one would begin.
+"""Effects that put something in the place of what the machine has: other tables (a yawing bridge, idlers with inertia),
+another dry friction (bristles that give before they slide).
 
 There is no small version of them to linearise around; instead every starting value of the library's grid is simulated,
 and the way from the present machine's readings to its own is held against the residual.
@@ -7,6 +8,7 @@ and the way from the present machine's readings to its own is held against the r
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,24 +20,34 @@ from .data import Data, Run
 from .fit import Fit, over_runs, parameter_table
 from .nuisance import projection
 from .prediction import SEARCH_STEP, predict, residuals
+from .references import References
 
 Array = NDArray[np.float64]
 _STEP = 1e-4
 
 
-def starts(effect: Effect) -> list[dict[str, float]]:
-    """The grid of an effect's starting values."""
-    grids = [p.grid for p in effect.parameters]
+def replaces(effect: Effect) -> bool:
+    """Whether an effect has no small version."""
+    return bool(effect.structure or effect.friction)
+
+
+def starts(effect: Effect, own: Mapping[str, float]) -> list[dict[str, float]]:
+    """The grid of an effect's starting values; own: what they are relative to, but for new tables."""
+    grids = [[g * (1.0 if effect.structure else own.get(p.unit, 1.0)) for g in p.grid] for p in effect.parameters]
     return [dict(zip((p.name for p in effect.parameters), v, strict=True)) for v in itertools.product(*grids)]
 
 
-def structural(current: Fit, data: Data, least: float) -> list[Machine]:
-    """The current machine with each structural effect that could save `least` (chi2 a sample), at its best start."""
-    present = {e.name for e in current.machine.effects}
+def structural(current: Fit, data: Data, scale: References, least: float) -> list[Machine]:
+    """The current machine with each such effect that could save `least` (chi2 a sample), at its best start."""
+    machine = current.machine
+    present = {e.label for e in machine.effects}
     found = []
-    for effect in LIBRARY.values():
-        if effect.structure and effect.name not in present and sites(effect, current.machine):
-            machines = [current.machine.with_effects(effect.at("machine", **values)) for values in starts(effect)]
+    for effect in filter(replaces, LIBRARY.values()):
+        for site in sites(effect, machine):
+            if f"{effect.name}@{site}" in present:
+                continue
+            own = scale.of(machine.site_coordinate(site) or "")
+            machines = [machine.with_effects(effect.at(site, **values)) for values in starts(effect, own)]
             saved = _savings(machines, current, data)
             if saved.max() > least * data.count:
                 found.append(machines[int(np.argmax(saved))])

@@ -93,7 +93,9 @@ def trace(
         promising = _best(screen(current, everything, data), enough * data.count)
         trials = [_add(current, s, scale, data) for s in promising]
         if not any(_explains(trial, current) for trial in trials):
-            trials += [_restructured(current, machine, scale, data) for machine in structural(current, data, enough)]
+            trials += [
+                _restructured(current, machine, scale, data) for machine in structural(current, data, scale, enough)
+            ]
         if not trials:
             break
         trials.sort(key=lambda t: t.cost)
