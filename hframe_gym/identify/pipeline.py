@@ -23,6 +23,8 @@ from .uncertainty import with_uncertainty
 _DRIFT = 0.3
 # Cost a sample up to which what is left is the sensors' noise.
 _EXPLAINED = 1.5
+# Where no free run can judge it, an effect must account for this share of all that was missed.
+_LEAST_UNJUDGED = 0.01
 # Up to here a free run is near enough to the data for its own search.
 _NEAR = 50.0
 # ... or this share of the cost before, where that was large.
@@ -129,7 +131,8 @@ def _explain(base: Fit, before: Fit, data: Data, say: Say) -> tuple[Verdict, Fit
             polished, found = trace(polished, found, data, say, LEAST_GAIN)
         return without_idle(polished, found, data, say, longest_step=POLISH_STEP)
 
-    traced, named = trace(base, (), data, say, LEAST_INNOVATION)
+    smallest = LEAST_INNOVATION if before.mode == "free" else _LEAST_UNJUDGED * base.chi2
+    traced, named = trace(base, (), data, say, max(smallest, LEAST_INNOVATION))
     after, found = settled(traced, named)
     if _explains(after, before):
         return ("effect_found", after, found) if found else ("no_effect", before, ())
