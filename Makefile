@@ -8,8 +8,8 @@ INSTALLED := $(VENV)/.installed
 
 demo: $(INSTALLED)  ## fit a recorded rig, find what its model lacks, drive the corrected machine
 	$(BIN)/hframe identify examples/rig_a --out out/demo
-	$(BIN)/hframe evaluate pid --machine out/demo/machine.json --randomize none --episodes 32 --out out/demo/pid
-	@echo "open out/demo/report.html and out/demo/pid/pid.png"
+	$(BIN)/hframe evaluate pid ppo --machine out/demo/machine.json --randomize none --episodes 32 --out out/demo/control
+	@echo "open out/demo/report.html, out/demo/control/pid.png and ppo.png"
 
 test: $(INSTALLED)  ## the fast tests
 	$(BIN)/python -m pytest
