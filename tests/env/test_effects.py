@@ -13,6 +13,7 @@ from hframe_gym.machine.simulate import LONGEST_STEP, simulate
 FAST = ("presliding", "electrical_lag", "belt_slack", "bridge_yaw", "idler_inertia")
 # Numbers that matter, where an amplitude's scale and a shape's first guess do not.
 NUMBERS = {
+    "eccentric_pulley": {"e": 1e-4, "p": 0.5},
     "belt_play": {"d": 0.15e-3},
     "belt_slack": {"T0": 15.0},
     "bridge_yaw": {"J": 0.06, "k": 4000.0, "c": 0.6, "w": 0.3},
