@@ -38,7 +38,8 @@ def render(card: dict[str, Any]) -> str:
     ]
     if "scores" in card:
         parts += ["## Scores", _scores(card["scores"]), "## Known failures", _failures(card)]
-    parts += ["## While training", "On 256 draws that no training sees.", _curve(card["curve"])]
+    kept = f" Kept: the agent after {card['kept']} steps." if "kept" in card else ""
+    parts += ["## While training", f"On 256 draws that no training sees.{kept}", _curve(card["curve"])]
     parts += ["## Recipe", "```json\n" + json.dumps(settings, indent=1) + "\n```"]
     return "\n\n".join(parts) + "\n"
 

@@ -24,6 +24,7 @@ ERROR_SCALES = (1e-1, 1e-2, 1e-3, 1e-4)  # m
 SPEED_SCALES = (0.3, 0.02)  # m/s
 STRETCH_SCALES = (1e-3, 1e-4)  # m
 ACTION_SCALES = (1.0, 0.03)  # of the rated voltage: all of it, and about what friction takes
+EXPECTED_SCALES = (0.03, 0.003)  # of the rated voltage
 PLACE_SCALE = 0.2  # m
 AHEAD = 0.01  # s
 # What gives a feature of 1: about the largest that comes up.
@@ -32,7 +33,7 @@ LARGEST_SPEED = 1.5  # m/s
 LARGEST_STRETCH = 0.01  # m
 
 # Keys of an observation in the order in which they are read, as far as they are there.
-KEYS = ("observation", "desired_goal", "preview", "last_observation", "last_action", "base_action")
+KEYS = ("observation", "desired_goal", "preview", "last_observation", "last_action", "base_action", "expected")
 
 
 class StageFeatures(BaseFeaturesExtractor):
@@ -94,6 +95,10 @@ def feature_map(sizes: dict[str, int], radii: Array, rest: Array) -> tuple[Array
     for key in ("last_action", "base_action"):
         if key in own:
             parts.append(_scaled(own[key], ACTION_SCALES, 1.0))
+    if "expected" in own:
+        now, lately = own["expected"][:, :-drives], own["expected"][:, -drives:]
+        news = now - np.tile(lately, now.shape[1] // drives)  # what a controller that goes by the past does not know
+        parts.append(_scaled(np.hstack([now[:, :drives], news]), EXPECTED_SCALES, EXPECTED_SCALES[0]))
     return np.hstack([matrix for matrix, _ in parts]), np.concatenate([gain for _, gain in parts])
 
 

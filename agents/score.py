@@ -40,6 +40,11 @@ def _tracking(error: Any, contour: Any) -> dict[str, float]:
     }
 
 
+def deciding(row: dict[str, Any]) -> float:
+    """What makes one row of a curve better than another: less of this."""
+    return float(row["contour_rms_mm"] if "contour_rms_mm" in row else row["settling_s_0.2mm"])
+
+
 def line(row: dict[str, Any]) -> str:
     """A row of a curve as a line for the terminal."""
     begin = f"{row['steps']:>9d} steps  {row['seconds']:6.0f} s"

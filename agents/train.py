@@ -1,7 +1,7 @@
 """Training with stable-baselines3 on the native vector environment, by a recipe.
 
-What a run leaves in its folder, each file whole at any time: the agent as it is now (agent.json, machine.json,
-policy.safetensors), its card (card.json, README.md), tensorboard/, and checkpoint.zip with replay.pkl, what `resume`
+What a run leaves in its folder, each file whole at any time: the best agent so far by the evaluations on draws that no
+training sees (agent.json, machine.json, policy.safetensors), its card (card.json, README.md), tensorboard/, and checkpoint.zip with replay.pkl, what `resume`
 needs (pickles of your own run, do not load other people's).
 """
 
@@ -25,7 +25,7 @@ from .agent import SCHEMA, Agent, actuation_for, load_weights, policy_keywords
 from .card import versions, write_card
 from .extra import load, one_thread
 from .recipe import Recipe, load_recipe
-from .score import judge, line
+from .score import deciding, judge, line
 
 # Draws that no training sees: environment i of seed s begins with TRAINING_SEED + s * SEEDS_APART + i.
 EVALUATION_SEED = 1_000_000
@@ -93,7 +93,7 @@ def _environment(recipe: Recipe, machine: Machine, task: str) -> Any:
 
     environment = HFrameVecEnv(**recipe.env, machine=machine, task=task_of(recipe.task, task))
     actuation = actuation_for(machine, recipe.actuation, recipe.period)
-    return ActuatedVecEnv(environment, actuation) if actuation else environment
+    return ActuatedVecEnv(environment, actuation, recipe.contour) if actuation else environment
 
 
 def task_of(settings: dict[str, Any], task: str) -> Task:
@@ -133,6 +133,7 @@ def _resumed(recipe: Recipe, folder: Path, environment: Any, card: dict[str, Any
             f"not of {card['recipe']} with seed {card['seed']}"
         )
     card["curve"] = [row for row in before["curve"] if row["steps"] <= model.num_timesteps]
+    card["kept"] = before["kept"]
     return model
 
 
@@ -193,7 +194,7 @@ class _Progress:
         return True
 
     def report(self) -> None:
-        """Score the agent as it is now; say it, and write agent, card and checkpoint."""
+        """Score the agent as it is now; say it, and write card, checkpoint and, where it is the best so far, agent."""
         model, training = self.model, self.model.policy.training
         agent = Agent(model.policy, self.actuation, self.machine, self.card)
         row = {
@@ -209,7 +210,10 @@ class _Progress:
             if isinstance(value, float):
                 model.logger.record(f"evaluation/{key}", value)
         model.logger.dump(model.num_timesteps)
-        agent.save(self.folder)
+        best = min(self.card["curve"], key=deciding)
+        if deciding(row) <= deciding(best):
+            agent.save(self.folder)
+            self.card["kept"] = row["steps"]
         with whole_file(self.folder / "checkpoint.zip") as temporary:
             model.save(temporary)
         if getattr(model, "replay_buffer", None) is not None:

@@ -3,12 +3,14 @@
     python -m benchmarks.closed_loop                             # all rigs: identify, train, drive (half an hour)
     python -m benchmarks.closed_loop --rigs 'cogging@motor1 full'
 
-Each rig of the independent simulator has one undeclared effect and parameters 5 to 20 % off.  From its recordings
-`identify` makes three machines: as declared, refitted (before), corrected (after).  The model-based PID and a PPO agent
-are made from each alone, then drive the rig itself through the same episodes, with the full state every 10 ms: to
-points, and the PID along circles too.  All agents go on from the shipped one by the recipe `adapt`, for the same time:
-on the declared and refitted machine with the default randomisation, for nobody knows how far off they are; on the
-corrected with what its file leaves uncertain.  Differences are of pairs of episodes, with 95 % bootstrap intervals.
+Each rig of the independent simulator has one undeclared effect, or three, and parameters 5 to 20 % off.  From its
+recordings `identify` makes three machines: as declared, refitted (before), corrected (after).  From each alone are made
+the model-based PID and two learned controllers of three seeds: PPO that goes on from the shipped agent, and PPO's
+correction on that machine's PID.  Then they drive the rig itself through the same episodes, with the full state every
+10 ms: to points, and the PID along circles too.  Training takes the same recipe, steps and seeds for all machines: on
+the declared and refitted one with the default randomisation, for nobody knows how far off they are; on the corrected
+with what its file leaves uncertain.  Differences are of pairs, the same episode and seed, with 95 % bootstrap intervals
+over the episodes, each the mean of its seeds.
 """
 
 from __future__ import annotations
@@ -47,13 +49,18 @@ RIGS = (
     "cable_spring@x full",
     "constant_force@y full",
     "belt_play@belts full",
+    "eccentric_pulley@motor2 full",
+    "stribeck_friction@x + input_delay@drives + cable_spring@y",
 )
 STAGES = {"declared": "default", "before": "default", "machine": "identified"}  # files of an answer: randomisation
 NAMES = {"declared": "declared", "before": "refitted", "machine": "corrected"}
+LEARNED = {"ppo": "adapt", "residual": "adapt_residual"}  # recipes
 SEED, EPISODES = 2000, 32  # of starts and goals
+AGENTS = (0, 1, 2)  # seeds
 REACH, TRACK = Reach(), Track()
+SETTLED = f"settling_s_{JUDGED}"
 # What decides: less of it, in which success may not be lower.
-DECIDES = {"pid": f"settling_s_{JUDGED}", "pid, circle": "contour_rms_mm", "ppo": f"settling_s_{JUDGED}"}
+DECIDES = {"pid": SETTLED, "pid, circle": "contour_rms_mm", **dict.fromkeys(LEARNED, SETTLED)}
 
 
 def machines(session: Session) -> dict[str, Machine]:
@@ -64,25 +71,26 @@ def machines(session: Session) -> dict[str, Machine]:
     return {stage: load_machine(folder / f"{stage}.json") for stage in STAGES}
 
 
-def trained(machine: Machine, randomize: str, folder: Path, seed: int) -> Agent:
-    """The shipped PPO agent, gone on with on a machine; from the folder where that was done."""
-    steps, card = load_recipe("adapt", "reach").steps, folder / "card.json"
-    if not card.is_file() or json.loads(card.read_text())["curve"][-1]["steps"] < steps:
-        train("adapt", machine, seed=seed, out=folder, randomize=randomize, say=lambda line: None)
+def trained(recipe: str, machine: Machine, randomize: str, folder: Path, seed: int) -> Agent:
+    """A shipped agent, gone on with on a machine; from the folder where that was done by the same recipe."""
+    wanted, card = load_recipe(recipe, "reach"), folder / "card.json"
+    made = json.loads(card.read_text()) if card.is_file() else None
+    settings = {**wanted.as_dict(), "env": {**wanted.env, "randomize": randomize}}
+    if made is None or made["settings"] != settings or made["curve"][-1]["steps"] < wanted.steps:
+        train(recipe, machine, seed=seed, out=folder, randomize=randomize, say=lambda line: None)
     return Agent.load(folder)
 
 
-def runs(session: Session, episodes: int, seed: int) -> Iterator[tuple[str, str, Driven]]:
-    """What drove, the machine it was made from, and how it went."""
-    rig, declared = session.case.rig()[0], session.machine()
+def controllers(session: Session, seeds: tuple[int, ...]) -> Iterator[tuple[str, str, Controller]]:
+    """What drives, by a key of `DECIDES`, the machine that it was made from, and itself; learned ones once a seed."""
     for stage, machine in machines(session).items():
-        # The declared machine is the same for all rigs, and so is its agent.
-        of = KEPT / ("declared" if stage == "declared" else session.folder.name) / f"adapt-{stage}-seed{seed}"
-        for kind, task in (("pid", REACH), ("pid, circle", TRACK), ("ppo", REACH)):
-            controller: Controller = ModelPID(machine, PERIOD_S)
-            if kind == "ppo":
-                controller = trained(machine, STAGES[stage], of, seed)
-            yield kind, NAMES[stage], drive(controller, rig, declared, task, episodes, SEED)
+        # The declared machine is the same for all rigs, and so are its agents.
+        of = KEPT / ("declared" if stage == "declared" else session.folder.name)
+        for kind in ("pid", "pid, circle"):
+            yield kind, NAMES[stage], ModelPID(machine, PERIOD_S)
+        for kind, recipe in LEARNED.items():
+            for seed in seeds:
+                yield kind, NAMES[stage], trained(recipe, machine, STAGES[stage], of / f"{recipe}-{stage}-{seed}", seed)
 
 
 def numbers(run: Driven) -> dict[str, Array]:
@@ -98,11 +106,14 @@ def numbers(run: Driven) -> dict[str, Array]:
     return found
 
 
-def compared(session: Session, episodes: int, seed: int) -> dict[str, Any]:
+def compared(session: Session, episodes: int, seeds: tuple[int, ...]) -> dict[str, Any]:
     """One rig: scores by controller and machine, and what the corrected machine gains over the others."""
-    found: dict[str, dict[str, dict[str, Array]]] = {kind: {} for kind in DECIDES}
-    for kind, name, run in runs(session, episodes, seed):
-        found[kind][name] = numbers(run)
+    rig, declared = session.case.rig()[0], session.machine()
+    found: dict[str, dict[str, list[dict[str, Array]]]] = {kind: {} for kind in DECIDES}
+    for kind, name, controller in controllers(session, seeds):
+        task = TRACK if kind == "pid, circle" else REACH
+        run = numbers(drive(controller, rig, declared, task, episodes, SEED))
+        found[kind].setdefault(name, []).append(run)
     report = json.loads((KEPT / session.folder.name / "report.json").read_text())
     return {
         "hides": " + ".join(p.label for p in session.case.planted),
@@ -111,14 +122,20 @@ def compared(session: Session, episodes: int, seed: int) -> dict[str, Any]:
     }
 
 
-def _with_gains(by: dict[str, dict[str, Array]]) -> dict[str, Any]:
-    """Scores by machine, and the corrected one's less those of each other."""
-    gains = {name: {key: by["corrected"][key] - v for key, v in of.items()} for name, of in by.items()}
+def _with_gains(by: dict[str, list[dict[str, Array]]]) -> dict[str, Any]:
+    """Scores by machine, and the corrected one's less those of each other; of learned controllers the means by seed."""
+    mean = {name: {key: np.mean([run[key] for run in runs], axis=0) for key in runs[0]} for name, runs in by.items()}
+    gains = {name: {key: mean["corrected"][key] - v for key, v in of.items()} for name, of in mean.items()}
     del gains["corrected"]
-    return {
+    found: dict[str, Any] = {
         what: {name: {key: mean_with_interval(v, SEED) for key, v in of.items()} for name, of in rows.items()}
-        for what, rows in (("scores", by), ("gain", gains))
+        for what, rows in (("scores", mean), ("gain", gains))
     }
+    if any(len(runs) > 1 for runs in by.values()):
+        found["by_seed"] = {
+            name: [{key: float(np.mean(v)) for key, v in run.items()} for run in runs] for name, runs in by.items()
+        }
+    return found
 
 
 def better(row: dict[str, Any], kind: str, over: str) -> bool:
@@ -131,11 +148,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rigs", nargs="+", default=list(RIGS), metavar="NAME")
     parser.add_argument("--episodes", type=int, default=EPISODES)
-    parser.add_argument("--seed", type=int, default=0, help="of the agents")
+    parser.add_argument("--seeds", type=int, nargs="+", default=list(AGENTS), help="of the agents")
     given = parser.parse_args()
     rows: dict[str, Any] = {}
     for name in given.rigs:
-        rows[name] = row = compared(record(cases()[name], Path(DEFAULT_FOLDER)), given.episodes, given.seed)
+        session = record(cases()[name], Path(DEFAULT_FOLDER))
+        rows[name] = row = compared(session, given.episodes, tuple(given.seeds))
         print(f"{name}: found {', '.join(row['found']) or 'nothing'}", flush=True)
         for kind, key in DECIDES.items():
             shown = []
@@ -144,14 +162,16 @@ def main() -> None:
                 shown.append(
                     f"{machine} {scores[key]['mean']:.4f}" + (f" ({100 * success['mean']:.0f} %)" if success else "")
                 )
-            print(f"  {kind:12s} {key:17s} {', '.join(shown)}", flush=True)
+            low, high = row[kind]["gain"]["declared"][key]["ci95"]
+            print(f"  {kind:12s} {key:17s} {', '.join(shown)}; over declared {low:.4f} to {high:.4f}", flush=True)
         wins = {
             f"{kind} over {over}": [n for n, r in rows.items() if better(r, kind, over)]
             for kind in DECIDES
             for over in ("declared", "refitted")
         }
         # After each: what is stopped leaves what it had.
-        write_results("closed_loop", {"episodes": given.episodes, "better": wins, "rigs": rows}, seed=SEED)
+        content = {"episodes": given.episodes, "seeds": given.seeds, "better": wins, "rigs": rows}
+        write_results("closed_loop", content, seed=SEED)
     print(json.dumps(wins, indent=1))
     draw(rows)
 

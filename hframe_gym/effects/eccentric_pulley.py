@@ -1,6 +1,7 @@
 """A pulley that runs out of true: belt travel r phi + e sin(phi + p), torque arm r + e cos(phi + p).
 
-The stretch is counted from where a run starts: at rest the belts are slack of any difference that friction lets go.
+A run starts with belts that no eccentricity stretches, so there the pulley stands where its belt travel is that of a
+round one: behind by e sin(phi + p) / r.
 """
 
 from ..machine.effect import Effect, EffectParameter
@@ -11,12 +12,14 @@ def evolve(z, dq):  # type: ignore[no-untyped-def]
     return z + dq
 
 
-def travel(q, z, e, p):  # type: ignore[no-untyped-def]
-    return e * (sin(q + p) - sin(q - z + p))
+def travel(q, z, e, p, per_radius):  # type: ignore[no-untyped-def]
+    start = q - z + p
+    behind = e * sin(start) * per_radius
+    return e * (sin(q + p - behind) - sin(start - behind))
 
 
-def arm(q, e, p):  # type: ignore[no-untyped-def]
-    return e * cos(q + p)
+def arm(q, z, e, p, per_radius):  # type: ignore[no-untyped-def]
+    return e * cos(q + p - e * sin(q - z + p) * per_radius)
 
 
 EFFECT = Effect(

@@ -181,8 +181,9 @@ def _by_pulley(machine: Machine, e: AppliedEffect, name: str, motion: Along, for
     i = machine.coordinate_names.index(name)
     q = motion.positions[:, i]
     gone = q - q[0]
-    travel, arm = e("travel", q=q, z=gone), e("arm", q=q, z=gone)
     radius = machine.radii[i]
+    turned = {"q": q, "z": gone, "per_radius": 1.0 / radius}
+    travel, arm = e("travel", **turned), e("arm", **turned)
     for b in _stretches(machine, motion):
         share = b.row[i] / radius
         force -= (b.k * share * travel)[:, :, None] * b.row

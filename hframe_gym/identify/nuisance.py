@@ -45,8 +45,10 @@ def held_stretch(machine: Machine) -> dict[str, float]:
     }
 
 
-def projection(machine: Machine, run: Run, data: Data, mode: Mode, longest_step: float) -> Projection | None:
-    """The projection of a run in free run; None where the start is forgotten or known."""
+def projection(
+    machine: Machine, run: Run, data: Data, mode: Mode, longest_step: float, rows: int = 1
+) -> Projection | None:
+    """The projection of a run in free run; None where the start is forgotten or known.  rows: as of the residuals."""
     stretch = held_stretch(machine) if mode == "free" else {}
     if not stretch:
         return None
@@ -55,7 +57,7 @@ def projection(machine: Machine, run: Run, data: Data, mode: Mode, longest_step:
     for k, (name, size) in enumerate(stretch.items(), start=1):
         starts[k, machine.coordinate_names.index(name)] += size
     motion = predict(machine, run, mode, period=data.period, start=starts, longest_step=longest_step)
-    left = residuals(run, data, motion.readings)
+    left = residuals(run, data, motion.readings, rows)
     columns = (left[1:] - left[0]).T
     if not np.all(np.isfinite(columns)):
         return None

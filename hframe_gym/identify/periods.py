@@ -30,9 +30,13 @@ def rates(residual: Array, *, friction: bool) -> Array:
     known = np.stack([np.ones_like(position), velocity, np.sign(velocity)], axis=1)
     basis, _ = np.linalg.qr(known)
     force = force - basis @ (basis.T @ force)
-    grid = 2 * np.pi / span * np.arange(_FEWEST, _MOST, 1.0 / _FINENESS)
+    count = int((_MOST - _FEWEST) * _FINENESS)
+    first, step = 2 * np.pi / span * np.array([_FEWEST, 1.0 / _FINENESS])
+    grid = first + step * np.arange(count)
     sign = np.sign(velocity) if friction else np.ones_like(velocity)
-    power = np.concatenate([_powers(n, position, sign, force, basis) for n in np.array_split(grid, _PARTS)])
+    power = np.concatenate(
+        [_powers(len(n), position, n[0], step, sign, force, basis) for n in np.array_split(grid, _PARTS)]
+    )
     found: list[float] = []
     for k in np.argsort(-power):
         if all(abs(grid[k] - other) > 1.5 * np.pi / span for other in found):
@@ -42,14 +46,21 @@ def rates(residual: Array, *, friction: bool) -> Array:
     return np.array(found)
 
 
-def _powers(rates: Array, position: Array, sign: Array, force: Array, basis: Array) -> Array:
-    """What a sine and a cosine at each rate explain of the force, both beyond the basis (n, k)."""
-    angle = np.outer(rates, position)
-    waves = np.stack([np.cos(angle) * sign, np.sin(angle) * sign])
-    waves -= (waves @ basis) @ basis.T
-    onto = waves @ force
-    cc, ss = np.einsum("krn,krn->kr", waves, waves)
-    cs = np.einsum("rn,rn->r", *waves)
+def _powers(count: int, position: Array, first: float, step: float, sign: Array, force: Array, basis: Array) -> Array:
+    """What a sine and a cosine at each rate first + k step explain of the force, both beyond the basis (count,).
+
+    The waves of a rate are those of the rate before, turned by the step; their squares are waves of twice the rate.
+    """
+    turns = np.empty((count, len(position)), np.complex128)
+    turns[0] = np.exp(1j * first * position)
+    turns[1:] = np.exp(1j * step * position)
+    waves = np.multiply.accumulate(turns, axis=0)
+    onto = waves @ (sign * force)
+    beside = waves @ (sign[:, None] * basis)
+    twice = np.einsum("kn,kn->k", waves, waves)
+    cc = 0.5 * (len(position) + twice.real) - np.sum(beside.real**2, axis=1)
+    ss = 0.5 * (len(position) - twice.real) - np.sum(beside.imag**2, axis=1)
+    cs = 0.5 * twice.imag - np.sum(beside.real * beside.imag, axis=1)
     determinant = np.maximum(cc * ss - cs**2, 1e-9 * cc * ss + 1e-300)
-    explained: Array = (ss * onto[0] ** 2 + cc * onto[1] ** 2 - 2 * cs * onto[0] * onto[1]) / determinant
+    explained: Array = (ss * onto.real**2 + cc * onto.imag**2 - 2 * cs * onto.real * onto.imag) / determinant
     return explained

@@ -131,8 +131,14 @@ def _explain(base: Fit, before: Fit, data: Data, say: Say) -> tuple[Verdict, Fit
             polished, found = trace(polished, found, data, say, LEAST_GAIN)
         return without_idle(polished, found, data, say, longest_step=POLISH_STEP)
 
+    def explained(traced: Fit) -> bool:
+        """Whether a free run shows that nothing more than noise is left: innovations keep traces of the starts."""
+        if before.mode != "free" or traced.chi2 > _NEAR:
+            return False
+        return fit(traced.machine, traced.free, data, "free", theta=traced.theta, iterations=6).chi2 < _EXPLAINED
+
     smallest = LEAST_INNOVATION if before.mode == "free" else _LEAST_UNJUDGED * base.chi2
-    traced, named = trace(base, (), data, say, max(smallest, LEAST_INNOVATION))
+    traced, named = trace(base, (), data, say, max(smallest, LEAST_INNOVATION), explained)
     after, found = settled(traced, named)
     if _explains(after, before):
         return ("effect_found", after, found) if found else ("no_effect", before, ())

@@ -23,6 +23,7 @@ Mode = Literal["innovations", "free"]
 _ENCODER_RATE = 60.0
 _LASER_RATE = 25.0
 SEARCH_STEP = 0.5e-3  # s
+_COARSE = 4e-3  # s; what an effect does to the readings is slower
 POLISH_STEP = 0.125e-3  # s; an input that changes inside a step costs a micrometre at twice that
 
 
@@ -60,15 +61,20 @@ def predict(
     what the sensors show beyond the machine's readings.
     """
     observed = mode == "innovations"
+    own = start_of_run(machine, run)
     measured = None
     if observed:
-        measured = run.outputs if extra_reading is None else run.outputs - extra_reading
+        known = len(run.start) // 2
+        # An encoder counts from where the pulley stands.
+        measured = run.outputs + machine.sensor_matrix[:, :known] @ (own[:known] - run.start[:known])
+        if extra_reading is not None:
+            measured = measured - extra_reading
     motion = respond(
         machine,
         run.time_s,
         run.inputs,
         parameters=parameters,
-        start=start_of_run(machine, run) if start is None else start,
+        start=own if start is None else start,
         extra_force=extra_force,
         measured=measured,
         gains=injection(machine, period) if observed else None,
@@ -80,36 +86,56 @@ def predict(
 
 
 def start_of_run(machine: Machine, run: Run) -> Array:
-    """The run's resting state; coordinates that an effect has added behind the run's follow from unstretched belts."""
+    """The run's resting state.
+
+    Coordinates that an effect has added behind the run's follow from unstretched belts, and so does a pulley that runs
+    out of true: there its encoder tells of the pulley and not of a stretch.
+    """
     known, count = len(run.start) // 2, len(machine.coordinates)
-    if known == count:
+    untrue = [machine.site_coordinate(e.site) for e in machine.effects if e.definition.travel]
+    if known == count and not untrue:
         return run.start
     linear = [run.start[i] for i, c in enumerate(machine.coordinates[:known]) if c.kind == "linear"]
     start = rest_state(machine, linear)
-    start[:known] = run.start[:known]
+    kept = [i for i, c in enumerate(machine.coordinates[:known]) if c.name not in untrue]
+    start[kept] = run.start[kept]
     return start
 
 
-def residuals(run: Run, data: Data, readings: Array) -> Array:
+def coarse(data: Data) -> int:
+    """How many rows may be averaged where only the answer to mechanical effects counts."""
+    return max(1, round(_COARSE / data.period))
+
+
+def residuals(run: Run, data: Data, readings: Array, rows: int = 1) -> Array:
     """Measured minus predicted readings (B, n, sensors) in units of the noise, (B, n * sensors); zero where unmeasured.
 
-    Each channel's zero is where its resting rows put it, given where the machine comes to rest (see `zeroed`).
+    rows: how many are averaged, and scaled so that white noise keeps its size; what changes more slowly keeps its
+    products, and there is that much less to multiply.  Each channel's zero is where its resting rows put it, given
+    where the machine comes to rest (see `zeros`).
     """
     measured = np.isfinite(run.outputs)
-    left = zeroed(run, data, np.where(measured, run.outputs - readings, 0.0), measured)
-    return (left * measured / data.noise).reshape(len(left), -1)
+    left = run.outputs - readings if measured.all() else np.where(measured, run.outputs - readings, 0.0)
+    left -= zeros(run, data, left, measured)
+    left *= measured / data.noise
+    if rows > 1:
+        blocks = left.shape[1] // rows
+        left = left[:, : blocks * rows].reshape(len(left), blocks, rows, -1).sum(axis=2) / np.sqrt(rows)
+    return left.reshape(len(left), -1)
 
 
-def zeroed(run: Run, data: Data, error: Array, measured: NDArray[np.bool_]) -> Array:
-    """Errors (B, n, sensors), zero where not measured, less what the sensors' zeros explain.
+def zeros(run: Run, data: Data, error: Array, measured: NDArray[np.bool_]) -> Array:
+    """What the sensors' zeros explain (B, 1, sensors) of errors (B, n, sensors), zero where not measured.
 
-    The mean over the settled resting rows is taken off: a sensor counts from wherever it was switched on.  Those rows
+    The mean over the settled resting rows: a sensor counts from wherever it was switched on.  Those rows
     place a quantised channel only to within its quantum, so of the mean then left over the whole run up to half a
     quantum is taken off too; not more, for under output injection a constant force shows as just such a mean.  An
     encoder behind belts loses its mean whole: stiction holds a stretch of the belts at rest that nothing tells.
     """
     rest = settled(run.rest)
-    error = error - (error[:, rest].sum(axis=1) / np.maximum(measured[rest].sum(axis=0), 1))[:, None, :]
-    mean = (error * measured).sum(axis=1) / np.maximum(measured.sum(axis=0), 1)
+    counts = np.maximum(measured.sum(axis=0), 1)
+    at_rest = error[:, rest].sum(axis=1) / np.maximum(measured[rest].sum(axis=0), 1)
+    mean = error.sum(axis=1) / counts - at_rest * (measured.sum(axis=0) / counts)
     most = np.where(data.behind_belts, np.inf, data.quantum / 2)
-    return error - np.clip(mean, -most, most)[:, None, :]
+    found: Array = (at_rest + np.clip(mean, -most, most))[:, None, :]
+    return found

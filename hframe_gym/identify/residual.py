@@ -12,7 +12,7 @@ from ..machine import Machine
 from .addition import Along, addition
 from .data import Data, Run
 from .fit import over_runs
-from .prediction import POLISH_STEP, injection, predict, zeroed
+from .prediction import POLISH_STEP, injection, predict, zeros
 
 Array = NDArray[np.float64]
 
@@ -39,12 +39,12 @@ class Dependence(NamedTuple):
 def free_run_error(machine: Machine, run: Run, data: Data) -> Array:
     """Measured minus predicted (n, sensors) of a free run from the resting rows, own units; NaN where not measured.
 
-    What the sensors' zeros explain is taken off, from every machine alike (see `prediction.zeroed`).
+    What the sensors' zeros explain is taken off, from every machine alike (see `prediction.zeros`).
     """
     motion = predict(machine, run, "free", period=data.period, longest_step=POLISH_STEP)
-    error = run.outputs - motion.readings
     measured = np.isfinite(run.outputs)
-    return np.where(measured, zeroed(run, data, np.where(measured, error, 0.0), measured)[0], np.nan)
+    error = np.where(measured, run.outputs - motion.readings, 0.0)
+    return np.where(measured, (error - zeros(run, data, error, measured))[0], np.nan)
 
 
 def channel_errors(machine: Machine, data: Data) -> dict[str, ChannelError]:

@@ -21,7 +21,7 @@ from .candidates import Candidate
 from .data import Data, Run
 from .fit import Fit, over_runs, parameter_table
 from .nuisance import projection
-from .prediction import SEARCH_STEP, predict, residuals
+from .prediction import SEARCH_STEP, coarse, predict, residuals
 
 Array = NDArray[np.float64]
 _STEP = 1e-4
@@ -61,13 +61,18 @@ def screen(fit: Fit, candidates: Sequence[Candidate], data: Data) -> list[Screen
     table = parameter_table(fit.machine, fit.free, thetas)
     period = data.period
 
+    rows = coarse(data)
+
+    def missed(run: Run, readings: Array) -> Array:
+        return residuals(run, data, readings, rows)
+
     def products(run: Run) -> Array:
         motion = predict(fit.machine, run, fit.mode, period=period, parameters=table, states=True)
-        base = residuals(run, data, motion.readings)
+        base = missed(run, motion.readings)
         jacobian = (base[1:] - base[0]) / _STEP
         added = additions(fit.machine, candidates, Along(run.time_s, run.inputs, *(part[0] for part in motion)))
         still = np.zeros_like(added.force[:1])
-        quiet = residuals(run, data, predict(fit.machine, run, fit.mode, period=period, extra_force=still).readings)
+        quiet = missed(run, predict(fit.machine, run, fit.mode, period=period, extra_force=still).readings)
         columns = []
         for first in range(0, len(added.force), _AT_ONCE):
             part = slice(first, first + _AT_ONCE)
@@ -79,9 +84,9 @@ def screen(fit: Fit, candidates: Sequence[Candidate], data: Data) -> list[Screen
                 extra_force=_STEP * added.force[part],
                 extra_reading=None if added.reading is None else _STEP * added.reading[part],
             )
-            columns.append((residuals(run, data, moved.readings) - quiet) / _STEP)
+            columns.append((missed(run, moved.readings) - quiet) / _STEP)
         stacked = np.vstack([jacobian, *columns, base[:1]])
-        project = projection(fit.machine, run, data, fit.mode, SEARCH_STEP)
+        project = projection(fit.machine, run, data, fit.mode, SEARCH_STEP, rows)
         stacked = stacked if project is None else project(stacked)
         return stacked @ stacked.T
 

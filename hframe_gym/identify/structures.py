@@ -19,7 +19,7 @@ from ..machine.simulate import parameter_batch
 from .data import Data, Run
 from .fit import Fit, over_runs, parameter_table
 from .nuisance import projection
-from .prediction import SEARCH_STEP, predict, residuals
+from .prediction import SEARCH_STEP, coarse, predict, residuals
 from .references import References
 
 Array = NDArray[np.float64]
@@ -66,13 +66,15 @@ def _savings(machines: list[Machine], current: Fit, data: Data) -> Array:
         np.concatenate(list(map(parameter_batch, machines))),
     )
 
+    rows = coarse(data)
+
     def products(run: Run) -> Array:
         base, moved = (
-            residuals(run, data, predict(m, run, current.mode, period=data.period, parameters=table).readings)
+            residuals(run, data, predict(m, run, current.mode, period=data.period, parameters=table).readings, rows)
             for m, table in ((current.machine, now), (machines[0], then))
         )
         stacked = np.vstack([(base[1:] - base[0]) / _STEP, moved - base[0], base[:1]])
-        project = projection(current.machine, run, data, current.mode, SEARCH_STEP)
+        project = projection(current.machine, run, data, current.mode, SEARCH_STEP, rows)
         stacked = stacked if project is None else project(stacked)
         return stacked @ stacked.T
 

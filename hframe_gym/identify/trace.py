@@ -31,6 +31,8 @@ from .uncertainty import with_uncertainty
 # (benchmarks/identification.py); by innovations, whose memory can pretend more.
 LEAST_GAIN = 0.003
 LEAST_INNOVATION = 0.01
+# ... in few samples chance has a larger share: so much (chi2 of all) is nothing, however short the recordings.
+LEAST_COST = 200.0
 # ... and where the model misses by far more than the noise, by share of what is missed.
 LEAST_SHARE = 0.02
 # Candidates that save at least this share of what the best one saves are not told apart from it.
@@ -80,13 +82,18 @@ class Found:
 
 
 def trace(
-    current: Fit, found: tuple[Found, ...], data: Data, say: Say, smallest: float
+    current: Fit,
+    found: tuple[Found, ...],
+    data: Data,
+    say: Say,
+    smallest: float,
+    done: Callable[[Fit], bool] = lambda fit: fit.chi2 < NOTHING_LEFT,
 ) -> tuple[Fit, tuple[Found, ...]]:
     """The machine with the effects that the data demand beyond those found, in the mode of `current`.
 
-    smallest: the gain (chi2 a sample) below which an effect is nothing.
+    smallest: the gain (chi2 a sample) below which an effect is nothing.  done: whether a fit leaves nothing to find.
     """
-    while len(found) < MOST_EFFECTS and current.chi2 > NOTHING_LEFT:
+    while len(found) < MOST_EFFECTS and not done(current):
         enough = least(current, smallest)
         scale = typical(current, data)
         everything = candidates(current.machine, data, scale, missing_force(current.machine, data))
@@ -140,7 +147,8 @@ def _rivals(trials: list[Fit], current: Fit, data: Data) -> tuple[AppliedEffect,
 def least(current: Fit, smallest: float) -> float:
     """The gain (chi2 a sample) below which an effect is nothing."""
     missed = current.chi2 - 1.0
-    return max(smallest, (LEAST_SHARE if missed < _MUCH else _LEAST_OF_MUCH) * missed)
+    share = LEAST_SHARE if missed < _MUCH else _LEAST_OF_MUCH
+    return max(smallest, LEAST_COST / current.count, share * missed)
 
 
 def without_idle(
@@ -159,7 +167,9 @@ def without_idle(
         idle = (shorter.cost - current.cost) / data.count < least(current, LEAST_GAIN)
         if idle or _doubtful(current, f.effect, data):
             say(f"  {f.effect.label} is {'idle' if idle else 'in doubt'}")
-            current, found = shorter, tuple(other for other in found if other is not f)
+            # What was worth its place beside it need not be so alone.
+            others = tuple(other for other in found if other is not f)
+            return without_idle(shorter, others, data, say, longest_step=longest_step)
     return current, tuple(f.with_values(current.machine) for f in found)
 
 

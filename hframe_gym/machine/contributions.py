@@ -238,7 +238,7 @@ class Contributions:
 
     def _turned(self, k: int, e: AppliedEffect, coordinate: str, point: Point) -> dict[str, str]:
         z = self.evolved(k, e, point) if e.definition.evolve else ""
-        return self.motion(coordinate, point) | {"z": z}
+        return self.motion(coordinate, point) | {"z": z, "per_radius": f"{identifier(coordinate)}_per_radius"}
 
     def evolved(self, k: int, e: AppliedEffect, point: Point) -> str:
         """An effect's own state half a step on."""

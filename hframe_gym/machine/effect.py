@@ -15,7 +15,7 @@ their arguments, beside the effect's own parameters, and that the kernel inlines
     current       current of the drive, A                                  i, z
     tension       a belt's tension, N                                      s, rate, k
     growth        its energy's slope with stiffness, m^2 (else s^2/2)      s, k
-    travel, arm   belt travel added by a pulley, m, and its slope, m/rad   q, z
+    travel, arm   belt travel added by a pulley, m, and its slope, m/rad   q, z, per_radius
     reading       what a sensor shows, in its unit                         r, across
     lag           time by which a sensor is late, s
     evolve        the effect's own state after dt                          z, dq, dt, v, level, i
@@ -23,7 +23,7 @@ their arguments, beside the effect's own parameters, and that the kernel inlines
 q, v: the coordinate's position and speed (own units); t: the rig's clock, s; u: the variable that `against` names;
 z: the effect's own state, zero at the start of a run; level: the Coulomb level there; i: the current that Ohm's law
 gives, A; s, rate, k: a belt's extension (m), its rate (m/s) and stiffness (N/m); r: the sensor's ideal reading; across:
-position of the other linear coordinate; dq: the way gone in dt.
+position of the other linear coordinate; dq: the way gone in dt; per_radius: 1/m, of the pulley.
 
 `structure` changes the machine's tables instead: it adds coordinates, belts and sensor rows whose numbers are tied to
 the effect's parameters.

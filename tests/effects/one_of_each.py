@@ -50,10 +50,6 @@ def history(seed: int, seconds: float = 0.45, hold_s: float = 0.01) -> tuple[np.
     return time_s, inputs
 
 
-# Phase at which an eccentric second pulley begins where a round one would: encoders count from there.
-_LEVEL = (START[1] - START[0]) / Rig().pulley_radius_m
-
-
 def _x(value: float) -> tuple[float, ...]:
     return (value, 0.0, 0.0, 0.0)
 
@@ -95,8 +91,8 @@ _EVERY = (
     Case(
         "eccentric_pulley",
         "motor2",
-        {"e": 0.2e-3, "p": _LEVEL},
-        {"eccentricity_m": (0.0, 0.2e-3), "eccentricity_phase": (0.0, _LEVEL)},
+        {"e": 0.2e-3, "p": 0.7},
+        {"eccentricity_m": (0.0, 0.2e-3), "eccentricity_phase": (0.0, 0.7)},
     ),
     Case("voltage_offset", "motor1", {"V0": 0.15}, {"voltage_offset_V": (0.15, 0.0)}),
     Case("gain_mismatch", "motor2", {"g": -0.1}, {"drive_gain": (1.0, 0.9)}),
