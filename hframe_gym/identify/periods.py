@@ -9,7 +9,8 @@ Array = NDArray[np.float64]
 
 _FEWEST, _MOST = 0.5, 150.0  # periods over the way gone
 _FINENESS = 4  # grid points a resolvable period
-_TRIED = 4
+_BANDS = (3.0, 12.0, 40.0)  # periods over the way gone
+_TRIED = 6
 _ROWS = 3000
 _PARTS = 8
 
@@ -37,8 +38,11 @@ def rates(residual: Array, *, friction: bool) -> Array:
     power = np.concatenate(
         [_powers(len(n), position, n[0], step, sign, force, basis) for n in np.array_split(grid, _PARTS)]
     )
+    # The best of each band, for the observer's noise grows with the rate; then the best of all.
+    band = np.searchsorted(_BANDS, grid * span / (2 * np.pi))
+    firsts = [np.flatnonzero(band == k)[np.argmax(power[band == k])] for k in np.unique(band)]
     found: list[float] = []
-    for k in np.argsort(-power):
+    for k in (*sorted(firsts, key=lambda k: -power[k]), *np.argsort(-power)):
         if all(abs(grid[k] - other) > 1.5 * np.pi / span for other in found):
             found.append(float(grid[k]))
         if len(found) == _TRIED:

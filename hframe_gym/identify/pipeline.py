@@ -16,7 +16,7 @@ from .fit import Fit, fit, own_parameters
 from .prediction import POLISH_STEP, Mode
 from .residual import channel_errors, depends_on, force_error, is_white
 from .stuck import range_effects, stuck_ranges, without_stuck
-from .trace import LEAST_GAIN, LEAST_INNOVATION, Found, add_tables, trace, without_idle
+from .trace import LEAST_GAIN, LEAST_INNOVATION, Found, add_tables, least, trace, without_idle
 from .uncertainty import with_uncertainty
 
 # A free run this far off, over the signal's own size, has drifted: then innovations judge, and the force error.
@@ -123,23 +123,33 @@ def _polish(fitted: Fit, data: Data, mode: Mode | None = None) -> Fit:
 
 def _explain(base: Fit, before: Fit, data: Data, say: Say) -> tuple[Verdict, Fit, tuple[Found, ...]]:
     """Named effects if they explain the residual; else a table, alone or beside them; else nothing."""
+    free = before.mode == "free"
+    near = free and before.chi2 < _NEAR
+    polished: dict[tuple[str, ...], Fit] = {(): before}
 
     def settled(traced: Fit, found: tuple[Found, ...]) -> tuple[Fit, tuple[Found, ...]]:
         """Polished, completed where a free run shows what innovations cannot, and rid of what is idle."""
-        polished = _polish(traced, data, before.mode) if found else before
-        if before.mode == "free" and polished.chi2 < _NEAR:
-            polished, found = trace(polished, found, data, say, LEAST_GAIN)
-        return without_idle(polished, found, data, say, longest_step=POLISH_STEP)
+        now = polished.get(_labels(traced)) or _polish(traced, data, before.mode)
+        if free and now.chi2 < _NEAR:
+            now, found = trace(now, found, data, say, LEAST_GAIN)
+        return without_idle(now, found, data, say, longest_step=POLISH_STEP)
 
-    def explained(traced: Fit) -> bool:
-        """Whether a free run shows that nothing more than noise is left: innovations keep traces of the starts."""
-        if before.mode != "free" or traced.chi2 > _NEAR:
+    def done(traced: Fit) -> bool:
+        """Whether a free run is explained, or shows that the last effect is none: innovations keep other traces."""
+        if not free or traced.chi2 > _NEAR:
             return False
-        return fit(traced.machine, traced.free, data, "free", theta=traced.theta, iterations=6).chi2 < _EXPLAINED
+        last = polished.get(_labels(traced)[:-1])
+        now = polished[_labels(traced)] = _polish(traced, data, before.mode)
+        idle = near and last is not None and (last.cost - now.cost) / data.count < least(now, LEAST_GAIN)
+        return now.chi2 < _EXPLAINED or idle
 
-    smallest = LEAST_INNOVATION if before.mode == "free" else _LEAST_UNJUDGED * base.chi2
-    traced, named = trace(base, (), data, say, max(smallest, LEAST_INNOVATION), explained)
+    smallest = LEAST_INNOVATION if free else max(LEAST_INNOVATION, _LEAST_UNJUDGED * base.chi2)
+    traced, named = trace(base, (), data, say, smallest, done)
     after, found = settled(traced, named)
+    if near and named and not _explains(after, before):
+        again, others = settled(before, ())
+        if again.cost < after.cost:
+            after, found = again, others
     if _explains(after, before):
         return ("effect_found", after, found) if found else ("no_effect", before, ())
     say("searching for what has no name here")
@@ -152,6 +162,10 @@ def _explain(base: Fit, before: Fit, data: Data, say: Say) -> tuple[Verdict, Fit
     if found and after.cost < _MOSTLY * before.cost:
         return "effect_found", after, found
     return "unexplained", before, ()
+
+
+def _labels(fitted: Fit) -> tuple[str, ...]:
+    return tuple(e.label for e in fitted.machine.effects)
 
 
 def _explains(after: Fit, before: Fit) -> bool:

@@ -23,6 +23,7 @@ Mode = Literal["innovations", "free"]
 _ENCODER_RATE = 60.0
 _LASER_RATE = 25.0
 SEARCH_STEP = 0.5e-3  # s
+_INVERSIONS = 4  # of a reading that is nearly the position: each leaves a hundredth
 _COARSE = 4e-3  # s; what an effect does to the readings is slower
 POLISH_STEP = 0.125e-3  # s; an input that changes inside a step costs a micrometre at twice that
 
@@ -65,8 +66,10 @@ def predict(
     measured = None
     if observed:
         known = len(run.start) // 2
-        # An encoder counts from where the pulley stands.
-        measured = run.outputs + machine.sensor_matrix[:, :known] @ (own[:known] - run.start[:known])
+        encoders = [machine.coordinate(sensor.coordinate).kind == "rotary" for sensor in machine.sensors]
+        # Encoders count from where the run starts, wherever that is.
+        away = np.where(encoders, machine.sensor_matrix[:, :known] @ (own[:known] - run.start[:known]), 0.0)
+        measured = run.outputs + away
         if extra_reading is not None:
             measured = measured - extra_reading
     motion = respond(
@@ -88,18 +91,35 @@ def predict(
 def start_of_run(machine: Machine, run: Run) -> Array:
     """The run's resting state.
 
-    Coordinates that an effect has added behind the run's follow from unstretched belts, and so does a pulley that runs
-    out of true: there its encoder tells of the pulley and not of a stretch.
+    Where an effect changes what sensors tell of the place, or where a pulley that runs out of true stands, the place is
+    what the sensors mean by it and belts are unstretched: what encoders told of a stretch was that effect.
     """
     known, count = len(run.start) // 2, len(machine.coordinates)
     untrue = [machine.site_coordinate(e.site) for e in machine.effects if e.definition.travel]
-    if known == count and not untrue:
+    meant = _meant(machine, run)
+    if known == count and not untrue and np.array_equal(meant, run.start[:known]):
         return run.start
-    linear = [run.start[i] for i, c in enumerate(machine.coordinates[:known]) if c.kind == "linear"]
-    start = rest_state(machine, linear)
-    kept = [i for i, c in enumerate(machine.coordinates[:known]) if c.name not in untrue]
-    start[kept] = run.start[kept]
+    linear = [c.kind == "linear" for c in machine.coordinates[:known]]
+    start = rest_state(machine, meant[linear])
+    if np.array_equal(meant, run.start[:known]):
+        kept = [i for i, c in enumerate(machine.coordinates[:known]) if c.name not in untrue]
+        start[kept] = meant[kept]
     return start
+
+
+def _meant(machine: Machine, run: Run) -> Array:
+    """Positions (coordinates,) of a run's start with those of its lasers put where their readings come from."""
+    at = run.start[: len(run.start) // 2].copy()
+    names = machine.coordinate_names
+    for e in machine.effects:
+        if not e.definition.reading or machine.coordinate(machine.site_coordinate(e.site) or "").kind != "linear":
+            continue
+        sensor = machine.sensors[machine.output_channels.index(e.site)]
+        own, other = names.index(sensor.coordinate), machine.across(sensor.coordinate)
+        shown, across = at[own], at[names.index(other)] if other else 0.0
+        for _ in range(_INVERSIONS):
+            at[own] -= float(e("reading", r=at[own], across=across)) - shown
+    return at
 
 
 def coarse(data: Data) -> int:

@@ -24,6 +24,7 @@ from .references import References
 
 Array = NDArray[np.float64]
 _STEP = 1e-4
+_FITTED = 3
 
 
 def replaces(effect: Effect) -> bool:
@@ -38,10 +39,14 @@ def starts(effect: Effect, own: Mapping[str, float]) -> list[dict[str, float]]:
 
 
 def structural(current: Fit, data: Data, scale: References, least: float) -> list[Machine]:
-    """The current machine with each such effect that could save `least` (chi2 a sample), at its best start."""
+    """The current machine with each such effect that could save more than `least` (chi2 a sample), at its best start.
+
+    The few best: to first order they promise less than they keep, so none is worth a fit only because it is a little
+    better than another.
+    """
     machine = current.machine
     present = {e.label for e in machine.effects}
-    found = []
+    found: list[tuple[float, Machine]] = []
     for effect in filter(replaces, LIBRARY.values()):
         for site in sites(effect, machine):
             if f"{effect.name}@{site}" in present:
@@ -50,8 +55,9 @@ def structural(current: Fit, data: Data, scale: References, least: float) -> lis
             machines = [machine.with_effects(effect.at(site, **values)) for values in starts(effect, own)]
             saved = _savings(machines, current, data)
             if saved.max() > least * data.count:
-                found.append(machines[int(np.argmax(saved))])
-    return found
+                found.append((float(saved.max()), machines[int(np.argmax(saved))]))
+    found.sort(key=lambda f: -f[0])
+    return [machine for _, machine in found[:_FITTED]]
 
 
 def _savings(machines: list[Machine], current: Fit, data: Data) -> Array:

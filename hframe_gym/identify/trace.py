@@ -87,22 +87,23 @@ def trace(
     data: Data,
     say: Say,
     smallest: float,
-    done: Callable[[Fit], bool] = lambda fit: fit.chi2 < NOTHING_LEFT,
+    done: Callable[[Fit], bool] = lambda fit: False,
 ) -> tuple[Fit, tuple[Found, ...]]:
     """The machine with the effects that the data demand beyond those found, in the mode of `current`.
 
-    smallest: the gain (chi2 a sample) below which an effect is nothing.  done: whether a fit leaves nothing to find.
+    smallest: the gain (chi2 a sample) below which an effect is nothing.  done: whether a fit with one more effect ends
+    the search.
     """
-    while len(found) < MOST_EFFECTS and not done(current):
+    while len(found) < MOST_EFFECTS and current.chi2 > NOTHING_LEFT:
         enough = least(current, smallest)
         scale = typical(current, data)
         everything = candidates(current.machine, data, scale, missing_force(current.machine, data))
         promising = _best(screen(current, everything, data), enough * data.count)
         trials = [_add(current, s, scale, data) for s in promising]
         if not any(_explains(trial, current) for trial in trials):
-            trials += [
-                _restructured(current, machine, scale, data) for machine in structural(current, data, scale, enough)
-            ]
+            worth = max((current.cost - t.cost for t in trials), default=0.0) >= enough * data.count
+            machines = structural(current, data, scale, enough if worth else 0.0)
+            trials += [_restructured(current, machine, scale, data) for machine in machines]
         if not trials:
             break
         trials.sort(key=lambda t: t.cost)
@@ -116,6 +117,8 @@ def trace(
         names = (*(e.label for e in close), *effect.definition.equivalent)
         found = (*found, Found(effect, names, saved, current.machine, close))
         current = best
+        if done(current):
+            break
     return current, tuple(f.with_values(current.machine) for f in found)
 
 
