@@ -16,11 +16,9 @@ from .actuation import Actuation
 class ActuatedVecEnv(VecEnvWrapper):
     """An `HFrameVecEnv` whose observations hold what the actuation adds and whose actions are a policy's output."""
 
-    def __init__(self, environment: HFrameVecEnv, actuation: Actuation, contour: float = 0.0) -> None:
+    def __init__(self, environment: HFrameVecEnv, actuation: Actuation) -> None:
         super().__init__(environment, observation_space=actuation.space(environment.observation_space))
-        self.environment = environment
         self.actuation = actuation
-        self.contour = contour
 
     def reset(self) -> dict[str, NDArray[Any]]:
         """Begin episodes everywhere."""
@@ -40,11 +38,6 @@ class ActuatedVecEnv(VecEnvWrapper):
         the stage rests.
         """
         observation, reward, done, infos = self.venv.step_wait()
-        off = self.environment.contour_m
-        if off is not None and self.contour > 0.0:
-            import os
-            c = np.minimum(off / 1e-4, 10.0)
-            reward = reward - self.contour * (c**2 if os.environ.get("QUAD") else c)
         last = self.actuation.remembered()
         for b in np.flatnonzero(done).tolist():
             infos[b]["terminal_observation"].update({key: values[b] for key, values in last.items()})

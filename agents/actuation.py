@@ -1,10 +1,12 @@
 """How a policy's output becomes voltages: authority that shrinks near the goal, and a controller underneath.
 
-    action = base + news + authority * output,   authority = min(most, least + distance / full_at_m + speed / full_at_m_s)
+    action = base + authority * output
+    authority = min(most, least + distance / full_at_m + speed / full_at_m_s)
 
 At rest at the goal a tenth of a volt moves the tool by a tenth of a millimetre in a period.  A policy explores with one
 level of noise everywhere; with this its noise there is fine, and full far away.  What the stage did in the period
-before tells a policy about masses and friction that it is not told.  Training and the finished agent share this code.
+before tells a policy about masses and friction that it is not told; an adaptive base says what it has learnt of them.
+Training and the finished agent share this code.
 """
 
 from __future__ import annotations
@@ -18,15 +20,12 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from hframe_gym.control import CONTROLLERS
-from hframe_gym.control.model import MotionModel
 from hframe_gym.machine import Machine
 
-from .memory import Memory
-
-EXPECTED = 4  # voltages that a memory adds: of this period and the next two, and lately
-LATELY = 0.3  # of what was expected a period ago in the mean of that: about as fast as the PID learns along a path
+from .adaptive import AdaptivePID
 
 Array = NDArray[np.float64]
+BASES = {**CONTROLLERS, "adaptive-pid": AdaptivePID}
 
 
 @dataclass(frozen=True)
@@ -53,22 +52,19 @@ class Authority:
 class Actuation:
     """Between what B stages say and take and what a policy sees and gives.
 
-    base: the name of a controller underneath, or nothing.  memory: whether a policy also sees what `Memory` expects of
-    the path in sight.  authority: keywords of `Authority`.
+    base: the name of a controller underneath, or nothing.  authority: keywords of `Authority`.
 
     `see` comes first in every period, then `apply`.
     """
 
-    def __init__(
-        self, machine: Machine, period: float, base: str | None = None, memory: bool = False, **authority: float
-    ) -> None:
+    def __init__(self, machine: Machine, period: float, base: str | None = None, **authority: float) -> None:
         self.authority = Authority(**authority)
-        self.memory = Memory(MotionModel(machine), period) if memory else None
-        self.base = CONTROLLERS[base](machine, period) if base else None
+        self.base = BASES[base](machine, period) if base else None
+        self._adaptive = self.base if isinstance(self.base, AdaptivePID) else None
         self._drives = len(machine.drives)
         self._speeds = slice(2 + self._drives, 4 + self._drives)
         self._fresh = np.zeros(0, np.bool_)  # stages whose episode begins with the next observation
-        self._before = self._state = self._last = self._base = self._scale = self._expected = np.zeros((0, 0))
+        self._before = self._state = self._last = self._base = self._scale = np.zeros((0, 0))
 
     @property
     def own(self) -> tuple[str, ...]:
@@ -79,8 +75,11 @@ class Actuation:
         """What the policy sees."""
         box = spaces.Box(-1.0, 1.0, (self._drives,), np.float32)
         before = {"last_observation": observation_space["observation"]}
-        memory = {"expected": spaces.Box(-np.inf, np.inf, (EXPECTED * self._drives,), np.float32)} if self.memory else {}
-        return spaces.Dict({**observation_space.spaces, **before, **memory, **dict.fromkeys(self.own, box)})
+        own = {**before, **dict.fromkeys(self.own, box)}
+        if self._adaptive:
+            for key, size in self._adaptive.told.items():
+                own[key] = spaces.Box(-np.inf, np.inf, (size,), np.float32)
+        return spaces.Dict({**observation_space.spaces, **own})
 
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
         """Forget the stages of mask (B,), or all."""
@@ -100,37 +99,20 @@ class Actuation:
         fresh = self._fresh[:, None]
         self._before = np.where(fresh, state, self._state)
         self._last = np.where(fresh, 0.0, self._last)
-        if self.memory:
-            self._expected = self._remember(self.memory, observation)
         self._fresh = np.zeros(len(state), np.bool_)
         self._state = state
         self._scale = self.authority(observation, self._speeds)
         if self.base:
-            news = self._expected[:, : self._drives] - self._expected[:, -self._drives :] if self.memory else 0.0
-            self._base = np.clip(self.base.act(observation) + news, -1.0, 1.0)
+            self._base = np.clip(self.base.act(observation), -1.0, 1.0)
         return {**observation, **self.remembered()}
-
-    def _remember(self, memory: Memory, observation: Mapping[str, NDArray[Any]]) -> Array:
-        """What is expected (B, EXPECTED drives), shares of the rated voltages: of this period and the next two, and in
-        the end the mean of what was expected lately."""
-        model, goal = memory.model, observation["desired_goal"]
-        before, after = (model.state({"observation": state}) for state in (self._before, observation["observation"]))
-        memory.learn(before, after, self._last * model.rated, self._fresh)
-        goals = np.concatenate([goal, observation["preview"]], axis=1, dtype=np.float64).reshape(len(goal), -1, 2)
-        now = memory.expects(goals[:, : EXPECTED + 1]) / model.rated
-        if len(self._expected) != len(goal):
-            self._expected = np.zeros((len(goal), EXPECTED * self._drives))
-        was = self._expected.reshape(len(goal), EXPECTED, -1)
-        lately = np.where(self._fresh[:, None], 0.0, was[:, -1] + LATELY * (was[:, 0] - was[:, -1]))
-        return np.concatenate([now, lately[:, None]], axis=1).reshape(len(goal), -1)
 
     def remembered(self) -> dict[str, NDArray[np.float32]]:
         """What `see` added last, but the action now the newest one."""
         own = {"last_observation": self._before, "last_action": self._last}
         if self.base:
             own["base_action"] = self._base
-        if self.memory:
-            own["expected"] = self._expected
+        if self._adaptive:
+            own |= {key: getattr(self._adaptive, key) for key in self._adaptive.told}
         return {key: values.astype(np.float32) for key, values in own.items()}
 
     def apply(self, output: NDArray[Any]) -> Array:

@@ -44,30 +44,41 @@ def render(card: dict[str, Any]) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def _scores(scores: dict[str, Any]) -> str:
-    """A scorecard as a table: settling where the goal stands, errors where it moves."""
-    begin = f"{scores['episodes']} draws of seed {scores['seed']}, none seen in training."
-    if "settling_s" not in scores:
-        rows = ["| mm | rms | largest |", "| --- | ---: | ---: |"]
-        for name in ("contour_mm", "tracking_mm"):
-            rms, most = scores[name]["rms"]["mean"], scores[name]["max"]["mean"]
-            rows.append(f"| {name.removesuffix('_mm')} | {rms:.3f} | {most:.3f} |")
-        return f"{begin}\n\n" + "\n".join(rows)
+def _scores(by_trial: dict[str, dict[str, Any]]) -> str:
+    """Scorecards as tables: settling where the goal stands, errors where it moves."""
+    parts = []
+    for name, scores in by_trial.items():
+        parts.append(f"`{name}`, {scores['episodes']} draws of seed {scores['seed']}, none seen in training:")
+        parts.append(_settling(scores) if "settling_s" in scores else _errors(scores))
+    return "\n\n".join(parts)
+
+
+def _errors(scores: dict[str, Any]) -> str:
+    rows = ["| mm | rms | largest |", "| --- | ---: | ---: |"]
+    for name in ("contour_mm", "tracking_mm"):
+        rms, most = scores[name]["rms"]["mean"], scores[name]["max"]["mean"]
+        rows.append(f"| {name.removesuffix('_mm')} | {rms:.3f} | {most:.3f} |")
+    return "\n".join(rows)
+
+
+def _settling(scores: dict[str, Any]) -> str:
     rows = ["| band | success | mean settling, s | median | 95 % |", "| --- | ---: | ---: | ---: | ---: |"]
     for band in BANDS:
         s = scores["settling_s"][band]
         times = " | ".join(f"{s[key]:.3f}" for key in ("mean", "median", "p95"))
         rows.append(f"| {band} | {100 * scores['success'][band]:.1f} % | {times} |")
-    return f"{begin}\n\n" + "\n".join(rows)
+    return "\n".join(rows)
 
 
 def _failures(card: dict[str, Any]) -> str:
     """How many episodes miss each band, and which."""
     lines = []
-    for band, found in card["failures"].items():
-        seeds = f", environment seeds {', '.join(map(str, found['seeds']))}" if found["seeds"] else ""
-        more = ", ..." if found["episodes"] > len(found["seeds"]) else ""
-        lines.append(f"- {band}: {found['episodes']} of {card['scores']['episodes']} episodes{seeds}{more}")
+    for name, by_band in card["failures"].items():
+        for band, found in by_band.items():
+            seeds = f", environment seeds {', '.join(map(str, found['seeds']))}" if found["seeds"] else ""
+            more = ", ..." if found["episodes"] > len(found["seeds"]) else ""
+            of = card["scores"][name]["episodes"]
+            lines.append(f"- `{name}`, {band}: {found['episodes']} of {of} episodes{seeds}{more}")
     return "\n".join(lines)
 
 

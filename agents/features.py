@@ -25,6 +25,7 @@ SPEED_SCALES = (0.3, 0.02)  # m/s
 STRETCH_SCALES = (1e-3, 1e-4)  # m
 ACTION_SCALES = (1.0, 0.03)  # of the rated voltage: all of it, and about what friction takes
 EXPECTED_SCALES = (0.03, 0.003)  # of the rated voltage
+LEARNT_SCALE, LARGEST_LEARNT = 0.2, 1.0
 PLACE_SCALE = 0.2  # m
 AHEAD = 0.01  # s
 # What gives a feature of 1: about the largest that comes up.
@@ -33,7 +34,16 @@ LARGEST_SPEED = 1.5  # m/s
 LARGEST_STRETCH = 0.01  # m
 
 # Keys of an observation in the order in which they are read, as far as they are there.
-KEYS = ("observation", "desired_goal", "preview", "last_observation", "last_action", "base_action", "expected")
+KEYS = (
+    "observation",
+    "desired_goal",
+    "preview",
+    "last_observation",
+    "last_action",
+    "base_action",
+    "expected",
+    "learnt",
+)
 
 
 class StageFeatures(BaseFeaturesExtractor):
@@ -99,6 +109,8 @@ def feature_map(sizes: dict[str, int], radii: Array, rest: Array) -> tuple[Array
         now, lately = own["expected"][:, :-drives], own["expected"][:, -drives:]
         news = now - np.tile(lately, now.shape[1] // drives)  # what a controller that goes by the past does not know
         parts.append(_scaled(np.hstack([now[:, :drives], news]), EXPECTED_SCALES, EXPECTED_SCALES[0]))
+    if "learnt" in own:
+        parts.append(_scaled(own["learnt"], (LEARNT_SCALE,), LARGEST_LEARNT))
     return np.hstack([matrix for matrix, _ in parts]), np.concatenate([gain for _, gain in parts])
 
 

@@ -46,7 +46,6 @@ class Recipe:
     actuation: dict[str, Any] = field(default_factory=dict)
     hindsight: dict[str, Any] = field(default_factory=dict)
     start: str = ""
-    contour: float = 0.0
 
     @property
     def settings(self) -> dict[str, Any]:

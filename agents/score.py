@@ -41,8 +41,11 @@ def _tracking(error: Any, contour: Any) -> dict[str, float]:
 
 
 def deciding(row: dict[str, Any]) -> float:
-    """What makes one row of a curve better than another: less of this."""
-    return float(row["contour_rms_mm"] if "contour_rms_mm" in row else row["settling_s_0.2mm"])
+    """What makes one row of a curve better than another: less of this.
+
+    Along a path the distance to the goal counts too, for a tool that never leaves is never off the path.
+    """
+    return float(row.get("settling_s_0.2mm") or row["contour_rms_mm"] + row["tracking_rms_mm"])
 
 
 def line(row: dict[str, Any]) -> str:

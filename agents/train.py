@@ -1,8 +1,8 @@
 """Training with stable-baselines3 on the native vector environment, by a recipe.
 
-What a run leaves in its folder, each file whole at any time: the best agent so far by the evaluations on draws that no
-training sees (agent.json, machine.json, policy.safetensors), its card (card.json, README.md), tensorboard/, and checkpoint.zip with replay.pkl, what `resume`
-needs (pickles of your own run, do not load other people's).
+What a run leaves in its folder, each file whole at any time: the best agent so far by its evaluations, on draws that no
+training sees (agent.json, machine.json, policy.safetensors), its card (card.json, README.md), tensorboard/, and
+checkpoint.zip with replay.pkl, what `resume` needs (pickles of your own run, do not load other people's).
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ LEAST_APART = 2_000  # in steps of the environment
 
 
 def train(
-    algorithm: str,
+    algorithm: str | Recipe,
     machine: str | Path | Machine = "hframe",
     task: str = "reach",
     steps: int | None = None,
@@ -50,9 +50,10 @@ def train(
 ) -> dict[str, Any]:
     """Train an agent and write it to the folder `out`; gives its card.
 
-    algorithm: a recipe, "ppo", "sac", "sac_her" or "residual".  machine: a name, file or `Machine`.  steps: of the
-    environment, in all, those before a resume included; as many as the recipe says where not given.  say: takes a line
-    at each evaluation.  advance: is told how many steps are done, of how many, after each of the environments.
+    algorithm: a recipe or the name of one, "ppo", "sac", "sac_her" or "residual".  machine: a name, file or `Machine`.
+    steps: of the environment, in all, those before a resume included; as many as the recipe says where not given.
+    say: takes a line at each evaluation.  advance: is told how many steps are done, of how many, after each of the
+    environments.
     randomize: what each episode draws of the machine, in place of the recipe's: "identified" for one whose file says
     how well it is known.
 
@@ -62,13 +63,13 @@ def train(
     Raises ValueError for an unknown algorithm or task or where there is nothing to resume, ImportError naming the extra
     `agents` where it is missing.
     """
-    recipe = load_recipe(algorithm, task)
+    recipe = algorithm if isinstance(algorithm, Recipe) else load_recipe(algorithm, task)
     if randomize is not None:
         recipe = replace(recipe, env={**recipe.env, "randomize": randomize})
     steps = recipe.steps if steps is None else steps
     built = load_machine(machine)
     folder = Path(out)
-    card = _begin(recipe, algorithm, task, built, seed)
+    card = _begin(recipe, task, built, seed)
     environment = _environment(recipe, built, task)
     card["previews"] = len(environment.get_attr("batch", 0)[0].task.ahead_s)
     model = _resumed(recipe, folder, environment, card) if resume else _new_model(recipe, built, environment, seed)
@@ -93,7 +94,7 @@ def _environment(recipe: Recipe, machine: Machine, task: str) -> Any:
 
     environment = HFrameVecEnv(**recipe.env, machine=machine, task=task_of(recipe.task, task))
     actuation = actuation_for(machine, recipe.actuation, recipe.period)
-    return ActuatedVecEnv(environment, actuation, recipe.contour) if actuation else environment
+    return ActuatedVecEnv(environment, actuation) if actuation else environment
 
 
 def task_of(settings: dict[str, Any], task: str) -> Task:
@@ -137,12 +138,12 @@ def _resumed(recipe: Recipe, folder: Path, environment: Any, card: dict[str, Any
     return model
 
 
-def _begin(recipe: Recipe, algorithm: str, task: str, machine: Machine, seed: int) -> dict[str, Any]:
+def _begin(recipe: Recipe, task: str, machine: Machine, seed: int) -> dict[str, Any]:
     from .features import features_for
 
     return {
         "schema": SCHEMA,
-        "name": algorithm,
+        "name": recipe.name.removesuffix(f"_{task}"),
         "task": task,
         "kind": recipe.kind,
         "machine": machine.name,

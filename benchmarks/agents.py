@@ -5,6 +5,10 @@
 
 A shipped agent is what `hframe train` gives by its recipe, with scores and known failures on draws that no training
 saw added to its card.  The recipes were chosen on other draws (those of the learning curves) than the scores are of.
+
+`score` also compares each with the model-based PID on the same draws, seed by seed and all seeds of a recipe together:
+mean settling time over mean physical bound on `reach`, mean contour error over the PID's along each path of `track`.
+Intervals are 95 % bootstraps over pairs of the same draw; of a recipe the pairs of all its seeds, seeds drawn as well.
 """
 
 from __future__ import annotations
@@ -13,24 +17,36 @@ import argparse
 import json
 import shutil
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from hframe_gym.agents import train
+from hframe_gym.agents.actuation import BASES
 from hframe_gym.agents.agent import Agent
 from hframe_gym.agents.card import write_card
+from numpy.typing import NDArray
+from scipy.stats import bootstrap
 
-from hframe_gym.control import ModelPID
+from hframe_gym.control import Controller
+from hframe_gym.env import Track
+from hframe_gym.env.tasks import TaskLike
 from hframe_gym.evaluate import BANDS, Episodes, Trial, rollout, scores
-from hframe_gym.evaluate.scorecard import settling
+from hframe_gym.evaluate.bounds import known_bounds
+from hframe_gym.evaluate.scorecard import JUDGED, RESAMPLES, settling
 from hframe_gym.machine import BUILTIN
 
 from .results_file import write_results
 
+Array = NDArray[np.float64]
 SHIPPED = Path(__file__).parents[1] / "agents" / "shipped"
 FILES = ("agent.json", "machine.json", "policy.safetensors", "card.json")
-TRIAL = {"episodes": 512, "seed": 1000}  # draws that nothing was chosen on
+TRIAL: dict[str, Any] = {"episodes": 512, "seed": 1000}  # draws that nothing was chosen on
+TRIALS: dict[str, dict[str, TaskLike]] = {
+    "reach": {"reach": "reach"},
+    "track": {path: Track(path=path, size=0.05, speed=0.3) for path in ("circle", "square")},
+}
 SHORTENED = 10  # failing draws that a card lists
 
 
@@ -42,17 +58,26 @@ def ship(name: str, task: str, seed: int) -> None:
         target.mkdir(parents=True, exist_ok=True)
         for file in FILES:
             shutil.copy(Path(folder) / file, target / file)
-    judge(target)
+    write_scores(target, drive(Agent.load(target), task))
 
 
-def judge(folder: Path) -> dict[str, Any]:
-    """Score the agent of a folder, write that into its card, and give the card."""
+def drive(controller: Controller, task: str) -> dict[str, Episodes]:
+    """The episodes of a controller on the draws of all that its task is judged on."""
+    return {name: rollout(controller, Trial(task=which, **TRIAL)) for name, which in TRIALS[task].items()}
+
+
+def write_scores(folder: Path, runs: Mapping[str, Episodes]) -> dict[str, Any]:
+    """Write scores and failures into the card of an agent's folder, and give the card."""
     card: dict[str, Any] = json.loads((folder / "card.json").read_text("utf-8"))
-    run = rollout(Agent.load(folder), Trial(task=card["task"], randomize=card["settings"]["env"]["randomize"], **TRIAL))
-    card["scores"] = {**TRIAL, **scores(run)}
-    card["failures"] = failures(run)
+    card["scores"] = {name: {**TRIAL, **scores(run, known_bounds(trial(name)))} for name, run in runs.items()}
+    card["failures"] = {name: failures(run) for name, run in runs.items()}
     write_card(folder, card)
     return card
+
+
+def trial(name: str) -> Trial:
+    """What `name` of `TRIALS` is judged on."""
+    return Trial(task=next(named[name] for named in TRIALS.values() if name in named), **TRIAL)
 
 
 def failures(run: Episodes) -> dict[str, Any]:
@@ -65,6 +90,64 @@ def failures(run: Episodes) -> dict[str, Any]:
         seeds = TRIAL["seed"] + np.flatnonzero(bad)
         found[name] = {"episodes": len(seeds), "seeds": seeds[:SHORTENED].tolist()}
     return found
+
+
+def judged(run: Episodes) -> Array:
+    """What each episode is compared by (B,): s to settle in the band of the bound, or m off the path, rms."""
+    if run.contour is not None:
+        return np.asarray(np.sqrt(np.mean(run.contour**2, axis=1)))
+    return settling(np.linalg.norm(run.position - run.goal, axis=2), run.time_s, BANDS[JUDGED])[0]
+
+
+def ratio(of: Array, over: Array) -> dict[str, Any]:
+    """Mean of `of` (seeds, B) over the mean of `over` (B,), and its interval over draws and seeds."""
+    seeds = np.arange(len(of))
+
+    def resampled(draws: Array, chosen: Array) -> Any:
+        return of[np.ix_(chosen.astype(int), draws.astype(int))].mean() / over[draws.astype(int)].mean()
+
+    interval = bootstrap(
+        (np.arange(len(over)), seeds if len(seeds) > 1 else np.zeros(2)),
+        resampled,
+        n_resamples=RESAMPLES,
+        vectorized=False,
+        method="percentile",
+        rng=np.random.default_rng(TRIAL["seed"]),
+    ).confidence_interval
+    return {"mean": float(of.mean() / over.mean()), "ci95": [float(interval.low), float(interval.high)]}
+
+
+def score(task: str) -> dict[str, Any]:
+    """Scores of what learns nothing and of every shipped agent, and by recipe the ratios to the PID and the bound."""
+    agents: dict[str, Any] = {}
+    rows: dict[str, dict[str, list[Array]]] = {name: {} for name in TRIALS[task]}
+    for kind in ("pid", "adaptive-pid"):
+        runs = drive(BASES[kind](BUILTIN["hframe"](), 0.01), task)
+        agents[kind] = {"scores": {name: scores(run, known_bounds(trial(name))) for name, run in runs.items()}}
+        for name, run in runs.items():
+            rows[name][kind] = [judged(run)]
+    for folder in sorted((SHIPPED / task).iterdir()):
+        runs = drive(Agent.load(folder), task)
+        card = write_scores(folder, runs)
+        last = card["curve"][-1]
+        cost = {key: last[key] for key in ("steps", "seconds", "cpu_s")}
+        agents[folder.name] = {"scores": card["scores"], "failures": card["failures"], "training": cost}
+        for name, run in runs.items():
+            rows[name].setdefault(card["name"], []).append(judged(run))
+        print(folder.name, {name: f"{judged(run).mean():.4g}" for name, run in runs.items()}, flush=True)
+    compared = {
+        name: {recipe: compare(np.stack(of), by["pid"][0], known_bounds(trial(name))) for recipe, of in by.items()}
+        for name, by in rows.items()
+    }
+    return {"agents": agents, "compared": compared}
+
+
+def compare(of: Array, pid: Array, bound_s: Array | None) -> dict[str, Any]:
+    """Ratios of a recipe's episodes (seeds, B) to the PID's (B,) and to the bound: all seeds, and each."""
+    others = {"over_pid": pid} | ({} if bound_s is None else {"over_bound": bound_s})
+    return {
+        name: {**ratio(of, other), "by_seed": [ratio(one[None], other) for one in of]} for name, other in others.items()
+    }
 
 
 def main() -> None:
@@ -80,17 +163,8 @@ def main() -> None:
         for seed in wanted.seeds:
             ship(wanted.name, wanted.task, seed)
         return
-    results: dict[str, Any] = {}
-    for task in sorted(path.name for path in SHIPPED.iterdir()):
-        pid = rollout(ModelPID(BUILTIN["hframe"](), 0.01), Trial(task=task, **TRIAL))
-        results[task] = {"pid": scores(pid)}
-        for folder in sorted((SHIPPED / task).iterdir()):
-            card = judge(folder)
-            last = card["curve"][-1]
-            cost = {key: last[key] for key in ("steps", "seconds", "cpu_s")}
-            results[task][folder.name] = {**card["scores"], "failures": card["failures"], "training": cost}
-            print(folder.name, json.dumps(card["scores"].get("settling_s", {}).get("0.2mm")), flush=True)
-    write_results("agents", {**TRIAL, "tasks": results}, seed=TRIAL["seed"])
+    tasks = {path.name: score(path.name) for path in sorted(SHIPPED.iterdir())}
+    write_results("agents", {**TRIAL, "tasks": tasks}, seed=TRIAL["seed"])
 
 
 if __name__ == "__main__":

@@ -6,11 +6,12 @@
 Each rig of the independent simulator has one undeclared effect, or three, and parameters 5 to 20 % off.  From its
 recordings `identify` makes three machines: as declared, refitted (before), corrected (after).  From each alone are made
 the model-based PID and two learned controllers of three seeds: PPO that goes on from the shipped agent, and PPO's
-correction on that machine's PID.  Then they drive the rig itself through the same episodes, with the full state every
-10 ms: to points, and the PID along circles too.  Training takes the same recipe, steps and seeds for all machines: on
-the declared and refitted one with the default randomisation, for nobody knows how far off they are; on the corrected
-with what its file leaves uncertain.  Differences are of pairs, the same episode and seed, with 95 % bootstrap intervals
-over the episodes, each the mean of its seeds.
+correction on that machine's PID, from nothing.  Then they drive the rig itself through the same episodes, with the full
+state every 10 ms: to points, and the PID along circles too.
+
+Training takes the same recipe, steps and seeds for all machines: on the declared and refitted one with the default
+randomisation, for nobody knows how far off they are; on the corrected with what its file leaves uncertain.  Differences
+are of pairs, the same episode and seed, with 95 % bootstrap intervals over the episodes, each the mean of its seeds.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -46,16 +48,16 @@ RIGS = (
     "dead_band@motor1 full",
     "input_delay@drives full",
     "cogging@motor1 full",
+    "stribeck_friction@x + input_delay@drives + cable_spring@y",
+    "eccentric_pulley@motor2 full",
     "cable_spring@x full",
     "constant_force@y full",
     "belt_play@belts full",
-    "eccentric_pulley@motor2 full",
-    "stribeck_friction@x + input_delay@drives + cable_spring@y",
 )
 STAGES = {"declared": "default", "before": "default", "machine": "identified"}  # files of an answer: randomisation
 NAMES = {"declared": "declared", "before": "refitted", "machine": "corrected"}
-LEARNED = {"ppo": "adapt", "residual": "adapt_residual"}  # recipes
-SEED, EPISODES = 2000, 32  # of starts and goals
+LEARNED = {"ppo": ("adapt", 200_000), "residual": ("residual", 100_000)}  # recipe and steps
+SEED, EPISODES = 2000, 24  # of starts and goals
 AGENTS = (0, 1, 2)  # seeds
 REACH, TRACK = Reach(), Track()
 SETTLED = f"settling_s_{JUDGED}"
@@ -71,13 +73,13 @@ def machines(session: Session) -> dict[str, Machine]:
     return {stage: load_machine(folder / f"{stage}.json") for stage in STAGES}
 
 
-def trained(recipe: str, machine: Machine, randomize: str, folder: Path, seed: int) -> Agent:
-    """A shipped agent, gone on with on a machine; from the folder where that was done by the same recipe."""
-    wanted, card = load_recipe(recipe, "reach"), folder / "card.json"
+def trained(name: str, steps: int, machine: Machine, randomize: str, folder: Path, seed: int) -> Agent:
+    """An agent by a recipe on a machine; from the folder where that was done."""
+    recipe, card = load_recipe(name, "reach"), folder / "card.json"
+    recipe = replace(recipe, steps=steps, env={**recipe.env, "randomize": randomize})
     made = json.loads(card.read_text()) if card.is_file() else None
-    settings = {**wanted.as_dict(), "env": {**wanted.env, "randomize": randomize}}
-    if made is None or made["settings"] != settings or made["curve"][-1]["steps"] < wanted.steps:
-        train(recipe, machine, seed=seed, out=folder, randomize=randomize, say=lambda line: None)
+    if made is None or made["settings"] != recipe.as_dict() or made["curve"][-1]["steps"] < steps:
+        train(recipe, machine, seed=seed, out=folder, say=lambda line: None)
     return Agent.load(folder)
 
 
@@ -88,9 +90,10 @@ def controllers(session: Session, seeds: tuple[int, ...]) -> Iterator[tuple[str,
         of = KEPT / ("declared" if stage == "declared" else session.folder.name)
         for kind in ("pid", "pid, circle"):
             yield kind, NAMES[stage], ModelPID(machine, PERIOD_S)
-        for kind, recipe in LEARNED.items():
+        for kind, (recipe, steps) in LEARNED.items():
             for seed in seeds:
-                yield kind, NAMES[stage], trained(recipe, machine, STAGES[stage], of / f"{recipe}-{stage}-{seed}", seed)
+                place = of / f"{recipe}-{stage}-{seed}"
+                yield kind, NAMES[stage], trained(recipe, steps, machine, STAGES[stage], place, seed)
 
 
 def numbers(run: Driven) -> dict[str, Array]:

@@ -24,7 +24,7 @@ PANELS = {
 def draw(rigs: dict[str, Any]) -> None:
     """Write docs/figures/closed_loop.png for the rigs of the results: means and 95 % intervals."""
     FIGURES.mkdir(parents=True, exist_ok=True)
-    size = (14, 0.45 * len(rigs) + 1.4)
+    size = (14, 0.5 * len(rigs) + 1.4)
     figure, axes = plt.subplots(1, len(PANELS), figsize=size, sharey=True, layout="constrained")
     for panel, (kind, (key, label)) in zip(axes, PANELS.items(), strict=True):
         for shift, (machine, colour) in zip((-0.2, 0.0, 0.2), COLOURS.items(), strict=True):
@@ -36,7 +36,7 @@ def draw(rigs: dict[str, Any]) -> None:
         panel.set_xlabel(label, fontsize=8)
         panel.set_xlim(left=0.0)
         panel.grid(axis="x", color="0.9")
-    axes[0].set_yticks(np.arange(len(rigs)), [row["hides"] for row in rigs.values()], fontsize=8)
+    axes[0].set_yticks(np.arange(len(rigs)), [row["hides"].replace(" + ", "\n") for row in rigs.values()], fontsize=8)
     axes[0].invert_yaxis()
     axes[1].legend(ncols=3, fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False)
     figure.savefig(FIGURES / "closed_loop.png", dpi=150, metadata={"Software": None})

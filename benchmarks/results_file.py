@@ -12,7 +12,7 @@ from hframe_gym.atomic import write_text
 from hframe_gym.machine.simulate import threads
 
 RESULTS = Path(__file__).parent / "results"
-_PACKAGES = ("numpy", "numba", "scipy", "gymnasium", "mujoco", "stable-baselines3", "torch")
+_PACKAGES = ("numpy", "numba", "scipy", "gymnasium", "mujoco", "envpool", "stable-baselines3", "torch", "casadi")
 
 
 def surroundings() -> dict[str, Any]:

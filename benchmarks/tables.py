@@ -126,8 +126,8 @@ def bound(results: dict[str, Any]) -> str:
     for name, c in results["controllers"].items():
         pairs = [c["ratio_of_means"], c["mean_of_ratios"]]
         ratios = [f"{r['mean']:.3f} ({r['ci95'][0]:.3f} to {r['ci95'][1]:.3f})" for r in pairs]
-        rows.append([name, f"{c['mean_s']:.3f}", *ratios])
-    return markdown(["controller", "0.2 mm in, s", "ratio of means", "mean of ratios"], rows)
+        rows.append([name, f"{100 * c['success']:.1f} %", f"{c['mean_s']:.3f}", *ratios])
+    return markdown(["controller", "in 0.2 mm", "after, s", "ratio of means", "mean of ratios"], rows)
 
 
 def controllers(results: dict[str, Any]) -> str:
@@ -141,28 +141,62 @@ def controllers(results: dict[str, Any]) -> str:
 
 
 def agents(results: dict[str, Any]) -> str:
-    """Shipped agents beside the PID on the same draws."""
+    """Shipped agents on the same draws: settling over the physical bound, contour errors over the PID's."""
+    tasks = results["tasks"]
     rows = []
-    for name, score in results["tasks"]["reach"].items():
-        settling, success = score["settling_s"]["0.2mm"], score["success"]
-        low, high = settling["ci95"]
+    for name, found in _by_agent(tasks["reach"], "reach"):
+        success = found["scores"]["success"]
         shares = [f"{100 * success[band]:.1f} %" for band in ("1mm", "0.2mm", "0.05mm")]
-        rows.append([name, *shares, f"{settling['mean']:.3f} ({low:.3f} to {high:.3f})"])
-    return markdown(["agent", "in 1 mm", "in 0.2 mm", "in 0.05 mm", "0.2 mm after, s"], rows)
+        rows.append(
+            [name, *shares, f"{found['scores']['settling_s']['0.2mm']['mean']:.3f}", _ratio(found, "over_bound")]
+        )
+    reach = markdown(["agent", "in 1 mm", "in 0.2 mm", "in 0.05 mm", "0.2 mm after, s", "over the bound"], rows)
+    paths = list(tasks["track"]["compared"])
+    by_path = [dict(_by_agent(tasks["track"], path)) for path in paths]
+    rows = []
+    for name in by_path[0]:
+        cells = [
+            f"{found[name]['scores']['contour_mm']['rms']['mean']:.4f} mm, {_ratio(found[name], 'over_pid')}"
+            for found in by_path
+        ]
+        rows.append([name, *cells])
+    for recipe, found in tasks["track"]["compared"][paths[0]].items():
+        if len(found["over_pid"]["by_seed"]) == 1:
+            continue
+        cells = [
+            _ratio({"over_pid": tasks["track"]["compared"][path][recipe]["over_pid"]}, "over_pid") for path in paths
+        ]
+        rows.append([f"**{recipe}, all seeds**", *(f"**{cell}**" for cell in cells)])
+    track = markdown(["agent", *(f"{path}: off it rms, over the PID's" for path in paths)], rows)
+    return f"{reach}\n\n{track}"
+
+
+def _by_agent(task: dict[str, Any], name: str) -> Iterable[tuple[str, dict[str, Any]]]:
+    """Agents with their scores on one trial of a task, and their own ratios."""
+    for agent, found in task["agents"].items():
+        recipe, _, seed = agent.partition("-seed")
+        ratios = {over: r["by_seed"][int(seed or 0)] for over, r in task["compared"][name][recipe].items()}
+        yield agent, {"scores": found["scores"][name], **ratios}
+
+
+def _ratio(found: dict[str, Any], over: str) -> str:
+    mean, (low, high) = found[over]["mean"], found[over]["ci95"]
+    return f"{mean:.3f} ({low:.3f} to {high:.3f})"
 
 
 def closed_loop(results: dict[str, Any]) -> str:
     """Settling to 0.2 mm on the rig, built on the declared, the refitted and the corrected machine."""
     rows = []
     for rig, found in results["rigs"].items():
-        for who in ("pid", "ppo"):
+        for who in ("pid", "residual", "ppo"):
             scores = found[who]["scores"]
             cells = [
                 f"{scores[m]['settling_s_0.2mm']['mean']:.3f} s, {100 * scores[m]['success_0.2mm']['mean']:.0f} %"
                 for m in ("declared", "refitted", "corrected")
             ]
-            rows.append([f"{rig}, {who}", *cells])
-    return markdown(["rig", "declared", "refitted", "corrected"], rows)
+            low, high = found[who]["gain"]["declared"]["settling_s_0.2mm"]["ci95"]
+            rows.append([f"{rig}, {who}", *cells, f"{low:+.3f} to {high:+.3f} s"])
+    return markdown(["rig", "declared", "refitted", "corrected", "corrected less declared"], rows)
 
 
 IDENTIFICATION_SETS = ("library_full", "library_small", "pairs", "triples", "four_runs", "order20", "none", "outside")

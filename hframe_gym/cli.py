@@ -261,7 +261,7 @@ def show_scores(answer: dict[str, Any]) -> None:
         [f"s to {b}" for b in bands] if settles else [f"{n}, mm {k}" for n in errors.values() for k in ("rms", "max")]
     )
     if settles:
-        last.append("over the bound")
+        last.append("mean over the bound's")
     for column in (*(f"in {b}" for b in bands), *last):
         table.add_column(column, justify="right")
     for name, score in answer["controllers"].items():
@@ -271,7 +271,8 @@ def show_scores(answer: dict[str, Any]) -> None:
         else:
             numbers = [score[key][kind]["mean"] for key in errors for kind in ("rms", "max")]
         over = (score.get("over_bound") or {}).get("0.2mm") or {}
-        ratio = [f"{over['mean']:.3f}" if over.get("mean") else "-"] if settles else []
+        means = over.get("ratio_of_means") or {}
+        ratio = [f"{means['mean']:.3f}" if means.get("mean") else "-"] if settles else []
         table.add_row(name, *shares, *(f"{number:.3f}" for number in numbers), *ratio)
     console.print(table)
 

@@ -4,7 +4,8 @@ model.py, places.py    the machine as controllers see it; where in the workspace
 trajectory.py          transfers to rest         tracking.py    plans along a path
 pid.py                 both as one controller    delay.py       dead time
 amplifiers.py          dead bands and offsets of the drives, undone
-observer.py            the full state from encoders and lasers
+observer.py            the full state from encoders and lasers, and how far the stage is off its machine file
+unknowns.py            what is learnt of a stage      divided_differences.py    a normal distribution through kinks
 textbook_pid.py        the baseline
 bound.py, equations.py the least possible times (extra: bound)
 """
@@ -12,15 +13,12 @@ bound.py, equations.py the least possible times (extra: bound)
 from .controller import CONTROLLERS, Controller
 from .model import MotionModel
 from .observer import Channel, Observed, Observer
-from .pid import ESTIMATED, EXACT, Care, ModelPID
+from .pid import ModelPID
 from .textbook_pid import TextbookPID
 from .trajectory import Transfers
 
 __all__ = [
     "CONTROLLERS",
-    "ESTIMATED",
-    "EXACT",
-    "Care",
     "Channel",
     "Controller",
     "ModelPID",

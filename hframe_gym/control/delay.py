@@ -48,6 +48,13 @@ class DeadTime:
         share = self._part / self.period
         return (1.0 - share) * self._sent[:, self._whole] + share * self._sent[:, self._whole + 1]
 
+    def course(self) -> tuple[Array, Array]:
+        """Times (k,), s, of the last period, from 0 to its end, and the voltages (B, k, drives) at the motors from each
+        on."""
+        volts = self._sent[:, [self._whole + 1, self._whole, self._whole]]
+        times = np.array([0.0, self._part, self.period])
+        return (times, volts) if self._part > 0.0 else (times[1:], volts[:, 1:])
+
     @property
     def last(self) -> Array:
         """Voltages (B, drives) given for the period that ends."""

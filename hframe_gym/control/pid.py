@@ -21,7 +21,6 @@ is undone (amplifiers.py).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -31,7 +30,7 @@ from ..machine import Machine
 from .amplifiers import Amplifiers
 from .delay import DeadTime
 from .model import MotionModel
-from .tracking import CHANGE, Tracker
+from .tracking import Tracker
 from .trajectory import Transfers
 
 Array = NDArray[np.float64]
@@ -49,33 +48,15 @@ HOLD = 2.0  # longest time to go while holding, of the shortest transfer's
 FOLLOW = 0.2  # of the belts' stretch at rest not yet in the motors' reference, a period
 
 
-@dataclass(frozen=True)
-class Care:
-    """How far the state is to be believed.
-
-    average_s: time over which what is unexplained at rest is averaged, s.  change: of the plans along a path, m/V
-    (tracking.py).
-    """
-
-    average_s: float
-    change: float
-
-
-EXACT = Care(average_s=0.0, change=CHANGE)
-# Behind an observer: the noise of its speeds would come back as friction, and shake the belts as voltage.
-ESTIMATED = Care(average_s=0.045, change=10.0 * CHANGE)
-
-
 class ModelPID:
     """Model-based PID with full state for B stages of one machine, each perhaps a little off it.
 
-    machine: the model, of which gains and feed-forward are made.  period: of control, s.  care: with the state that it
-    is given, `EXACT` or `ESTIMATED`.
+    machine: the model, of which gains and feed-forward are made.  period: of control, s.
 
     Raises ValueError for a machine that it cannot control (see `MotionModel`) or a period that is not positive.
     """
 
-    def __init__(self, machine: Machine, period: float = 0.01, *, care: Care = EXACT) -> None:
+    def __init__(self, machine: Machine, period: float = 0.01) -> None:
         self.model = MotionModel(machine)
         self.transfers = Transfers(self.model, period)
         self.period = period
@@ -84,9 +65,6 @@ class ModelPID:
         self._tracker: Tracker | None = None  # made when it is known how far the goals are seen
         self._most = MOST_UNEXPLAINED * np.abs(self.model.rigid.T) @ self.model.coulomb
         self._hold = int(np.ceil(HOLD * self.transfers.shortest))
-        self._care = care
-        self._share = 1.0 - np.exp(-period / care.average_s) if care.average_s > 0.0 else 1.0
-        self._unexplained = np.zeros((0, 2))  # N, along x and y
         self._fresh = np.zeros(0, np.bool_)  # stages whose episode begins with the next observation
         self._state = np.zeros((0, 0))
         self._stretch = np.zeros((0, 0))  # motors' positions at rest beyond those of unstretched belts, m
@@ -105,7 +83,6 @@ class ModelPID:
             self._fresh = np.ones(len(state), np.bool_)
             self._state = state
             self._stretch = np.zeros((len(state), len(self.model.mass)))
-            self._unexplained = np.zeros((len(state), 2))
             self._near, self._restless, self._elapsed = (np.zeros(len(state), np.intp) for _ in range(3))
         self._late.begin(self._fresh)
         self._near, self._restless = (np.where(self._fresh, 0, n) for n in (self._near, self._restless))
@@ -143,9 +120,7 @@ class ModelPID:
         """Voltages (B, 2) for states (B, 2 n) with goals (B, 1 + P, 2), m, now and at the end of each period."""
         goals = self._late.skip(goals)
         if self._tracker is None or self._tracker.goals > goals.shape[1] - 1:
-            self._tracker = Tracker(
-                self.model, self.transfers.places, self.period, goals.shape[1] - 1, self._care.change
-            )
+            self._tracker = Tracker(self.model, self.transfers.places, self.period, goals.shape[1] - 1)
         self._tracker.learn(self._state, state, self._amplifiers.given(self._late.arrived()), self._fresh)
         elapsed_s = self._elapsed.astype(np.float64) * self.period + self._late.seconds
         last = self._amplifiers.given(self._late.last)
@@ -161,9 +136,7 @@ class ModelPID:
         known = (pushes + model.friction(state, elapsed_s)) @ model.rigid
         arrived = self._amplifiers.given(self._late.arrived())
         unexplained = model.disturbance(self._state, seen, arrived, self.period) - known
-        learnt = self._unexplained + self._share * (unexplained - self._unexplained)
-        self._unexplained = np.where(self._fresh[:, None], 0.0, learnt)
-        measured = known + np.clip(self._unexplained, -self._most, self._most)
+        measured = known + np.clip(unexplained, -self._most, self._most)
         forward = -model.voltage(np.where(self._near[:, None] > 0, measured, known))
         error = state - model.goal_state(goal)
         stretch = model.stretch(error)

@@ -1,8 +1,9 @@
 """A plain PID for each axis, tuned by the book: the baseline that a careful user has in ten minutes.
 
 The stage is taken as a rigid mass with viscous friction on each axis, m v' = f - b v.  The three gains place its poles
-at a triple -w, and w is a fifth of the slowest belt mode's frequency, or of half the sampling's where that is lower:
-the rule of thumb that keeps clear of both.
+at a triple -w (pole placement, Astrom and Hagglund 2006, Advanced PID Control, chapter 6), and w is a fifth of the
+slowest belt mode's frequency, or of half the sampling's where that is lower: the rule of thumb that keeps clear of
+both.
 """
 
 from __future__ import annotations

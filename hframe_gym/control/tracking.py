@@ -65,13 +65,13 @@ class Plans:
 class Tracker:
     """Plans for B stages, and what each has learnt of the forces on it.
 
-    goals: in sight, H; change: see `Plans`.  A stage's memory begins anew where `fresh` says so.
+    goals: in sight, H.  A stage's memory begins anew where `fresh` says so.
     """
 
-    def __init__(self, model: MotionModel, places: Places, period: float, goals: int, change: float = CHANGE) -> None:
+    def __init__(self, model: MotionModel, places: Places, period: float, goals: int) -> None:
         self.model, self.places, self.period = model, places, period
         self.goals = min(goals, max(1, round(ENOUGH / period)))
-        self.plans = Plans(model, places, period, self.goals, change)
+        self.plans = Plans(model, places, period, self.goals, CHANGE)
         steps = [model.discretise(place, period) for place in places.points]
         self._A, self._B, self._E = (np.stack(matrices) for matrices in zip(*steps, strict=True))
         self._share = 1.0 - np.exp(-period / LEARN)

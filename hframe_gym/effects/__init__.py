@@ -35,7 +35,8 @@ def sites(effect: Effect, machine: Machine) -> tuple[str, ...]:
     if effect.name == "sensor_skew":
         sensors = tuple(s.channel for s in machine.sensors if machine.coordinate(s.coordinate).kind == "linear")
     return {
-        "coordinate": machine.coordinate_names,
+        # Pulleys that share their numbers have no effect of their own.
+        "coordinate": tuple(c for c in machine.coordinate_names if f"{c}.mass" not in machine.ties),
         "motor": drives,
         "drive": drives,
         "drives": ("drives",),

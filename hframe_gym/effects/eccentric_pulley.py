@@ -12,10 +12,14 @@ def evolve(z, dq):  # type: ignore[no-untyped-def]
     return z + dq
 
 
+def behind(q, e, p, per_radius):  # type: ignore[no-untyped-def]
+    return e * sin(q + p) * per_radius
+
+
 def travel(q, z, e, p, per_radius):  # type: ignore[no-untyped-def]
     start = q - z + p
-    behind = e * sin(start) * per_radius
-    return e * (sin(q + p - behind) - sin(start - behind))
+    back = e * sin(start) * per_radius
+    return e * (sin(q + p - back) - sin(start - back))
 
 
 def arm(q, z, e, p, per_radius):  # type: ignore[no-untyped-def]
@@ -30,6 +34,7 @@ EFFECT = Effect(
     source="kinematics of an eccentric circle, first order in e/r",
     travel=travel,
     arm=arm,
+    behind=behind,
     evolve=evolve,
     fits=lambda machine: bool(machine.belts),
     parameters=(

@@ -2,7 +2,7 @@
 
 Each belt becomes its three sections between pulleys, which share its EA and its length in the paper's proportions; the
 inertia J and friction B of an idler are taken out of the motors and the cart, where the 8th-order model lumps them
-(eq. 4-8): M_cart - 4 J/r^2, J_M - J.
+(eq. 4-8): M_cart - 4 J/r^2, J_M - J.  The paper's idlers are all alike; here those of each side are.
 """
 
 import dataclasses
@@ -34,6 +34,7 @@ _ROWS: dict[str, Row] = {
     "right": {"x": 1, "y": -1, "phi2": -1},
     "bottom": {"x": -2, "phi1": -1, "phi2": 1},
 }
+_SIDES = (("left", "phi1", (3, 5, 7)), ("right", "phi2", (4, 6, 8)))
 
 
 def fits(machine: Machine) -> bool:
@@ -41,26 +42,21 @@ def fits(machine: Machine) -> bool:
 
 
 def structure(machine: Machine, effect: AppliedEffect) -> Machine:
-    inertia, viscous = effect.parameters["J"], effect.parameters["B"]
     radius = machine.coordinate("phi1").radius
-    lump = 4.0 / radius**2
-    idlers = tuple(Coordinate(f"phi{i}", inertia, viscous, kind="rotary", radius=radius) for i in range(3, 9))
+    idlers, lumped = [], {}
     ties: dict[str, tuple[str, float]] = {}
-    for c in idlers:
-        ties |= {f"{c.name}.mass": (f"{effect.label}.J", 1.0), f"{c.name}.viscous": (f"{effect.label}.B", 1.0)}
-        ties |= {f"{c.name}.coulomb": (f"{effect.label}.B", 0.0), f"{c.name}.radius": ("phi1.radius", 1.0)}
-
-    def without(name: str, mass: float, friction: float) -> Coordinate:
-        c = machine.coordinate(name)
-        return dataclasses.replace(
-            c, mass=max(c.mass - mass, 0.2 * c.mass), viscous=max(c.viscous - friction, 0.2 * c.viscous)
-        )
-
-    lumped = {
-        "phi1": without("phi1", inertia, viscous),
-        "phi2": without("phi2", inertia, viscous),
-        "y": without("y", lump * inertia, lump * viscous),
-    }
+    cart = machine.coordinate("y")
+    for side, motor, numbers in _SIDES:
+        inertia, viscous = (effect.parameters[f"{symbol}_{side}"] for symbol in "JB")
+        for i in numbers:
+            c = Coordinate(f"phi{i}", inertia, viscous, kind="rotary", radius=radius)
+            idlers.append(c)
+            ties |= {f"{c.name}.mass": (f"{effect.label}.J_{side}", 1.0)}
+            ties |= {f"{c.name}.viscous": (f"{effect.label}.B_{side}", 1.0)}
+            ties |= {f"{c.name}.coulomb": (f"{effect.label}.B_{side}", 0.0), f"{c.name}.radius": ("phi1.radius", 1.0)}
+        lumped[motor] = _without(machine.coordinate(motor), inertia, viscous)
+        cart = _without(cart, 2.0 * inertia / radius**2, 2.0 * viscous / radius**2)
+    lumped["y"] = cart
     belts = []
     for b in machine.belts:
         whole = sum(SECTIONS[number - 1] for _, number, _, _ in _SECTIONS[b.name])
@@ -72,9 +68,19 @@ def structure(machine: Machine, effect: AppliedEffect) -> Machine:
                 ties |= {f"{name}.rest_length": (f"{b.name}.rest_length", share / shares[0])}
     return dataclasses.replace(
         machine,
-        coordinates=(*(lumped.get(c.name, c) for c in machine.coordinates), *idlers),
+        coordinates=(
+            *(lumped.get(c.name, c) for c in machine.coordinates),
+            *sorted(idlers, key=lambda c: c.name),
+        ),
         belts=tuple(belts),
         ties={**machine.ties, **ties},
+    )
+
+
+def _without(c: Coordinate, mass: float, friction: float) -> Coordinate:
+    """A coordinate less what the 8th-order model lumps into it; a fifth always stays."""
+    return dataclasses.replace(
+        c, mass=max(c.mass - mass, 0.2 * c.mass), viscous=max(c.viscous - friction, 0.2 * c.viscous)
     )
 
 
@@ -87,7 +93,9 @@ EFFECT = Effect(
     structure=structure,
     fits=fits,
     parameters=(
-        EffectParameter("J", "kg m^2", 2e-6, 1.0, scale=1e-5, grid=(2e-5, 5.6e-5)),
-        EffectParameter("B", "Nms", 0.0, 1.0, scale=1e-3, grid=(1e-3,)),
+        EffectParameter("J_left", "kg m^2", 2e-6, 1.0, scale=1e-5, grid=(2e-5, 5.6e-5)),
+        EffectParameter("J_right", "kg m^2", 2e-6, 1.0, scale=1e-5, grid=(2e-5, 5.6e-5)),
+        EffectParameter("B_left", "Nms", 0.0, 1.0, scale=1e-3, grid=(1e-3,)),
+        EffectParameter("B_right", "Nms", 0.0, 1.0, scale=1e-3, grid=(1e-3,)),
     ),
 )

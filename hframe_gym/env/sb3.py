@@ -33,7 +33,6 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
     def __init__(self, num_envs: int, **keywords: Any) -> None:
         self.envs = HFrameVectorEnv(num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **keywords)
         self._actions: NDArray[Any] | None = None
-        self.contour_m: NDArray[np.float64] | None = None  # (num_envs,) after the last step, where there is a path
         super().__init__(num_envs, self.envs.single_observation_space, self.envs.single_action_space)
 
     def reset(self) -> dict[str, NDArray[np.float32]]:
@@ -65,13 +64,10 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
         """Observations, rewards (num_envs,), dones (num_envs,) and infos of the actions given last."""
         observation, reward, terminated, truncated, info = self.envs.step(self._actions)
         done = terminated | truncated
-        self.contour_m = info.get("contour_m")
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         if "final_obs" in info:
             over = np.flatnonzero(done).tolist()
             final = info["final_info"]
-            if self.contour_m is not None:
-                self.contour_m = np.where(done, final["contour_m"], self.contour_m)
             for b in over:
                 infos[b] = {
                     "terminal_observation": info["final_obs"][b],

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..control import CONTROLLERS, ESTIMATED, Channel, Controller, ModelPID, Observed, Observer
+from ..control import CONTROLLERS, Channel, Controller, ModelPID, Observed, Observer
 from ..env.sensors import Sensors, as_sensors, channels, sensed_entries
 from ..env.settings import as_machine
 from ..files import InputError
@@ -27,7 +27,7 @@ def contender(name: str, trial: Trial) -> Controller:
         machine = as_machine(trial.machine)
         if name == "pid" and sensors is not None:
             observer = Observer(machine, trial.period, sensor_channels(machine, sensors))
-            return Observed(ModelPID(machine, trial.period, care=ESTIMATED), observer)
+            return Observed(ModelPID(machine, trial.period), observer)
         if name in CONTROLLERS:
             if sensors is not None:
                 raise InputError(f"controller {name!r} needs the full state, sensors are {trial.sensors!r}")

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ..atomic import write_text
 from ..control import Controller
 from ..env import HFrameVectorEnv
+from ..env.columns import numbers
 from ..machine import Machine
 from .bounds import known_bounds
 from .episodes import Episodes
@@ -29,16 +30,15 @@ SAMPLES = 10  # a control period
 
 
 class _Parameters:
-    """The drawn parameters of every episode, each (B,), by full name."""
+    """The drawn numbers of every episode's tables, each (B,), by full name."""
 
     def __init__(self, envs: HFrameVectorEnv) -> None:
         table = envs.batch.stages.parameters
-        rows = table.transpose(0, 2, 1).reshape(-1, table.shape[1])[: envs.num_envs]
-        names = list(envs.batch.machine.parameters)
-        self.by_name: dict[str, Array] = {name: rows[:, i].copy() for i, name in enumerate(names)}
+        self.machine = envs.batch.machine
+        self.rows = table.transpose(0, 2, 1).reshape(-1, table.shape[1])[: envs.num_envs].copy()
 
     def __call__(self, owner: str, key: str) -> Array:
-        return self.by_name[f"{owner}.{key}"]
+        return numbers(self.machine, f"{owner}.{key}", self.rows)
 
 
 def _travel(envs: HFrameVectorEnv) -> Array:

@@ -150,7 +150,8 @@ def effect_parameters(effect: AppliedEffect, machine: Machine, scale: References
         name, value = f"{effect.label}.{p.name}", effect.parameters[p.name]
         size = p.scale * own.get(p.unit, 1.0)
         if p.amplitude or p.role == "phase":
-            free.append(Free(name, value, prior=10.0, scale=size, lower=p.lower, upper=p.upper))
+            along = effect.label if effect.definition.against else ""
+            free.append(Free(name, value, prior=10.0, scale=size, lower=p.lower, upper=p.upper, along=along))
         elif p.role in ("rate", "period"):
             free.append(Free(name, value, prior=0.1, lower=p.lower, upper=p.upper))
         elif p.lower < 0.0 or value == 0.0:

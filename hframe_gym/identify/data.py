@@ -21,7 +21,8 @@ class Run:
     """One recording of a machine.
 
     time_s (n,); inputs (n, drives) V; outputs (n, sensors) with the resting offset removed, NaN where not measured;
-    start (2 coordinates,); offset (sensors,), the one removed.
+    start (2 coordinates,), with the stretch of the belts that encoders told of; told (sensors,): which did; offset
+    (sensors,), the one removed; zeroed: whether a fitted machine has put the encoders' zeros right.
     """
 
     name: str
@@ -31,6 +32,8 @@ class Run:
     start: Array
     rest: int
     offset: Array
+    told: NDArray[np.bool_]
+    zeroed: bool = False
 
     @property
     def count(self) -> int:
@@ -59,7 +62,7 @@ class Data:
 
     def only(self, names: Sequence[str]) -> Data:
         """The runs of these names, with the same noise."""
-        return Data(tuple(run for run in self.runs if run.name in names), self.noise, self.quantum, self.behind_belts)
+        return dataclasses.replace(self, runs=tuple(run for run in self.runs if run.name in names))
 
 
 def shown(data: Data, recordings: Sequence[Recording]) -> Data:
@@ -79,7 +82,16 @@ def prepare(recordings: Sequence[Recording], machine: Machine) -> Data:
     for recording, start in zip(recordings, starts, strict=True):
         outputs = recording.outputs - start.offset
         runs.append(
-            Run(recording.name, recording.time_s, recording.inputs, outputs, start.state, start.rows, start.offset)
+            Run(
+                recording.name,
+                recording.time_s,
+                recording.inputs,
+                outputs,
+                start.state,
+                start.rows,
+                start.offset,
+                zeros.stretched,
+            )
         )
     noise = np.array([_noise(recordings, runs, j, machine, quanta[j]) for j in range(len(machine.sensors))])
     belted = [bool(machine.belts) and machine.coordinate(s.coordinate).kind == "rotary" for s in machine.sensors]

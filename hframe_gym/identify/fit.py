@@ -33,7 +33,8 @@ _DAMPINGS = 10.0 ** np.array([-6.0, -4.0, -3.0, -2.0, -1.0, 0.0, 1.0, 2.0])
 class Free:
     """One fitted parameter: value = center exp(theta) or, where `scale` is given, center + scale theta.
 
-    prior: standard deviation of theta around 0.  lower, upper: bounds of the value.
+    prior: standard deviation of theta around 0.  lower, upper: bounds of the value.  along: the curve that this one is
+    a value of, the others beside it in order: its bends in theta are about one.
     """
 
     name: str
@@ -42,6 +43,7 @@ class Free:
     scale: float | None = None
     lower: float = 0.0
     upper: float = math.inf
+    along: str = ""
 
     def value(self, theta: Array) -> Array:
         raw = self.center * np.exp(theta) if self.scale is None else self.center + self.scale * theta
@@ -116,6 +118,16 @@ def typical_force(machine: Machine) -> float:
     return 0.1 * total
 
 
+def prior_precision(free: Sequence[Free]) -> Array:
+    """Of theta (k, k): each around 0 by its own, and the second differences of curves around 0."""
+    precision = np.diag([1.0 / f.prior**2 for f in free])
+    for curve in dict.fromkeys(f.along for f in free if f.along):
+        place = [i for i, f in enumerate(free) if f.along == curve]
+        bends = np.diff(np.eye(len(free))[place], n=2, axis=0)
+        precision += bends.T @ bends
+    return precision
+
+
 def parameter_table(machine: Machine, free: Sequence[Free], theta: Array) -> Array:
     """Kernel parameters (B, P) for theta (B, k)."""
     names = list(machine.parameters)
@@ -163,13 +175,14 @@ def fit(
     """
     free = tuple(free)
     at = np.zeros(len(free)) if theta is None else np.array(theta, float)
-    prior = precision = np.array([1.0 / f.prior**2 for f in free])
+    prior = precision = prior_precision(free)
     reach = _REACH * np.array([f.prior for f in free])
     period = data.period
+    here = machine  # at the last Jacobian: runs start where this one rests
 
     def left(run: Run, thetas: Array) -> Array:
         table = parameter_table(machine, free, thetas)
-        motion = predict(machine, run, mode, period=period, parameters=table, longest_step=longest_step)
+        motion = predict(here, run, mode, period=period, parameters=table, longest_step=longest_step)
         return residuals(run, data, motion.readings)
 
     projections: dict[str, Projection | None] = {}
@@ -180,6 +193,7 @@ def fit(
 
     def gram(thetas: Array) -> Array:
         """Sum over runs of the products of (Jacobian columns, residual), (k + 1, k + 1)."""
+        nonlocal here
         here = machine.replace({f.name: float(f.value(t)) for f, t in zip(free, thetas[0], strict=True)})
 
         def of(run: Run) -> Array:
@@ -192,7 +206,7 @@ def fit(
 
     def costs(thetas: Array) -> Array:
         parts = over_runs(lambda run: np.einsum("bi,bi->b", r := without_start(run, left(run, thetas)), r), data)
-        total = np.sum(list(parts), axis=0) + np.square(thetas) @ precision
+        total = np.sum(list(parts), axis=0) + np.einsum("bi,ij,bj->b", thetas, precision, thetas)
         return np.where(np.isfinite(total), total, np.inf)
 
     information = np.zeros((len(free), len(free)))
@@ -202,9 +216,9 @@ def fit(
         information = products[:-1, :-1]
         # A model that misses by chi2 times the noise is that much less sure of its data: the prior keeps its weight.
         precision = prior * max(1.0, products[-1, -1] / data.count)
-        cost = products[-1, -1] + float(np.square(at) @ precision)
-        hessian = information + np.diag(precision)
-        gradient = products[:-1, -1] + precision * at
+        cost = products[-1, -1] + float(at @ precision @ at)
+        hessian = information + precision
+        gradient = products[:-1, -1] + precision @ at
         trials = np.array(
             [at - np.linalg.solve(hessian + damping * np.diag(np.diag(hessian)), gradient) for damping in _DAMPINGS]
         )
@@ -218,5 +232,5 @@ def fit(
         if gain < tolerance * cost:
             break
     fitted = machine.replace({f.name: float(f.value(t)) for f, t in zip(free, at, strict=True)})
-    plain = cost - float(np.square(at) @ precision)
+    plain = cost - float(at @ precision @ at)
     return Fit(fitted, free, at, plain, data.count, mode, information)

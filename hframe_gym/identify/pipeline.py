@@ -18,6 +18,7 @@ from .residual import channel_errors, depends_on, force_error, is_white
 from .stuck import range_effects, stuck_ranges, without_stuck
 from .trace import LEAST_GAIN, LEAST_INNOVATION, Found, add_tables, least, trace, without_idle
 from .uncertainty import with_uncertainty
+from .zeros import with_zeros, zero_errors
 
 # A free run this far off, over the signal's own size, has drifted: then innovations judge, and the force error.
 _DRIFT = 0.3
@@ -83,14 +84,15 @@ def identify(
     say("searching for effects")
     verdict, after, found = _explain(base, before, data, say)
     say(f"verdict: {verdict}")
-    fitted = with_uncertainty(after, data).replace(name=f"{machine.name}-identified")
+    fitted = with_uncertainty(after, _from_zeros(after.machine, data, data)).replace(name=f"{machine.name}-identified")
     corrected = fitted.with_effects(*range_effects(ranges))
     found += tuple(Found(e, (), 0.0, fitted) for e in range_effects(ranges))
     if found and verdict == "no_effect":
         verdict = "effect_found"
     refitted = before.machine.replace(name=f"{machine.name}-refitted")
     experiments = (separating(after, corrected, f.effect.label, f.rival_effects, data) for f in found)
-    stages = [Stage(m, _errors(m, judge)) for m in (machine, refitted, corrected)]
+    stages = [Stage(m, _errors(m, _from_zeros(m, judge, data))) for m in (machine, refitted, corrected)]
+    judge = _from_zeros(corrected, judge, data)
     return Answer(
         verdict=verdict,
         declared=stages[0],
@@ -105,6 +107,11 @@ def identify(
         seconds=time.perf_counter() - began,
         experiment=next(filter(None, experiments), None),
     )
+
+
+def _from_zeros(machine: Machine, runs: Data, data: Data) -> Data:
+    """Runs that start where a machine fitted to `data` takes the encoders' zeros to be."""
+    return with_zeros(runs, machine, zero_errors(machine, data))
 
 
 def _polish(fitted: Fit, data: Data, mode: Mode | None = None) -> Fit:
@@ -130,9 +137,12 @@ def _explain(base: Fit, before: Fit, data: Data, say: Say) -> tuple[Verdict, Fit
     def settled(traced: Fit, found: tuple[Found, ...]) -> tuple[Fit, tuple[Found, ...]]:
         """Polished, completed where a free run shows what innovations cannot, and rid of what is idle."""
         now = polished.get(_labels(traced)) or _polish(traced, data, before.mode)
+        runs = _from_zeros(now.machine, data, data) if free else data
+        if runs is not data:
+            now = _polish(now, runs, "free")
         if free and now.chi2 < _NEAR:
-            now, found = trace(now, found, data, say, LEAST_GAIN)
-        return without_idle(now, found, data, say, longest_step=POLISH_STEP)
+            now, found = trace(now, found, runs, say, LEAST_GAIN)
+        return without_idle(now, found, runs, say, longest_step=POLISH_STEP)
 
     def done(traced: Fit) -> bool:
         """Whether a free run is explained, or shows that the last effect is none: innovations keep other traces."""

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..machine import Machine
-from ..machine.simulate import Motion, respond, rest_state
+from ..machine.simulate import Motion, respond
+from .balance import balanced
 from .data import Data, Run
 from .start import settled
 
@@ -91,23 +92,36 @@ def predict(
 def start_of_run(machine: Machine, run: Run) -> Array:
     """The run's resting state.
 
-    Where an effect changes what sensors tell of the place, or where a pulley that runs out of true stands, the place is
-    what the sensors mean by it and belts are unstretched: what encoders told of a stretch was that effect.
+    Encoders that tell of a stretch place their pulleys; all others stand where belts hold what the machine's effects
+    do at rest.  So does a pulley that runs out of true, and so do all where an effect changes what sensors tell of the
+    place, until that effect's machine has put the zeros right: before, what seemed a stretch was the effect.
     """
-    known, count = len(run.start) // 2, len(machine.coordinates)
-    untrue = [machine.site_coordinate(e.site) for e in machine.effects if e.definition.travel]
-    meant = _meant(machine, run)
-    if known == count and not untrue and np.array_equal(meant, run.start[:known]):
+    if not machine.belts:
         return run.start
-    linear = [c.kind == "linear" for c in machine.coordinates[:known]]
-    start = rest_state(machine, meant[linear])
-    if np.array_equal(meant, run.start[:known]):
-        kept = [i for i, c in enumerate(machine.coordinates[:known]) if c.name not in untrue]
-        start[kept] = meant[kept]
-    return start
+    known = len(run.start) // 2
+    place = meant(machine, run)
+    position = balanced(machine, place)
+    if run.zeroed or np.array_equal(place, run.start[:known]):
+        untrue = [] if run.zeroed else [machine.site_coordinate(e.site) for e in machine.effects if e.definition.behind]
+        for i, angle in told_angles(machine, run).items():
+            if machine.coordinate_names[i] not in untrue:
+                position[i] = angle
+    return np.concatenate([position, np.zeros_like(position)])
 
 
-def _meant(machine: Machine, run: Run) -> Array:
+def told_angles(machine: Machine, run: Run) -> dict[int, float]:
+    """By coordinate, the angle of a round pulley where encoders that tell of a stretch place theirs, rad."""
+    angles: dict[int, float] = {}
+    for j in np.flatnonzero(run.told):
+        i = machine.coordinate_names.index(machine.sensors[j].coordinate)
+        angles[i] = shown = float(run.start[i])
+        for e in machine.effects:
+            if e.definition.behind and machine.site_coordinate(e.site) == machine.coordinate_names[i]:
+                angles[i] += float(e("behind", q=shown, per_radius=1.0 / machine.radii[i]))
+    return angles
+
+
+def meant(machine: Machine, run: Run) -> Array:
     """Positions (coordinates,) of a run's start with those of its lasers put where their readings come from."""
     at = run.start[: len(run.start) // 2].copy()
     names = machine.coordinate_names

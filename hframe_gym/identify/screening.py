@@ -19,7 +19,7 @@ from ..machine import Machine
 from .addition import Addition, Along, addition
 from .candidates import Candidate
 from .data import Data, Run
-from .fit import Fit, over_runs, parameter_table
+from .fit import Fit, over_runs, parameter_table, prior_precision
 from .nuisance import projection
 from .prediction import SEARCH_STEP, coarse, predict, residuals
 
@@ -91,8 +91,7 @@ def screen(fit: Fit, candidates: Sequence[Candidate], data: Data) -> list[Screen
         return stacked @ stacked.T
 
     gram = np.sum(list(over_runs(products, data)), axis=0)
-    prior = np.array([1.0 / f.prior**2 for f in fit.free])
-    hessian = gram[:own, :own] + np.diag(prior + 1e-9 * np.diag(gram)[:own])
+    hessian = gram[:own, :own] + prior_precision(fit.free) + np.diag(1e-9 * np.diag(gram)[:own])
     mimic = np.linalg.solve(hessian, gram[:own, own:])
     left = gram[own:, own:] - gram[own:, :own] @ mimic
     found, first = [], 0

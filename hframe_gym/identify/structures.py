@@ -17,7 +17,7 @@ from ..effects import LIBRARY, sites
 from ..machine import Effect, Machine
 from ..machine.simulate import parameter_batch
 from .data import Data, Run
-from .fit import Fit, over_runs, parameter_table
+from .fit import Fit, over_runs, parameter_table, prior_precision
 from .nuisance import projection
 from .prediction import SEARCH_STEP, coarse, predict, residuals
 from .references import References
@@ -85,7 +85,7 @@ def _savings(machines: list[Machine], current: Fit, data: Data) -> Array:
         return stacked @ stacked.T
 
     gram = np.sum(list(over_runs(products, data)), axis=0)
-    hessian = gram[:own, :own] + np.diag([1.0 / f.prior**2 for f in current.free])
+    hessian = gram[:own, :own] + prior_precision(current.free)
     left = gram[own:, own:] - gram[own:, :own] @ np.linalg.solve(hessian, gram[:own, own:])
     size, towards = np.diag(left)[:-1], left[:-1, -1]
     saved = np.where(towards < 0.0, towards**2 / np.maximum(size, 1e-300), 0.0)

@@ -20,7 +20,7 @@ from .candidates import candidates, effect_parameters
 from .data import Data
 from .fallback import tables
 from .fit import Fit, cost_of, fit, over_runs, own_parameters
-from .prediction import predict
+from .prediction import POLISH_STEP, SEARCH_STEP, predict
 from .references import References, references
 from .residual import missing_force
 from .screening import Screened, screen
@@ -58,6 +58,9 @@ _FLOOR = 1.1
 _REST = 0.2
 # Where this much is missed, what saves less than that share of it is a crutch, not the effect.
 _MUCH, _LEAST_OF_MUCH = 3.0, 0.1
+
+# In free run what is left is compared with what a polished fit leaves.
+_STEPS = {"innovations": SEARCH_STEP, "free": POLISH_STEP}
 
 Say = Callable[[str], None]
 
@@ -128,8 +131,9 @@ def _finished(trial: Fit, data: Data) -> Fit:
     Without the effect the machine's own numbers had bent to do its work, sometimes into a valley of their own.
     """
     effects = np.array(["@" in f.name for f in trial.free])
+    step = _STEPS[trial.mode]
     fits = [
-        fit(trial.machine, trial.free, data, trial.mode, theta=theta)
+        fit(trial.machine, trial.free, data, trial.mode, theta=theta, longest_step=step)
         for theta in (trial.theta, np.where(effects, trial.theta, 0.0))
     ]
     return min(fits, key=lambda f: f.cost)
@@ -269,12 +273,27 @@ def _add(current: Fit, screened: Screened, scale: References, data: Data) -> Fit
     machine = current.machine.with_effects(candidate.applied(screened.amounts))
     own = effect_parameters(machine.effects[-1], machine, scale)
     theta = np.concatenate([current.theta, np.zeros(len(own))])
-    return fit(machine, current.free + own, data, current.mode, theta=theta, iterations=8, tolerance=1e-3)
+    step = _STEPS[current.mode]
+    return fit(
+        machine, current.free + own, data, current.mode, theta=theta, iterations=8, tolerance=1e-3, longest_step=step
+    )
 
 
 def _restructured(current: Fit, machine: Machine, scale: References, data: Data) -> Fit:
-    """A machine with other tables, its own parameters free around what the fit so far has found."""
-    free = list(own_parameters(machine, effects=False))
-    for e in machine.effects:
-        free += effect_parameters(e, machine, scale)
-    return fit(machine, free, data, current.mode, iterations=8, tolerance=1e-3)
+    """A machine with another effect in the place of its tables, its own parameters free around those fitted so far.
+
+    New tables are tried around the declared parameters too: fitted without them, the others had bent to do their work.
+    """
+    starts = [machine]
+    effect = machine.effects[-1]
+    if effect.definition.structure:
+        own = {f.name: f.center for f in current.free if "@" not in f.name}
+        starts.append(current.machine.replace(own).with_effects(effect))
+    fits = []
+    for start in starts:
+        free = list(own_parameters(start, effects=False))
+        for e in start.effects:
+            free += effect_parameters(e, start, scale)
+        step = _STEPS[current.mode]
+        fits.append(fit(start, free, data, current.mode, iterations=8, tolerance=1e-3, longest_step=step))
+    return min(fits, key=lambda f: f.cost)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..machine import Machine, Uncertainty
 from .data import Data, Run
-from .fit import Fit, over_runs, parameter_table
+from .fit import Fit, over_runs, parameter_table, prior_precision
 from .nuisance import projection
 from .prediction import SEARCH_STEP, predict, residuals
 
@@ -40,7 +40,7 @@ def with_uncertainty(fitted: Fit, data: Data) -> Machine:
         return jacobian @ jacobian.T, np.add.reduceat(product, edges, axis=1)
 
     parts = list(over_runs(scores, data))
-    prior = np.diag([1.0 / f.prior**2 for f in free])
+    prior = prior_precision(free)
     information = np.sum([p[0] for p in parts], axis=0)
     blocks = np.concatenate([p[1] for p in parts], axis=1)
     blocks -= blocks.mean(axis=1, keepdims=True)

@@ -245,6 +245,10 @@ class KernelSource:
         def travel(c: str) -> str:
             return self.effects.stretched(c, point)
 
+        def speed(c: str) -> str:
+            own, arm = f"{point.velocity}_{identifier(c)}", self.effects.arm(c, point)
+            return f"({own} * {arm})" if arm else own
+
         for b in self.machine.belts:
             name = identifier(b.name)
             rest = dict(b.extension)
@@ -268,7 +272,7 @@ class KernelSource:
             else:
                 yield f"stiffness_{name} = {name}_stiffness"
             yield f"T_{name} = stiffness_{name} * s_{name}"
-            rate = combination(b.extension, lambda c: f"{point.velocity}_{identifier(c)}")
+            rate = combination(b.extension, speed)
             yield from self.effects.tension(b.name, f"s_{name}", f"({rate})", f"stiffness_{name}")
             if b.length:
                 growth = self.effects.growth(b.name, f"s_{name}", f"stiffness_{name}")

@@ -16,6 +16,7 @@ their arguments, beside the effect's own parameters, and that the kernel inlines
     tension       a belt's tension, N                                      s, rate, k
     growth        its energy's slope with stiffness, m^2 (else s^2/2)      s, k
     travel, arm   belt travel added by a pulley, m, and its slope, m/rad   q, z, per_radius
+    behind        angle by which a pulley at rest stands behind, rad       q, per_radius
     reading       what a sensor shows, in its unit                         r, across
     lag           time by which a sensor is late, s
     evolve        the effect's own state after dt                          z, dq, dt, v, level, i
@@ -114,6 +115,7 @@ class Effect:
     growth: Contribution | None = None
     travel: Contribution | None = None
     arm: Contribution | None = None
+    behind: Contribution | None = None
     reading: Contribution | None = None
     lag: Contribution | None = None
     evolve: Contribution | None = None

@@ -42,6 +42,18 @@ def test_arrived_is_the_mean_of_what_reached_the_motors() -> None:
         dead.send(np.full((1, 2), value))
     # The last period, 30 to 40 ms, saw what was sent at 10 ms (until 33 ms) and at 20 ms... 13 ms late.
     np.testing.assert_allclose(dead.arrived(), 0.3 * 2.0 + 0.7 * 4.0)
+    times, volts = dead.course()
+    np.testing.assert_allclose(times, [0.0, 0.003, 0.01])
+    np.testing.assert_allclose(volts[0], [[2.0, 2.0], [4.0, 4.0], [4.0, 4.0]])
+
+
+def test_without_a_dead_time_what_is_sent_arrives() -> None:
+    dead = DeadTime(BUILTIN["hframe"](), PERIOD)
+    dead.begin(np.ones(1, np.bool_))
+    dead.send(np.array([[3.0, -1.0]]))
+    times, volts = dead.course()
+    np.testing.assert_allclose(times, [0.0, 0.01])
+    np.testing.assert_allclose(volts, [[[3.0, -1.0], [3.0, -1.0]]])
 
 
 def test_skips_goals_by_the_dead_time() -> None:

@@ -5,7 +5,7 @@ import pytest
 from closed_loop import PERIOD, closed_loop, random_points, random_stages
 from scipy.linalg import solve_discrete_are
 
-from hframe_gym.control import ESTIMATED, Channel, ModelPID, Observed, Observer
+from hframe_gym.control import Channel, ModelPID, Observed, Observer
 from hframe_gym.machine import BUILTIN, Machine, rest_state, simulate
 
 QUANTUM = 2 * np.pi / (4 * 512 * 5.9)
@@ -30,7 +30,7 @@ class Readings:
 
 
 def observed(machine: Machine, span: float) -> Observed:
-    return Observed(ModelPID(machine, PERIOD, care=ESTIMATED), Observer(machine, PERIOD, rig(span)))
+    return Observed(ModelPID(machine, PERIOD), Observer(machine, PERIOD, rig(span)))
 
 
 @pytest.mark.parametrize("span", [np.inf, 0.1])
@@ -39,9 +39,9 @@ def test_settles_on_random_machines_from_readings_alone(hframe: Machine, span: f
     run = closed_loop(
         observed(hframe, span), hframe, start, goal, changes=random_stages(hframe, 48, 3), sense=Readings(span, 4)
     )
-    assert np.mean(run.error[:, -1] < 2e-4) >= 0.95
+    assert np.all(run.error[:, -1] < 2e-4)
     settled = np.argmax(run.error[:, ::-1] > 2e-4, axis=1)
-    assert PERIOD * np.mean(run.error.shape[1] - settled) < 0.42
+    assert PERIOD * np.mean(run.error.shape[1] - settled) < 0.32
 
 
 def test_the_state_of_its_own_machine_is_found_while_lasers_stick(hframe: Machine) -> None:
@@ -58,6 +58,54 @@ def test_the_state_of_its_own_machine_is_found_while_lasers_stick(hframe: Machin
     truth = np.concatenate([run.positions[-1], run.velocities[-1]]) * np.tile(hframe.radii, 2)
     np.testing.assert_allclose(estimate[0, :4], truth[:4], atol=3e-5)
     np.testing.assert_allclose(estimate[0, 4:], truth[4:], atol=1e-2)
+
+
+@pytest.mark.parametrize("span", [np.inf, 0.1])
+def test_another_stage_is_learnt_and_its_speeds_with_it(hframe: Machine, span: float) -> None:
+    """Softer belts, heavier, more friction; far out, where lasers of 100 mm stick, by the encoders alone."""
+    factors = {"left.EA": 0.8, "right.EA": 0.8, "bottom.EA": 0.8, "x.mass": 1.15, "phi1.coulomb": 1.7}
+    stage = hframe.replace({name: factor * hframe.parameters[name] for name, factor in factors.items()})
+    time = PERIOD * np.arange(101)
+    volts = np.random.default_rng(5).uniform(-9.0, 9.0, (101, 2))
+    run = simulate(stage, time, volts, rest_state(hframe, np.array([0.12, -0.08])))
+    truth = np.hstack([run.positions, run.velocities]) * np.tile(hframe.radii, 2)
+    readings, observer, misses = Readings(span, 6), Observer(hframe, PERIOD, rig(span)), []
+    for k in range(101):
+        estimate = observer.update(readings(run.positions[k : k + 1]))
+        observer.sent(volts[k : k + 1])
+        misses.append(estimate[0] - truth[k])
+    np.testing.assert_allclose(np.sqrt(np.mean(np.array(misses)[50:, 4:] ** 2, axis=0)), 0.0, atol=0.005)  # of 0.3 m/s
+    found = dict(zip(observer.unknowns.names, observer.factors[0], strict=True))
+    for name, factor in factors.items():
+        assert found[name] == pytest.approx(factor, abs=0.2 if name.endswith("coulomb") else 0.05), name
+
+
+def test_readings_that_no_model_explains_are_believed(hframe: Machine) -> None:
+    """A stage at rest, well known by then, is put 5 mm aside by hand; a certain filter would not follow at once."""
+    observer = Observer(hframe, PERIOD, rig(np.inf))
+    readings = Readings(np.inf, 7)
+    places = np.repeat([[0.0, 0.0], [0.005, 0.0]], [50, 20], axis=0)
+    for k, place in enumerate(places):
+        estimate = observer.update(readings(rest_state(hframe, place)[None, :4]))
+        observer.sent(np.zeros((1, 2)))
+        if k >= 50:
+            np.testing.assert_allclose(estimate[0, :2], place, atol=1e-4)
+            np.testing.assert_allclose(estimate[0, 4:], 0.0, atol=0.05)
+
+
+@pytest.mark.parametrize("channel", [0, 2])
+def test_one_wild_reading_is_made_up_for(hframe: Machine, channel: int) -> None:
+    time = PERIOD * np.arange(61)
+    volts = np.random.default_rng(5).uniform(-9.0, 9.0, (61, 2))
+    run = simulate(hframe, time, volts, rest_state(hframe, np.array([0.05, -0.05])))
+    observer = Observer(hframe, PERIOD, rig(np.inf))
+    for k in range(61):
+        reading = run.positions[k : k + 1].copy()
+        reading[0, channel] += 1.0 if k == 40 else 0.0
+        estimate = observer.update(reading)
+        observer.sent(volts[k : k + 1])
+        if k > 46:
+            np.testing.assert_allclose(estimate[0, :4], run.positions[k] * hframe.radii, atol=1e-4)
 
 
 def test_a_stuck_laser_changes_nothing(hframe: Machine) -> None:
@@ -77,20 +125,19 @@ def test_covariance_goes_to_that_of_the_riccati_equation() -> None:
     """On the linear machine at rest, against SciPy's solution for the same noises."""
     machine = BUILTIN["hframe-linear"]()
     observer = Observer(machine, PERIOD, rig(np.inf))
-    place = observer._places.nearest(np.zeros((1, 2)))[0]
     for _ in range(400):
         observer.update(np.zeros((1, 4)))
     n = 4
-    F, H = observer._F[place], np.zeros((4, 3 * n))
+    F, _, _ = observer.model.discretise(np.zeros(2), PERIOD)
+    H = np.zeros((4, 2 * n))
     H[np.arange(4), observer._rows] = 1.0
-    force = observer._friction
-    Q = observer._Q + np.diag(np.concatenate([np.zeros(2 * n), (1.0 - observer._keep**2) * force**2]))
-    R = np.diag(observer._noise)
+    Q, R = observer._Q[: 2 * n, : 2 * n] + np.diag(observer._least[: 2 * n] ** 2), np.diag(observer._noise)
     prior = solve_discrete_are(F.T, H.T, Q, R)
     gain = prior @ H.T @ np.linalg.inv(H @ prior @ H.T + R)
     posterior = prior - gain @ H @ prior
     scale = np.sqrt(np.outer(np.diag(posterior), np.diag(posterior))) + 1e-30
-    np.testing.assert_allclose(observer._P[0] / scale, posterior / scale, atol=1e-4)
+    # Steps of 0.5 ms, not the matrix exponential.
+    np.testing.assert_allclose(observer._P[0, : 2 * n, : 2 * n] / scale, posterior / scale, atol=2e-3)
 
 
 def test_masked_reset_begins_anew(hframe: Machine) -> None:
@@ -112,3 +159,28 @@ def test_refuses_channels_that_do_not_tell_where_the_tool_is(hframe: Machine) ->
         Observer(hframe, PERIOD, [Channel("x", 1e-5)])
     with pytest.raises(ValueError, match="phi9"):
         Observer(hframe, PERIOD, [Channel("x", 1e-5), Channel("phi9", 1e-5)])
+
+
+def test_refuses_a_reading_that_is_no_number(hframe: Machine) -> None:
+    observer = Observer(hframe, PERIOD, rig(0.1))
+    with pytest.raises(ValueError, match="channel 2 of stage 1 is nan"):
+        observer.update(np.array([[0.0, 0.0, 0.0, 0.0], [0.0, 0.0, np.nan, 0.0]]))
+
+
+@pytest.mark.parametrize("size", [1e-3, 0.1])
+def test_readings_without_sense_do_not_break_it(hframe: Machine, size: float) -> None:
+    observer, rng = Observer(hframe, PERIOD, rig(np.inf)), np.random.default_rng(2)
+    for _ in range(100):
+        assert np.all(np.isfinite(observer.update(rng.normal(0.0, size, (4, 4)))))
+        observer.sent(rng.uniform(-12.0, 12.0, (4, 2)))
+
+
+def test_sensors_without_noise_are_not_too_good(hframe: Machine) -> None:
+    """Exact readings of everything: the covariance is all but zero, and stays a covariance."""
+    observer = Observer(hframe, PERIOD, [Channel(name, 0.0) for name in ("x", "y", "phi1", "phi2")])
+    start, goal = random_points(16, 8), random_points(16, 9)
+    controller = Observed(ModelPID(hframe, PERIOD), observer)
+    run = closed_loop(
+        controller, hframe, start, goal, changes=random_stages(hframe, 16, 10), sense=lambda values: values[:, :4]
+    )
+    assert np.all(run.error[:, -1] < 5e-5)

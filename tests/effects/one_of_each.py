@@ -111,7 +111,12 @@ _EVERY = (
         {"yaw": Yaw(inertia=0.06, stiffness=4000.0, viscous=0.6, half_width_m=0.3)},
     ),
     # The simulator takes half of each motor's inertia and friction for its idlers.
-    Case("idler_inertia", "machine", {"J": 0.56e-4, "B": 0.0018}, {"idlers": True}),
+    Case(
+        "idler_inertia",
+        "machine",
+        {"J_left": 0.56e-4, "J_right": 0.56e-4, "B_left": 0.0018, "B_right": 0.0018},
+        {"idlers": True},
+    ),
     Case("sensor_skew", "y_m", {"a": 5e-3}, sensors={"skew": (0.0, 5e-3)}),
     Case("sensor_scale", "x_m", {"g": 0.005}, sensors={"scale": (1.0, 1.0, 1.005, 1.0)}),
     Case("sensor_range", "x_m", {"low": 0.077, "high": 0.083}, sensors={"range_x_m": (0.077, 0.083)}),

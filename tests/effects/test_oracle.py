@@ -48,3 +48,13 @@ def test_a_switch_drives_all_or_nothing(hframe: Machine) -> None:
     shown = positions[:, [2, 3, 0, 1]]
     assert difference(machine, time_s, inputs, shown) < AGREE
     assert difference(hframe, time_s, inputs, shown) > 20 * AGREE
+
+
+def test_a_late_belt_around_an_eccentric_pulley(hframe: Machine) -> None:
+    """Two effects that meet: the damping acts on the rate at which the eccentric pulley really draws its belts."""
+    time_s, inputs = history(7)
+    rig = reference.Rig(belt_damping_s=1e-3, eccentricity_m=(0.0, 1e-3), eccentricity_phase=(0.0, 0.7))
+    positions, _ = reference.simulate(rig, time_s, inputs, START)
+    late, untrue = LIBRARY["belt_damping"].at("belts", c=1e-3), LIBRARY["eccentric_pulley"].at("motor2", e=1e-3, p=0.7)
+    shown = positions[:, [2, 3, 0, 1]]
+    assert difference(hframe.with_effects(late, untrue), time_s, inputs, shown) < 2 * AGREE

@@ -18,7 +18,7 @@ NUMBERS = {
     "belt_slack": {"T0": 15.0},
     "bridge_yaw": {"J": 0.06, "k": 4000.0, "c": 0.6, "w": 0.3},
     "electrical_lag": {"tau": 1.5e-3},
-    "idler_inertia": {"J": 0.5e-4, "B": 0.0018},
+    "idler_inertia": {"J_left": 0.5e-4, "J_right": 0.5e-4, "B_left": 0.0018, "B_right": 0.0018},
     "input_delay": {"d": 2.3e-3},
     "presliding": {"s0": 1e4, "s1": 60.0},
 }

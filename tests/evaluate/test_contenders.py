@@ -20,8 +20,8 @@ def test_names_make_controllers() -> None:
 def test_the_pid_settles_from_a_rig_s_sensors() -> None:
     trial = Trial(sensors="rig", episodes=48)
     card = scores(rollout(contender("pid", trial), trial))
-    assert card["success"]["0.2mm"] >= 0.97
-    assert card["settling_s"]["0.2mm"]["mean"] < 0.36
+    assert card["success"]["0.2mm"] == 1.0
+    assert card["settling_s"]["0.2mm"]["mean"] < 0.31
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from hframe_gym.control import ModelPID, TextbookPID
+from hframe_gym.effects import LIBRARY
 from hframe_gym.env import Track
 from hframe_gym.evaluate import Trial, evaluate, rollout, scores, write_scores
 from hframe_gym.machine import BUILTIN
@@ -45,6 +46,17 @@ def test_actions_are_clipped_and_energy_covers_what_moving_takes() -> None:
     """The first period costs U^2/R of both motors less what their back-EMF saves."""
     run = rollout(Push(), Trial(HFRAME, randomize="none", episodes=2, duration_s=0.01))
     assert run.volts.max() == 12.0
+    stalled = 2 * 12.0**2 / 0.71 * 0.01
+    assert np.all((0.3 * stalled < run.energy_J) & (run.energy_J < stalled))
+    assert np.all(run.peak_belt_force_N > 10.0)
+
+
+def test_energy_and_belt_force_of_a_stage_with_idlers() -> None:
+    """Their belts and radii have no parameters of their own, but those that they are tied to."""
+    machine = HFRAME.with_effects(
+        LIBRARY["idler_inertia"].at("machine", J_left=0.5e-4, J_right=0.5e-4, B_left=0.0018, B_right=0.0018)
+    )
+    run = rollout(Push(), Trial(machine, randomize="none", episodes=2, duration_s=0.01))
     stalled = 2 * 12.0**2 / 0.71 * 0.01
     assert np.all((0.3 * stalled < run.energy_J) & (run.energy_J < stalled))
     assert np.all(run.peak_belt_force_N > 10.0)

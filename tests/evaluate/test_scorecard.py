@@ -62,15 +62,19 @@ def test_scores_by_hand() -> None:
     json.dumps(card, allow_nan=False)
 
 
-def test_over_bound_is_the_mean_of_ratios() -> None:
-    card = scores(episodes(), np.array([0.1, 0.3]))
-    assert card["over_bound"]["0.2mm"]["mean"] == pytest.approx((2.0 + 1.0) / 2)
-    assert card["over_bound"]["0.2mm"]["episodes"] == 2
+def test_over_bound_is_the_mean_of_ratios_and_the_ratio_of_means_stands_beside_it() -> None:
+    over = scores(episodes(), np.array([0.1, 0.3]))["over_bound"]["0.2mm"]
+    assert over["mean"] == pytest.approx((2.0 + 1.0) / 2)
+    assert over["ratio_of_means"]["mean"] == pytest.approx((0.2 + 0.3) / (0.1 + 0.3))
+    low, high = over["ratio_of_means"]["ci95"]
+    assert (low, high) == pytest.approx((1.0, 2.0))  # both draws the second, or both the first
+    assert over["episodes"] == 2
 
 
 def test_over_bound_is_of_the_draws_that_have_one() -> None:
     card = scores(episodes(), np.array([np.nan, 0.1]))
-    assert card["over_bound"]["0.2mm"] == {"mean": pytest.approx(3.0), "ci95": pytest.approx([3.0, 3.0]), "episodes": 1}
+    once = {"mean": pytest.approx(3.0), "ci95": pytest.approx([3.0, 3.0])}
+    assert card["over_bound"]["0.2mm"] == once | {"ratio_of_means": once, "episodes": 1}
     assert scores(episodes(), np.array([np.nan, np.nan]))["over_bound"] is None
 
 

@@ -1,0 +1,44 @@
+"""At rest belts hold what pulls at the carriage: where that puts the pulleys."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..machine import Machine, rest_state
+from .addition import Along, addition
+
+Array = NDArray[np.float64]
+_ROW_S = 1e-3
+
+
+def balanced(machine: Machine, start: Array) -> Array:
+    """Positions (coordinates,) at rest where the tool is at `start`, with belts that hold what the effects do there.
+
+    start: positions of the machine's first coordinates, the linear ones among them.  Friction could hold more or less.
+    """
+    names = machine.coordinate_names
+    linear = np.array([c.kind == "linear" for c in machine.coordinates])
+    known = start[: len(names)]
+    position = rest_state(machine, known[linear[: len(known)]])[: len(names)]
+    if not any(e.definition.force for e in machine.effects):
+        return position
+    still = np.tile(position, (2, 1))
+    at_rest = Along(
+        np.array([0.0, _ROW_S]),
+        np.zeros((2, len(machine.drives))),
+        still,
+        np.zeros_like(still),
+        np.zeros((2, len(machine.sensors))),
+    )
+    force = np.zeros(len(names))
+    for e in machine.effects:
+        own = {name: np.array([value]) for name, value in e.parameters.items()}
+        force += addition(machine, e.definition, e.site, own, at_rest).force[0, 0]
+    travel = position * machine.radii
+    stiffness = [b.EA / (b.rest_length + travel @ machine.row(b.length)) for b in machine.belts]
+    extension = np.array([machine.row(b.extension) for b in machine.belts]) * machine.radii
+    rotary = ~linear & ~np.isin(names, machine.sprung)
+    pull = extension[:, linear].T * stiffness @ extension[:, rotary]
+    position[rotary] += np.linalg.lstsq(pull, force[linear], rcond=None)[0]
+    return position
