@@ -17,7 +17,7 @@ from ..effects import LIBRARY, sites
 from ..machine import AppliedEffect, Effect, Machine
 from .data import Data
 from .fit import Free
-from .periods import rates
+from .periods import rates, slow_rates
 from .references import References
 from .structures import replaces
 
@@ -64,11 +64,13 @@ class Candidate:
         return self.effect.at(self.site, **{n: float(np.clip(v, *bounds[n])) for n, v in values.items()})
 
 
-def candidates(machine: Machine, data: Data, scale: References, residual: Mapping[str, Array]) -> list[Candidate]:
+def candidates(
+    machine: Machine, data: Data, scale: References, residual: Mapping[str, Array], *, long: bool = False
+) -> list[Candidate]:
     """All of the library that the machine does not have yet and that acts through forces or readings.
 
     residual: by coordinate, the force that is missing on it along all runs, with the motion that it belongs to (see
-    `residual.missing_force`); it tells which periods are worth a try.
+    `residual.missing_force`); it tells which periods are worth a try.  long: try all long periods of friction too.
     """
     present = {e.label for e in machine.effects}
     found: list[Candidate] = []
@@ -80,7 +82,7 @@ def candidates(machine: Machine, data: Data, scale: References, residual: Mappin
                 continue
             coordinate = machine.site_coordinate(site) or ""
             own = scale.of(coordinate)
-            for shape in _shapes(effect, site, machine, data, own, residual):
+            for shape in _shapes(effect, site, machine, data, own, residual, long):
                 found.append(Candidate(effect, site, _columns(effect, shape, own), own))
     return found
 
@@ -101,6 +103,7 @@ def _shapes(
     data: Data,
     own: Mapping[str, float],
     residual: Mapping[str, Array],
+    long: bool,
 ) -> list[Mapping[str, float]]:
     """Starting values of everything but amplitudes and phases."""
     if effect.name == "sensor_range":
@@ -112,6 +115,8 @@ def _shapes(
         elif p.role in ("rate", "period"):
             coordinate = machine.site_coordinate(site) or ""
             found = rates(residual[coordinate], friction=effect.coulomb is not None)
+            if long and effect.coulomb:
+                found = np.concatenate([found, slow_rates(residual[coordinate][:, 0])])
             grids[p.name] = [float(r) if p.role == "rate" else float(2 * np.pi / r) for r in found]
     shapes = [dict(zip(grids, values, strict=True)) for values in itertools.product(*grids.values())]
     return list(shapes[:_MOST_SHAPES])
@@ -141,7 +146,10 @@ def _ranges(j: int, data: Data) -> list[Mapping[str, float]]:
 
 
 def effect_parameters(effect: AppliedEffect, machine: Machine, scale: References) -> tuple[Free, ...]:
-    """The free parameters of an effect: what may be nought or negative linear, the rest as logarithms."""
+    """The free parameters of an effect: what may be nought or negative linear, the rest as logarithms.
+
+    Their values are those at theta = 0, but for a table's, which are theta.
+    """
     own = scale.of(machine.site_coordinate(effect.site) or "")
     free = []
     for p in effect.definition.parameters:
@@ -149,9 +157,10 @@ def effect_parameters(effect: AppliedEffect, machine: Machine, scale: References
             continue
         name, value = f"{effect.label}.{p.name}", effect.parameters[p.name]
         size = p.scale * own.get(p.unit, 1.0)
-        if p.amplitude or p.role == "phase":
-            along = effect.label if effect.definition.against else ""
-            free.append(Free(name, value, prior=10.0, scale=size, lower=p.lower, upper=p.upper, along=along))
+        if effect.definition.against:  # values of one curve: what holds them together is about themselves
+            free.append(Free(name, 0.0, prior=10.0, scale=size, lower=p.lower, upper=p.upper, along=effect.label))
+        elif p.amplitude or p.role == "phase":
+            free.append(Free(name, value, prior=10.0, scale=size, lower=p.lower, upper=p.upper))
         elif p.role in ("rate", "period"):
             free.append(Free(name, value, prior=0.1, lower=p.lower, upper=p.upper))
         elif p.lower < 0.0 or value == 0.0:

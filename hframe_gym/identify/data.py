@@ -22,7 +22,8 @@ class Run:
 
     time_s (n,); inputs (n, drives) V; outputs (n, sensors) with the resting offset removed, NaN where not measured;
     start (2 coordinates,), with the stretch of the belts that encoders told of; told (sensors,): which did; offset
-    (sensors,), the one removed; zeroed: whether a fitted machine has put the encoders' zeros right.
+    (sensors,), the one removed; zeroed: whether a fitted machine has put the encoders' zeros right; rows (n,): those
+    that count, where not all do.
     """
 
     name: str
@@ -34,11 +35,13 @@ class Run:
     offset: Array
     told: NDArray[np.bool_]
     zeroed: bool = False
+    rows: NDArray[np.bool_] | None = None
 
     @property
     def count(self) -> int:
         """How many numbers were measured."""
-        return int(np.isfinite(self.outputs).sum())
+        counted = self.outputs if self.rows is None else self.outputs[self.rows]
+        return int(np.isfinite(counted).sum())
 
 
 @dataclass(frozen=True)
@@ -63,6 +66,12 @@ class Data:
     def only(self, names: Sequence[str]) -> Data:
         """The runs of these names, with the same noise."""
         return dataclasses.replace(self, runs=tuple(run for run in self.runs if run.name in names))
+
+    def judged(self, rows: Sequence[NDArray[np.bool_]]) -> Data:
+        """The same runs, of which only these rows (n,) count."""
+        return dataclasses.replace(
+            self, runs=tuple(dataclasses.replace(run, rows=own) for run, own in zip(self.runs, rows, strict=True))
+        )
 
 
 def shown(data: Data, recordings: Sequence[Recording]) -> Data:

@@ -23,7 +23,7 @@ from .residual import missing_force
 
 Array = NDArray[np.float64]
 _BINS = 96
-_TRIED = 6
+_TRIED = 3  # a coordinate
 
 
 class Curve(NamedTuple):
@@ -47,10 +47,16 @@ def tables(machine: Machine, data: Data, scale: References) -> list[Candidate]:
         size = float(np.mean(force**2)) * (machine.radii[machine.coordinate_names.index(site)] ** -2)
         for name, values in along.items():
             for kind, wave in (("smooth_force", force), ("smooth_friction", -force * direction)):
-                share, knots = _curve(values, wave)
+                share, knots = _curve(values, wave, both=name.startswith("velocity"))
                 curves.append((share * size, Curve(share, f"{kind}[{name}]", site, knots)))
     curves.sort(key=lambda c: -c[0])
-    return [_candidate(curve, scale) for _, curve in curves[:_TRIED]]
+    # Of each coordinate the best, and one against time: what is missing on one shows on the others too, and where a run
+    # was tells all runs apart.
+    tried = []
+    for site in missing:
+        own = [curve for _, curve in curves if curve.site == site]
+        tried += own[:_TRIED] + [curve for curve in own[_TRIED:] if curve.effect.endswith("[time]")][:1]
+    return [_candidate(curve, scale) for curve in tried]
 
 
 def variables(machine: Machine, data: Data) -> dict[str, Array]:
@@ -66,9 +72,15 @@ def variables(machine: Machine, data: Data) -> dict[str, Array]:
     return {name: np.concatenate([part[name] for part in parts]) for name in names}
 
 
-def _curve(by: Array, values: Array) -> tuple[float, Array]:
-    """Share of the mean square of values that bins of `by` explain beyond their mean, and knots by their bends."""
+def _curve(by: Array, values: Array, *, both: bool) -> tuple[float, Array]:
+    """Share of the mean square of values that bins of `by` explain beyond their mean, and knots by their bends.
+
+    both: as far to one side of zero as to the other: what was fast one way will be the other way.
+    """
     low, high = np.percentile(by, [0.05, 99.95])
+    if both:
+        high = max(high, -low)
+        low = -high
     if not high > low:
         return 0.0, np.linspace(-1.0, 1.0, KNOTS)
     edges = np.linspace(low, high, _BINS + 1)

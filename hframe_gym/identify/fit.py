@@ -49,6 +49,10 @@ class Free:
         raw = self.center * np.exp(theta) if self.scale is None else self.center + self.scale * theta
         return np.clip(raw, self.lower, self.upper)
 
+    def theta(self, value: float) -> float:
+        """What gives this value."""
+        return math.log(value / self.center) if self.scale is None else (value - self.center) / self.scale
+
     def slope(self, theta: float) -> float:
         """d value / d theta."""
         return self.center * math.exp(theta) if self.scale is None else self.scale
@@ -118,13 +122,19 @@ def typical_force(machine: Machine) -> float:
     return 0.1 * total
 
 
+def bends(count: int) -> Array:
+    """Products of the second differences of a curve's values (count, count)."""
+    second = np.diff(np.eye(count), n=2, axis=0)
+    found: Array = second.T @ second
+    return found
+
+
 def prior_precision(free: Sequence[Free]) -> Array:
     """Of theta (k, k): each around 0 by its own, and the second differences of curves around 0."""
     precision = np.diag([1.0 / f.prior**2 for f in free])
     for curve in dict.fromkeys(f.along for f in free if f.along):
-        place = [i for i, f in enumerate(free) if f.along == curve]
-        bends = np.diff(np.eye(len(free))[place], n=2, axis=0)
-        precision += bends.T @ bends
+        place = np.array([f.along == curve for f in free])
+        precision[np.ix_(place, place)] += bends(int(place.sum()))
     return precision
 
 

@@ -10,6 +10,7 @@ Array = NDArray[np.float64]
 _FEWEST, _MOST = 0.5, 150.0  # periods over the way gone
 _FINENESS = 4  # grid points a resolvable period
 _BANDS = (3.0, 12.0, 40.0)  # periods over the way gone
+_SLOW = np.concatenate([np.arange(0.5, 3.0, 0.25), np.arange(3.0, 6.1, 0.5)])
 _TRIED = 6
 _ROWS = 3000
 _PARTS = 8
@@ -48,6 +49,13 @@ def rates(residual: Array, *, friction: bool) -> Array:
         if len(found) == _TRIED:
             break
     return np.array(found)
+
+
+def slow_rates(position: Array) -> Array:
+    """Rates of a few periods over the way gone, all that can be told apart: a free run shows what they do, though the
+    missing force may hide it in the observer's noise."""
+    found: Array = 2 * np.pi / float(np.ptp(position)) * _SLOW if np.ptp(position) > 0.0 else np.zeros(0)
+    return found
 
 
 def _powers(count: int, position: Array, first: float, step: float, sign: Array, force: Array, basis: Array) -> Array:

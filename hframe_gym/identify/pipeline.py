@@ -166,7 +166,9 @@ def _explain(base: Fit, before: Fit, data: Data, say: Say) -> tuple[Verdict, Fit
     for start, beside, most in ((base, (), 1), (traced, named, 2)):
         tabled, more = add_tables(start, beside, data, say, most)
         if len(more) > len(beside):
-            candidate, kept = settled(tabled, more)
+            # No search beside a table: what its straight pieces leave looks like many a small effect.
+            now = _polish(tabled, data, before.mode)
+            candidate, kept = without_idle(now, more, data, say, longest_step=POLISH_STEP)
             if kept and (_explains(candidate, before) or candidate.cost < _TABLED * min(before.cost, after.cost)):
                 return "effect_found", candidate, kept
     if found and after.cost < _MOSTLY * before.cost:

@@ -151,7 +151,7 @@ def residuals(run: Run, data: Data, readings: Array, rows: int = 1) -> Array:
     measured = np.isfinite(run.outputs)
     left = run.outputs - readings if measured.all() else np.where(measured, run.outputs - readings, 0.0)
     left -= zeros(run, data, left, measured)
-    left *= measured / data.noise
+    left *= (measured if run.rows is None else measured & run.rows[:, None]) / data.noise
     if rows > 1:
         blocks = left.shape[1] // rows
         left = left[:, : blocks * rows].reshape(len(left), blocks, rows, -1).sum(axis=2) / np.sqrt(rows)

@@ -19,7 +19,7 @@ from ..machine import Machine
 from .addition import Addition, Along, addition
 from .candidates import Candidate
 from .data import Data, Run
-from .fit import Fit, over_runs, parameter_table, prior_precision
+from .fit import Fit, bends, over_runs, parameter_table, prior_precision
 from .nuisance import projection
 from .prediction import SEARCH_STEP, coarse, predict, residuals
 
@@ -99,16 +99,18 @@ def screen(fit: Fit, candidates: Sequence[Candidate], data: Data) -> list[Screen
         columns = np.arange(first, first + len(candidate.columns))
         first += len(columns)
         own_products = left[np.ix_(columns, columns)]
-        found.append(_saving(candidate, own_products, left[columns, -1], gram[own + columns, own + columns]))
+        found.append(_saving(candidate, own_products, left[columns, -1], gram[own + columns, own + columns], fit.chi2))
     return sorted(found, key=lambda s: -s.gain)
 
 
-def _saving(candidate: Candidate, L: Array, towards: Array, before: Array) -> Screened:
+def _saving(candidate: Candidate, L: Array, towards: Array, before: Array, chi2: float) -> Screened:
     """L (k, k): products of the candidate's columns, towards (k,) theirs with the residual, after projection."""
     nothing = Screened(candidate, 0.0, (0.0,) * len(towards))
     if not np.all(np.isfinite(L)) or not np.any(np.diag(L) > 1e-6 * before):
         return nothing
     ridge = 1e-9 * np.diag(np.maximum(np.diag(L), 1e-300))
+    if candidate.effect.against:
+        ridge += chi2 * bends(len(towards))
     amounts: Array = np.array(np.ones_like(towards) if candidate.fixed else -np.linalg.solve(L + ridge, towards), float)
     if len(amounts) == 1 and not candidate.fixed:
         p = candidate.effect.parameter(candidate.effect.amplitudes[0])

@@ -46,9 +46,11 @@ DOUBT = 4.0
 TABLE_GAIN, TABLE_SHARE = 0.02, 0.2
 MOST_EFFECTS = 5
 _FITTED_IN_FULL = 5
-_TABLES = 4
-# Of the cost of runs that a table was not fitted to, it must take off most.
+_TABLES = 6
+# Of the cost of data that a table was not fitted to, it must take off most.
 _UNSEEN = 0.4
+# A single run is judged by this many parts, in turn.
+_PARTS = 8
 # Candidates that promise less than this share of the best promise are not worth a fit.
 _PROMISING = 0.4
 # ... and a fit finds more than the linear promise, but hardly twice as much.
@@ -100,7 +102,8 @@ def trace(
     while len(found) < MOST_EFFECTS and current.chi2 > NOTHING_LEFT:
         enough = least(current, smallest)
         scale = typical(current, data)
-        everything = candidates(current.machine, data, scale, missing_force(current.machine, data))
+        missing = missing_force(current.machine, data)
+        everything = candidates(current.machine, data, scale, missing, long=current.mode == "free")
         promising = _best(screen(current, everything, data), enough * data.count)
         trials = [_add(current, s, scale, data) for s in promising]
         if not any(_explains(trial, current) for trial in trials):
@@ -200,9 +203,9 @@ def add_tables(
         enough = max(TABLE_GAIN, TABLE_SHARE * (current.chi2 - _FLOOR)) * data.count
         if not ranked or ranked[0].gain < enough:
             break
-        tested = [(_unseen(current, s, scale, data), s) for s in ranked[:_TABLES] if s.gain > enough]
-        share, chosen = min(tested, key=lambda t: t[0])
-        if share > _UNSEEN:
+        tested = (s for s in ranked[:_TABLES] if s.gain > enough)
+        chosen = next((s for s in tested if _unseen(current, s, scale, data) < _UNSEEN), None)
+        if chosen is None:
             break
         trial = _add(current, chosen, scale, data)
         best = fit(trial.machine, trial.free, data, current.mode, theta=trial.theta)
@@ -217,19 +220,27 @@ def add_tables(
 
 
 def _unseen(current: Fit, screened: Screened, scale: References, data: Data) -> float:
-    """Share of the cost of runs that a table was not fitted to which is left with it, each half of the runs in turn.
+    """Share of the cost of data that a table was not fitted to which is left with it, each half of the data in turn.
 
     Two dozen values fit much that is not there; a table against the wrong variable tells nothing about another run.
     """
-    names = [run.name for run in data.runs]
+    halves = _halves(data, by_run=screened.candidate.effect.against != "time")
     left = missed = 0.0
-    for fitted, unseen in ((names[0::2], names[1::2]), (names[1::2], names[0::2])):
-        if not fitted or not unseen:
-            return 1.0
-        trial = _add(current, screened, scale, data.only(fitted))
-        left += cost_of(trial.machine, data.only(unseen), current.mode)
-        missed += cost_of(current.machine, data.only(unseen), current.mode)
+    for fitted, unseen in (halves, halves[::-1]):
+        trial = _add(current, screened, scale, fitted)
+        left += cost_of(trial.machine, unseen, current.mode)
+        missed += cost_of(current.machine, unseen, current.mode)
     return left / missed
+
+
+def _halves(data: Data, *, by_run: bool) -> tuple[Data, Data]:
+    """Every other run and the rest; or, where there is one or where runs have nothing in common, every other part."""
+    if by_run and len(data.runs) > 1:
+        names = [run.name for run in data.runs]
+        return data.only(names[0::2]), data.only(names[1::2])
+    parts = 2 if len(data.runs) > 1 else _PARTS
+    first = [(np.arange(len(run.time_s)) * parts // len(run.time_s) + k) % 2 == 0 for k, run in enumerate(data.runs)]
+    return data.judged(first), data.judged([~rows for rows in first])
 
 
 def without(current: Fit, label: str, data: Data, *, longest_step: float) -> Fit:
@@ -272,7 +283,8 @@ def _add(current: Fit, screened: Screened, scale: References, data: Data) -> Fit
     candidate = screened.candidate
     machine = current.machine.with_effects(candidate.applied(screened.amounts))
     own = effect_parameters(machine.effects[-1], machine, scale)
-    theta = np.concatenate([current.theta, np.zeros(len(own))])
+    values = machine.parameters
+    theta = np.concatenate([current.theta, [f.theta(values[f.name]) for f in own]])
     step = _STEPS[current.mode]
     return fit(
         machine, current.free + own, data, current.mode, theta=theta, iterations=8, tolerance=1e-3, longest_step=step
@@ -294,6 +306,7 @@ def _restructured(current: Fit, machine: Machine, scale: References, data: Data)
         free = list(own_parameters(start, effects=False))
         for e in start.effects:
             free += effect_parameters(e, start, scale)
+        theta = np.array([f.theta(start.parameters[f.name]) for f in free])
         step = _STEPS[current.mode]
-        fits.append(fit(start, free, data, current.mode, iterations=8, tolerance=1e-3, longest_step=step))
+        fits.append(fit(start, free, data, current.mode, theta=theta, iterations=8, tolerance=1e-3, longest_step=step))
     return min(fits, key=lambda f: f.cost)
