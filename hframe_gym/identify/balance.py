@@ -1,4 +1,4 @@
-"""At rest belts hold what pulls at the carriage: where that puts the pulleys."""
+"""At rest belts and dry friction hold what pulls at the carriage: where that puts the pulleys."""
 
 from __future__ import annotations
 
@@ -13,9 +13,11 @@ _ROW_S = 1e-3
 
 
 def balanced(machine: Machine, start: Array) -> Array:
-    """Positions (coordinates,) at rest where the tool is at `start`, with belts that hold what the effects do there.
+    """Positions (coordinates,) at rest with the tool at `start`, under what the machine's effects do there.
 
-    start: positions of the machine's first coordinates, the linear ones among them.  Friction could hold more or less.
+    start: positions of the machine's first coordinates, the linear ones among them.  What friction alone can hold has
+    not stretched the belts; by what it cannot the carriage has swung, as far beyond where the belts hold the rest as
+    before, or until they hold all of it.
     """
     names = machine.coordinate_names
     linear = np.array([c.kind == "linear" for c in machine.coordinates])
@@ -23,6 +25,20 @@ def balanced(machine: Machine, start: Array) -> Array:
     position = rest_state(machine, known[linear[: len(known)]])[: len(names)]
     if not any(e.definition.force for e in machine.effects):
         return position
+    force = _at_rest(machine, position)[linear]
+    friction = np.array([c.coulomb for c in machine.coordinates])[linear]
+    travel = position * machine.radii
+    stiffness = [b.EA / (b.rest_length + travel @ machine.row(b.length)) for b in machine.belts]
+    extension = np.array([machine.row(b.extension) for b in machine.belts]) * machine.radii
+    rotary = ~linear & ~np.isin(names, machine.sprung)
+    pull = extension[:, linear].T * stiffness @ extension[:, rotary]
+    held = np.sign(force) * np.clip(2.0 * (np.abs(force) - friction), 0.0, np.abs(force))
+    position[rotary] += np.linalg.lstsq(pull, held, rcond=None)[0]
+    return position
+
+
+def _at_rest(machine: Machine, position: Array) -> Array:
+    """Force of the effects on each coordinate (coordinates,) of a machine that stands still, own units."""
     still = np.tile(position, (2, 1))
     at_rest = Along(
         np.array([0.0, _ROW_S]),
@@ -31,14 +47,8 @@ def balanced(machine: Machine, start: Array) -> Array:
         np.zeros_like(still),
         np.zeros((2, len(machine.sensors))),
     )
-    force = np.zeros(len(names))
+    force = np.zeros(len(position))
     for e in machine.effects:
         own = {name: np.array([value]) for name, value in e.parameters.items()}
         force += addition(machine, e.definition, e.site, own, at_rest).force[0, 0]
-    travel = position * machine.radii
-    stiffness = [b.EA / (b.rest_length + travel @ machine.row(b.length)) for b in machine.belts]
-    extension = np.array([machine.row(b.extension) for b in machine.belts]) * machine.radii
-    rotary = ~linear & ~np.isin(names, machine.sprung)
-    pull = extension[:, linear].T * stiffness @ extension[:, rotary]
-    position[rotary] += np.linalg.lstsq(pull, force[linear], rcond=None)[0]
-    return position
+    return force
