@@ -19,13 +19,10 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from hframe_gym.control import CONTROLLERS
+from hframe_gym.control import CONTROLLERS, AdaptivePID
 from hframe_gym.machine import Machine
 
-from .adaptive import AdaptivePID
-
 Array = NDArray[np.float64]
-BASES = {**CONTROLLERS, "adaptive-pid": AdaptivePID}
 
 
 @dataclass(frozen=True)
@@ -59,7 +56,7 @@ class Actuation:
 
     def __init__(self, machine: Machine, period: float, base: str | None = None, **authority: float) -> None:
         self.authority = Authority(**authority)
-        self.base = BASES[base](machine, period) if base else None
+        self.base = CONTROLLERS[base](machine, period) if base else None
         self._adaptive = self.base if isinstance(self.base, AdaptivePID) else None
         self._drives = len(machine.drives)
         self._speeds = slice(2 + self._drives, 4 + self._drives)

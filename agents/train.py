@@ -107,7 +107,7 @@ def _new_model(recipe: Recipe, machine: Machine, environment: Any, seed: int) ->
 
     sb3 = load("stable_baselines3")
     hindsight = {"replay_buffer_class": sb3.HerReplayBuffer, "replay_buffer_kwargs": recipe.hindsight}
-    return getattr(sb3, recipe.kind.upper())(
+    model = getattr(sb3, recipe.kind.upper())(
         "MultiInputPolicy",
         environment,
         seed=seed,
@@ -116,6 +116,16 @@ def _new_model(recipe: Recipe, machine: Machine, environment: Any, seed: int) ->
         **(hindsight if recipe.hindsight else {}),
         **recipe.settings,
     )
+    if "base" in recipe.actuation:
+        _begin_as_base(model.policy)
+    return model
+
+
+def _begin_as_base(policy: Any) -> None:
+    """Set the layer that gives PPO's or SAC's mean action to zero: a correction begins with nothing to correct."""
+    head = policy.action_net if hasattr(policy, "action_net") else policy.actor.mu
+    for parameter in head.parameters():
+        parameter.data.zero_()
 
 
 def _resumed(recipe: Recipe, folder: Path, environment: Any, card: dict[str, Any]) -> Any:

@@ -23,13 +23,12 @@ from typing import Any
 
 import numpy as np
 from hframe_gym.agents import train
-from hframe_gym.agents.actuation import BASES
 from hframe_gym.agents.agent import Agent
 from hframe_gym.agents.card import write_card
 from numpy.typing import NDArray
 from scipy.stats import bootstrap
 
-from hframe_gym.control import Controller
+from hframe_gym.control import CONTROLLERS, Controller
 from hframe_gym.env import Track
 from hframe_gym.env.tasks import TaskLike
 from hframe_gym.evaluate import BANDS, Episodes, Trial, rollout, scores
@@ -122,7 +121,7 @@ def score(task: str) -> dict[str, Any]:
     agents: dict[str, Any] = {}
     rows: dict[str, dict[str, list[Array]]] = {name: {} for name in TRIALS[task]}
     for kind in ("pid", "adaptive-pid"):
-        runs = drive(BASES[kind](BUILTIN["hframe"](), 0.01), task)
+        runs = drive(CONTROLLERS[kind](BUILTIN["hframe"](), 0.01), task)
         agents[kind] = {"scores": {name: scores(run, known_bounds(trial(name))) for name, run in runs.items()}}
         for name, run in runs.items():
             rows[name][kind] = [judged(run)]

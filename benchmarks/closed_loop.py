@@ -1,13 +1,13 @@
 """Does the corrected machine make better controllers?  Driven on the rig that it was identified from.
 
-    python -m benchmarks.closed_loop                             # all rigs: identify, train, drive (half an hour)
-    python -m benchmarks.closed_loop --rigs 'cogging@motor1 full'
+    python -m benchmarks.closed_loop                             # all rigs: identify, train, drive (an hour)
+    python -m benchmarks.closed_loop --rigs 'cogging@motor1 full'    # this one anew, the others as they were
 
 Each rig of the independent simulator has one undeclared effect, or three, and parameters 5 to 20 % off.  From its
 recordings `identify` makes three machines: as declared, refitted (before), corrected (after).  From each alone are made
-the model-based PID and two learned controllers of three seeds: PPO that goes on from the shipped agent, and PPO's
-correction on that machine's PID, from nothing.  Then they drive the rig itself through the same episodes, with the full
-state every 10 ms: to points, and the PID along circles too.
+the model-based PID, the one that adapts, and two learned controllers of three seeds: PPO that goes on from the shipped
+agent, and PPO's correction on that machine's adaptive PID, from nothing.  Then they drive the rig itself through the
+same episodes, with the full state every 10 ms: to points, and the PIDs along circles too.
 
 Training takes the same recipe, steps and seeds for all machines: on the declared and refitted one with the default
 randomisation, for nobody knows how far off they are; on the corrected with what its file leaves uncertain.  Differences
@@ -30,11 +30,11 @@ from hframe_gym.agents.recipe import load_recipe
 
 from benchmarks.closed_loop_plots import draw
 from benchmarks.reference import Array
-from benchmarks.results_file import write_results
+from benchmarks.results_file import RESULTS, write_results
 from benchmarks.rig_loop import PERIOD_S, Driven, drive
 from benchmarks.rigs import cases
 from benchmarks.sessions import DEFAULT_FOLDER, Session, record
-from hframe_gym.control import Controller, ModelPID
+from hframe_gym.control import CONTROLLERS, Controller
 from hframe_gym.env import Reach, Track
 from hframe_gym.evaluate.scorecard import BANDS, JUDGED, mean_with_interval, settling
 from hframe_gym.files import load_machine
@@ -61,8 +61,14 @@ SEED, EPISODES = 2000, 24  # of starts and goals
 AGENTS = (0, 1, 2)  # seeds
 REACH, TRACK = Reach(), Track()
 SETTLED = f"settling_s_{JUDGED}"
+BUILT = ("pid", "adaptive-pid")
+CIRCLE = ", circle"
 # What decides: less of it, in which success may not be lower.
-DECIDES = {"pid": SETTLED, "pid, circle": "contour_rms_mm", **dict.fromkeys(LEARNED, SETTLED)}
+DECIDES = {
+    **dict.fromkeys(BUILT, SETTLED),
+    **{name + CIRCLE: "contour_rms_mm" for name in BUILT},
+    **dict.fromkeys(LEARNED, SETTLED),
+}
 
 
 def machines(session: Session) -> dict[str, Machine]:
@@ -88,8 +94,9 @@ def controllers(session: Session, seeds: tuple[int, ...]) -> Iterator[tuple[str,
     for stage, machine in machines(session).items():
         # The declared machine is the same for all rigs, and so are its agents.
         of = KEPT / ("declared" if stage == "declared" else session.folder.name)
-        for kind in ("pid", "pid, circle"):
-            yield kind, NAMES[stage], ModelPID(machine, PERIOD_S)
+        for kind in BUILT:
+            for course in ("", CIRCLE):
+                yield kind + course, NAMES[stage], CONTROLLERS[kind](machine, PERIOD_S)
         for kind, (recipe, steps) in LEARNED.items():
             for seed in seeds:
                 place = of / f"{recipe}-{stage}-{seed}"
@@ -114,7 +121,7 @@ def compared(session: Session, episodes: int, seeds: tuple[int, ...]) -> dict[st
     rig, declared = session.case.rig()[0], session.machine()
     found: dict[str, dict[str, list[dict[str, Array]]]] = {kind: {} for kind in DECIDES}
     for kind, name, controller in controllers(session, seeds):
-        task = TRACK if kind == "pid, circle" else REACH
+        task = TRACK if kind.endswith(CIRCLE) else REACH
         run = numbers(drive(controller, rig, declared, task, episodes, SEED))
         found[kind].setdefault(name, []).append(run)
     report = json.loads((KEPT / session.folder.name / "report.json").read_text())
@@ -153,7 +160,10 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=EPISODES)
     parser.add_argument("--seeds", type=int, nargs="+", default=list(AGENTS), help="of the agents")
     given = parser.parse_args()
-    rows: dict[str, Any] = {}
+    file = RESULTS / "closed_loop.json"
+    before = json.loads(file.read_text()) if file.is_file() else {"rigs": {}}
+    comparable = all(before.get(key) == getattr(given, key) for key in ("episodes", "seeds"))
+    rows = {name: row for name, row in before["rigs"].items() if comparable}
     for name in given.rigs:
         session = record(cases()[name], Path(DEFAULT_FOLDER))
         rows[name] = row = compared(session, given.episodes, tuple(given.seeds))
@@ -166,9 +176,9 @@ def main() -> None:
                     f"{machine} {scores[key]['mean']:.4f}" + (f" ({100 * success['mean']:.0f} %)" if success else "")
                 )
             low, high = row[kind]["gain"]["declared"][key]["ci95"]
-            print(f"  {kind:12s} {key:17s} {', '.join(shown)}; over declared {low:.4f} to {high:.4f}", flush=True)
+            print(f"  {kind:20s} {key:17s} {', '.join(shown)}; over declared {low:.4f} to {high:.4f}", flush=True)
         wins = {
-            f"{kind} over {over}": [n for n, r in rows.items() if better(r, kind, over)]
+            f"{kind} over {over}": [n for n, r in rows.items() if kind in r and better(r, kind, over)]
             for kind in DECIDES
             for over in ("declared", "refitted")
         }

@@ -21,6 +21,7 @@ RUNS = {
     "pid": ("pid", 0.01, "state"),
     "pid 2 ms": ("pid", 0.002, "state"),
     "pid, rig": ("pid", 0.01, "rig"),
+    "adaptive-pid": ("adaptive-pid", 0.01, "state"),
     "textbook-pid": ("textbook-pid", 0.01, "state"),
 }
 # 50 mm across at 0.3 m/s, the whole episode counted: lead-in, and for the square its sharp corners, which no stage can

@@ -51,7 +51,7 @@ def judged(trial: optuna.Trial) -> float:
 def content(study: optuna.Study) -> dict[str, Any]:
     """What the study has found so far, plain data."""
     done = [t for t in study.trials if t.value is not None]
-    importance = optuna.importance.get_param_importances(study, seed=SEED) if len(done) > 4 else {}
+    importance = optuna.importance.get_param_importances(study) if len(done) > 4 else {}
     return {
         "steps": STEPS,
         "objective": "log10 of the median error at the end, mm",

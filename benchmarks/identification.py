@@ -3,7 +3,7 @@
     python -m benchmarks.identification                       # the shipped examples and all rigs (an hour or two)
     python -m benchmarks.identification examples none pairs   # some sets
     python -m benchmarks.identification library-full --only 'cogging@motor1 full' --only ...
-    python -m benchmarks.identification plots                 # the figures, from the results as they are
+    python -m benchmarks.identification plots                 # the overview and the figures from the results
 
 Sets: examples, library-full, library-small, pairs, triples, four-runs, order20, none, outside; all is all but examples.
 `benchmarks.rigs` says what each rig hides and `benchmarks.scoring` what counts as right. Errors are of a free run on
@@ -39,6 +39,7 @@ from hframe_gym.files import load_machine, read_recordings
 from hframe_gym.identify import identify
 
 ANSWERS = Path("out/identification")
+TO_NOISE, WITHIN = 1.1, 0.02  # what is asked of the error after, over the noise, and of parameters
 Row = dict[str, Any]
 
 
@@ -134,10 +135,12 @@ def show(console: Console, rows: list[Row]) -> None:
 
 
 def summary(rows: list[Row]) -> dict[str, Any]:
-    """Counts by score, and medians over the rigs."""
+    """Counts by score, medians over the rigs, and how many keep to what is asked of them."""
 
     def median(values: list[float]) -> float:
         return float(np.median(values))
+
+    worst = [max(r["parameter_error"].values()) for r in rows if r["parameter_error"]]
 
     return {
         "rigs": len(rows),
@@ -150,6 +153,10 @@ def summary(rows: list[Row]) -> dict[str, Any]:
             "seconds": median([r["seconds"] for r in rows]),
             "cpu_seconds": median([r["cpu_seconds"] for r in rows]),
         },
+        "named_not_there": sum(r["score"] in ("extra", "wrong", "false alarm") for r in rows),
+        "to_noise": sum(r["after"] <= TO_NOISE for r in rows),
+        "parameters": {"rigs": len(worst), "within": sum(error <= WITHIN for error in worst)},
+        "most_seconds": max(r["seconds"] for r in rows),
     }
 
 
@@ -163,12 +170,15 @@ def write(rows: list[Row]) -> None:
             write_results(name, {"summary": summary(some), "rigs": some}, seed=None)
 
 
-def plots() -> None:
-    """docs/figures/identification_*.png from the results."""
+def overview() -> None:
+    """results/identification.json, a line for every set, and docs/figures/identification_*.png, from the results."""
     from benchmarks.identification_plots import draw  # matplotlib, which only this needs
 
-    files = sorted(RESULTS.glob("identification_*.json"))
-    draw([row for file in files for row in json.loads(file.read_text())["rigs"]])
+    known = dict.fromkeys(case.group for case in cases().values())
+    files = {group: RESULTS / f"identification_{group.replace('-', '_')}.json" for group in known}
+    rows = {group: json.loads(file.read_text())["rigs"] for group, file in files.items() if file.is_file()}
+    write_results("identification", {"sets": {group: summary(some) for group, some in rows.items()}}, seed=None)
+    draw([row for some in rows.values() for row in some])
 
 
 def main() -> None:
@@ -201,7 +211,7 @@ def main() -> None:
         show(console, done)
         write(done)
     if "plots" in sets or (done and not arguments.only):
-        plots()
+        overview()
     if len(done) < len(rows):
         sys.exit(f"identification crashed on {len(rows) - len(done)} of {len(rows)} rigs")
 

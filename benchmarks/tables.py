@@ -1,4 +1,4 @@
-"""Writes the tables of README.md and RESULTS.md from benchmarks/results/*.json, and docs/effects.md from the library.
+"""Writes the tables of the pages below from benchmarks/results/*.json, and docs/effects.md from the library.
 
     python -m benchmarks.tables
 
@@ -21,6 +21,7 @@ from hframe_gym.effects import LIBRARY
 from hframe_gym.machine import Effect
 
 ROOT = Path(__file__).parents[1]
+PAGES = ("README.md", "RESULTS.md", "docs/identification.md")
 STAGES = ("declared", "before", "after")
 
 
@@ -47,6 +48,35 @@ def real_machines_emps(results: dict[str, Any]) -> str:
 
 
 def identification(results: dict[str, Any]) -> str:
+    """All sets of rigs, a line each."""
+    rows = []
+    for name, found in results["sets"].items():
+        median, parameters = found["median"], found["parameters"]
+        rows.append(
+            [
+                *(name, f"{found['rigs']}", f"{found['scores']['right']}", f"{found['named_not_there']}"),
+                *(f"{median['before']:.3g}", f"{median['after']:.3g}", f"{found['to_noise']}"),
+                f"{parameters['within']} of {parameters['rigs']}" if parameters["rigs"] else "",
+                *(f"{median['um_after']:.2g}", f"{median['seconds']:.1f}", f"{found['most_seconds']:.0f}"),
+            ]
+        )
+    header = ["set", "rigs", "right", "named what is not there", "before", "after", "after <= 1.1", "parameters in 2 %"]
+    return markdown([*header, "um from the truth", "s", "slowest, s"], rows)
+
+
+def real_machines_ced(results: dict[str, Any]) -> str:
+    """Free-run error of the CED records over their own size."""
+    rows = [[name, *(f"{100 * e:.0f} %" for e in by.values())] for name, by in results["nrmse"].items()]
+    return markdown(["CED", *next(iter(results["nrmse"].values()))], rows)
+
+
+def real_machines_xl330(results: dict[str, Any]) -> str:
+    """Free-run error of the XL330 logs, rad rms."""
+    rows = [[name, *(f"{e:.3g} rad" for e in by.values())] for name, by in results["rms_rad"].items()]
+    return markdown(["XL330", *next(iter(results["rms_rad"].values()))], rows)
+
+
+def identification_set(results: dict[str, Any]) -> str:
     """The set of rigs: what each hid and what was found."""
     rows = [
         [
@@ -205,7 +235,8 @@ TABLES: dict[str, Callable[[dict[str, Any]], str]] = {
     "accuracy": accuracy,
     "throughput": throughput,
     "identify_examples": identify_examples,
-    **{f"identification_{name}": identification for name in IDENTIFICATION_SETS},
+    "identification": identification,
+    **{f"identification_{name}": identification_set for name in IDENTIFICATION_SETS},
     "env_speed": env_speed,
     "her": her,
     "bound": bound,
@@ -213,6 +244,8 @@ TABLES: dict[str, Callable[[dict[str, Any]], str]] = {
     "agents": agents,
     "closed_loop": closed_loop,
     "real_machines_emps": real_machines_emps,
+    "real_machines_ced": real_machines_ced,
+    "real_machines_xl330": real_machines_xl330,
 }
 
 
@@ -232,7 +265,7 @@ def fill(path: Path) -> None:
         if not file.is_file():
             return match[0]
         results = json.loads(file.read_text())
-        note = f"\n\n{surroundings(results)}" if path.name == "RESULTS.md" else ""
+        note = "" if path.name == "README.md" else f"\n\n{surroundings(results)}"
         return f"<!-- table: {name} -->\n{TABLES[name](results)}{note}\n<!-- end -->"
 
     text = path.read_text()
@@ -277,7 +310,7 @@ def _section(effect: Effect) -> str:
 
 
 def main() -> None:
-    for page in ("README.md", "RESULTS.md"):
+    for page in PAGES:
         fill(ROOT / page)
     write_text(ROOT / "docs" / "effects.md", effects_page())
 

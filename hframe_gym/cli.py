@@ -202,7 +202,9 @@ def train(
 
 @app.command()
 def evaluate(
-    controllers: Annotated[list[str], typer.Argument(help="pid, textbook-pid, ppo, sac, or a trained agent's folder.")],
+    controllers: Annotated[
+        list[str], typer.Argument(help="pid, adaptive-pid, textbook-pid, ppo, sac, or an agent's folder.")
+    ],
     out: OutOption,
     machine: MachineOption = "hframe",
     task: Annotated[Literal["reach", "track"], typer.Option(help="What to do.")] = "reach",

@@ -6,10 +6,12 @@ pid.py                 both as one controller    delay.py       dead time
 amplifiers.py          dead bands and offsets of the drives, undone
 observer.py            the full state from encoders and lasers, and how far the stage is off its machine file
 unknowns.py            what is learnt of a stage      divided_differences.py    a normal distribution through kinks
+adaptive_pid.py        the PID that learns the stage as it goes      momentum_filter.py    how it does
 textbook_pid.py        the baseline
 bound.py, equations.py the least possible times (extra: bound)
 """
 
+from .adaptive_pid import AdaptivePID
 from .controller import CONTROLLERS, Controller
 from .model import MotionModel
 from .observer import Channel, Observed, Observer
@@ -19,6 +21,7 @@ from .trajectory import Transfers
 
 __all__ = [
     "CONTROLLERS",
+    "AdaptivePID",
     "Channel",
     "Controller",
     "ModelPID",

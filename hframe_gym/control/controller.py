@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..machine import Machine
+from .adaptive_pid import AdaptivePID
 from .pid import ModelPID
 from .textbook_pid import TextbookPID
 
@@ -28,4 +29,8 @@ class Controller(Protocol):
 
 
 # By the names of `hframe evaluate`; each is made as (machine, period in s).
-CONTROLLERS: dict[str, Callable[[Machine, float], Controller]] = {"pid": ModelPID, "textbook-pid": TextbookPID}
+CONTROLLERS: dict[str, Callable[[Machine, float], Controller]] = {
+    "pid": ModelPID,
+    "adaptive-pid": AdaptivePID,
+    "textbook-pid": TextbookPID,
+}

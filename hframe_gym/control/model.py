@@ -118,9 +118,12 @@ class MotionModel:
 
     def friction(self, state: Array, elapsed_s: Array) -> Array:
         """Force (B, n), N, of friction that is not linear: Coulomb's and the effects'.  Arguments as for `pushes`."""
-        # Never beyond one in size, and smooth through zero so that a voltage does not chatter with the sign of noise.
-        direction = np.tanh(state[:, len(self.mass) :] / TURNING)
-        force = -self.coulomb * direction
+        return self.effects_friction(state, elapsed_s) - self.coulomb * self._direction(state)
+
+    def effects_friction(self, state: Array, elapsed_s: Array) -> Array:
+        """The effects' share of `friction`."""
+        direction = self._direction(state)
+        force = np.zeros((len(state), len(self.mass)))
         for e, i, q, v, radius in self._effects(state):
             if _told(e, "coulomb"):
                 force[:, i] -= e("coulomb", q=q, v=v, t=elapsed_s) / radius * direction[:, i]
@@ -128,6 +131,10 @@ class MotionModel:
                 b = self.machine.coordinates[i].viscous
                 force[:, i] -= (e("viscous", b=b, direction=np.where(v < 0.0, -1.0, 1.0)) - b) * v / radius
         return force
+
+    def _direction(self, state: Array) -> Array:
+        # Never beyond one in size, and smooth through zero so that a voltage does not chatter with the sign of noise.
+        return np.tanh(state[:, len(self.mass) :] / TURNING)
 
     def _effects(self, state: Array) -> Iterator[tuple[AppliedEffect, int, Array, Array, float]]:
         """Effects at coordinates and motors: each with coordinate, position and speed in own units (B,), and radius."""

@@ -16,7 +16,8 @@ from .trial import Trial
 
 
 def contender(name: str, trial: Trial) -> Controller:
-    """A controller for a trial: `pid`, `textbook-pid`, the folder of a trained agent, or the name of a shipped one.
+    """A controller for a trial: `pid`, `adaptive-pid`, `textbook-pid`, the folder of a trained agent, or the name of a
+    shipped one.
 
     The PIDs are made of the trial's machine as it is declared.  From a rig's sensors `pid` goes through an observer.
 

@@ -13,7 +13,7 @@ from hframe_gym.agents.agent import Agent
 from hframe_gym.agents.score import judge
 from hframe_gym.agents.train import train
 
-from hframe_gym.control import ModelPID
+from hframe_gym.control import AdaptivePID
 from hframe_gym.env import HFrameVectorEnv
 from hframe_gym.evaluate import Trial
 from hframe_gym.machine import BUILTIN
@@ -52,12 +52,24 @@ def test_same_seed_same_agent(tmp_path):
     assert weights[0] == weights[1]
 
 
-def test_residual_is_its_base_and_no_more_than_its_authority(tmp_path):
-    train("residual", steps=1, out=tmp_path, say=silent)
-    agent = Agent.load(tmp_path)
-    envs = HFrameVectorEnv(6)
+@pytest.mark.parametrize("task", ["reach", "track"])
+def test_a_residual_begins_as_its_base(tmp_path, task):
+    train("residual", task=task, steps=0, out=tmp_path, say=silent)
+    agent, base = Agent.load(tmp_path), AdaptivePID(BUILTIN["hframe"](), 0.01)
+    envs = HFrameVectorEnv(6, task=task)
     observation, _ = envs.reset(seed=0)
-    off = np.abs(agent.act(observation) - ModelPID(BUILTIN["hframe"](), 0.01).act(observation))
+    for _ in range(20):
+        actions = agent.act(observation)
+        assert np.array_equal(actions, base.act(observation))
+        observation = envs.step(actions)[0]
+
+
+def test_a_residual_adds_no_more_than_its_authority(tmp_path):
+    train("residual", steps=4096, out=tmp_path, say=silent)
+    agent = Agent.load(tmp_path)
+    agent.policy.action_net.bias.data.fill_(100.0)  # as much as it ever can
+    observation, _ = HFrameVectorEnv(6).reset(seed=0)
+    off = np.abs(agent.act(observation) - AdaptivePID(BUILTIN["hframe"](), 0.01).act(observation))
     assert 0.0 < off.max() <= agent.actuation.authority.most + 1e-6
 
 

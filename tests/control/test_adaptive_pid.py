@@ -1,69 +1,85 @@
-"""Memory and the PID that adapts: estimates against the stages' own numbers, errors against the PID that does not."""
+"""The PID that adapts beside the one that does not, on stages that are off their machine file."""
+
+from __future__ import annotations
 
 import numpy as np
 import pytest
-from hframe_gym.agents.adaptive import AdaptivePID
-from hframe_gym.agents.memory import Memory
+from closed_loop import PERIOD, PREVIEW, circles, closed_loop, random_points, random_stages
 
-from hframe_gym.control import ModelPID
-from hframe_gym.control.model import MotionModel
-from hframe_gym.env import HFrameVectorEnv, Track
+from hframe_gym.control import AdaptivePID, ModelPID
+from hframe_gym.effects import LIBRARY
+from hframe_gym.env import Track
 from hframe_gym.evaluate import Trial, rollout
-from hframe_gym.machine import BUILTIN
+from hframe_gym.machine import BUILTIN, Machine
 
-MACHINE = BUILTIN["hframe"]()
-COUNT, PERIOD = 32, 0.01
+COUNT = 32
 
 
 @pytest.fixture(scope="module")
-def circled():
-    """A memory after 1.5 s of a circle, and by how much friction, masses and belts of each stage are off."""
-    envs = HFrameVectorEnv(COUNT, task=Track(), randomize="default", max_episode_steps=None)
-    observation, info = envs.reset(seed=3)
-    pid, memory = ModelPID(MACHINE, PERIOD), Memory(MotionModel(MACHINE), PERIOD)
-    volts, before = np.zeros((COUNT, 2)), memory.model.state(observation)
-    for period in range(150):
-        state = memory.model.state(observation)
-        memory.learn(before, state, volts, np.full(COUNT, period == 0))
-        actions = np.clip(pid.act(observation), -1.0, 1.0)
-        before, volts = state, actions * memory.model.rated
-        observation = envs.step(actions)[0]
-    names = [f"{c}.{key}" for key in ("coulomb", "mass") for c in MACHINE.coordinate_names]
-    names.append(f"{MACHINE.belts[0].name}.EA")
-    off = np.stack([info["parameters"][name] / MACHINE.parameters[name] - 1.0 for name in names], axis=1)
-    return memory, off
+def adaptive(hframe: Machine) -> AdaptivePID:
+    return AdaptivePID(hframe, PERIOD)
 
 
-def test_memory_finds_friction_masses_and_belts(circled):
-    memory, off = circled
-    wrong = np.sqrt(np.mean((memory.estimates - off) ** 2, axis=0))
-    unknown = np.sqrt(np.mean(off**2, axis=0))
-    # Friction on y is a twelfth of all there is; the motors' masses are a seventh of what moves.
-    for column, most in ((0, 0.4), (2, 0.3), (3, 0.3), (4, 0.6), (8, 0.7)):
-        assert wrong[column] < most * unknown[column]
+KNOWN = {
+    "nothing": (),
+    "dead band": (LIBRARY["dead_band"].at("motor1", Vd=0.5, drop=0.5),),
+    "forces": (LIBRARY["stribeck_friction"].at("x", dF=1.5, vs=0.03), LIBRARY["constant_force"].at("y", size=5.0)),
+}
 
 
-def test_memory_forgets_where_an_episode_begins(circled):
-    memory, _ = circled
-    fresh = np.arange(COUNT) < 3
-    rest = memory.model.goal_state(np.zeros((COUNT, 2)))
-    kept = memory.estimates.copy()
-    memory.learn(rest, rest, np.zeros((COUNT, 2)), fresh)
-    assert np.all(memory.estimates[fresh] == 0.0)
-    assert np.array_equal(memory.estimates[~fresh], kept[~fresh])
-
-
-@pytest.mark.parametrize(("path", "most"), [("circle", 0.45), ("square", 0.8)])
-def test_pid_that_adapts_is_closer_to_the_path(path, most):
-    trial = Trial(task=Track(path=path), episodes=64, seed=7)
+@pytest.mark.parametrize("known", KNOWN)
+def test_is_closer_to_circles_than_the_pid(hframe: Machine, known: str) -> None:
+    machine = hframe.with_effects(*KNOWN[known])
+    goals, changes = circles(COUNT, 2), random_stages(hframe, COUNT, 3)
     rms = [
-        np.sqrt(np.mean(rollout(kind(MACHINE, PERIOD), trial).contour ** 2, axis=1)).mean()
+        np.sqrt(np.mean(closed_loop(kind(machine, PERIOD), machine, goals[:, 0], goals, changes=changes).error ** 2))
         for kind in (AdaptivePID, ModelPID)
     ]
-    assert rms[0] < most * rms[1]
+    assert rms[0] < 0.6 * rms[1]
 
 
-def test_on_the_machine_itself_it_is_the_pid():
-    trial = Trial(task="reach", randomize="none", episodes=16, seed=7)
-    first, second = (rollout(kind(MACHINE, PERIOD), trial).position for kind in (AdaptivePID, ModelPID))
+def test_is_closer_to_circles_across_a_dead_time(hframe: Machine) -> None:
+    machine = hframe.with_effects(LIBRARY["input_delay"].at("drives", d=0.013))
+    trial = Trial(machine, task=Track(previews=12), episodes=COUNT, seed=7)
+    rms = [
+        np.sqrt(np.mean(rollout(kind(machine, PERIOD), trial).contour ** 2, axis=1)).mean()
+        for kind in (AdaptivePID, ModelPID)
+    ]
+    assert rms[0] < 0.85 * rms[1]
+
+
+def test_every_drawn_stage_comes_to_rest_at_its_goal(hframe: Machine, adaptive: AdaptivePID) -> None:
+    start, goal = random_points(COUNT, 4), random_points(COUNT, 5)
+    run = closed_loop(adaptive, hframe, start, goal, changes=random_stages(hframe, COUNT, 6))
+    assert run.error[:, -10:].max() < 5e-5
+
+
+def test_on_the_machine_itself_it_arrives_where_the_pid_does(
+    hframe: Machine, adaptive: AdaptivePID, pid: ModelPID
+) -> None:
+    start, goal = random_points(COUNT, 4), random_points(COUNT, 5)
+    first, second = (closed_loop(c, hframe, start, goal).error for c in (adaptive, pid))
     assert np.abs(first - second)[:, -1].max() < 5e-5
+
+
+def test_forgets_on_reset(hframe: Machine, adaptive: AdaptivePID) -> None:
+    goals, changes = circles(3, 4, periods=30), random_stages(hframe, 3, 5)
+    first, again = (closed_loop(adaptive, hframe, goals[:, 0], goals, changes=changes, periods=30) for _ in range(2))
+    np.testing.assert_array_equal(first.actions, again.actions)
+
+
+def test_a_preview_that_ends_too_soon_is_refused(hframe: Machine) -> None:
+    observation = {
+        "observation": np.zeros((1, 8)),
+        "desired_goal": np.zeros((1, 2)),
+        "preview": np.zeros((1, 2 * PREVIEW)),
+    }
+    AdaptivePID(hframe, PERIOD).act(observation)
+    with pytest.raises(ValueError, match="the preview ends 3 periods after the dead time, not 4"):
+        AdaptivePID(hframe, PERIOD).act(observation | {"preview": np.zeros((1, 6))})
+
+
+@pytest.mark.parametrize("name", ["axis", "hframe-order20"])
+def test_machines_that_it_cannot_control_are_refused(name: str) -> None:
+    with pytest.raises(ValueError, match="full-state control needs"):
+        AdaptivePID(BUILTIN[name](), PERIOD)

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from hframe_gym import InputError
-from hframe_gym.control import ModelPID, Observed, TextbookPID
+from hframe_gym.control import AdaptivePID, ModelPID, Observed, TextbookPID
 from hframe_gym.evaluate import Trial, contender, rollout, scores
 from hframe_gym.evaluate.contenders import shipped
 
 
 def test_names_make_controllers() -> None:
     assert type(contender("pid", Trial())) is ModelPID
+    assert type(contender("adaptive-pid", Trial())) is AdaptivePID
     assert type(contender("textbook-pid", Trial())) is TextbookPID
     assert type(contender("pid", Trial(sensors="rig"))) is Observed
 
@@ -27,8 +28,10 @@ def test_the_pid_settles_from_a_rig_s_sensors() -> None:
 @pytest.mark.parametrize(
     ("name", "trial", "message"),
     [
-        ("nobody", Trial(), "'nobody' is none of pid, textbook-pid"),
+        ("nobody", Trial(), "'nobody' is none of pid, adaptive-pid, textbook-pid"),
         ("textbook-pid", Trial(sensors="rig"), "needs the full state"),
+        ("adaptive-pid", Trial(sensors="rig"), "needs the full state"),
+        ("adaptive-pid", Trial("axis"), "full-state control needs"),
         ("pid", Trial("axis"), "full-state control needs"),
         ("pid", Trial("hframe-order20"), "full-state control needs"),
         ("pid", Trial(period=-1.0), "period"),

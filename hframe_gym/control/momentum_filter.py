@@ -1,7 +1,7 @@
-"""What a stage has shown of its friction, masses and belts in an episode, by recursive least squares.
+"""Friction, masses and belts of a stage as an episode shows them, by recursive least squares on momentum balances.
 
-The momentum balance of the rigid motion (belts are internal to it and drop out) and that of the tool leave, in every
-period and beyond the model's own friction and belts, along x and y in N,
+The balance of the rigid motion (belts are internal to it and drop out) and that of the tool leave, in every period and
+beyond the model's own friction, belts and effects, along x and y in N,
 
     rigid   D = sum_c r_c (-(s_c - 1) F_c dir_c - d_c m_c a_c)      r_c: what the rigid motion moves coordinate c
     tool    D = -(s_c - 1) F_c dir_c - d_c m_c a_c + e B_c          c = x, y,
@@ -16,9 +16,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hframe_gym.control.model import MotionModel
-from hframe_gym.control.places import AXES, Places
-from hframe_gym.machine.linear import stiffness_matrix
+from ..machine.linear import stiffness_matrix
+from .model import MotionModel
+from .places import AXES, Places
 
 Array = NDArray[np.float64]
 # Standard deviations before anything was seen, about those of `default`: of friction's factor, the masses', the belts'.
@@ -29,10 +29,10 @@ PULL = 0.15  # and for the tool of the belts' pull: their lengths are not as dec
 TURN = 0.01  # m/s, over which friction turns over
 
 
-class Memory:
+class MomentumFilter:
     """Estimates for B stages of one machine with n coordinates.
 
-    period: of control, s.  Attributes: estimates (B, 2 n + 1), s_c - 1, d_c, then e.
+    period: of control, s.  Attributes: estimates (B, 2 n + 1), s_c - 1, d_c, then e, zero before anything was seen.
     """
 
     def __init__(self, model: MotionModel, period: float) -> None:
@@ -60,10 +60,11 @@ class Memory:
         n, moves = len(self.model.mass), self.model.mass[:, None] * self.model.rigid**2
         return 1.0 + self.estimates[:, n:-1] @ (moves / moves.sum(axis=0))
 
-    def learn(self, before: Array, after: Array, volts: Array, fresh: NDArray[np.bool_]) -> None:
-        """Take in how states (B, 2 n), m and m/s of travel, went over a period under volts (B, 2), V.
+    def learn(self, before: Array, after: Array, volts: Array, known: Array, fresh: NDArray[np.bool_]) -> None:
+        """Take in how states (B, 2 n), m and m/s of travel, went over a period under volts (B, 2), V, at the motors.
 
-        Of stages fresh (B,), whose episode begins with `after`, all is forgotten.
+        known: forces (B, n), N, of the machine's effects on each coordinate.  Of stages fresh (B,), whose episode
+        begins with `after`, all is forgotten.
         """
         model, n = self.model, len(self.model.mass)
         if len(self.estimates) != len(fresh):
@@ -73,7 +74,8 @@ class Memory:
         pull = self._pull(before, after)
         friction = _direction(*speeds) * model.coulomb
         gained = model.mass * (after[:, n:] - before[:, n:]) / self.period
-        own = gained + model.viscous * (after[:, :n] - before[:, :n]) / self.period - volts @ model.drive.T + friction
+        resisted = model.viscous * (after[:, :n] - before[:, :n]) / self.period + friction
+        own = gained + resisted - volts @ model.drive.T - known
         D = own @ self._rows.T
         D[:, 2:] -= pull
         H = np.zeros((len(D), 4, len(self._prior)))
@@ -97,7 +99,7 @@ class Memory:
         cells = self._places.nearest(self.model.tool(after))
         return -np.einsum("bij,bj->bi", self._stiffness[cells], mean)
 
-    def expects(self, goals: Array) -> Array:
+    def friction_ahead(self, goals: Array) -> Array:
         """Voltages (B, k - 2, 2), V, that friction will take beyond the model's where goals (B, k, 2), m, now and a
         period apart, are followed."""
         model, n = self.model, len(self.model.mass)
