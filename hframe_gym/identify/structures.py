@@ -42,11 +42,11 @@ def structural(current: Fit, data: Data, scale: References, least: float) -> lis
     """The current machine with each such effect that could save more than `least` (chi2 a sample), at its best start.
 
     The few best: to first order they promise less than they keep, so none is worth a fit only because it is a little
-    better than another.
+    better than another.  For the same reason new tables come with their two best starts.
     """
     machine = current.machine
     present = {e.label for e in machine.effects}
-    found: list[tuple[float, Machine]] = []
+    found: list[tuple[float, list[Machine]]] = []
     for effect in filter(replaces, LIBRARY.values()):
         for site in sites(effect, machine):
             if f"{effect.name}@{site}" in present:
@@ -55,9 +55,10 @@ def structural(current: Fit, data: Data, scale: References, least: float) -> lis
             machines = [machine.with_effects(effect.at(site, **values)) for values in starts(effect, own)]
             saved = _savings(machines, current, data)
             if saved.max() > least * data.count:
-                found.append((float(saved.max()), machines[int(np.argmax(saved))]))
+                best = np.argsort(-saved)[: 2 if effect.structure else 1]
+                found.append((float(saved.max()), [machines[int(k)] for k in best]))
     found.sort(key=lambda f: -f[0])
-    return [machine for _, machine in found[:_FITTED]]
+    return [machine for _, tried in found[:_FITTED] for machine in tried]
 
 
 def _savings(machines: list[Machine], current: Fit, data: Data) -> Array:

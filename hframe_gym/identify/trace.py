@@ -151,7 +151,8 @@ def _rivals(trials: list[Fit], current: Fit, data: Data) -> tuple[AppliedEffect,
     """The effects that the data do not tell apart from the best trial's."""
     best = trials[0]
     margin = max(RIVAL_GAIN * data.count, (1.0 - RIVAL_SHARE) * (current.cost - best.cost))
-    return tuple(t.machine.effects[-1] for t in trials[1:] if t.cost - best.cost < margin)
+    close = (t.machine.effects[-1] for t in trials[1:] if t.cost - best.cost < margin)
+    return tuple(e for e in close if e.label != best.machine.effects[-1].label)
 
 
 def least(current: Fit, smallest: float) -> float:
@@ -292,21 +293,17 @@ def _add(current: Fit, screened: Screened, scale: References, data: Data) -> Fit
 
 
 def _restructured(current: Fit, machine: Machine, scale: References, data: Data) -> Fit:
-    """A machine with another effect in the place of its tables, its own parameters free around those fitted so far.
+    """A machine with another effect in the place of what it had, its own parameters free around those fitted so far.
 
-    New tables are tried around the declared parameters too: fitted without them, the others had bent to do their work.
+    Around the declared ones where the tables are new: fitted without them, the others had bent to do their work.
     """
-    starts = [machine]
     effect = machine.effects[-1]
     if effect.definition.structure:
         own = {f.name: f.center for f in current.free if "@" not in f.name}
-        starts.append(current.machine.replace(own).with_effects(effect))
-    fits = []
-    for start in starts:
-        free = list(own_parameters(start, effects=False))
-        for e in start.effects:
-            free += effect_parameters(e, start, scale)
-        theta = np.array([f.theta(start.parameters[f.name]) for f in free])
-        step = _STEPS[current.mode]
-        fits.append(fit(start, free, data, current.mode, theta=theta, iterations=8, tolerance=1e-3, longest_step=step))
-    return min(fits, key=lambda f: f.cost)
+        machine = current.machine.replace(own).with_effects(effect)
+    free = list(own_parameters(machine, effects=False))
+    for e in machine.effects:
+        free += effect_parameters(e, machine, scale)
+    theta = np.array([f.theta(machine.parameters[f.name]) for f in free])
+    step = _STEPS[current.mode]
+    return fit(machine, free, data, current.mode, theta=theta, iterations=8, tolerance=1e-3, longest_step=step)

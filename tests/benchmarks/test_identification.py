@@ -14,6 +14,7 @@ ROW = {
     "before": 2.0,
     "after": 1.0,
     "truth_um": {"before": 30.0, "after": 1.0},
+    "parameter_error": {"belt_play@belts.d": 0.01},
     "seconds": 3.0,
     "cpu_seconds": 4.0,
 }
