@@ -85,8 +85,13 @@ def identify(
     verdict, after, found = _explain(base, before, data, say)
     say(f"verdict: {verdict}")
     fitted = with_uncertainty(after, _from_zeros(after.machine, data, data)).replace(name=f"{machine.name}-identified")
-    corrected = fitted.with_effects(*range_effects(ranges))
-    found += tuple(Found(e, (), 0.0, fitted) for e in range_effects(ranges))
+    # One range a sensor: what the fit has found of its ends goes with what the readings show.
+    ends = range_effects(ranges, [f.effect for f in found])
+    labels = {e.label for e in ends}
+    fitted = fitted.replace(effects=tuple(e for e in fitted.effects if e.label not in labels))
+    found = tuple(f for f in found if f.effect.label not in labels)
+    corrected = fitted.with_effects(*ends)
+    found += tuple(Found(e, (), 0.0, fitted) for e in ends)
     if found and verdict == "no_effect":
         verdict = "effect_found"
     refitted = before.machine.replace(name=f"{machine.name}-refitted")

@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 Range = tuple[float, float]
 
 _LEAST_SHARE = 0.01  # of all rows
+# A sensor that sticks at one end may stick at the other, which takes less to believe.
+_ALSO = 1.0 / 5.0
 _BAND = 8.0  # noise deviations: readings this close together do not move
 _MOVED = 300.0  # noise deviations that the machine must have moved meanwhile: more than belts can stretch
 _ENDLESS = 10.0
@@ -38,6 +40,7 @@ def stuck_ranges(recordings: Sequence[Recording], machine: Machine, noise: Array
         i = machine.coordinate_names.index(sensor.coordinate)
         ends = [_end(recordings, travel, i, j, float(noise[j]), sign) for sign in (-1.0, 1.0)]
         if any(end is not None for end in ends):
+            ends = [_end(recordings, travel, i, j, float(noise[j]), sign, _ALSO) for sign in (-1.0, 1.0)]
             far = _ENDLESS * max(float(np.nanmax(np.abs(r.outputs[:, j]), initial=0.0)) for r in recordings)
             low, high = (sign * far if end is None else end for sign, end in zip((-1.0, 1.0), ends, strict=True))
             found[sensor.channel] = (low, high)
@@ -58,14 +61,21 @@ def _by_encoders(recording: Recording, machine: Machine) -> Array:
 
 
 def _end(
-    recordings: Sequence[Recording], travel: Sequence[Array], i: int, j: int, noise: float, sign: float
+    recordings: Sequence[Recording],
+    travel: Sequence[Array],
+    i: int,
+    j: int,
+    noise: float,
+    sign: float,
+    share: float = 1.0,
 ) -> float | None:
+    """Where sensor j sticks on one side; share: of what is asked of the readings there."""
     readings = sign * np.concatenate([r.outputs[:, j] for r in recordings])
     if not np.isfinite(readings).any():
         return None
     top = float(np.nanmax(readings))
     together = readings > top - _BAND * noise
-    if together.mean() < _LEAST_SHARE:
+    if together.mean() < share * _LEAST_SHARE:
         return None
     moved = 0.0
     first = 0
@@ -74,7 +84,7 @@ def _end(
         first += len(recording.time_s)
         if len(own) and np.isfinite(own).all():
             moved = max(moved, float(np.ptp(own)))
-    if moved < _MOVED * noise:
+    if moved < share * _MOVED * noise:
         return None
     return sign * float(np.median(readings[together]))
 
@@ -89,6 +99,12 @@ def without_stuck(recording: Recording, ranges: Mapping[str, Range], machine: Ma
     return dataclasses.replace(recording, outputs=outputs)
 
 
-def range_effects(ranges: Mapping[str, Range]) -> tuple[AppliedEffect, ...]:
-    """The effects `sensor_range` of these ranges."""
-    return tuple(LIBRARY["sensor_range"].at(channel, low=low, high=high) for channel, (low, high) in ranges.items())
+def range_effects(ranges: Mapping[str, Range], found: Sequence[AppliedEffect] = ()) -> tuple[AppliedEffect, ...]:
+    """The effects `sensor_range` of these ranges, each with the nearer ends of one found for the same sensor."""
+    effects = []
+    for channel, (low, high) in ranges.items():
+        for e in found:
+            if e.label == f"sensor_range@{channel}":
+                low, high = max(low, e.parameters["low"]), min(high, e.parameters["high"])
+        effects.append(LIBRARY["sensor_range"].at(channel, low=low, high=high))
+    return tuple(effects)
