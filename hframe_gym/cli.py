@@ -263,7 +263,7 @@ def show_scores(answer: dict[str, Any]) -> None:
         [f"s to {b}" for b in bands] if settles else [f"{n}, mm {k}" for n in errors.values() for k in ("rms", "max")]
     )
     if settles:
-        last.append("mean over the bound's")
+        last.append("over the bound")
     for column in (*(f"in {b}" for b in bands), *last):
         table.add_column(column, justify="right")
     for name, score in answer["controllers"].items():
