@@ -149,9 +149,11 @@ def residuals(run: Run, data: Data, readings: Array, rows: int = 1) -> Array:
     where the machine comes to rest (see `zeros`).
     """
     measured = np.isfinite(run.outputs)
-    left = run.outputs - readings if measured.all() else np.where(measured, run.outputs - readings, 0.0)
-    left -= zeros(run, data, left, measured)
-    left *= (measured if run.rows is None else measured & run.rows[:, None]) / data.noise
+    counted = measured if run.rows is None else measured & run.rows[:, None]
+    with np.errstate(over="ignore", invalid="ignore"):  # parameters that make a machine run away cost infinitely much
+        left = run.outputs - readings if measured.all() else np.where(measured, run.outputs - readings, 0.0)
+        left -= zeros(run, data, left, measured)
+        left *= counted / data.noise
     if rows > 1:
         blocks = left.shape[1] // rows
         left = left[:, : blocks * rows].reshape(len(left), blocks, rows, -1).sum(axis=2) / np.sqrt(rows)
