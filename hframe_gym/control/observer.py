@@ -168,7 +168,6 @@ class Observer:
 
     def _correct(self, y: Array, says: NDArray[np.bool_]) -> None:
         error = np.where(says, y - self._x[:, self._rows], 0.0)
-        # A reading that says nothing has no gain: its covariance with the state is taken as zero.
         PH, S = self._spread(says)
         size = np.einsum("bi,bi->b", error, np.linalg.solve(S, error[..., None])[..., 0])
         self._doubt(size / np.maximum(says.sum(axis=1), 1))

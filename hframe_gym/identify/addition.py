@@ -61,6 +61,15 @@ def addition(machine: Machine, effect: Effect, site: str, parameters: Mapping[st
     return Addition(force, reading)
 
 
+def effects_force(machine: Machine, motion: Along) -> Array:
+    """What all effects of a machine add along a motion: force (n, coordinates), own units."""
+    force = np.zeros_like(motion.positions)
+    for e in machine.effects:
+        parameters = {name: np.array([value]) for name, value in e.parameters.items()}
+        force += addition(machine, e.definition, e.site, parameters, motion).force[0]
+    return force
+
+
 def _on_coordinate(machine: Machine, e: AppliedEffect, name: str, motion: Along) -> Any:
     d = e.definition
     i = machine.coordinate_names.index(name)

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..machine import Machine, rest_state
-from .addition import Along, addition
+from ..machine.linear import stiffness_matrix
+from .addition import Along, effects_force
 
 Array = NDArray[np.float64]
 _ROW_S = 1e-3
@@ -27,11 +28,8 @@ def balanced(machine: Machine, start: Array) -> Array:
         return position
     force = _at_rest(machine, position)[linear]
     friction = np.array([c.coulomb for c in machine.coordinates])[linear]
-    travel = position * machine.radii
-    stiffness = [b.EA / (b.rest_length + travel @ machine.row(b.length)) for b in machine.belts]
-    extension = np.array([machine.row(b.extension) for b in machine.belts]) * machine.radii
     rotary = ~linear & ~np.isin(names, machine.sprung)
-    pull = extension[:, linear].T * stiffness @ extension[:, rotary]
+    pull = stiffness_matrix(machine, position)[np.ix_(linear, rotary)]
     held = np.sign(force) * np.clip(2.0 * (np.abs(force) - friction), 0.0, np.abs(force))
     position[rotary] += np.linalg.lstsq(pull, held, rcond=None)[0]
     return position
@@ -47,8 +45,4 @@ def _at_rest(machine: Machine, position: Array) -> Array:
         np.zeros_like(still),
         np.zeros((2, len(machine.sensors))),
     )
-    force = np.zeros(len(position))
-    for e in machine.effects:
-        own = {name: np.array([value]) for name, value in e.parameters.items()}
-        force += addition(machine, e.definition, e.site, own, at_rest).force[0, 0]
-    return force
+    return effects_force(machine, at_rest)[0]

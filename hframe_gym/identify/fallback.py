@@ -27,9 +27,8 @@ _TRIED = 3  # a coordinate
 
 
 class Curve(NamedTuple):
-    """Share of the missing force on `site` that a curve over the effect's variable explains, and where it bends."""
+    """A table's effect and site, and knots where its curve bends."""
 
-    share: float
     effect: str
     site: str
     knots: Array
@@ -48,7 +47,7 @@ def tables(machine: Machine, data: Data, scale: References) -> list[Candidate]:
         for name, values in along.items():
             for kind, wave in (("smooth_force", force), ("smooth_friction", -force * direction)):
                 share, knots = _curve(values, wave, both=name.startswith("velocity"))
-                curves.append((share * size, Curve(share, f"{kind}[{name}]", site, knots)))
+                curves.append((share * size, Curve(f"{kind}[{name}]", site, knots)))
     curves.sort(key=lambda c: -c[0])
     # Of each coordinate the best, and one against time: what is missing on one shows on the others too, and where a run
     # was tells all runs apart.

@@ -84,7 +84,8 @@ def identify(
     say("searching for effects")
     verdict, after, found = _explain(base, before, data, say)
     say(f"verdict: {verdict}")
-    fitted = with_uncertainty(after, _from_zeros(after.machine, data, data)).replace(name=f"{machine.name}-identified")
+    own = _from_zeros(after.machine, data, data)
+    fitted = with_uncertainty(after, own).replace(name=f"{machine.name}-identified")
     # One range a sensor: what the fit has found of its ends goes with what the readings show.
     ends = range_effects(ranges, [f.effect for f in found])
     labels = {e.label for e in ends}
@@ -95,7 +96,7 @@ def identify(
     if found and verdict == "no_effect":
         verdict = "effect_found"
     refitted = before.machine.replace(name=f"{machine.name}-refitted")
-    experiments = (separating(after, corrected, f.effect.label, f.rival_effects, data) for f in found)
+    experiments = (separating(after, corrected, f.effect.label, f.rival_effects, own) for f in found)
     stages = [Stage(m, _errors(m, _from_zeros(m, judge, data))) for m in (machine, refitted, corrected)]
     judge = _from_zeros(corrected, judge, data)
     return Answer(

@@ -24,7 +24,7 @@ Mode = Literal["innovations", "free"]
 _ENCODER_RATE = 60.0
 _LASER_RATE = 25.0
 SEARCH_STEP = 0.5e-3  # s
-_INVERSIONS = 4  # of a reading that is nearly the position: each leaves a hundredth
+_INVERSIONS, _INVERTED = 4, 1e-6  # steps, of which each leaves a few hundredths, and m
 _COARSE = 4e-3  # s; what an effect does to the readings is slower
 POLISH_STEP = 0.125e-3  # s; an input that changes inside a step costs a micrometre at twice that
 
@@ -130,9 +130,13 @@ def meant(machine: Machine, run: Run) -> Array:
             continue
         sensor = machine.sensors[machine.output_channels.index(e.site)]
         own, other = names.index(sensor.coordinate), machine.across(sensor.coordinate)
-        shown, across = at[own], at[names.index(other)] if other else 0.0
+        shown, across = float(at[own]), at[names.index(other)] if other else 0.0
+        place = shown
         for _ in range(_INVERSIONS):
-            at[own] -= float(e("reading", r=at[own], across=across)) - shown
+            place -= float(e("reading", r=place, across=across)) - shown
+        # A reading that no place gives, beyond the end of a range, has not placed the run: others have.
+        if abs(float(e("reading", r=place, across=across)) - shown) < _INVERTED:
+            at[own] = place
     return at
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from ..machine import Machine
-from .addition import Along, addition
+from .addition import Along, effects_force
 from .data import Data, Run
 from .fit import over_runs
 from .prediction import POLISH_STEP, injection, predict, zeros
@@ -206,8 +206,6 @@ def _forces(machine: Machine, run: Run, q: Array, v: Array) -> tuple[Array, Arra
     )
     model = mass * np.gradient(v, run.time_s, axis=0) + viscous * v + coulomb * np.sign(v)
     motion = Along(run.time_s, run.inputs, q, v, q @ machine.sensor_matrix.T)
-    for e in machine.effects:
-        if not e.definition.delay:
-            parameters = {key: np.array([value]) for key, value in e.parameters.items()}
-            model -= addition(machine, e.definition, e.site, parameters, motion).force[0]
-    return drive, model
+    # What comes late is in the drives' force already.
+    prompt = machine.replace(effects=tuple(e for e in machine.effects if not e.definition.delay))
+    return drive, model - effects_force(prompt, motion)
