@@ -1,4 +1,4 @@
-"""Where a run rests: against the independent simulator left alone, and against what sensors and zeros are made to say."""
+"""Where a run rests: beside the independent simulator left alone, and what sensors and zeros are made to say of it."""
 
 from __future__ import annotations
 
