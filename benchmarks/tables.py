@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import itertools
 import json
 import re
 from collections.abc import Callable, Iterable, Sequence
@@ -215,20 +216,38 @@ def _ratio(found: dict[str, Any], over: str) -> str:
 
 
 def closed_loop(results: dict[str, Any]) -> str:
-    """Settling to 0.2 mm on the rig, built on the declared, the refitted and the corrected machine."""
+    """On how many rigs the corrected machine's controller is better, and by how much on each."""
+    rigs, header = results["rigs"], ["declared", "refitted", "corrected"]
     rows = []
-    for rig, found in results["rigs"].items():
-        for who in ("pid", "residual", "ppo"):
+    for (who, label), over in itertools.product(CLOSED_LOOP.items(), ("declared", "refitted")):
+        gains = [found[who]["gain"][over][label] for found in rigs.values()]
+        better = len(results["better"][f"{who} over {over}"])
+        worse = sum(gain["ci95"][0] > 0.0 for gain in gains)
+        rows.append([f"{who} ({label}), over the {over}", f"{better}", f"{worse}", f"{len(rigs) - better - worse}"])
+    counts = markdown(["controller and measure, rigs", "better", "worse", "within doubt"], rows)
+    rows = []
+    for rig, found in rigs.items():
+        for who, label in CLOSED_LOOP.items():
             scores = found[who]["scores"]
+            shares = {m: scores[m].get("success_0.2mm") for m in header}
             cells = [
-                f"{scores[m]['settling_s_0.2mm']['mean']:.3f} s, {100 * scores[m]['success_0.2mm']['mean']:.0f} %"
-                for m in ("declared", "refitted", "corrected")
+                f"{scores[m][label]['mean']:.3f}" + (f", {100 * share['mean']:.0f} %" if share else "")
+                for m, share in shares.items()
             ]
-            low, high = found[who]["gain"]["declared"]["settling_s_0.2mm"]["ci95"]
-            rows.append([f"{rig}, {who}", *cells, f"{low:+.3f} to {high:+.3f} s"])
-    return markdown(["rig", "declared", "refitted", "corrected", "corrected less declared"], rows)
+            low, high = found[who]["gain"]["declared"][label]["ci95"]
+            rows.append([f"{rig}, {who}", *cells, f"{low:+.3f} to {high:+.3f}"])
+    return f"{counts}\n\n{markdown(['rig', *header, 'corrected less declared'], rows)}"
 
 
+# By controller what it is judged by: s to 0.2 mm, or mm off the circle.
+CLOSED_LOOP = {
+    "pid": "settling_s_0.2mm",
+    "adaptive-pid": "settling_s_0.2mm",
+    "residual": "settling_s_0.2mm",
+    "ppo": "settling_s_0.2mm",
+    "pid, circle": "contour_rms_mm",
+    "adaptive-pid, circle": "contour_rms_mm",
+}
 IDENTIFICATION_SETS = ("library_full", "library_small", "pairs", "triples", "four_runs", "order20", "none", "outside")
 TABLES: dict[str, Callable[[dict[str, Any]], str]] = {
     "paper": paper,
