@@ -36,7 +36,10 @@ def draw(rigs: dict[str, Any]) -> None:
             places = np.arange(len(rigs)) + shift
             panel.errorbar(mean, places, xerr=bars, fmt="o", ms=4, lw=1.2, color=colour, label=machine)
         panel.set_xlabel(label, fontsize=8)
-        panel.set_xlim(left=0.0)
+        if kind.endswith("circle"):
+            panel.set_xscale("log")
+        else:
+            panel.set_xlim(left=0.0)
         panel.grid(axis="x", color="0.9")
     axes[0].set_yticks(np.arange(len(rigs)), [row["hides"].replace(" + ", "\n") for row in rigs.values()], fontsize=8)
     axes[0].invert_yaxis()
