@@ -183,10 +183,10 @@ def main() -> None:
             for over in ("declared", "refitted")
         }
         # After each: what is stopped leaves what it had.
-        content = {"episodes": given.episodes, "seeds": given.seeds, "better": wins, "rigs": rows}
+        content = {"episodes": given.episodes, "seeds": given.seeds, "decides": DECIDES, "better": wins, "rigs": rows}
         write_results("closed_loop", content, seed=SEED)
     print(json.dumps(wins, indent=1))
-    draw(rows)
+    draw(rows, DECIDES)
 
 
 if __name__ == "__main__":

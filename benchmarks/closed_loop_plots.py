@@ -14,23 +14,26 @@ from benchmarks.identification_plots import FIGURES
 
 COLOURS = {"declared": "#c4513d", "refitted": "#e0b04c", "corrected": "#3b7d4f"}
 PANELS = {
-    "pid": ("settling_s_0.2mm", "PID: s to settle within 0.2 mm"),
-    "adaptive-pid": ("settling_s_0.2mm", "PID that adapts: the same"),
-    "residual": ("settling_s_0.2mm", "with PPO's correction: the same"),
-    "ppo": ("settling_s_0.2mm", "PPO: the same"),
-    "pid, circle": ("contour_rms_mm", "PID on a circle: mm off it, rms"),
-    "adaptive-pid, circle": ("contour_rms_mm", "PID that adapts: the same"),
+    "pid": "PID: s to settle within 0.2 mm",
+    "adaptive-pid": "PID that adapts: the same",
+    "residual": "with PPO's correction: the same",
+    "ppo": "PPO: the same",
+    "pid, circle": "PID on a circle: mm off it, rms",
+    "adaptive-pid, circle": "PID that adapts: the same",
 }
 
 
-def draw(rigs: dict[str, Any]) -> None:
-    """Write docs/figures/closed_loop.png for the rigs of the results: means and 95 % intervals."""
+def draw(rigs: dict[str, Any], decides: dict[str, str]) -> None:
+    """Write docs/figures/closed_loop.png for the rigs of the results: means and 95 % intervals.
+
+    decides: by controller the score that it is judged by.
+    """
     FIGURES.mkdir(parents=True, exist_ok=True)
     size = (19, 0.5 * len(rigs) + 1.4)
     figure, axes = plt.subplots(1, len(PANELS), figsize=size, sharey=True, layout="constrained")
-    for panel, (kind, (key, label)) in zip(axes, PANELS.items(), strict=True):
+    for panel, (kind, label) in zip(axes, PANELS.items(), strict=True):
         for shift, (machine, colour) in zip((-0.2, 0.0, 0.2), COLOURS.items(), strict=True):
-            scores = [row[kind]["scores"][machine][key] for row in rigs.values()]
+            scores = [row[kind]["scores"][machine][decides[kind]] for row in rigs.values()]
             mean = np.array([s["mean"] for s in scores])
             bars = np.abs(np.array([s["ci95"] for s in scores]).T - mean)
             places = np.arange(len(rigs)) + shift

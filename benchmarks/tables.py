@@ -217,9 +217,9 @@ def _ratio(found: dict[str, Any], over: str) -> str:
 
 def closed_loop(results: dict[str, Any]) -> str:
     """On how many rigs the corrected machine's controller is better, and by how much on each."""
-    rigs, header = results["rigs"], ["declared", "refitted", "corrected"]
+    rigs, decides, header = results["rigs"], results["decides"], ["declared", "refitted", "corrected"]
     rows = []
-    for (who, label), over in itertools.product(CLOSED_LOOP.items(), ("declared", "refitted")):
+    for (who, label), over in itertools.product(decides.items(), ("declared", "refitted")):
         gains = [found[who]["gain"][over][label] for found in rigs.values()]
         better = len(results["better"][f"{who} over {over}"])
         worse = sum(gain["ci95"][0] > 0.0 for gain in gains)
@@ -227,7 +227,7 @@ def closed_loop(results: dict[str, Any]) -> str:
     counts = markdown(["controller and measure, rigs", "better", "worse", "within doubt"], rows)
     rows = []
     for rig, found in rigs.items():
-        for who, label in CLOSED_LOOP.items():
+        for who, label in decides.items():
             scores = found[who]["scores"]
             shares = {m: scores[m].get("success_0.2mm") for m in header}
             cells = [
@@ -239,15 +239,6 @@ def closed_loop(results: dict[str, Any]) -> str:
     return f"{counts}\n\n{markdown(['rig', *header, 'corrected less declared'], rows)}"
 
 
-# By controller what it is judged by: s to 0.2 mm, or mm off the circle.
-CLOSED_LOOP = {
-    "pid": "settling_s_0.2mm",
-    "adaptive-pid": "settling_s_0.2mm",
-    "residual": "settling_s_0.2mm",
-    "ppo": "settling_s_0.2mm",
-    "pid, circle": "contour_rms_mm",
-    "adaptive-pid, circle": "contour_rms_mm",
-}
 IDENTIFICATION_SETS = ("library_full", "library_small", "pairs", "triples", "four_runs", "order20", "none", "outside")
 TABLES: dict[str, Callable[[dict[str, Any]], str]] = {
     "paper": paper,
