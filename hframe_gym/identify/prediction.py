@@ -24,7 +24,7 @@ Mode = Literal["innovations", "free"]
 _ENCODER_RATE = 60.0
 _LASER_RATE = 25.0
 SEARCH_STEP = 0.5e-3  # s
-_INVERSIONS, _INVERTED = 4, 1e-6  # steps, of which each leaves a few hundredths, and m
+_INVERSIONS, _INVERTED = 4, 1e-6  # steps, of which each leaves a few hundredths, and m or rad
 _COARSE = 4e-3  # s; what an effect does to the readings is slower
 POLISH_STEP = 0.125e-3  # s; an input that changes inside a step costs a micrometre at twice that
 
