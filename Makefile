@@ -24,7 +24,7 @@ bench: $(INSTALLED)  ## every number of RESULTS.md
 	$(BIN)/python -m benchmarks
 
 docs: $(INSTALLED)  ## tables that are made from the code
-	$(BIN)/python -m benchmarks.tables
+	$(BIN)/python -m tools.tables
 
 clean:
 	rm -rf $(VENV) out build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache

@@ -3,6 +3,8 @@
 Needs the extra `agents` (stable-baselines3, torch, safetensors); importing this package does not.
 """
 
-from .train import train
+from .training import train
 
-__all__ = ["train"]
+__all__ = [
+    "train",
+]

@@ -13,12 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hframe_gym.atomic import whole_file, write_text
-from hframe_gym.files import load_machine, save_machine
-from hframe_gym.machine import Machine
-
-from .actuation import Actuation
-from .extra import load, one_thread
+from ..atomic_files import whole_file, write_text
+from ..machine import Machine
+from ..recordings import load_machine, save_machine
+from .optional_dependencies import load, one_thread
+from .residual_action import ResidualAction
 
 SCHEMA = 2
 STATED = ("schema", "name", "task", "kind", "machine", "seed", "recipe", "settings", "period", "features", "previews")
@@ -35,13 +34,15 @@ def policy_keywords(policy: Mapping[str, Any], features: Mapping[str, Any]) -> d
 
 
 class Agent:
-    """A trained policy as a controller (see `hframe_gym.control.Controller`): its mean action for each stage.
+    """A trained policy as a controller (see `hframe_gym.controllers.Controller`): its mean action for each stage.
 
     policy: of stable-baselines3.  actuation: between it and the stages, or None where its outputs are the actions.
     machine: what it was trained on.  card: what agent.json says.
     """
 
-    def __init__(self, policy: Any, actuation: Actuation | None, machine: Machine, card: Mapping[str, Any]) -> None:
+    def __init__(
+        self, policy: Any, actuation: ResidualAction | None, machine: Machine, card: Mapping[str, Any]
+    ) -> None:
         self.policy = policy
         self.actuation = actuation
         self.machine = machine
@@ -90,7 +91,7 @@ class Agent:
 
         Raises ValueError when its files are missing or of another schema.
         """
-        from hframe_gym.env.spaces import action_space, observation_space
+        from ..envs.spaces import action_space, observation_space
 
         path = Path(folder)
         for name in ("agent.json", "machine.json", "policy.safetensors"):
@@ -126,6 +127,6 @@ def load_weights(policy: Any, folder: Path) -> None:
         raise ValueError(f"{folder / 'policy.safetensors'} does not fit the policy: {', '.join(sorted(strangers))}")
 
 
-def actuation_for(machine: Machine, settings: Mapping[str, Any], period: float) -> Actuation | None:
+def actuation_for(machine: Machine, settings: Mapping[str, Any], period: float) -> ResidualAction | None:
     """The actuation of a recipe's [actuation], None where that is empty."""
-    return Actuation(machine, period, **settings) if settings else None
+    return ResidualAction(machine, period, **settings) if settings else None

@@ -48,7 +48,7 @@ KEYS = (
 
 class StageFeatures(BaseFeaturesExtractor):
     """Features (B, n) of a dict observation: `observation`, `desired_goal`, and as far as they are there `preview` and
-    what `Actuation` adds.
+    what `ResidualAction` adds.
 
     radii: travel of belt per unit of each driven coordinate, (d,) m.  rest: that travel at rest per metre of x and y,
     (d, 2).
@@ -122,7 +122,7 @@ def _scaled(columns: Array, scales: Sequence[float], largest: float) -> tuple[Ar
 
 def features_for(machine: Any) -> dict[str, Any]:
     """Keywords of `StageFeatures` for a machine, plain numbers that JSON can hold."""
-    from hframe_gym.machine import rest_state
+    from ..machine import rest_state
 
     linear = [c.name for c in machine.coordinates if c.kind == "linear"]
     index = [machine.coordinate_names.index(d.coordinate) for d in machine.drives]

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field
 from importlib import resources
 from typing import Any
 
-from hframe_gym.env.settings import Settings
+from ..envs.config import EnvConfig
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Recipe:
     kind: "ppo" or "sac".  steps: of the environment, enough for the scores of the shipped agents.  env: keywords of
     `HFrameVecEnv`.  algorithm, policy: keywords of the stable-baselines3 class and its policy; a pair in `algorithm`
     stands for a rate that goes from one to the other over the run.  task: keywords of the task.  actuation: keywords of
-    `Actuation`, empty where the policy's outputs are the actions.  hindsight: keywords of `HerReplayBuffer`, empty for
+    `ResidualAction`, empty where the policy's outputs are the actions.  hindsight: keywords of `HerReplayBuffer`, empty for
     the plain buffer.  start: the shipped agent, by what its name begins with, that training goes on from; empty for
     none.
     """
@@ -55,7 +55,7 @@ class Recipe:
     @property
     def period(self) -> float:
         """Of control, s."""
-        return float(self.env.get("period", Settings.period))
+        return float(self.env.get("period", EnvConfig.period))
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data."""

@@ -19,7 +19,7 @@ ALL = (
     ("benchmarks.her",),
     ("benchmarks.agents", "score"),
     ("benchmarks.closed_loop",),
-    ("benchmarks.tables",),
+    ("tools.tables",),
 )
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
     python -m benchmarks.accuracy
 
-Truth is `benchmarks.reference`: an adaptive Runge-Kutta pair between friction events, no code shared.
+Truth is `tests.reference_simulator`: an adaptive Runge-Kutta pair between friction events, no code shared.
 Histories are 0.4 s of random voltages, new ones every 10 ms.  An error is the distance of two tips, sqrt(dx^2 + dy^2).
 MuJoCo's belts cannot follow the carriage, so beside it every simulator runs the stage with belts of constant stiffness.
 """
@@ -20,11 +20,12 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks import reference
 from benchmarks.results_file import write_results
-from benchmarks.rigs import Rig
-from hframe_gym.machine import BUILTIN, Drive, Machine, rest_state, rollout
-from hframe_gym.machine.simulate import threads
+from hframe_gym.dynamics import rollout
+from hframe_gym.dynamics.simulation import threads
+from hframe_gym.machine import BUILTIN_MACHINES, Drive, Machine, rest_state
+from tests import reference_simulator as reference
+from tests.rigs.rigs import Rig
 
 Array = NDArray[np.float64]
 
@@ -277,7 +278,7 @@ def beside_mujoco(console: Console, machine: Machine) -> Results:
 
 def main() -> None:
     console = Console(width=140)
-    machine = BUILTIN["hframe"]()
+    machine = BUILTIN_MACHINES["hframe"]()
     errors, _ = against_reference(console, machine)
     drift = {f"{h * 1e3:g} ms": energy_drift(machine, h) for h in STEPS}
     balance = {f"{h * 1e3:g} ms": float(np.median(np.abs(energy_balance(machine, histories(12.0), h)))) for h in STEPS}

@@ -24,19 +24,18 @@ from typing import Any
 import numpy as np
 from hframe_gym.agents import train
 from hframe_gym.agents.agent import Agent
-from hframe_gym.agents.card import write_card
+from hframe_gym.agents.model_card import write_card
 from numpy.typing import NDArray
 from scipy.stats import bootstrap
 
-from hframe_gym.control import CONTROLLERS, Controller
-from hframe_gym.env import Track
-from hframe_gym.env.tasks import TaskLike
-from hframe_gym.evaluate import BANDS, Episodes, Trial, rollout, scores
-from hframe_gym.evaluate.bounds import known_bounds
-from hframe_gym.evaluate.scorecard import JUDGED, RESAMPLES, settling
-from hframe_gym.machine import BUILTIN
-
-from .results_file import write_results
+from benchmarks.results_file import write_results
+from hframe_gym.controllers import CONTROLLERS, Controller
+from hframe_gym.envs import Track
+from hframe_gym.envs.tasks import TaskLike
+from hframe_gym.evaluation import BANDS, Episodes, Scenario, rollout, scores
+from hframe_gym.evaluation.bound_times import known_bounds
+from hframe_gym.evaluation.metrics import JUDGED, RESAMPLES, settling
+from hframe_gym.machine import BUILTIN_MACHINES
 
 Array = NDArray[np.float64]
 SHIPPED = Path(__file__).parents[1] / "agents" / "shipped"
@@ -62,7 +61,7 @@ def ship(name: str, task: str, seed: int) -> None:
 
 def drive(controller: Controller, task: str) -> dict[str, Episodes]:
     """The episodes of a controller on the draws of all that its task is judged on."""
-    return {name: rollout(controller, Trial(task=which, **TRIAL)) for name, which in TRIALS[task].items()}
+    return {name: rollout(controller, Scenario(task=which, **TRIAL)) for name, which in TRIALS[task].items()}
 
 
 def write_scores(folder: Path, runs: Mapping[str, Episodes]) -> dict[str, Any]:
@@ -74,9 +73,9 @@ def write_scores(folder: Path, runs: Mapping[str, Episodes]) -> dict[str, Any]:
     return card
 
 
-def trial(name: str) -> Trial:
+def trial(name: str) -> Scenario:
     """What `name` of `TRIALS` is judged on."""
-    return Trial(task=next(named[name] for named in TRIALS.values() if name in named), **TRIAL)
+    return Scenario(task=next(named[name] for named in TRIALS.values() if name in named), **TRIAL)
 
 
 def failures(run: Episodes) -> dict[str, Any]:
@@ -121,7 +120,7 @@ def score(task: str) -> dict[str, Any]:
     agents: dict[str, Any] = {}
     rows: dict[str, dict[str, list[Array]]] = {name: {} for name in TRIALS[task]}
     for kind in ("pid", "adaptive-pid"):
-        runs = drive(CONTROLLERS[kind](BUILTIN["hframe"](), 0.01), task)
+        runs = drive(CONTROLLERS[kind](BUILTIN_MACHINES["hframe"](), 0.01), task)
         agents[kind] = {"scores": {name: scores(run, known_bounds(trial(name))) for name, run in runs.items()}}
         for name, run in runs.items():
             rows[name][kind] = [judged(run)]

@@ -13,31 +13,31 @@ import json
 from pathlib import Path
 from typing import Any
 
+import hframe_gym.evaluation
 import numpy as np
 from numpy.typing import NDArray
 
-import hframe_gym.evaluate
 from benchmarks.controllers import BAND, EPISODES, RUNS, SEED
 from benchmarks.results_file import write_results
-from hframe_gym.atomic import write_text
-from hframe_gym.control.bound import TURNING, Fastest, FastestReach
-from hframe_gym.evaluate import BANDS, Trial, contender, rollout
-from hframe_gym.evaluate.bounds import FILE, Draws, digests, drawn
-from hframe_gym.evaluate.scorecard import mean_with_interval, ratio_of_means, settling
+from hframe_gym.atomic_files import write_text
+from hframe_gym.controllers.time_optimal import TURNING, TimeOptimalMotion, TimeOptimalReach
+from hframe_gym.dynamics.simulation import simulate_batch
+from hframe_gym.evaluation import BANDS, Scenario, make_controller, rollout
+from hframe_gym.evaluation.bound_times import FILE, EpisodeDraws, digests, drawn
+from hframe_gym.evaluation.metrics import mean_with_interval, ratio_of_means, settling
 from hframe_gym.machine import rest_state
-from hframe_gym.machine.simulate import respond
 
 Array = NDArray[np.float64]
-STORE = Path(hframe_gym.evaluate.__file__).parent / FILE
+STORE = Path(hframe_gym.evaluation.__file__).parent / FILE
 AT_ONCE = 8  # draws between two writes
 CHECKED = 12  # draws, for the errors of the discretisation
 FINE = 5e-5  # s, step of the replay
 
 
-def solve(draws: Draws, seed: int, task: str) -> list[dict[str, Any]]:
+def solve(draws: EpisodeDraws, seed: int, task: str) -> list[dict[str, Any]]:
     """The rows of all draws, of which those of the store are taken as they are; the store is kept up to date."""
     there = {row["draw"]: row for row in _stored()}
-    problem = FastestReach(draws.machine, band=BANDS[BAND])
+    problem = TimeOptimalReach(draws.machine, band=BANDS[BAND])
     rows = []
     for b, digest in enumerate(digests(draws)):
         if digest not in there:
@@ -64,7 +64,7 @@ def _store(rows: list[dict[str, Any]], machine: str, task: str) -> None:
     write_text(STORE, f'{head[:-1]}, "draws": [\n{lines}\n]}}\n')
 
 
-def replay(draws: Draws, b: int, found: Fastest) -> tuple[float, float]:
+def replay(draws: EpisodeDraws, b: int, found: TimeOptimalMotion) -> tuple[float, float]:
     """How far the tool is from the goal at T, and the farthest from then on, m, when the exact stage is given the
     voltages that were found, without feedback."""
     time_s = np.union1d(found.edges_s, np.arange(0.0, found.edges_s[-1], FINE))
@@ -72,24 +72,24 @@ def replay(draws: Draws, b: int, found: Fastest) -> tuple[float, float]:
     volts = found.volts[np.minimum(held, len(found.volts) - 1)]
     start = rest_state(draws.machine, draws.start[b])
     parameters = draws.parameters[b : b + 1]
-    motion = respond(draws.machine, time_s, volts, parameters=parameters, start=start, longest_step=FINE)
+    motion = simulate_batch(draws.machine, time_s, volts, parameters=parameters, start=start, longest_step=FINE)
     off = np.linalg.norm(motion.positions[0][:, :2] - draws.goal[b], axis=1)
     arrived = time_s >= found.time_s
     return float(off[arrived][0]), float(off[arrived].max())
 
 
-def refined(draws: Draws) -> dict[str, Any]:
+def refined(draws: EpisodeDraws) -> dict[str, Any]:
     """What twice the intervals, friction that turns over at a third of the speed, and other first guesses change in T,
     ms, and how far beside the goal the replay then ends, mm; of the first draws."""
-    base = FastestReach(draws.machine, band=BANDS[BAND])
-    variants: dict[str, tuple[FastestReach, float]] = {
+    base = TimeOptimalReach(draws.machine, band=BANDS[BAND])
+    variants: dict[str, tuple[TimeOptimalReach, float]] = {
         "as stored": (base, 1.0),
-        "intervals x 2": (FastestReach(draws.machine, band=BANDS[BAND], intervals=(120, 40)), 1.0),
-        "turning / 3": (FastestReach(draws.machine, band=BANDS[BAND], turning=TURNING / 3.0), 1.0),
+        "intervals x 2": (TimeOptimalReach(draws.machine, band=BANDS[BAND], intervals=(120, 40)), 1.0),
+        "turning / 3": (TimeOptimalReach(draws.machine, band=BANDS[BAND], turning=TURNING / 3.0), 1.0),
         "guess x 1.6": (base, 1.6),
         "guess x 0.7": (base, 0.7),
     }
-    first: list[Fastest] = []
+    first: list[TimeOptimalMotion] = []
     answer: dict[str, Any] = {}
     for name, (problem, guess) in variants.items():
         found = [problem.solve(draws.start[b], draws.goal[b], draws.parameters[b], [guess]) for b in range(CHECKED)]
@@ -112,8 +112,8 @@ def compare(bound: Array, seed: int) -> dict[str, Any]:
     there = np.isfinite(bound)
     answer: dict[str, Any] = {}
     for label, (name, period, sensors) in RUNS.items():
-        trial = Trial("hframe", "reach", "default", sensors, len(bound), seed, period)
-        run = rollout(contender(name, trial), trial)
+        trial = Scenario("hframe", "reach", "default", sensors, len(bound), seed, period)
+        run = rollout(make_controller(name, trial), trial)
         off = np.linalg.norm(run.position - run.goal, axis=2)
         times, success = settling(off, run.time_s, BANDS[BAND])
         ratio = times[there] / bound[there]
@@ -135,7 +135,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--episodes", type=int, default=EPISODES)
     given = parser.parse_args()
-    trial = Trial("hframe", "reach", "default", "state", given.episodes, given.seed)
+    trial = Scenario("hframe", "reach", "default", "state", given.episodes, given.seed)
     draws = drawn(trial)
     rows = solve(draws, given.seed, "reach")
     bound = np.array([np.nan if row["time_s"] is None else row["time_s"] for row in rows])

@@ -29,18 +29,18 @@ from hframe_gym.agents.agent import Agent
 from hframe_gym.agents.recipe import load_recipe
 
 from benchmarks.closed_loop_plots import draw
-from benchmarks.reference import Array
 from benchmarks.results_file import RESULTS, write_results
 from benchmarks.rig_loop import PERIOD_S, Driven, drive
-from benchmarks.rigs import cases
-from benchmarks.sessions import DEFAULT_FOLDER, Session, record
-from hframe_gym.control import CONTROLLERS, Controller
-from hframe_gym.env import Reach, Track
-from hframe_gym.evaluate.scorecard import BANDS, JUDGED, mean_with_interval, settling
-from hframe_gym.files import load_machine
-from hframe_gym.identify import identify
-from hframe_gym.identify.output import write_answer
+from hframe_gym.controllers import CONTROLLERS, Controller
+from hframe_gym.envs import Reach, Track
+from hframe_gym.evaluation.metrics import BANDS, JUDGED, mean_with_interval, settling
+from hframe_gym.identification import identify
+from hframe_gym.identification.result_output import write_answer
 from hframe_gym.machine import Machine
+from hframe_gym.recordings import load_machine
+from tests.reference_simulator import Array
+from tests.rigs.rigs import cases
+from tests.rigs.sessions import DEFAULT_FOLDER, Session, record
 
 KEPT = Path("out/closed_loop")
 RIGS = (

@@ -9,10 +9,9 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from hframe_gym.env import Track
-from hframe_gym.evaluate import Trial, contender, known_bounds, rollout, scores
-
-from .results_file import write_results
+from benchmarks.results_file import write_results
+from hframe_gym.envs import Track
+from hframe_gym.evaluation import Scenario, known_bounds, make_controller, rollout, scores
 
 # The observer of `pid, rig` was developed on these draws; those of seed 0 are its check (bound_seed0.json).
 SEED, EPISODES = 1000, 512
@@ -36,8 +35,8 @@ def measure(seed: int, episodes: int, pictures: Path | None = None) -> dict[str,
         answer[task] = {}
         for label, (name, period, sensors) in RUNS.items():
             chosen = Track(path=task) if task in PATHS else task
-            trial = Trial("hframe", chosen, "default", sensors, episodes, seed, period)
-            run = rollout(contender(name, trial), trial)
+            trial = Scenario("hframe", chosen, "default", sensors, episodes, seed, period)
+            run = rollout(make_controller(name, trial), trial)
             answer[task][label] = card = scores(run, known_bounds(trial), seed=seed)
             if "settling_s" in card:
                 time = card["settling_s"][BAND]
@@ -52,7 +51,7 @@ def measure(seed: int, episodes: int, pictures: Path | None = None) -> dict[str,
                 shown = f"off the path, mm: {', '.join(parts)}; off the goal {card['tracking_mm']['rms']['mean']:.3f}"
             print(f"{task:10s} {label:14s} {shown}", flush=True)
             if pictures is not None:
-                from hframe_gym.evaluate.picture import save
+                from hframe_gym.evaluation.plotting import save
 
                 save(pictures / f"{task}_{label.replace(' ', '_').replace(',', '')}.png", run, title=f"{label}: {task}")
     return answer

@@ -23,7 +23,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.results_file import write_results
-from hframe_gym.env import HFrameEnv, HFrameVectorEnv
+from hframe_gym.envs import HFrameEnv, HFrameVectorEnv
 
 SEED, LIMIT = 11, 150
 COMPARED = 3  # environments that have a digest
@@ -109,7 +109,7 @@ def vector(steps: int, options: dict[str, Any]) -> list[str]:
 
 def stable_baselines3(steps: int, options: dict[str, Any]) -> list[str]:
     """The adapter for stable-baselines3."""
-    from hframe_gym.env.sb3 import HFrameVecEnv
+    from hframe_gym.envs.sb3_vec_env import HFrameVecEnv
 
     envs = HFrameVecEnv(COUNT, max_episode_steps=LIMIT, **options)
     digests = [Digest() for _ in range(COMPARED)]

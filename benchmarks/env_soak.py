@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from benchmarks.results_file import write_results
-from hframe_gym.env import HFrameVectorEnv
-from hframe_gym.env.ends import stall_force
+from hframe_gym.envs import HFrameVectorEnv
+from hframe_gym.envs.end_stops import rated_belt_force
 
 SEED, ENVS, CHUNK = 5, 4096, 250  # CHUNK: control periods between two reports
 LOOK = 10  # control periods between two checks of the energy
@@ -75,7 +75,7 @@ def bound(envs: HFrameVectorEnv) -> float:
         0.5 * most[f"{c.name}.mass"] / (c.radius if c.kind == "rotary" else 1.0) ** 2 * speed**2
         for c in machine.coordinates
     )
-    force = stall_force(machine) * most["motor1.Kt"] / machine.drives[0].Kt / 0.9
+    force = rated_belt_force(machine) * most["motor1.Kt"] / machine.drives[0].Kt / 0.9
     belts = sum(
         0.5 * (2.0 * force) ** 2 * (most[f"{b.name}.rest_length"] + 0.6) / least[f"{b.name}.EA"] for b in machine.belts
     )

@@ -23,10 +23,10 @@ from rich.table import Table
 import hframe_gym  # noqa: F401  registers the environment
 from benchmarks.results_file import write_results
 from benchmarks.throughput import interleaved
-from hframe_gym.env import HFrameVectorEnv
-from hframe_gym.machine.kernel import kernel_for
-from hframe_gym.machine.lanes import LANES
-from hframe_gym.machine.simulate import in_parallel, threads
+from hframe_gym.dynamics.kernel import kernel_for
+from hframe_gym.dynamics.simd import LANES
+from hframe_gym.dynamics.simulation import in_parallel, threads
+from hframe_gym.envs import HFrameVectorEnv
 
 SEED, ENVS, STEPS, REPEATS = 3, 4096, 150, 7  # STEPS: an episode, so every run has each environment's reset in it
 OPTIONS: dict[str, dict[str, Any]] = {

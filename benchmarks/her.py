@@ -16,10 +16,9 @@ import numpy as np
 from hframe_gym.agents import train
 from hframe_gym.agents.agent import Agent
 
-from hframe_gym.evaluate import Trial, rollout
-from hframe_gym.evaluate.scorecard import settling
-
-from .results_file import write_results
+from benchmarks.results_file import write_results
+from hframe_gym.evaluation import Scenario, rollout
+from hframe_gym.evaluation.metrics import settling
 
 BAND = 5e-3  # m, of the recipe's reward
 BAR = 0.9
@@ -32,7 +31,7 @@ def one(seed: int) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         card = train("sac_her", seed=seed, out=folder)
         agent = Agent.load(folder)
-    run = rollout(agent, Trial(episodes=EPISODES, seed=JUDGING_SEED))
+    run = rollout(agent, Scenario(episodes=EPISODES, seed=JUDGING_SEED))
     error = np.linalg.norm(run.position - run.goal, axis=2)
     times, success = settling(error, run.time_s, BAND)
     last = card["curve"][-1]

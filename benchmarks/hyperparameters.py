@@ -19,13 +19,13 @@ import optuna
 from hframe_gym.agents import train
 from hframe_gym.agents.recipe import Recipe, load_recipe
 
-from .results_file import write_results
+from benchmarks.results_file import write_results
 
 STEPS = 300_000
 SEED = 0
 
 
-def suggested(trial: optuna.Trial) -> Recipe:
+def suggested(trial: optuna.Scenario) -> Recipe:
     """The recipe with a trial's settings."""
     recipe = load_recipe("ppo", "reach")
     rate = trial.suggest_float("learning_rate", 2e-4, 3e-3, log=True)
@@ -41,7 +41,7 @@ def suggested(trial: optuna.Trial) -> Recipe:
     return replace(recipe, algorithm=algorithm, actuation=actuation, steps=STEPS)
 
 
-def judged(trial: optuna.Trial) -> float:
+def judged(trial: optuna.Scenario) -> float:
     """Logarithm (base 10) of the median error at the end, mm."""
     with tempfile.TemporaryDirectory() as folder:
         card = train(suggested(trial), seed=SEED, out=folder, say=lambda line: None)

@@ -6,7 +6,7 @@
     python -m benchmarks.identification plots                 # the overview and the figures from the results
 
 Sets: examples, library-full, library-small, pairs, triples, four-runs, order20, none, outside; all is all but examples.
-`benchmarks.rigs` says what each rig hides and `benchmarks.scoring` what counts as right. Errors are of a free run on
+`tests.rigs.rigs` says what each rig hides and `benchmarks.scoring` what counts as right. Errors are of a free run on
 held-out recordings. Answers are kept in out/identification and taken from there while the identification's source is
 the same (--resume: whatever they came from), so that a run that was stopped goes on.
 """
@@ -31,12 +31,12 @@ from rich.table import Table
 
 import hframe_gym
 from benchmarks.results_file import RESULTS, write_results
-from benchmarks.rigs import Case, cases, chosen
 from benchmarks.scoring import SCORES, scored
-from benchmarks.sessions import DEFAULT_FOLDER, record
-from hframe_gym.atomic import write_text
-from hframe_gym.files import load_machine, read_recordings
-from hframe_gym.identify import identify
+from hframe_gym.atomic_files import write_text
+from hframe_gym.identification import identify
+from hframe_gym.recordings import load_machine, load_recordings
+from tests.rigs.rigs import Case, cases, chosen
+from tests.rigs.sessions import DEFAULT_FOLDER, record
 
 ANSWERS = Path("out/identification")
 TO_NOISE, WITHIN = 1.1, 0.02  # what is asked of the error after, over the noise, and of parameters
@@ -48,7 +48,7 @@ def examples(console: Console) -> None:
     machine = load_machine("hframe")
     results = {}
     for rig in ("rig_a", "rig_b"):
-        answer = identify(read_recordings(f"examples/{rig}", machine), machine)
+        answer = identify(load_recordings(f"examples/{rig}", machine), machine)
         results[rig] = answer.as_json()
         table = Table(f"{rig}: {answer.verdict}", "declared", "before", "after")
         for channel in machine.output_channels:

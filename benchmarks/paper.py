@@ -18,9 +18,10 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.results_file import write_results
-from hframe_gym.atomic import whole_file
-from hframe_gym.machine import BUILTIN, Machine, mode_frequencies, simulate, with_constant_stiffness
-from hframe_gym.machine.builtin import STIFFNESS
+from hframe_gym.atomic_files import whole_file
+from hframe_gym.dynamics import simulate
+from hframe_gym.machine import BUILTIN_MACHINES, Machine, mode_frequencies, with_constant_stiffness
+from hframe_gym.machine.presets import STIFFNESS
 
 Array = NDArray[np.float64]
 FIGURES = Path(__file__).parents[1] / "docs" / "figures"
@@ -46,7 +47,7 @@ def step(machine: Machine, volts: tuple[float, float], seconds: float) -> tuple[
 
 def nonlinear() -> Machine:
     """Table 3's friction with Table 1's stiffness, as in Section IV."""
-    return with_constant_stiffness(BUILTIN["hframe"](), STIFFNESS)
+    return with_constant_stiffness(BUILTIN_MACHINES["hframe"](), STIFFNESS)
 
 
 def stiffness(machine: Machine, place: dict[str, float]) -> dict[str, float]:
@@ -61,8 +62,12 @@ def swing(across: Array) -> float:
 
 def rows() -> list[Row]:
     """Every statement of the text that a model can be held to."""
-    declared, linear, full = BUILTIN["hframe"](), BUILTIN["hframe-linear"](), BUILTIN["hframe-order20"]()
-    friction, literal = nonlinear(), with_constant_stiffness(BUILTIN["hframe-literal"](), STIFFNESS)
+    declared, linear, full = (
+        BUILTIN_MACHINES["hframe"](),
+        BUILTIN_MACHINES["hframe-linear"](),
+        BUILTIN_MACHINES["hframe-order20"](),
+    )
+    friction, literal = nonlinear(), with_constant_stiffness(BUILTIN_MACHINES["hframe-literal"](), STIFFNESS)
     found: list[Row] = []
 
     def add(where: str, says: str, ours: str, agrees: bool | str) -> None:
@@ -150,7 +155,7 @@ def figure_step(number: int, volts: tuple[float, float], seconds: float, models:
 
 def figure_stiffness() -> Figure:
     """Stiffness of the belts over the workspace, as Figure 10 has it."""
-    machine = BUILTIN["hframe"]()
+    machine = BUILTIN_MACHINES["hframe"]()
     figure = Figure(figsize=(9, 3.4), layout="constrained")
     for panel, axis in zip(figure.subplots(1, 2, sharey=True), ("x", "y"), strict=True):
         low, high = machine.coordinate(axis).range or (0.0, 0.0)
@@ -172,7 +177,7 @@ def main() -> None:
     for row in statements:
         table.add_row(*row)
     console.print(table)
-    linear, full, friction = BUILTIN["hframe-linear"](), BUILTIN["hframe-order20"](), nonlinear()
+    linear, full, friction = BUILTIN_MACHINES["hframe-linear"](), BUILTIN_MACHINES["hframe-order20"](), nonlinear()
     orders = {"8th order": linear, "20th order": full}
     kinds = {"linear": linear, "nonlinear": friction}
     figures: dict[str, Callable[[], Figure]] = {

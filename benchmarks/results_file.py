@@ -8,8 +8,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from hframe_gym.atomic import write_text
-from hframe_gym.machine.simulate import threads
+from hframe_gym.atomic_files import write_text
+from hframe_gym.dynamics.simulation import threads
 
 RESULTS = Path(__file__).parent / "results"
 _PACKAGES = ("numpy", "numba", "scipy", "gymnasium", "mujoco", "envpool", "stable-baselines3", "torch", "casadi")

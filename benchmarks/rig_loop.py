@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.reference import Array, Rig, Stage
-from hframe_gym.control import Controller
-from hframe_gym.env.tasks import Task
+from hframe_gym.controllers import Controller
+from hframe_gym.envs.tasks import Task
 from hframe_gym.machine import Machine
+from tests.reference_simulator import Array, Rig, Stage
 
 PERIOD_S, DURATION_S = 0.01, 1.5
 SAMPLES = 10  # a control period

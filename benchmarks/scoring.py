@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.planted import Planted
-from benchmarks.reference import Array
-from benchmarks.rigs import Case
-from benchmarks.sessions import Session
-from hframe_gym.identify import Answer
-from hframe_gym.identify.residual import channel_errors
+from hframe_gym.identification import IdentificationResult
+from hframe_gym.identification.residual import channel_errors
 from hframe_gym.machine import Machine
+from tests.reference_simulator import Array
+from tests.rigs.planted import Planted
+from tests.rigs.rigs import Case
+from tests.rigs.sessions import Session
 
 RIGHT = ("right",)
 SCORES = ("right", "missed", "part", "extra", "wrong", "false alarm")
@@ -43,7 +43,7 @@ def judged(case: Case, verdict: str, named: list[str]) -> str:
     return "part" if named else "missed"
 
 
-def scored(session: Session, answer: Answer) -> dict[str, Any]:
+def scored(session: Session, answer: IdentificationResult) -> dict[str, Any]:
     """A row of the results: what was planted and found, errors before and after on the held-out runs, time."""
     case = session.case
     named = [f.effect.label for f in answer.found]
@@ -74,7 +74,7 @@ def scored(session: Session, answer: Answer) -> dict[str, Any]:
     }
 
 
-def _tool_error(session: Session, answer: Answer, machine: Machine) -> float:
+def _tool_error(session: Session, answer: IdentificationResult, machine: Machine) -> float:
     """Free-run error of the tool (x and y together) against the noise-free held-out runs, um rms."""
     truth = session.truth()
     measured = {r.name: r.outputs for r in session.recordings()}
@@ -89,7 +89,7 @@ def _tool_error(session: Session, answer: Answer, machine: Machine) -> float:
     return 1e6 * float(np.sqrt(sum((errors[channel].rmse or 0.0) ** 2 for channel in ("x_m", "y_m"))))
 
 
-def _parameter_error(case: Case, answer: Answer) -> dict[str, float]:
+def _parameter_error(case: Case, answer: IdentificationResult) -> dict[str, float]:
     """Relative error of the planted effects' parameters, by name@site.parameter, where they were named as planted."""
     errors = {}
     for planted in case.planted:
@@ -103,7 +103,7 @@ def _parameter_error(case: Case, answer: Answer) -> dict[str, float]:
     return errors
 
 
-def _same(planted: Planted, answer: Answer) -> dict[str, float] | None:
+def _same(planted: Planted, answer: IdentificationResult) -> dict[str, float] | None:
     for f in answer.found:
         if f.effect.label == planted.label:
             return dict(f.effect.parameters)

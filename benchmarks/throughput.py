@@ -30,10 +30,11 @@ from scipy.integrate import solve_ivp
 
 from benchmarks.mujoco_stage import Choice, MujocoStage, constant_at_centre
 from benchmarks.results_file import write_results
-from hframe_gym.machine import BUILTIN, Machine, friction, linearise, simulate
-from hframe_gym.machine.kernel import generate, in_blocks, kernel_for
-from hframe_gym.machine.lanes import LANES, fma, load, store
-from hframe_gym.machine.simulate import in_parallel, parameter_batch, threads
+from hframe_gym.dynamics import friction, simulate
+from hframe_gym.dynamics.kernel import generate, in_blocks, kernel_for
+from hframe_gym.dynamics.simd import LANES, fma, load, store
+from hframe_gym.dynamics.simulation import in_parallel, parameter_batch, threads
+from hframe_gym.machine import BUILTIN_MACHINES, Machine, linearize
 
 Array = NDArray[np.float64]
 
@@ -185,7 +186,7 @@ def beside_mujoco(console: Console, machine: Machine) -> dict[str, Any]:
 def scipy_rate(machine: Machine, creep: float = 1e-4) -> float:
     """Steps of 0.25 ms a second that LSODA (rtol 1e-6) is worth, friction smoothed by tanh over `creep` m/s."""
     stage = constant_at_centre(machine)
-    system = linearise(stage)
+    system = linearize(stage)
     mass = np.array([c.mass for c in stage.coordinates])
     coulomb = np.array([c.coulomb for c in stage.coordinates]) / mass
     scale = stage.radii / creep
@@ -210,7 +211,7 @@ def growth(console: Console) -> dict[str, Any]:
         table.add_column(column, justify="right")
     results: dict[str, Any] = {}
     for name in ("hframe", "hframe-order20"):
-        batches = {4**i: KernelBatch(BUILTIN[name](), 4**i) for i in range(8)}
+        batches = {4**i: KernelBatch(BUILTIN_MACHINES[name](), 4**i) for i in range(8)}
         memory = batches[4**7].bytes_per_stage()
         for count in sorted({1, threads()}):
             rates = {b: batch.rate(parallel=count > 1) for b, batch in batches.items()}
@@ -432,7 +433,7 @@ def roofline(console: Console, machine: Machine) -> dict[str, Any]:
 
 def main() -> None:
     console = Console(width=150)
-    machine = BUILTIN["hframe"]()
+    machine = BUILTIN_MACHINES["hframe"]()
     content: dict[str, Any] = {"step_s": STEP, "stages": STAGES}
     content["first_use"] = first_use()
     console.print(

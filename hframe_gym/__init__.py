@@ -3,9 +3,11 @@
 Importing registers `HFrame-v0` with gymnasium.
 """
 
-from .env import register
-from .files import InputError, load_machine, save_machine
-from .machine import Machine, Trajectory
+from .dynamics.simulation import Trajectory
+from .envs.registration import register
+from .errors import InputError
+from .machine.machine import Machine
+from .recordings.machine_file import load_machine, save_machine
 
 register()
 

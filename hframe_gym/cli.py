@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from .files import InputError
+from .errors import InputError
 
 app = typer.Typer(
     help="H-frame stages: simulate, identify from measured data, train and evaluate controllers.",
@@ -53,15 +53,15 @@ def simulate(
 
     Example:  hframe simulate --machine hframe --inputs examples/rig_b/run_01.csv.gz --out predicted.csv
     """
-    from .files import load_machine, read_recording, write_trajectory
-    from .identify import start_of
-    from .machine import simulate as run
+    from .dynamics import simulate as run
+    from .identification import estimate_initial_state
+    from .recordings import load_machine, load_recording, write_trajectory
 
     if not str(out).endswith((".csv", ".csv.gz")):
         raise InputError(f"--out {out}: must end in .csv or .csv.gz")
     declared = load_machine(machine)
-    recording = read_recording(inputs, declared, outputs_needed=False)
-    start = start_of(recording, declared)
+    recording = load_recording(inputs, declared, outputs_needed=False)
+    start = estimate_initial_state(recording, declared)
     trajectory = run(declared, recording.time_s, recording.inputs, start.state, offset=start.offset)
     write_trajectory(out, trajectory, recording.inputs, declared)
     say(f"wrote {out}: {len(recording.time_s)} rows of {declared.name}")
@@ -77,12 +77,12 @@ def check(
 
     Example:  hframe check examples/rig_a
     """
-    from .check import check as run
-    from .check.output import show, write_json
-    from .files import load_machine, read_recordings
+    from .data_validation import check_recordings as run
+    from .data_validation.findings_output import show, write_json
+    from .recordings import load_machine, load_recordings
 
     declared = load_machine(machine)
-    found = run(read_recordings(runs_dir, declared), declared)
+    found = run(load_recordings(runs_dir, declared), declared)
     show(found, console)
     if json is not None:
         write_json(found, json)
@@ -104,23 +104,23 @@ def identify(
     """
     import os
 
-    from .check import warnings_of
-    from .files import load_machine, read_recordings
-    from .identify import identify as run
-    from .identify.output import write_answer
-    from .identify.report import build_report, verdict_sentence
+    from .data_validation import warnings_of
+    from .identification import identify as run
+    from .identification.report import build_report, verdict_sentence
+    from .identification.result_output import write_answer
+    from .recordings import load_machine, load_recordings
 
     if jobs:
         os.environ["HFRAME_THREADS"] = str(jobs)
     declared = load_machine(machine)
     require_folder(out)
-    recordings = read_recordings(runs_dir, declared)
+    recordings = load_recordings(runs_dir, declared)
     warnings = [str(finding) for recording in recordings for finding in warnings_of(recording, declared)]
     for warning in warnings:
         say(f"warning: {warning}")
     answer = run(recordings, declared, held_out=hold_out or (), say=say)
     write_answer(answer, out, warnings)
-    show_answer(answer.as_json(), list(declared.output_channels))
+    print_result(answer.as_json(), list(declared.output_channels))
     say(verdict_sentence(answer.as_json(), list(declared.output_channels)))
     try:
         say(f"wrote {build_report(out)}")
@@ -128,7 +128,7 @@ def identify(
         say(f"report.html not written: {error}")
 
 
-def show_answer(report: dict[str, Any], channels: list[str]) -> None:
+def print_result(report: dict[str, Any], channels: list[str]) -> None:
     """The error on held-out runs as a table."""
     table = Table(title="error on runs never fitted (rmse, over the sensor's noise)", title_justify="left")
     for column in ("channel", "declared", "before (refitted)", "after (with effects)"):
@@ -153,7 +153,7 @@ def report(
 
     Example:  hframe report out/rig_a --open
     """
-    from .identify.report import build_report
+    from .identification.report import build_report
 
     page = build_report(folder)
     say(f"wrote {page}")
@@ -182,7 +182,7 @@ def train(
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
     from .agents import train as run
-    from .files import load_machine
+    from .recordings import load_machine
 
     declared = load_machine(machine)
     with Progress(
@@ -219,17 +219,17 @@ def evaluate(
 
     Example:  hframe evaluate pid textbook-pid --episodes 64 --out out/scores
     """
-    from .env import Track
-    from .evaluate import Trial, contender, write_scores
-    from .evaluate import evaluate as run
-    from .files import load_machine
+    from .envs import Track
+    from .evaluation import Scenario, make_controller, write_scores
+    from .evaluation import evaluate as run
+    from .recordings import load_machine
 
     declared = load_machine(machine)
     require_folder(out)
     try:
         chosen_task = Track(path=path) if task == "track" else task
-        trial = Trial(declared, chosen_task, randomize, sensors, episodes, seed, period)
-        chosen = {name: contender(name, trial) for name in dict.fromkeys(controllers)}
+        trial = Scenario(declared, chosen_task, randomize, sensors, episodes, seed, period)
+        chosen = {name: make_controller(name, trial) for name in dict.fromkeys(controllers)}
         answer, recorded = run(chosen, trial)
     except ValueError as error:
         raise InputError(str(error)) from None
@@ -237,7 +237,7 @@ def evaluate(
     show_scores(answer)
     say(f"wrote {written}")
     try:
-        from .evaluate.picture import save
+        from .evaluation.plotting import save
 
         for name, episode in recorded.items():
             picture = out / f"{Path(name).name}.png"
@@ -285,10 +285,10 @@ def machines() -> None:
 
     Example:  hframe machines
     """
-    from .machine import BUILTIN, mode_frequencies
+    from .machine import BUILTIN_MACHINES, mode_frequencies
 
     table = Table("name", "coordinates", "belts", "belt modes, Hz", "what it is")
-    for name, make in BUILTIN.items():
+    for name, make in BUILTIN_MACHINES.items():
         m = make()
         modes = [f for f in mode_frequencies(m) if f > 0]
         shown = ", ".join(f"{f:.1f}" for f in modes[:3]) + (", ..." if len(modes) > 3 else "")
@@ -302,10 +302,10 @@ def effects() -> None:
 
     Example:  hframe effects
     """
-    from .effects import LIBRARY
+    from .effects import EFFECTS
 
     table = Table("effect", "family", "site", "parameters", "formula")
-    for e in LIBRARY.values():
+    for e in EFFECTS.values():
         parameters = ", ".join(f"{p.name} ({p.unit})" for p in e.parameters)
         table.add_row(e.name, e.family, e.site, parameters, escape(e.formula))
     console.print(table)

@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hframe_gym.machine import BUILTIN, Machine
+from hframe_gym.machine import BUILTIN_MACHINES, Machine
 
 HEADER = "time_s,v1_V,v2_V,phi1_rad,phi2_rad,x_m,y_m"
 
 
 @pytest.fixture
 def hframe() -> Machine:
-    return BUILTIN["hframe"]()
+    return BUILTIN_MACHINES["hframe"]()
 
 
 @pytest.fixture

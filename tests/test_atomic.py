@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from hframe_gym.atomic import whole_file, write_text
+from hframe_gym.atomic_files import whole_file, write_text
 
 
 def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from hframe_gym.cli import main
-from hframe_gym.files import read_recording
 from hframe_gym.machine import Machine
+from hframe_gym.recordings import load_recording
 
 Run = Callable[..., tuple[int, str, str]]
 
@@ -36,7 +36,7 @@ def test_simulate_keeps_times_and_columns(hframe_command: Run, tmp_path: Path, h
     source = Path("examples/rig_b/run_01.csv.gz")
     code, _, _ = hframe_command("simulate", "--machine", "hframe", "--inputs", source, "--out", tmp_path / "p.csv")
     assert code == 0
-    given, predicted = read_recording(source, hframe), read_recording(tmp_path / "p.csv", hframe)
+    given, predicted = load_recording(source, hframe), load_recording(tmp_path / "p.csv", hframe)
     np.testing.assert_allclose(predicted.time_s, given.time_s, rtol=1e-9)
     np.testing.assert_allclose(predicted.inputs, given.inputs, rtol=1e-8)
     np.testing.assert_allclose(predicted.outputs[0], given.outputs[0], atol=1e-3)

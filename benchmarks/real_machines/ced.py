@@ -24,9 +24,10 @@ from benchmarks.real_machines.study import (
     write_recording,
 )
 from benchmarks.results_file import write_results
-from hframe_gym.files import Recording, load_machine, read_recordings
-from hframe_gym.identify import identify
-from hframe_gym.machine import Machine, rollout
+from hframe_gym.dynamics import rollout
+from hframe_gym.identification import identify
+from hframe_gym.machine import Machine
+from hframe_gym.recordings import Recording, load_machine, load_recordings
 
 HELD_OUT = "prbs_1"  # fitted: records of amplitude 1.5 and 0.5; the one between them is judged
 PUBLISHED_MODEL = ([5163.0], [1.0, 19.93, 509.8, 2835.0])  # speed per volt, as tabulated in public code
@@ -69,7 +70,7 @@ def run(console: Console) -> None:
     machine = load_machine(MACHINES / "ced.json")
     with tempfile.TemporaryDirectory() as folder:
         convert(source, Path(folder))
-        recordings = read_recordings(folder, machine)
+        recordings = load_recordings(folder, machine)
     table = np.genfromtxt(source / "ced_prbs.csv", delimiter=",", names=True)
     counted = {f"prbs_{k}": table[f"z{k}"] for k in (1, 2, 3)}
 

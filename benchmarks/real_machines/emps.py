@@ -8,21 +8,13 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from benchmarks.real_machines.study import (
-    MACHINES,
-    by_stage,
-    data_folder,
-    picture,
-    show,
-    show_effects,
-    write_recording,
-)
+from benchmarks.real_machines.study import MACHINES, by_stage, data_folder, picture, show, show_effects, write_recording
 from benchmarks.results_file import write_results
-from hframe_gym.effects import LIBRARY
-from hframe_gym.files import load_machine, read_recordings
-from hframe_gym.identify import identify
-from hframe_gym.identify.residual import force_error, smooth_force_residual
+from hframe_gym.effects import EFFECTS
+from hframe_gym.identification import identify
+from hframe_gym.identification.residual import force_error, smooth_force_residual
 from hframe_gym.machine import Machine
+from hframe_gym.recordings import load_machine, load_recordings
 
 # Janot et al. 2019: textbook friction and an offset, least squares on the first record.
 PUBLISHED = {"train": 0.04083, "test": 0.05982}
@@ -46,7 +38,7 @@ def run(console: Console) -> None:
     machine = load_machine(MACHINES / "emps.json")
     with tempfile.TemporaryDirectory() as folder:
         convert(source, Path(folder))
-        recordings = read_recordings(folder, machine)
+        recordings = load_recordings(folder, machine)
     answer = identify(recordings, machine, held_out=("emps_test_pulses",), say=console.print)
 
     def judge(m: Machine) -> dict[str, float]:
@@ -55,7 +47,7 @@ def run(console: Console) -> None:
             "test": float(force_error(m, answer.held_out) or np.nan),
         }
 
-    textbook = machine.with_effects(LIBRARY["constant_force"].at("x", size=-PUBLISHED_OFFSET))
+    textbook = machine.with_effects(EFFECTS["constant_force"].at("x", size=-PUBLISHED_OFFSET))
     stages = by_stage(answer, judge)
     errors = {"published": PUBLISHED, "declared (textbook friction, no offset)": stages.pop("declared")}
     errors |= {"declared with the published offset": judge(textbook)} | stages

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from hframe_gym.atomic import whole_file
-from hframe_gym.identify import Answer
+from hframe_gym.atomic_files import whole_file
+from hframe_gym.identification import IdentificationResult
 from hframe_gym.machine import Machine
 
 Array = NDArray[np.float64]
@@ -38,7 +38,7 @@ def write_recording(path: Path, columns: Mapping[str, Array]) -> None:
         np.savetxt(temporary, table, fmt="%.9g", delimiter=",", header=",".join(columns), comments="")
 
 
-def machines_of(answer: Answer) -> dict[str, Machine]:
+def machines_of(answer: IdentificationResult) -> dict[str, Machine]:
     """The machines of an answer's three stages, as tables name them."""
     return {
         "declared": answer.declared.machine,
@@ -56,7 +56,7 @@ def show(title: str, unit: str, errors: Mapping[str, Mapping[str, float]], conso
     console.print(table)
 
 
-def show_effects(answer: Answer, console: Console) -> None:
+def show_effects(answer: IdentificationResult, console: Console) -> None:
     """The verdict, the effects found with how sure they are, or what the residual follows."""
     report = answer.as_json()
     table = Table("effect", "parameter", "value", "std", "unit", "held-out gain", "rivals")
@@ -101,6 +101,6 @@ def picture(
         figure.savefig(temporary, dpi=110)
 
 
-def by_stage(answer: Answer, judge: Callable[[Machine], dict[str, float]]) -> dict[str, dict[str, float]]:
+def by_stage(answer: IdentificationResult, judge: Callable[[Machine], dict[str, float]]) -> dict[str, dict[str, float]]:
     """A judge's numbers for each stage of an answer."""
     return {stage: judge(machine) for stage, machine in machines_of(answer).items()}

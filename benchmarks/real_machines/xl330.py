@@ -27,9 +27,9 @@ from benchmarks.real_machines.study import (
     write_recording,
 )
 from benchmarks.results_file import write_results
-from hframe_gym.files import Recording, load_machine, read_recordings
-from hframe_gym.identify import identify
+from hframe_gym.identification import identify
 from hframe_gym.machine import Machine
+from hframe_gym.recordings import Recording, load_machine, load_recordings
 
 FULL_DUTY = 885.0
 EXAMPLE = ROOT / "examples" / "xl330"
@@ -63,7 +63,7 @@ def run(console: Console) -> None:
         console.print(f"xl330: skipped, no folder {EXAMPLE.relative_to(ROOT)}")
         return
     machine = load_machine(MACHINES / "xl330.json")
-    recordings = read_recordings(EXAMPLE, machine)
+    recordings = load_recordings(EXAMPLE, machine)
     groups = {
         "fitted": [r for r in recordings if r.name not in HELD_OUT],
         "held out": [r for r in recordings if r.name in HELD_OUT],

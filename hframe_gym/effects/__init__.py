@@ -6,7 +6,7 @@ import importlib
 import pkgutil
 
 from ..machine.effect import Effect
-from ..machine.tables import Machine
+from ..machine.machine import Machine
 from . import smooth_table
 
 
@@ -15,18 +15,18 @@ def _library() -> dict[str, Effect]:
     return {e.name: e for e in (importlib.import_module(f"{__name__}.{m}").EFFECT for m in modules)}
 
 
-LIBRARY: dict[str, Effect] = _library()
+EFFECTS: dict[str, Effect] = _library()
 
 
-def effect_of(name: str) -> Effect:
+def get_effect(name: str) -> Effect:
     """The definition of a name: of the library, or a table's.
 
     Raises KeyError for an unknown one.
     """
-    return LIBRARY[name] if name in LIBRARY else smooth_table.definition(name)
+    return EFFECTS[name] if name in EFFECTS else smooth_table.definition(name)
 
 
-def sites(effect: Effect, machine: Machine) -> tuple[str, ...]:
+def effect_sites(effect: Effect, machine: Machine) -> tuple[str, ...]:
     """Where on a machine an effect can sit."""
     if effect.fits and not effect.fits(machine):
         return ()
@@ -46,4 +46,8 @@ def sites(effect: Effect, machine: Machine) -> tuple[str, ...]:
     }[effect.site]
 
 
-__all__ = ["LIBRARY", "effect_of", "sites"]
+__all__ = [
+    "EFFECTS",
+    "effect_sites",
+    "get_effect",
+]

@@ -1,7 +1,7 @@
 """Play in the belts' teeth and clamps: within +-d of extension a belt carries nothing."""
 
+from ..dynamics.simd_math import maximum, minimum
 from ..machine.effect import Effect, EffectParameter
-from ..machine.vector_math import maximum, minimum
 
 
 def tension(s, k, d):  # type: ignore[no-untyped-def]

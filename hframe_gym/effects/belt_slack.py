@@ -1,7 +1,7 @@
 """Belts that go slack: tension beyond the pretension T0 cannot fall below -T0."""
 
+from ..dynamics.simd_math import maximum
 from ..machine.effect import Effect, EffectParameter
-from ..machine.vector_math import maximum
 
 
 def tension(s, k, T0):  # type: ignore[no-untyped-def]

@@ -7,7 +7,7 @@ oscillation of 0.2 mm in x that the paper saw in a y-move and could not explain 
 import dataclasses
 
 from ..machine.effect import AppliedEffect, Effect, EffectParameter
-from ..machine.tables import Coordinate, Machine
+from ..machine.machine import Coordinate, Machine
 
 
 def force(q, k):  # type: ignore[no-untyped-def]

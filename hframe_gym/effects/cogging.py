@@ -3,8 +3,8 @@
 n = 1 on an arm in the vertical plane is its weight.
 """
 
+from ..dynamics.simd_math import sin
 from ..machine.effect import Effect, EffectParameter
-from ..machine.vector_math import sin
 
 
 def force(q, A, n, p):  # type: ignore[no-untyped-def]

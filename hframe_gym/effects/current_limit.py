@@ -1,7 +1,7 @@
 """An amplifier that limits the motor's current: |i| <= I, i = (V - Ke N w)/R."""
 
+from ..dynamics.simd_math import maximum, minimum
 from ..machine.effect import Effect, EffectParameter
-from ..machine.vector_math import maximum, minimum
 
 
 def current(i, I):  # type: ignore[no-untyped-def]  # noqa: E741

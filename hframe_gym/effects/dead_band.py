@@ -4,8 +4,8 @@ drop = 0: a switch (a servo amplifier's enable threshold); drop = 1: a continuou
 an output stage, brushes' contact voltage).
 """
 
+from ..dynamics.simd import absolute, copysign, where
 from ..machine.effect import Effect, EffectParameter
-from ..machine.lanes import absolute, copysign, where
 
 
 def voltage(V, Vd, drop):  # type: ignore[no-untyped-def]

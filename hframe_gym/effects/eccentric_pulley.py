@@ -4,8 +4,8 @@ A run starts with belts that no eccentricity stretches, so there the pulley stan
 round one: behind by e sin(phi + p) / r.
 """
 
+from ..dynamics.simd_math import cos, sin
 from ..machine.effect import Effect, EffectParameter
-from ..machine.vector_math import cos, sin
 
 
 def evolve(z, dq):  # type: ignore[no-untyped-def]

@@ -1,7 +1,7 @@
 """The winding's inductance: tau di/dt = (V - Ke N w)/R - i, tau = L/R; solved exactly over each part of a step."""
 
+from ..dynamics.simd_math import exp, maximum
 from ..machine.effect import Effect, EffectParameter
-from ..machine.vector_math import exp, maximum
 
 
 def evolve(z, i, dt, tau):  # type: ignore[no-untyped-def]

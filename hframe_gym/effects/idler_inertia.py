@@ -7,9 +7,9 @@ inertia J and friction B of an idler are taken out of the motors and the cart, w
 
 import dataclasses
 
-from ..machine.builtin import SECTIONS
 from ..machine.effect import AppliedEffect, Effect, EffectParameter
-from ..machine.tables import Belt, Coordinate, Machine, Row
+from ..machine.machine import Belt, Coordinate, Machine, Row
+from ..machine.presets import SECTIONS
 
 # Sections by belt: (name, number in the paper, extension, length).  The first holds the belt's parameters.
 _SECTIONS: dict[str, tuple[tuple[str, int, Row, Row], ...]] = {

@@ -3,8 +3,8 @@
 A leadscrew's or rack's pitch, the balls of a recirculating carriage, a bent rail.
 """
 
+from ..dynamics.simd_math import sin
 from ..machine.effect import Effect, EffectParameter
-from ..machine.vector_math import sin
 
 
 def coulomb(q, A, L, p):  # type: ignore[no-untyped-def]

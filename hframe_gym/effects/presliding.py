@@ -4,9 +4,9 @@ dz/dt = v - s0 |v| z/F, friction s0 z + s1 dz/dt, with F the Coulomb level, Stri
 state's flow over a way dq is closed: z runs exponentially towards +-F/s0.
 """
 
+from ..dynamics.simd import absolute, copysign
+from ..dynamics.simd_math import exp, maximum
 from ..machine.effect import Effect, EffectParameter
-from ..machine.lanes import absolute, copysign
-from ..machine.vector_math import exp, maximum
 
 
 def evolve(z, dq, level, s0):  # type: ignore[no-untyped-def]

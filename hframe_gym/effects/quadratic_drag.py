@@ -1,7 +1,7 @@
 """Drag that grows with the square of speed, -c v |v|: air, grease that churns, a fan on the spindle."""
 
+from ..dynamics.simd import absolute
 from ..machine.effect import Effect, EffectParameter
-from ..machine.lanes import absolute
 
 
 def force(v, c):  # type: ignore[no-untyped-def]

@@ -3,8 +3,8 @@
 The paper's laser does so at 100 mm (section V).
 """
 
+from ..dynamics.simd_math import maximum, minimum
 from ..machine.effect import Effect, EffectParameter
-from ..machine.vector_math import maximum, minimum
 
 
 def reading(r, low, high):  # type: ignore[no-untyped-def]

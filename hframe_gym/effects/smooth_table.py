@@ -10,8 +10,8 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
+from ..dynamics.simd import absolute, where
 from ..machine.effect import Effect, EffectParameter
-from ..machine.lanes import absolute, where
 
 KNOTS = 24
 KINDS = {"smooth_force": "force", "smooth_friction": "coulomb"}

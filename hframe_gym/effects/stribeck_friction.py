@@ -4,8 +4,8 @@ Armstrong-Helouvry, Dupont and Canudas de Wit (1994), Automatica 30(7), eq. 8 wi
 rises with speed.
 """
 
+from ..dynamics.simd_math import exp
 from ..machine.effect import Effect, EffectParameter
-from ..machine.vector_math import exp
 
 
 def coulomb(v, dF, vs):  # type: ignore[no-untyped-def]

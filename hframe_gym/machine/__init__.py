@@ -1,13 +1,13 @@
 """What the stage is: tables, kernels made from them, simulation.  No files, no gymnasium."""
 
-from .builtin import BUILTIN, with_constant_stiffness
 from .effect import AppliedEffect, Effect, EffectParameter
-from .linear import linearise, mode_frequencies
-from .simulate import NotFiniteError, Trajectory, rest_state, rollout, simulate
-from .tables import Belt, Coordinate, Drive, Machine, Sensor, Uncertainty
+from .kinematics import rest_state
+from .linearization import linearize, mode_frequencies
+from .machine import Belt, Coordinate, Drive, Machine, Sensor, Uncertainty
+from .presets import BUILTIN_MACHINES, with_constant_stiffness
 
 __all__ = [
-    "BUILTIN",
+    "BUILTIN_MACHINES",
     "AppliedEffect",
     "Belt",
     "Coordinate",
@@ -15,14 +15,10 @@ __all__ = [
     "Effect",
     "EffectParameter",
     "Machine",
-    "NotFiniteError",
     "Sensor",
-    "Trajectory",
     "Uncertainty",
-    "linearise",
+    "linearize",
     "mode_frequencies",
     "rest_state",
-    "rollout",
-    "simulate",
     "with_constant_stiffness",
 ]

@@ -30,7 +30,7 @@ position of the other linear coordinate; dq: the way gone in dt; per_radius: 1/m
 the effect's parameters.
 
 Contributions see NumPy arrays when plotted and SIMD registers in a kernel, so they use `where`, `exp`, `sin`, ... from
-`hframe_gym.machine.lanes` and `vector_math`.
+`hframe_gym.dynamics.simd` and `vector_math`.
 """
 
 from __future__ import annotations

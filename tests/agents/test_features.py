@@ -4,15 +4,15 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
-from hframe_gym.agents.actuation import Actuation, Authority
 from hframe_gym.agents.features import StageFeatures, features_for
+from hframe_gym.agents.residual_action import Authority, ResidualAction
 
-from hframe_gym.control import ModelPID
-from hframe_gym.env import HFrameVectorEnv
-from hframe_gym.env.spaces import observation_space
-from hframe_gym.machine import BUILTIN, rest_state
+from hframe_gym.controllers import ModelBasedController
+from hframe_gym.envs import HFrameVectorEnv
+from hframe_gym.envs.spaces import observation_space
+from hframe_gym.machine import BUILTIN_MACHINES, rest_state
 
-MACHINE = BUILTIN["hframe"]()
+MACHINE = BUILTIN_MACHINES["hframe"]()
 
 
 def at_rest(position, goal):
@@ -70,7 +70,7 @@ def test_authority_grows_with_the_distance(distance, share):
 
 def test_actuation_remembers_one_period_and_forgets_at_a_reset():
     envs = HFrameVectorEnv(3, randomize="none")
-    actuation = Actuation(MACHINE, 0.01, base="pid", least=0.1)
+    actuation = ResidualAction(MACHINE, 0.01, base="pid", least=0.1)
     observation, _ = envs.reset(seed=0)
     seen = actuation.see(observation)
     assert np.array_equal(seen["last_observation"], observation["observation"])
@@ -90,7 +90,7 @@ def test_actuation_remembers_one_period_and_forgets_at_a_reset():
 def test_the_base_is_told_what_was_applied():
     """Its next action builds on the voltage that a stage held by friction had, whoever gave it."""
     observation = at_rest((0.1, 0.0), (0.10005, 0.0))
-    alone, under = ModelPID(MACHINE, 0.01), Actuation(MACHINE, 0.01, base="pid", least=1.0)
+    alone, under = ModelBasedController(MACHINE, 0.01), ResidualAction(MACHINE, 0.01, base="pid", least=1.0)
     for _ in range(3):
         own = alone.act(observation)
         under.see(observation)

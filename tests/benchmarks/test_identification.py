@@ -5,7 +5,7 @@ import json
 import pytest
 
 from benchmarks import identification
-from benchmarks.rigs import Case, cases
+from tests.rigs.rigs import Case, cases
 
 CASE = Case("short", "none", "none", "", (), runs=2)
 ROW = {

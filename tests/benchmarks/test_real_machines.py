@@ -10,7 +10,7 @@ from scipy import signal
 
 from benchmarks.real_machines import ced, printers, xl330
 from benchmarks.real_machines.study import MACHINES
-from hframe_gym.files import load_machine, read_recordings
+from hframe_gym.recordings import load_machine, load_recordings
 
 
 def test_a_counted_speed_gets_its_sign_back() -> None:
@@ -37,13 +37,13 @@ def test_a_servo_log_becomes_the_voltage_at_its_motor(tmp_path: Path) -> None:
     ]
     (log / "drop_kp100.csv").write_text("\n".join([header, *rows]) + "\n")
     xl330.convert(log, tmp_path / "runs")
-    [run] = read_recordings(tmp_path / "runs", load_machine(MACHINES / "xl330.json"))
+    [run] = load_recordings(tmp_path / "runs", load_machine(MACHINES / "xl330.json"))
     np.testing.assert_allclose(run.inputs[:, 0], [3.5, 5.5, 4.0])  # the released row is gone
     np.testing.assert_allclose(run.outputs[:, 0], [0.0, 0.1, 0.2])
 
 
 def test_the_shipped_servo_logs_fit_their_machine() -> None:
-    runs = read_recordings(xl330.EXAMPLE, load_machine(MACHINES / "xl330.json"))
+    runs = load_recordings(xl330.EXAMPLE, load_machine(MACHINES / "xl330.json"))
     assert len(runs) == 16
     assert set(xl330.HELD_OUT) < {r.name for r in runs}
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from benchmarks.rigs import cases
 from benchmarks.scoring import judged
+from tests.rigs.rigs import cases
 
 RIGS = cases()
 

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.reference import Rig, Yaw, simulate
-from benchmarks.reference.sensors import Sensors
-from hframe_gym.effects import LIBRARY
+from hframe_gym.effects import EFFECTS
 from hframe_gym.machine import AppliedEffect
+from tests.reference_simulator import Rig, Yaw, simulate
+from tests.reference_simulator.sensors import Sensors
 
 START = (0.08, -0.05)  # m, where runs begin
 REST_ROWS = 80  # the mean of the later half places a laser's zero to 3 um
@@ -32,7 +32,7 @@ class Case:
 
     @property
     def effect(self) -> AppliedEffect:
-        return LIBRARY[self.name].at(self.site, **self.parameters)
+        return EFFECTS[self.name].at(self.site, **self.parameters)
 
     def run(self, time_s: np.ndarray, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Positions (n, 4), velocities (n, 4) and ideal readings (n, 4: phi1, phi2, x, y) of a rig with the effect."""

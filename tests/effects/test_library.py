@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from one_of_each import CASES, Case, history
 
-from hframe_gym.effects import LIBRARY, effect_of, sites
+from hframe_gym.effects import EFFECTS, effect_sites, get_effect
 from hframe_gym.effects.smooth_table import KNOTS
-from hframe_gym.machine import BUILTIN, Effect, Machine
+from hframe_gym.machine import BUILTIN_MACHINES, Effect, Machine
 from hframe_gym.machine.effect import CONTRIBUTIONS
-from hframe_gym.machine.tables import UNITS
+from hframe_gym.machine.machine import UNITS
 
-EVERY = pytest.mark.parametrize("effect", LIBRARY.values(), ids=LIBRARY)
-WITH_AMPLITUDE = {name: case for name, case in CASES.items() if LIBRARY[name].amplitudes}
+EVERY = pytest.mark.parametrize("effect", EFFECTS.values(), ids=EFFECTS)
+WITH_AMPLITUDE = {name: case for name, case in CASES.items() if EFFECTS[name].amplitudes}
 PLAIN_UNITS = {"1", "s", "V", "A", "m", "rad", "N", "1/m^2", "kg m^2", "Nm/rad", "Nms"}
 
 
@@ -22,7 +22,7 @@ def test_a_definition_is_complete(effect: Effect, hframe: Machine) -> None:
     assert effect.structure or any(getattr(effect, name) for name in CONTRIBUTIONS)
     assert effect.formula
     assert effect.source
-    assert sites(effect, hframe)
+    assert effect_sites(effect, hframe)
     roles = [p.role for p in effect.parameters]
     # The screening takes sine and cosine of one amplitude, or a grid of starting values.
     assert roles.count("amplitude") <= 1
@@ -47,7 +47,7 @@ def test_parameters_are_checked(effect: Effect, hframe: Machine) -> None:
 @pytest.mark.parametrize("case", WITH_AMPLITUDE.values(), ids=WITH_AMPLITUDE)
 def test_a_zero_amplitude_changes_nothing(case: Case, hframe: Machine) -> None:
     time_s, inputs = history(0, seconds=0.3)
-    [amplitude] = LIBRARY[case.name].amplitudes
+    [amplitude] = EFFECTS[case.name].amplitudes
     effect = case.effect.with_parameters(case.parameters | {amplitude: 0.0})
     difference = hframe.with_effects(effect).simulate(time_s, inputs).outputs - hframe.simulate(time_s, inputs).outputs
     # Bent belts are evaluated in full at both points of a step, which changes its error.
@@ -55,9 +55,9 @@ def test_a_zero_amplitude_changes_nothing(case: Case, hframe: Machine) -> None:
 
 
 def test_effects_without_room_have_no_site() -> None:
-    axis = BUILTIN["axis"]()
+    axis = BUILTIN_MACHINES["axis"]()
     for name in ("belt_play", "eccentric_pulley", "bridge_yaw", "idler_inertia", "sensor_skew", "sensor_scale"):
-        assert sites(LIBRARY[name], axis) == ()
+        assert effect_sites(EFFECTS[name], axis) == ()
 
 
 def table(name: str, site: str, knots: np.ndarray, values: np.ndarray) -> dict[str, float]:
@@ -69,7 +69,7 @@ def test_a_table_is_straight_between_its_knots(kind: str, contribution: str) -> 
     rng = np.random.default_rng(4)
     knots, values = np.sort(rng.normal(size=KNOTS)), rng.normal(size=KNOTS)
     name = f"{kind}[position of y]"
-    effect = effect_of(name).at("x", **table(name, "x", knots, values))
+    effect = get_effect(name).at("x", **table(name, "x", knots, values))
     u = np.linspace(knots[0] - 1.0, knots[-1] + 1.0, 500)
     np.testing.assert_allclose(effect(contribution, u=u), np.interp(u, knots, values), atol=1e-12)
 
@@ -79,4 +79,4 @@ def test_a_table_is_straight_between_its_knots(kind: str, contribution: str) -> 
 )
 def test_an_unknown_name_is_refused(name: str) -> None:
     with pytest.raises(KeyError):
-        effect_of(name)
+        get_effect(name)

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from one_of_each import CASES, START, Case, history
 
-from benchmarks import reference
-from hframe_gym.effects import LIBRARY
-from hframe_gym.machine import Machine, rest_state, simulate
+from hframe_gym.dynamics import simulate
+from hframe_gym.effects import EFFECTS
+from hframe_gym.machine import Machine, rest_state
+from tests import reference_simulator as reference
 
 TRAVEL = np.array([0.0194, 0.0194, 1.0, 1.0])  # m per rad of an encoder, m per m of a laser
 STEP = 0.125e-3  # s
@@ -23,7 +24,7 @@ def difference(machine: Machine, time_s: np.ndarray, inputs: np.ndarray, shown: 
 
 
 def test_every_effect_has_a_case() -> None:
-    assert set(CASES) == set(LIBRARY)
+    assert set(CASES) == set(EFFECTS)
 
 
 @pytest.mark.parametrize("seed", [3, 11])
@@ -44,7 +45,7 @@ def test_a_switch_drives_all_or_nothing(hframe: Machine) -> None:
     switched = inputs.copy()
     switched[np.abs(inputs[:, 0]) < 0.8, 0] = 0.0
     positions, _ = reference.simulate(reference.Rig(), time_s, switched, START)
-    machine = hframe.with_effects(LIBRARY["dead_band"].at("motor1", Vd=0.8, drop=0.0))
+    machine = hframe.with_effects(EFFECTS["dead_band"].at("motor1", Vd=0.8, drop=0.0))
     shown = positions[:, [2, 3, 0, 1]]
     assert difference(machine, time_s, inputs, shown) < AGREE
     assert difference(hframe, time_s, inputs, shown) > 20 * AGREE
@@ -55,6 +56,6 @@ def test_a_late_belt_around_an_eccentric_pulley(hframe: Machine) -> None:
     time_s, inputs = history(7)
     rig = reference.Rig(belt_damping_s=1e-3, eccentricity_m=(0.0, 1e-3), eccentricity_phase=(0.0, 0.7))
     positions, _ = reference.simulate(rig, time_s, inputs, START)
-    late, untrue = LIBRARY["belt_damping"].at("belts", c=1e-3), LIBRARY["eccentric_pulley"].at("motor2", e=1e-3, p=0.7)
+    late, untrue = EFFECTS["belt_damping"].at("belts", c=1e-3), EFFECTS["eccentric_pulley"].at("motor2", e=1e-3, p=0.7)
     shown = positions[:, [2, 3, 0, 1]]
     assert difference(hframe.with_effects(late, untrue), time_s, inputs, shown) < 2 * AGREE

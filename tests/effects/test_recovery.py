@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from one_of_each import CASES, Case, history
 
-from benchmarks.reference.sensors import noisy
-from hframe_gym.files import Recording
-from hframe_gym.identify import fit, prepare
-from hframe_gym.identify.candidates import effect_parameters
-from hframe_gym.identify.prediction import POLISH_STEP
-from hframe_gym.identify.references import references
+from hframe_gym.identification import fit, prepare
+from hframe_gym.identification.candidates import effect_parameters
+from hframe_gym.identification.prediction import POLISH_STEP
+from hframe_gym.identification.typical_scales import references
 from hframe_gym.machine import Machine
+from hframe_gym.recordings import Recording
+from tests.reference_simulator.sensors import noisy
 
 SEEDS = (21, 22, 23)
 

@@ -1,0 +1,305 @@
+"""A SIMD register as a Numba type: `LANES` stages side by side in every arithmetic instruction.
+
+Numba's loop vectoriser does not survive a time-stepping loop with friction, so the kernels name the vector
+themselves.  A value of type `lane` is `LANES` float64 numbers, one a stage; `mask` is the result of comparing two.
+Arithmetic, comparisons, `where`, `fma`, `copysign`, `absolute`, ... map to one LLVM vector instruction each, which
+LLVM lowers to whatever the processor has (AVX-512, AVX2, NEON).  Nothing is contracted or re-associated, and `fma` is
+asked for by name: so the same inputs give the same bits for every lane, batch size and thread count.
+
+The same functions work on NumPy arrays when called from Python; an effect's formula is therefore written once.
+"""
+
+from __future__ import annotations
+
+import itertools
+import operator
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.core.typing.templates import AbstractTemplate, infer_global, signature
+from numba.extending import lower_builtin, models, register_model
+
+LANES = 8
+
+_F64 = ir.DoubleType()
+_I64 = ir.IntType(64)
+_VECTOR = ir.VectorType(_F64, LANES)
+_IVECTOR = ir.VectorType(_I64, LANES)
+_BITS = ir.VectorType(ir.IntType(1), LANES)
+# Rows of a scratch array start on 8-byte boundaries only; claiming more would fault.
+_ALIGN = 8
+
+
+class SimdVector(types.Type):
+    """`LANES` float64 numbers in one register."""
+
+    def __init__(self) -> None:
+        super().__init__(name=f"lane{LANES}")
+
+
+class SimdMask(types.Type):
+    """`LANES` truth values."""
+
+    def __init__(self) -> None:
+        super().__init__(name=f"mask{LANES}")
+
+
+lane = SimdVector()
+mask = SimdMask()
+
+
+@register_model(SimdVector)
+class _LaneModel(models.PrimitiveModel):
+    def __init__(self, dmm: Any, fe_type: Any) -> None:
+        super().__init__(dmm, fe_type, _VECTOR)
+
+
+@register_model(SimdMask)
+class _MaskModel(models.PrimitiveModel):
+    def __init__(self, dmm: Any, fe_type: Any) -> None:
+        super().__init__(dmm, fe_type, _BITS)
+
+
+# -- what a Python call does: the same formula on arrays -------------------------------------------------------------
+
+
+def where(condition: Any, yes: Any, no: Any) -> Any:
+    """`yes` where `condition` holds, else `no`, lane by lane."""
+    return np.where(condition, yes, no)
+
+
+def fma(a: Any, b: Any, c: Any) -> Any:
+    """`a * b + c`, rounded once in a kernel (twice on arrays)."""
+    return a * b + c
+
+
+def copysign(size: Any, sign: Any) -> Any:
+    """The size of one number with the sign of another."""
+    return np.copysign(size, sign)
+
+
+def absolute(a: Any) -> Any:
+    """The size of a number."""
+    return np.abs(a)
+
+
+def rint(a: Any) -> Any:
+    """The nearest whole number, ties to even."""
+    return np.rint(a)
+
+
+def floor(a: Any) -> Any:
+    """The largest whole number that is not larger."""
+    return np.floor(a)
+
+
+def pow2(n: Any) -> Any:
+    """2**n for whole n in [-1022, 1023], exactly."""
+    return np.exp2(n)
+
+
+def any_of(condition: Any) -> Any:
+    """Whether the condition holds in any lane."""
+    return np.any(condition)
+
+
+def load(rows: Any, k: Any) -> Any:
+    """Row k of a contiguous (n, LANES) array as one register (kernels only)."""
+    raise NotImplementedError
+
+
+def store(rows: Any, k: Any, value: Any) -> Any:
+    """Write a register to row k of a contiguous (n, LANES) array (kernels only)."""
+    raise NotImplementedError
+
+
+def align_stack() -> None:
+    """Align the frame of the kernel it stands in, so that no spilled register straddles two cache lines."""
+
+
+# -- what a kernel does ------------------------------------------------------------------------------------------------
+
+_SCALAR = (types.Float, types.Integer)
+
+
+def _is_operand(ty: types.Type) -> bool:
+    return ty == lane or isinstance(ty, _SCALAR)
+
+
+def _as_vector(context: Any, builder: Any, value: Any, ty: types.Type) -> Any:
+    if ty == lane:
+        return value
+    scalar = context.cast(builder, value, ty, types.float64)
+    undefined = ir.Constant(_VECTOR, ir.Undefined)
+    first = builder.insert_element(undefined, scalar, ir.Constant(ir.IntType(32), 0))
+    zeros = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
+    return builder.shuffle_vector(first, undefined, zeros)
+
+
+def _operation(function: Any, arity: int, result: types.Type, emit: Callable[..., Any]) -> None:
+    """Give `function` a meaning on lanes; plain numbers among its operands are spread over all lanes."""
+
+    @infer_global(function)
+    class _Template(AbstractTemplate):
+        def generic(self, args: Sequence[types.Type], kws: Any) -> Any:
+            if not kws and len(args) == arity and lane in args and all(map(_is_operand, args)):
+                return signature(result, *args)
+            return None
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        vectors = [_as_vector(context, builder, a, t) for a, t in zip(args, sig.args, strict=True)]
+        return emit(builder, *vectors)
+
+    # Operators on plain numbers keep Numba's own lowering: only signatures with a lane in them are ours.
+    kinds = (SimdVector, *_SCALAR)
+    for operands in itertools.product(kinds, repeat=arity):
+        if SimdVector in operands:
+            lower_builtin(function, *operands)(lower)
+
+
+def _llvm(name: str) -> Callable[..., Any]:
+    """A call of LLVM's vector intrinsic of that name."""
+
+    def emit(builder: Any, *args: Any) -> Any:
+        kind = ir.FunctionType(_VECTOR, [_VECTOR] * len(args))
+        function = cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v{LANES}f64")
+        return builder.call(function, args)
+
+    return emit
+
+
+def _arithmetic(instruction: str) -> Callable[..., Any]:
+    return lambda builder, *args: getattr(builder, instruction)(*args)
+
+
+def _comparison(sign: str) -> Callable[..., Any]:
+    return lambda builder, a, b: builder.fcmp_ordered(sign, a, b)
+
+
+def _emit_pow2(builder: Any, n: Any) -> Any:
+    bias = ir.Constant(_IVECTOR, [1023] * LANES)
+    shift = ir.Constant(_IVECTOR, [52] * LANES)
+    return builder.bitcast(builder.shl(builder.add(builder.fptosi(n, _IVECTOR), bias), shift), _VECTOR)
+
+
+for _function, _instruction in (
+    (operator.add, "fadd"),
+    (operator.sub, "fsub"),
+    (operator.mul, "fmul"),
+    (operator.truediv, "fdiv"),
+):
+    _operation(_function, 2, lane, _arithmetic(_instruction))
+for _function, _sign in (
+    (operator.lt, "<"),
+    (operator.le, "<="),
+    (operator.gt, ">"),
+    (operator.ge, ">="),
+    (operator.eq, "=="),
+    (operator.ne, "!="),
+):
+    _operation(_function, 2, mask, _comparison(_sign))
+_operation(operator.neg, 1, lane, _arithmetic("fneg"))
+_operation(absolute, 1, lane, _llvm("fabs"))
+_operation(rint, 1, lane, _llvm("rint"))
+_operation(floor, 1, lane, _llvm("floor"))
+_operation(pow2, 1, lane, _emit_pow2)
+_operation(copysign, 2, lane, _llvm("copysign"))
+_operation(fma, 3, lane, _llvm("fma"))
+
+
+@infer_global(where)
+class _Where(AbstractTemplate):
+    def generic(self, args: Sequence[types.Type], kws: Any) -> Any:
+        if len(args) == 3 and args[0] == mask and all(map(_is_operand, args[1:])):
+            return signature(lane, *args)
+        return None
+
+
+@lower_builtin(where, SimdMask, types.Any, types.Any)
+def _lower_where(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    yes, no = (_as_vector(context, builder, a, t) for a, t in zip(args[1:], sig.args[1:], strict=True))
+    return builder.select(args[0], yes, no)
+
+
+def _mask_operation(function: Any, instruction: str) -> None:
+    @infer_global(function)
+    class _Template(AbstractTemplate):
+        def generic(self, args: Sequence[types.Type], kws: Any) -> Any:
+            return signature(mask, *args) if tuple(args) == (mask, mask) else None
+
+    @lower_builtin(function, SimdMask, SimdMask)
+    def _lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return getattr(builder, instruction)(*args)
+
+
+_mask_operation(operator.and_, "and_")
+_mask_operation(operator.or_, "or_")
+
+
+@infer_global(any_of)
+class _AnyOf(AbstractTemplate):
+    def generic(self, args: Sequence[types.Type], kws: Any) -> Any:
+        return signature(types.boolean, mask) if tuple(args) == (mask,) else None
+
+
+@lower_builtin(any_of, SimdMask)
+def _lower_any_of(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    bits = ir.IntType(LANES)
+    return builder.icmp_unsigned("!=", builder.bitcast(args[0], bits), ir.Constant(bits, 0))
+
+
+def _is_rows(ty: types.Type) -> bool:
+    return isinstance(ty, types.Array) and ty.dtype == types.float64 and ty.ndim == 2 and ty.layout == "C"
+
+
+@infer_global(load)
+class _Load(AbstractTemplate):
+    def generic(self, args: Sequence[types.Type], kws: Any) -> Any:
+        return signature(lane, *args) if len(args) == 2 and _is_rows(args[0]) else None
+
+
+@infer_global(store)
+class _Store(AbstractTemplate):
+    def generic(self, args: Sequence[types.Type], kws: Any) -> Any:
+        fits = len(args) == 3 and _is_rows(args[0]) and _is_operand(args[2])
+        return signature(types.none, *args) if fits else None
+
+
+def _row_pointer(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    array = context.make_array(sig.args[0])(context, builder, args[0])
+    row = context.cast(builder, args[1], sig.args[1], types.intp)
+    offset = builder.mul(row, context.get_constant(types.intp, LANES))
+    return builder.bitcast(builder.gep(array.data, [offset]), _VECTOR.as_pointer())
+
+
+@lower_builtin(load, types.Array, types.Integer)
+def _lower_load(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    return builder.load(_row_pointer(context, builder, sig, args), align=_ALIGN)
+
+
+@lower_builtin(store, types.Array, types.Integer, types.Any)
+def _lower_store(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    value = _as_vector(context, builder, args[2], sig.args[2])
+    builder.store(value, _row_pointer(context, builder, sig, args), align=_ALIGN)
+    return context.get_dummy_value()
+
+
+@infer_global(align_stack)
+class _AlignStack(AbstractTemplate):
+    def generic(self, args: Sequence[types.Type], kws: Any) -> Any:
+        return signature(types.none) if not args else None
+
+
+@lower_builtin(align_stack)
+def _lower_align_stack(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    with builder.goto_entry_block():
+        slot = builder.alloca(_VECTOR)
+        slot.align = 64
+    # The slot must reach code generation: an empty instruction that nothing can see through keeps it.
+    asm = ir.FunctionType(ir.VoidType(), [_VECTOR.as_pointer()])
+    builder.asm(asm, "", "r,~{memory}", [slot], side_effect=True)
+    return context.get_dummy_value()

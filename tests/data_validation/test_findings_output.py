@@ -1,0 +1,63 @@
+from __future__ import annotations
+
+import io
+import json
+import sys
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from hframe_gym.cli import main
+from hframe_gym.data_validation import Finding
+from hframe_gym.data_validation.findings_output import show
+
+FOUND = [Finding("fault", "run_01", "x_m", "stuck [at 0.1]"), Finding("note", "", "", "8 runs")]
+
+
+def test_plain_lines_where_nobody_looks_and_a_table_on_a_terminal() -> None:
+    plain = io.StringIO()
+    show(FOUND, Console(file=plain, force_terminal=False, soft_wrap=True))
+    assert plain.getvalue().splitlines() == [
+        "fault: run_01, x_m: stuck [at 0.1]",
+        "note: 8 runs",
+        "1 fault, 0 advice, 1 note",
+    ]
+    rich = io.StringIO()
+    show(FOUND, Console(file=rich, force_terminal=True, width=100))
+    assert "channel" in rich.getvalue()
+    assert "stuck [at 0.1]" in rich.getvalue()
+
+
+def test_the_same_in_many_runs_is_said_once() -> None:
+    found = [Finding("advice", f"run_{i}", "time_s", f"{i} gaps (3.{i} ms): samples were dropped") for i in range(5)]
+    plain = io.StringIO()
+    show(
+        [*found, Finding("note", "", "x", "told to 1 %"), Finding("note", "", "x", "told to 2 %")], Console(file=plain)
+    )
+    lines = plain.getvalue().splitlines()
+    assert lines[0].startswith("advice: run_0 and 4 more runs, time_s: 0 gaps")
+    assert len(lines) == 4
+
+
+def test_the_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    written = tmp_path / "found.json"
+    monkeypatch.setattr(sys, "argv", ["hframe", "check", "examples/rig_b", "--json", str(written)])
+    with pytest.raises(SystemExit) as stop:
+        main()
+    assert stop.value.code == 0
+    assert "0 fault" in capsys.readouterr().out
+    content = json.loads(written.read_text())
+    assert content["schema"] == 1
+    assert {f["severity"] for f in content["findings"]} <= {"advice", "note"}
+
+
+def test_the_command_refuses_bad_input(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    (tmp_path / "a.csv").write_text("time_s,v1_V,v2_V,phi1_rad,phi2_rad,x_m,y_m\n0,0,0,0,0,0,oops\n")
+    monkeypatch.setattr(sys, "argv", ["hframe", "check", str(tmp_path)])
+    with pytest.raises(SystemExit) as stop:
+        main()
+    assert stop.value.code == 2
+    assert "a.csv, row 1, column y_m" in capsys.readouterr().err

@@ -1,0 +1,79 @@
+"""The closed-form flow through friction against a fine integration with events."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numba import njit
+from scipy.integrate import solve_ivp
+
+from hframe_gym.dynamics.friction import decay_integral, end_weight, kick, reverse
+from hframe_gym.dynamics.simd import LANES, load, store, where
+
+
+@njit(error_model="numpy")
+def flow(A, h, out):  # type: ignore[no-untyped-def]
+    v, f, coulomb, viscous, mass = load(A, 0), load(A, 1), load(A, 2), load(A, 3), load(A, 4)
+    z = viscous * h / mass
+    gain = h / mass * decay_integral(z)
+    decay = 1.0 - z * decay_integral(z)
+    after, stop = kick(v, f, coulomb, decay, gain)
+    weight = end_weight(z)
+    travel = h * ((1.0 - weight) * v + weight * after)
+    turned, turned_travel = reverse(v, f, coulomb, viscous, viscous, mass, 1.0 / mass, h)
+    store(out, 0, where(stop, turned, after))
+    store(out, 1, where(stop, turned_travel, travel))
+
+
+def exact(v: float, f: float, coulomb: float, viscous: float, mass: float, h: float) -> tuple[float, float]:
+    """Velocity and travel after h, piece by piece, by SciPy."""
+    t, travel = 0.0, 0.0
+    while t < h:
+        if v == 0.0 and abs(f) <= coulomb:
+            return 0.0, travel
+        sign = np.sign(v) if v != 0.0 else np.sign(f)
+
+        def rate(_: float, s: np.ndarray, sign: float = sign) -> list[float]:
+            return [s[1], (f - viscous * s[1] - coulomb * sign) / mass]
+
+        def stops(_: float, s: np.ndarray, sign: float = sign) -> float:
+            return float(sign * s[1]) if s[1] != 0.0 else 1.0
+
+        stops.terminal, stops.direction = True, -1  # type: ignore[attr-defined]
+        piece = solve_ivp(rate, (t, h), [0.0, v], events=stops, rtol=1e-11, atol=1e-15)
+        travel += piece.y[0, -1]
+        t = piece.t[-1]
+        v = 0.0 if piece.status == 1 else piece.y[1, -1]
+    return v, travel
+
+
+@pytest.mark.parametrize("viscous", [0.0, 3.0, 800.0])
+def test_every_case_of_the_flow(viscous: float) -> None:
+    h, mass, coulomb = 1e-3, 0.3, 2.0
+    v = np.array([0.5, 0.004, 0.004, -0.004, 0.0, 0.0, 0.0, -0.3])
+    f = np.array([1.0, -1.0, -6.0, 9.0, 1.9, -2.5, 0.0, -4.0])
+    A = np.array([v, f, np.full(LANES, coulomb), np.full(LANES, viscous), np.full(LANES, mass)])
+    out = np.empty((2, LANES))
+    flow(A, h, out)
+    expected = np.array([exact(v[i], f[i], coulomb, viscous, mass, h) for i in range(LANES)]).T
+    np.testing.assert_allclose(out[0], expected[0], rtol=1e-8, atol=1e-12)
+    np.testing.assert_allclose(out[1], expected[1], rtol=1e-7, atol=1e-13)
+    assert out[0, 4] == out[0, 6] == 0.0
+    assert out[0, 1] == 0.0 or viscous == 0.0 or out[0, 1] >= 0.0
+
+
+@njit(error_model="numpy")
+def weights(A, out):  # type: ignore[no-untyped-def]
+    for i in range(A.shape[0]):
+        store(out, 2 * i, decay_integral(load(A, i)))
+        store(out, 2 * i + 1, end_weight(load(A, i)))
+
+
+def test_weights_over_ten_decades() -> None:
+    z = np.logspace(-8, 2, 50 * LANES).reshape(-1, LANES)
+    out = np.empty((2 * len(z), LANES))
+    weights(z, out)
+    np.testing.assert_allclose(out[0::2], -np.expm1(-z) / z, rtol=3e-12)
+    # 1/(1 - e^-z) - 1/z cancels for small z; there its series is 1/2 + z/12.
+    expected = np.where(z < 1e-2, 0.5 + z / 12 - z**3 / 720, -1 / np.expm1(-z) - 1 / z)
+    np.testing.assert_allclose(out[1::2], expected, rtol=1e-11)

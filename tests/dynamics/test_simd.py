@@ -1,0 +1,105 @@
+"""Lane arithmetic in a kernel against NumPy, to the bit where both round once."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numba import njit
+
+from hframe_gym.dynamics import simd_math as vm
+from hframe_gym.dynamics.simd import LANES, absolute, any_of, copysign, floor, fma, load, pow2, rint, store, where
+
+NUMBERS = st.lists(st.floats(-1e6, 1e6), min_size=LANES, max_size=LANES)
+
+
+@njit(error_model="numpy")
+def arithmetic(A, out):  # type: ignore[no-untyped-def]
+    a, b = load(A, 0), load(A, 1)
+    store(out, 0, a + b)
+    store(out, 1, a - b)
+    store(out, 2, a * b)
+    store(out, 3, a / b)
+    store(out, 4, -a)
+    store(out, 5, absolute(a))
+    store(out, 6, copysign(a, b))
+    store(out, 7, where((a < b) & (a != 0.0), a, 2.0))
+    store(out, 8, rint(a))
+    store(out, 9, floor(a))
+    store(out, 10, 3.0 * a + 1)
+    store(out, 11, where((a > b) | (a == b), 1.0, 0.0))
+    return any_of(a > b)
+
+
+@settings(max_examples=60, deadline=None)
+@given(NUMBERS, NUMBERS)
+def test_arithmetic_is_numpys(first: list[float], second: list[float]) -> None:
+    a, b = np.array(first), np.array(second)
+    out = np.empty((12, LANES))
+    found = arithmetic(np.array([a, b]), out)
+    with np.errstate(all="ignore"):
+        expected = [
+            a + b,
+            a - b,
+            a * b,
+            a / b,
+            -a,
+            np.abs(a),
+            np.copysign(a, b),
+            np.where((a < b) & (a != 0.0), a, 2.0),
+            np.rint(a),
+            np.floor(a),
+            3.0 * a + 1,
+            (a >= b).astype(float),
+        ]
+    np.testing.assert_array_equal(out, expected)
+    assert found == bool((a > b).any())
+
+
+@njit
+def fused(A, out):  # type: ignore[no-untyped-def]
+    store(out, 0, fma(load(A, 0), load(A, 1), load(A, 2)))
+    store(out, 1, pow2(load(A, 3)))
+
+
+def test_fma_rounds_once_and_pow2_is_exact() -> None:
+    e = 2.0**-30
+    A = np.empty((4, LANES))
+    A[0], A[1], A[2], A[3] = 1 + e, 1 - e, -1.0, np.linspace(-1000, 1000, LANES).round()
+    out = np.empty((2, LANES))
+    fused(A, out)
+    np.testing.assert_array_equal(out[0], -(e**2))
+    np.testing.assert_array_equal(out[1], 2.0 ** A[3])
+
+
+@njit
+def elementary(A, out):  # type: ignore[no-untyped-def]
+    for i in range(A.shape[0]):
+        x = load(A, i)
+        store(out, 3 * i, vm.exp(x))
+        store(out, 3 * i + 1, vm.sin(x))
+        store(out, 3 * i + 2, vm.cos(x))
+
+
+def test_elementary_functions_to_a_few_units_in_the_last_place() -> None:
+    rng = np.random.default_rng(0)
+    A = np.concatenate([rng.uniform(-5, 5, (200, LANES)), rng.uniform(-600, 600, (200, LANES)), np.zeros((1, LANES))])
+    out = np.empty((3 * len(A), LANES))
+    elementary(A, out)
+    np.testing.assert_allclose(out[0::3], np.exp(A), rtol=1e-15)
+    np.testing.assert_allclose(out[1::3], np.sin(A), atol=5e-16)
+    np.testing.assert_allclose(out[2::3], np.cos(A), atol=5e-16)
+
+
+@njit
+def one_exp(A, out):  # type: ignore[no-untyped-def]
+    store(out, 0, vm.exp(load(A, 0)))
+
+
+def test_exp_ends_in_zero_and_stays_finite() -> None:
+    A = np.full((1, LANES), -1e4)
+    A[0, 0] = 1e4
+    out = np.empty((1, LANES))
+    one_exp(A, out)
+    assert np.isfinite(out[0, 0])
+    np.testing.assert_array_equal(out[0, 1:], 0.0)

@@ -1,0 +1,154 @@
+"""The kernel against an event-driven simulator with which it shares no code (benchmarks/reference/)."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from hframe_gym.dynamics import NotFiniteError, rollout, simulate
+from hframe_gym.effects import EFFECTS
+from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect, Machine, rest_state
+from tests import reference_simulator as reference
+from tests.rigs.rigs import Rig
+
+TIME = np.arange(401) * 1e-3
+START = (0.08, -0.05)
+RADII = np.array([1.0, 1.0, 0.0194, 0.0194])
+
+
+def history(seed: int) -> np.ndarray:
+    """Random voltages (401, 2), held for 10 ms, after 20 ms of rest."""
+    rng = np.random.default_rng(seed)
+    levels = rng.uniform(-8, 8, (41, 2))
+    levels[:2] = 0.0
+    return np.repeat(levels, 10, axis=0)[:401]
+
+
+def difference(machine: Machine, rig: Rig, seed: int) -> float:
+    """Largest difference of travel over 0.4 s of random voltages, m.
+
+    A late voltage changes inside a step, which counts as its mean over the step: hence the shorter step.
+    """
+    inputs = history(seed)
+    exact, _ = reference.simulate(rig, TIME, inputs, START)
+    step = 0.1e-3 if any(rig.input_delay_s) else 0.25e-3
+    found = simulate(machine, TIME, inputs, rest_state(machine, START), longest_step=step).positions
+    return float(np.abs((found - exact) * RADII).max())
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_nonlinear_stage(seed: int, hframe: Machine) -> None:
+    assert difference(hframe, Rig(), seed) < 2e-6
+
+
+@pytest.mark.parametrize(
+    ("effect", "change"),
+    [
+        (
+            EFFECTS["stribeck_friction"].at("x", dF=3.0, vs=0.04),
+            {"stribeck_force": (3.0, 0, 0, 0), "stribeck_velocity": (0.04, 1, 1, 1)},
+        ),
+        (
+            EFFECTS["stribeck_friction"].at("phi2", dF=0.03, vs=2.0),
+            {"stribeck_force": (0, 0, 0, 0.03), "stribeck_velocity": (1, 1, 1, 2.0)},
+        ),
+        (EFFECTS["constant_force"].at("y", size=-1.5), {"constant_force": (0, -1.5, 0, 0)}),
+        (EFFECTS["constant_force"].at("phi1", size=0.03), {"constant_force": (0, 0, 0.03, 0)}),
+        (EFFECTS["asymmetric_viscous"].at("x", a=0.3), {"viscous_asymmetry": (0.3, 0, 0, 0)}),
+        (EFFECTS["asymmetric_viscous"].at("phi1", a=-0.4), {"viscous_asymmetry": (0, 0, -0.4, 0)}),
+        (EFFECTS["input_delay"].at("drives", d=0.0023), {"input_delay_s": (0.0023, 0.0023)}),
+    ],
+    ids=lambda value: value.label if isinstance(value, AppliedEffect) else "",
+)
+def test_each_effect(effect: AppliedEffect, change: dict[str, tuple[float, ...]], hframe: Machine) -> None:
+    rig = dataclasses.replace(Rig(), **change)
+    machine = hframe.with_effects(effect)
+    assert difference(machine, rig, 11) < 5e-6
+    # The effect itself is far larger than what the test allows.
+    assert difference(hframe, rig, 11) > 5e-5
+
+
+def test_a_held_stage_does_not_creep(hframe: Machine) -> None:
+    """Below breakaway for 10 s under a voltage: the belts stretch, then nothing moves any more."""
+    time = np.arange(1001) * 1e-2
+    trajectory = simulate(hframe, time, np.full((1001, 2), 0.2))
+    assert np.abs(trajectory.positions[-1] - trajectory.positions[100]).max() < 1e-12
+    np.testing.assert_array_equal(trajectory.velocities[-1], 0.0)
+
+
+def test_rest_is_rest(hframe: Machine) -> None:
+    trajectory = simulate(hframe, TIME, np.zeros((401, 2)))
+    np.testing.assert_array_equal(trajectory.positions, 0.0)
+
+
+@pytest.mark.parametrize("batch", [1, 7, 4096])
+def test_bits_do_not_depend_on_batch_or_threads(batch: int, hframe: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    time, inputs = TIME[:51], history(5)[:51]
+    alone = rollout(hframe, time, inputs, velocities=True)[0]
+    many = np.tile(inputs, (batch, 1, 1))
+    many[:-1] *= 0.5
+    for threads in ("1", "2"):
+        monkeypatch.setenv("HFRAME_THREADS", threads)
+        np.testing.assert_array_equal(rollout(hframe, time, many, velocities=True)[-1], alone)
+
+
+def test_the_error_falls_with_the_square_of_the_step(hframe: Machine) -> None:
+    inputs = history(7)
+    exact, _ = reference.simulate(Rig(), TIME, inputs, START)
+    start = rest_state(hframe, START)
+    errors = [
+        np.sqrt(np.mean((simulate(hframe, TIME, inputs, start, longest_step=h).positions - exact)[:, :2] ** 2))
+        for h in (1e-3, 0.25e-3)
+    ]
+    assert errors[0] / errors[1] > 8
+
+
+def test_energy_is_kept_without_friction_and_drives(hframe: Machine) -> None:
+    """Stretched belts swing; 1/2 s^2 dk/dq is what keeps the balance."""
+    coordinates = tuple(dataclasses.replace(c, viscous=0.0, coulomb=0.0) for c in hframe.coordinates)
+    drives = tuple(dataclasses.replace(d, Ke=0.0) for d in hframe.drives)
+    machine = hframe.replace(coordinates=coordinates, drives=drives)
+    start = rest_state(machine, START)
+    start[2] += 0.3
+    trajectory = simulate(machine, TIME, np.zeros((401, 2)), start, longest_step=0.05e-3)
+    travel = trajectory.positions * RADII
+    potential = np.zeros(len(TIME))
+    for b in machine.belts:
+        length = b.rest_length + travel @ machine.row(b.length)
+        potential += 0.5 * b.EA / length * (travel @ machine.row(b.extension)) ** 2
+    kinetic = trajectory.velocities**2 @ np.array([0.5 * c.mass for c in machine.coordinates])
+    total = potential + kinetic
+    assert np.ptp(total) / total[0] < 2e-4
+    assert total[-1] == pytest.approx(total[0], rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("time", "inputs", "message"),
+    [
+        ([0.0, 0.0], np.zeros((2, 2)), "strictly increasing"),
+        ([], np.zeros((0, 2)), "strictly increasing"),
+        ([0.0, 1e-3], np.zeros((2, 3)), r"inputs have shape \(2, 3\)"),
+        ([0.0, 1e-3], np.array([[0, 0], [0, np.nan]]), "row 1, v2_V is nan"),
+    ],
+)
+def test_bad_input_is_refused(time: list[float], inputs: np.ndarray, message: str, hframe: Machine) -> None:
+    with pytest.raises(ValueError, match=message):
+        simulate(hframe, time, inputs)
+
+
+def test_what_does_not_stay_finite_is_said(hframe: Machine) -> None:
+    wild = hframe.replace({"left.EA": 1e15})
+    start = rest_state(wild)
+    start[0] = 0.1
+    with pytest.raises(NotFiniteError, match="leaves all bounds at t ="):
+        simulate(wild, TIME, np.zeros((401, 2)), start)
+
+
+def test_an_axis_reaches_its_closed_form_speed() -> None:
+    machine = BUILTIN_MACHINES["axis"]()
+    time = np.arange(3001) * 1e-3
+    drive, c = machine.drives[0], machine.coordinates[0]
+    speed = simulate(machine, time, np.full((3001, 1), 2.0)).velocities[-1, 0]
+    assert speed == pytest.approx((drive.gain * 2.0 - c.coulomb) / (c.viscous + drive.back_emf), rel=1e-9)

@@ -1,0 +1,81 @@
+"""Both libraries' environment checkers, with every warning an error, for every preset of options."""
+
+import itertools
+import warnings
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import stable_baselines3.common.env_checker as sb3
+from gymnasium.utils import env_checker
+
+from hframe_gym.envs import HFrameEnv, register
+
+register()
+
+CHOICES = {
+    "sensors": ["state", "rig"],
+    "drives": ["ideal", "rig"],
+    "ends": ["stops", "terminate"],
+    "randomize": ["none", "default", "wide"],
+    "reward": ["dense", "sparse"],
+    "task": ["reach", "track"],
+}
+PRESETS = [dict(zip(CHOICES, values, strict=True)) for values in itertools.product(*CHOICES.values())]
+FEW = [
+    {},
+    {"randomize": "default", "sensors": "rig"},
+    {"randomize": "wide", "reward": "sparse", "privileged": True},
+    {"randomize": "wide", "task": "track", "sensors": "rig", "drives": "rig", "privileged": True},
+    {"ends": "terminate", "period": 0.002, "drives": "rig"},
+    {"machine": "hframe-order20", "privileged": True},
+    {"machine": "hframe-literal"},
+]
+
+
+@pytest.mark.parametrize("options", FEW, ids=str)
+def test_gymnasium_has_nothing_to_say(options):
+    env = gym.make("HFrame-v0", **options)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        env_checker.check_env(env.unwrapped, skip_render_check=True)
+
+
+@pytest.mark.parametrize("options", FEW, ids=str)
+def test_stable_baselines3_has_nothing_to_say(options):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        sb3.check_env(HFrameEnv(**options), warn=True, skip_render_check=True)
+
+
+def test_gymnasium_can_render_it():
+    env = gym.make("HFrame-v0", render_mode="rgb_array")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        env_checker.check_env(env.unwrapped)
+
+
+@pytest.mark.parametrize("options", FEW, ids=str)
+def test_vector_gives_what_its_spaces_say(options):
+    envs = gym.make_vec("HFrame-v0", num_envs=3, **options)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        observation, info = envs.reset(seed=0)
+        assert envs.observation_space.contains(observation)
+        envs.action_space.seed(0)
+        for _ in range(5):
+            observation, reward, terminated, truncated, info = envs.step(envs.action_space.sample())
+            assert envs.observation_space.contains(observation)
+        for array, dtype in ((reward, np.float64), (terminated, np.bool_), (truncated, np.bool_)):
+            assert array.shape == (3,)
+            assert array.dtype == dtype
+        for key, values in info.items():
+            assert len(values) == 3 or isinstance(values, dict), key
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("options", PRESETS, ids=lambda options: "-".join(options.values()))
+def test_every_combination_of_presets_passes_every_check(options):
+    test_gymnasium_has_nothing_to_say(options)
+    test_stable_baselines3_has_nothing_to_say(options)
+    test_vector_gives_what_its_spaces_say(options)

@@ -1,0 +1,46 @@
+"""Random numbers by counting: their distribution, their independence, and that only key, step and channel matter."""
+
+import numpy as np
+import pytest
+from scipy.stats import kstest, norm
+
+from hframe_gym.envs.counter_rng import _log, normal_pair, reset_uniforms, turn, uniform
+
+KEY = np.uint64(0xDEADBEEF12345678)
+
+
+def test_uniform_numbers_are_uniform_along_every_count():
+    for numbers in (
+        [uniform(np.uint64(k), 3, 1) for k in range(5000)],
+        [uniform(KEY, step, 1) for step in range(5000)],
+        [uniform(KEY, 3, channel) for channel in range(5000)],
+    ):
+        assert 0.0 < min(numbers) < max(numbers) < 1.0
+        assert kstest(numbers, "uniform").pvalue > 1e-3
+        assert abs(np.corrcoef(numbers[1:], numbers[:-1])[0, 1]) < 0.05
+
+
+def test_normal_pairs_are_normal_and_independent():
+    pairs = np.array([normal_pair(KEY, step, 0) for step in range(20000)])
+    for column in pairs.T:
+        assert kstest(column, norm.cdf).pvalue > 1e-3
+    assert abs(np.corrcoef(pairs.T)[0, 1]) < 0.03
+    assert abs(np.corrcoef(pairs[1:, 0], pairs[:-1, 1])[0, 1]) < 0.03
+
+
+def test_reset_s_numbers_do_not_depend_on_the_others():
+    keys = np.arange(7, dtype=np.uint64)
+    together = reset_uniforms(keys, 5)
+    np.testing.assert_array_equal(reset_uniforms(keys[3:4], 5)[0], together[3])
+    np.testing.assert_array_equal(reset_uniforms(keys, 2), together[:, :2])
+
+
+@pytest.mark.parametrize("x", [1e-17, 0.3, 0.70710678, 0.7072, 1.0, 1.5, 7e5])
+def test_own_logarithm(x):
+    assert _log(x) == pytest.approx(np.log(x), rel=1e-12, abs=1e-13)
+
+
+def test_own_cosine_and_sine():
+    u = np.linspace(0.0, 1.0, 1001)
+    both = np.array([turn(v) for v in u])
+    np.testing.assert_allclose(both, np.stack([np.cos(2 * np.pi * u), np.sin(2 * np.pi * u)], axis=1), atol=1e-14)

@@ -1,0 +1,214 @@
+"""The single environment: interface, determinism, refusals, copies."""
+
+import copy
+import pickle
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from hframe_gym.dynamics import simulate
+from hframe_gym.dynamics.simulation import LONGEST_STEP
+from hframe_gym.envs import Actuators, HFrameEnv, RandomizeParameter, Reach, register
+from hframe_gym.envs.distributions import Uniform
+from hframe_gym.machine import BUILTIN_MACHINES
+
+register()
+FULL = np.array([1.0, -0.3], np.float32)
+
+
+def episode(env, steps=20, seed=None):
+    rows = [env.reset(seed=seed)[0]["observation"]]
+    for _ in range(steps):
+        observation, reward, *_ = env.step(FULL)
+        rows.append(np.append(observation["observation"], np.float32(reward)))
+    return np.concatenate(rows)
+
+
+def test_types_are_what_libraries_expect():
+    env = HFrameEnv(randomize="default")
+    env.reset(seed=0)
+    _, reward, terminated, truncated, info = env.step(FULL)
+    assert type(reward) is float
+    assert type(terminated) is bool
+    assert type(truncated) is bool
+    assert type(info["is_success"]) is bool
+    assert type(info["distance_m"]) is float
+
+
+def test_entries_describe_the_observation():
+    env = HFrameEnv()
+    assert [(e.name, e.unit) for e in env.entries] == [
+        ("x", "m"),
+        ("y", "m"),
+        ("phi1", "rad"),
+        ("phi2", "rad"),
+        ("x velocity", "m/s"),
+        ("y velocity", "m/s"),
+        ("phi1 velocity", "rad/s"),
+        ("phi2 velocity", "rad/s"),
+    ]
+    assert env.observation_space["observation"].shape == (8,)
+
+
+def test_seed_fixes_machine_start_target_and_what_follows():
+    env, other = HFrameEnv(randomize="default"), HFrameEnv(randomize="default")
+    np.testing.assert_array_equal(episode(env, seed=7), episode(other, seed=7))
+    # and the episodes after it, without a new seed
+    np.testing.assert_array_equal(episode(env), episode(other))
+    assert not np.array_equal(episode(env), episode(env))
+
+
+def test_draws_are_in_info():
+    env = HFrameEnv(randomize=[RandomizeParameter("x.mass", Uniform(2.0, 2.0))])
+    _, info = env.reset(seed=0)
+    assert info["parameters"] == {"x.mass": pytest.approx(2 * 4.07)}
+    assert "parameters" not in HFrameEnv().reset(seed=0)[1]
+
+
+def test_startup_draws_last_until_the_next_seed():
+    env = HFrameEnv(randomize=[RandomizeParameter("*.coulomb", Uniform(0.5, 2.0), when="startup")])
+    first = env.reset(seed=1)[1]["parameters"]
+    assert env.reset()[1]["parameters"] == first
+    assert env.reset(seed=2)[1]["parameters"] != first
+    assert env.reset(seed=1)[1]["parameters"] == first
+
+
+def test_options_place_the_tool_and_the_target():
+    env = HFrameEnv()
+    observation, info = env.reset(seed=0, options={"start": (0.1, -0.05), "target": (0.13, -0.01)})
+    np.testing.assert_allclose(observation["achieved_goal"], [0.1, -0.05], atol=1e-7)
+    np.testing.assert_allclose(observation["desired_goal"], [0.13, -0.01], atol=1e-7)
+    assert info["distance_m"] == pytest.approx(0.05, abs=1e-6)
+    with pytest.raises(ValueError, match="target"):
+        env.reset(options={"target": (0.5, 0.0)})
+    with pytest.raises(ValueError, match="'goal'"):
+        env.reset(options={"goal": (0.0, 0.0)})
+
+
+def test_rest_stays_at_rest():
+    env = HFrameEnv()
+    start, _ = env.reset(seed=0)
+    for _ in range(20):
+        observation, *_ = env.step(np.zeros(2, np.float32))
+    np.testing.assert_array_equal(observation["observation"], start["observation"])
+
+
+def test_follows_the_machine_s_own_simulation():
+    machine = BUILTIN_MACHINES["hframe"]()
+    env = HFrameEnv(machine=machine, task=Reach(start=(0.0, 0.0), target=(0.1, 0.0)), longest_step=LONGEST_STEP)
+    env.reset(seed=0)
+    time = np.arange(11) * 0.01
+    volts = np.random.default_rng(0).uniform(-12, 12, (11, 2))
+    for row in volts[:-1]:
+        observation, *_ = env.step(row / 12)
+    q = simulate(machine, time, volts).positions[-1]
+    np.testing.assert_allclose(observation["observation"][:4], q, rtol=1e-5, atol=1e-7)
+
+
+def test_action_out_of_range_is_clipped_and_counted():
+    env, other = HFrameEnv(), HFrameEnv()
+    env.reset(seed=0)
+    other.reset(seed=0)
+    observation, *_, info = env.step(np.array([3.0, 0.5]))
+    expected, *_, other_info = other.step(np.array([1.0, 0.5]))
+    np.testing.assert_array_equal(observation["observation"], expected["observation"])
+    assert (info["clipped_actions"], other_info["clipped_actions"]) == (1, 0)
+    assert env.reset()[1]["clipped_actions"] == 0
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_action_that_is_not_finite_is_refused(value):
+    env = HFrameEnv()
+    env.reset(seed=0)
+    before = env.batch.stages.state.copy()
+    with pytest.raises(ValueError, match=r"environment 0, motor2: .* is not finite"):
+        env.step(np.array([0.0, value]))
+    np.testing.assert_array_equal(env.batch.stages.state, before)
+
+
+def test_action_of_another_shape_is_refused():
+    env = HFrameEnv()
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match="shape"):
+        env.step(np.zeros(3))
+
+
+def test_leaving_terminates_with_a_penalty():
+    env = HFrameEnv(ends="terminate", task=Reach(start=(0.27, 0.0), target=(0.0, 0.0)), penalty=7.0)
+    env.reset(seed=0)
+    for _ in range(50):
+        observation, reward, terminated, *_ = env.step(np.array([-1.0, 1.0], np.float32))
+        if terminated:
+            break
+    assert terminated
+    assert reward < -7.0
+    assert observation["achieved_goal"][0] > 0.28
+    assert reward == env.compute_reward(observation["achieved_goal"], observation["desired_goal"], {})
+
+
+def test_end_stops_hold_and_give_no_energy():
+    env = HFrameEnv(task=Reach(start=(0.2, 0.0), target=(0.0, 0.0)))
+    env.reset(seed=0)
+    reached = 0.0
+    for _ in range(100):
+        observation, _, terminated, *_ = env.step(np.array([-1.0, 1.0], np.float32))
+        reached = max(reached, float(observation["achieved_goal"][0]))
+    assert not terminated
+    assert 0.28 < reached < 0.295
+    # Full voltage against the stop: at rest, a millimetre in.
+    assert observation["achieved_goal"][0] == pytest.approx(0.2812, abs=5e-4)
+    assert abs(observation["observation"][4]) < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"machine": "axis"}, "axis"),
+        ({"machine": "no-such-machine"}, "no-such-machine"),
+        ({"task": "juggle"}, "juggle"),
+        ({"reward": "kind"}, "kind"),
+        ({"randomize": "wild"}, "wild"),
+        ({"randomize": "identified"}, "covariance"),
+        ({"ends": "bounce"}, "bounce"),
+        ({"period": 0.0}, "period"),
+        ({"longest_step": float("nan")}, "longest_step"),
+        ({"penalty": -1.0}, "penalty"),
+        ({"render_mode": "ascii"}, "ascii"),
+    ],
+)
+def test_settings_that_do_not_fit_are_refused_by_name(settings, message):
+    with pytest.raises(ValueError, match=message):
+        HFrameEnv(**settings)
+
+
+def test_unknown_keyword_is_refused():
+    with pytest.raises(TypeError, match="colour"):
+        HFrameEnv(colour="blue")
+
+
+def through_pickle(env):
+    return pickle.loads(pickle.dumps(env))
+
+
+RIG = {"sensors": "rig", "drives": Actuators(bits=12, current_limit=5.0, delay=0.004), "privileged": True}
+
+
+@pytest.mark.parametrize("options", [{}, RIG], ids=["state", "rig"])
+@pytest.mark.parametrize("twin", [copy.deepcopy, through_pickle])
+def test_a_copy_goes_on_alike(twin, options):
+    env = HFrameEnv(randomize="wide", **options)
+    episode(env, steps=5, seed=3)
+    other = twin(env)
+    for _ in range(5):
+        a, b = env.step(FULL), other.step(FULL)
+        np.testing.assert_array_equal(a[0]["observation"], b[0]["observation"])
+        assert a[1:] == b[1:]
+    np.testing.assert_array_equal(episode(env), episode(other))
+
+
+@pytest.mark.parametrize("options", [{}, {"sensors": "rig", "drives": "rig", "privileged": True}], ids=str)
+def test_spec_makes_the_same_environment_again(options):
+    env = gym.make("HFrame-v0", randomize="default", period=0.005, **options)
+    again = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
+    np.testing.assert_array_equal(episode(env, seed=1), episode(again, seed=1))

@@ -1,0 +1,65 @@
+"""Rewards: exact again, sloping near the target, and users' own."""
+
+import numpy as np
+import pytest
+
+from hframe_gym.envs import HFrameEnv, HFrameVectorEnv
+from hframe_gym.envs.rewards import as_reward
+
+
+def line(distances):
+    achieved = np.zeros((len(distances), 2), np.float32)
+    achieved[:, 0] = distances
+    return as_reward("dense", 1e-3)(achieved, np.zeros_like(achieved))
+
+
+def test_dense_pays_for_every_halving():
+    d = 0.4 * 0.5 ** np.arange(16)  # down to 12 um
+    gains = np.diff(line(d))
+    assert np.all(gains > 0.015)
+    assert gains.max() < 3.5 * gains.min()
+    assert line([0.0])[0] == 0.0
+
+
+@pytest.mark.parametrize("reward", ["dense", "sparse"])
+@pytest.mark.parametrize("ends", ["stops", "terminate"])
+def test_compute_reward_gives_the_same_bits(reward, ends):
+    envs = HFrameVectorEnv(37, reward=reward, ends=ends, randomize="default", autoreset_mode="SameStep")
+    envs.reset(seed=0)
+    single = HFrameEnv(reward=reward, ends=ends)
+    ended = 0
+    for _ in range(40):
+        observation, rewards, over, _, info = envs.step(np.full((37, 2), 0.7, np.float32))
+        achieved, desired = observation["achieved_goal"], observation["desired_goal"]
+        for b in np.flatnonzero(over):
+            achieved[b] = info["final_obs"][b]["achieved_goal"]
+            desired[b] = info["final_obs"][b]["desired_goal"]
+        np.testing.assert_array_equal(envs.compute_reward(achieved, desired, {}), rewards)
+        one_by_one = [single.compute_reward(a, d, {}) for a, d in zip(achieved, desired, strict=True)]
+        np.testing.assert_array_equal(one_by_one, rewards)
+        assert type(one_by_one[0]) is float
+        ended += int(over.sum())
+    assert (ended > 0) == (ends == "terminate")
+
+
+def test_sparse_knows_the_band():
+    reward = as_reward("sparse", 1e-3)
+    goals = np.zeros((2, 2), np.float32)
+    goals[:, 1] = [0.0009, 0.0011]
+    np.testing.assert_array_equal(reward(goals, np.zeros_like(goals)), [0.0, -1.0])
+
+
+def manhattan(achieved, desired):
+    return -np.abs(achieved - desired).sum(axis=1)
+
+
+def test_a_user_s_reward_is_used():
+    env = HFrameEnv(reward=manhattan)
+    observation, _ = env.reset(seed=0)
+    observation, reward, *_ = env.step(np.zeros(2))
+    assert reward == pytest.approx(-np.abs(observation["achieved_goal"] - observation["desired_goal"]).sum())
+
+
+def test_a_user_s_reward_of_another_shape_is_refused():
+    with pytest.raises(ValueError, match="one finite number a row"):
+        HFrameEnv(reward=lambda achieved, desired: 0.0)

@@ -1,0 +1,67 @@
+"""The stable-baselines3 adapter: the vector environment's bits in another interface."""
+
+import numpy as np
+import pytest
+from stable_baselines3 import SAC, HerReplayBuffer
+from stable_baselines3.common.vec_env import VecMonitor
+
+from hframe_gym.envs import HFrameVectorEnv
+from hframe_gym.envs.sb3_vec_env import HFrameVecEnv
+
+
+def test_same_bits_and_episode_ends():
+    keywords = {"randomize": "default", "max_episode_steps": 10}
+    vec, plain = HFrameVecEnv(6, **keywords), HFrameVectorEnv(6, autoreset_mode="SameStep", **keywords)
+    vec.seed(4)
+    observation, (expected, info) = vec.reset(), plain.reset(seed=4)
+    np.testing.assert_array_equal(observation["observation"], expected["observation"])
+    assert vec.reset_infos[2]["parameters"]["x.mass"] == info["parameters"]["x.mass"][2]
+    rng = np.random.default_rng(0)
+    for step in range(25):
+        action = rng.uniform(-1, 1, (6, 2)).astype(np.float32)
+        observation, reward, done, infos = vec.step(action)
+        expected, expected_reward, terminated, truncated, info = plain.step(action)
+        for key, value in observation.items():
+            np.testing.assert_array_equal(value, expected[key])
+        np.testing.assert_array_equal(reward, expected_reward)
+        np.testing.assert_array_equal(done, terminated | truncated)
+        assert done.all() == (step % 10 == 9)
+        if done.all():
+            assert infos[3]["TimeLimit.truncated"] is True
+            terminal = infos[3]["terminal_observation"]
+            np.testing.assert_array_equal(terminal["observation"], info["final_obs"][3]["observation"])
+            assert not np.array_equal(terminal["desired_goal"], observation["desired_goal"][3])
+
+
+def test_end_at_the_edge_is_not_a_cut():
+    vec = HFrameVecEnv(1, ends="terminate")
+    vec.set_options({"start": (0.27, 0.0)})
+    vec.reset()
+    done = np.array([False])
+    while not done.any():
+        _, _, done, infos = vec.step(np.array([[-1.0, 1.0]], np.float32))
+    assert infos[0]["TimeLimit.truncated"] is False
+
+
+def test_options_must_be_given_to_all():
+    vec = HFrameVecEnv(2)
+    vec.set_options([{"start": (0.0, 0.0)}, {}])
+    with pytest.raises(ValueError, match="same options"):
+        vec.reset()
+
+
+def test_hindsight_replay_takes_it():
+    vec = VecMonitor(HFrameVecEnv(4, reward="sparse", max_episode_steps=20))
+    model = SAC(
+        "MultiInputPolicy",
+        vec,
+        replay_buffer_class=HerReplayBuffer,
+        learning_starts=100,
+        buffer_size=2000,
+        batch_size=32,
+        gradient_steps=1,
+        policy_kwargs={"net_arch": [16]},
+        device="cpu",
+    )
+    model.learn(200)
+    assert model.num_timesteps >= 200

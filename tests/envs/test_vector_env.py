@@ -1,0 +1,166 @@
+"""One is many: the vector environment gives the bits of single ones, in every autoreset mode, on any thread count."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+
+from hframe_gym.envs import HFrameVectorEnv, register
+from hframe_gym.envs import batched_simulator as stage_module
+
+register()
+
+
+def same(a, b, path=""):
+    """Equal to the bit, through dicts, arrays of dicts and masks."""
+    if isinstance(a, dict):
+        assert set(a) == set(b), path
+        for key in a:
+            same(a[key], b[key], f"{path}/{key}")
+    elif isinstance(a, tuple) or (isinstance(a, np.ndarray) and a.dtype == object):
+        for i, (x, y) in enumerate(zip(a, b, strict=True)):
+            same(x, y, f"{path}[{i}]")
+    elif a is None:
+        assert b is None, path
+    else:
+        a, b = np.asarray(a), np.asarray(b)
+        assert a.dtype == b.dtype, path
+        np.testing.assert_array_equal(a, b, err_msg=path)
+
+
+def actions(n, steps, seed=0):
+    # Held for a few steps, so that stages get somewhere, and beyond the range now and then.
+    drawn = np.random.default_rng(seed).uniform(-1.2, 1.2, (steps // 5 + 1, n, 2))
+    return np.repeat(drawn, 5, axis=0)[:steps].astype(np.float32)
+
+
+OPTIONS = [
+    {"randomize": "default"},
+    {"randomize": "wide", "ends": "terminate", "machine": "hframe-order20"},
+]
+
+
+@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
+@pytest.mark.parametrize("options", OPTIONS, ids=["stops", "terminate"])
+def test_equals_gymnasium_s_vector_of_singles(mode, options):
+    n = 11
+    ours = HFrameVectorEnv(n, max_episode_steps=23, autoreset_mode=mode, **options)
+    make = lambda: gym.wrappers.TimeLimit(gym.make("HFrame-v0", **options).unwrapped, 23)  # noqa: E731
+    theirs = SyncVectorEnv([make] * n, autoreset_mode=mode)
+    same(ours.reset(seed=5), theirs.reset(seed=5))
+    ended = 0
+    for action in actions(n, 80):
+        mine, other = ours.step(action), theirs.step(action)
+        same(mine, other)
+        ended += int((mine[2] | mine[3]).sum())
+    assert ended >= 3 * n
+
+
+def test_disabled_mode_resets_by_mask():
+    n = 9
+    options = {"randomize": "default"}
+    ours = HFrameVectorEnv(n, max_episode_steps=None, autoreset_mode="Disabled", **options)
+    theirs = SyncVectorEnv(
+        [lambda: gym.make("HFrame-v0", **options).unwrapped] * n, autoreset_mode=AutoresetMode.DISABLED
+    )
+    same(ours.reset(seed=2), theirs.reset(seed=2))
+    mask = np.arange(n) % 3 == 1
+    for i, action in enumerate(actions(n, 12)):
+        same(ours.step(action), theirs.step(action))
+        if i % 4 == 3:
+            mine, info = ours.reset(options={"reset_mask": mask.copy()})
+            other, other_info = theirs.reset(options={"reset_mask": mask.copy()})
+            same(mine, other)
+            same(info, other_info)
+
+
+def test_disabled_mode_refuses_to_go_on():
+    envs = HFrameVectorEnv(3, max_episode_steps=2, autoreset_mode="Disabled")
+    envs.reset(seed=0)
+    action = np.zeros((3, 2), np.float32)
+    envs.step(action)
+    envs.step(action)
+    with pytest.raises(RuntimeError, match="environment 0 is over"):
+        envs.step(action)
+
+
+def run(n, steps, seed=3, **options):
+    envs = HFrameVectorEnv(n, max_episode_steps=40, randomize="default", **options)
+    history = [envs.reset(seed=seed)]
+    history += [envs.step(action) for action in actions(n, steps)]
+    return history
+
+
+@pytest.mark.parametrize("threads", ["2", "3"])
+def test_thread_count_changes_nothing(monkeypatch, threads):
+    monkeypatch.setattr(stage_module, "BLOCKS_FOR_THREADS", 1)
+    monkeypatch.setenv("HFRAME_THREADS", "1")
+    alone = run(70, 90)
+    monkeypatch.setenv("HFRAME_THREADS", threads)
+    for a, b in zip(alone, run(70, 90), strict=True):
+        same(a[0], b[0])
+        same(a[1], b[1])
+
+
+def test_seed_fixes_everything_and_seeds_differ():
+    first, second = run(5, 60), run(5, 60)
+    for a, b in zip(first, second, strict=True):
+        same(a, b)
+    other = run(5, 1, seed=4)
+    # Environment i of seed 3 is environment i - 1 of seed 4.
+    same(first[0][0]["desired_goal"][1:], other[0][0]["desired_goal"][:-1])
+    assert not np.array_equal(first[0][0]["desired_goal"][0], other[0][0]["desired_goal"][0])
+
+
+def test_returned_arrays_are_fresh():
+    envs = HFrameVectorEnv(4, randomize="default")
+    observation, _ = envs.reset(seed=0)
+    kept = {key: value.copy() for key, value in observation.items()}
+    for action in actions(4, 5):
+        envs.step(action)
+    same(observation, kept)
+
+
+def test_declares_its_mode_and_survives_make_vec():
+    envs = gym.make_vec("HFrame-v0", num_envs=3, autoreset_mode="SameStep")
+    assert envs.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
+    assert envs.max_episode_steps == 150
+    again = gym.make_vec(envs.spec)
+    assert again.num_envs == 3
+    assert again.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
+
+
+def test_a_hundred_thousand_steps_stay_finite_and_inside():
+    envs = HFrameVectorEnv(500, randomize="wide")
+    envs.reset(seed=0)
+    box = envs.observation_space
+    for action in actions(500, 200):
+        observation, reward, *_ = envs.step(action)
+        assert np.isfinite(reward).all()
+    assert box.contains(observation)
+    # End stops hold: nobody is further out than a buffer gives way.
+    x, y = np.abs(observation["achieved_goal"]).max(axis=0)
+    assert x < 0.28 + 0.02
+    assert y < 0.19 + 0.02
+
+
+@pytest.mark.parametrize(
+    ("keywords", "message"),
+    [
+        ({"num_envs": 0}, "num_envs"),
+        ({"max_episode_steps": 0}, "max_episode_steps"),
+        ({"autoreset_mode": "Never"}, "Never"),
+        ({"render_mode": "human"}, "render_mode"),
+    ],
+)
+def test_refuses_settings(keywords, message):
+    with pytest.raises(ValueError, match=message):
+        HFrameVectorEnv(**keywords)
+
+
+def test_refuses_masks():
+    envs = HFrameVectorEnv(3)
+    with pytest.raises(TypeError, match="reset_mask"):
+        envs.reset(options={"reset_mask": [True, False, False]})
+    with pytest.raises(ValueError, match="reset_mask"):
+        envs.reset(options={"reset_mask": np.zeros(3, bool)})

@@ -1,0 +1,42 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hframe_gym.identification import prepare
+from hframe_gym.identification.residual import force_error
+from hframe_gym.machine import BUILTIN_MACHINES, Coordinate, Drive, Machine, Sensor
+from hframe_gym.recordings import Recording
+
+
+def axis(mass: float, viscous: float) -> Machine:
+    return Machine(
+        "axis",
+        (Coordinate("x", mass, viscous),),
+        (),
+        (Drive("motor", "v_V", "x", Kt=2.0, Ke=0.0, resistance=1.0, gear_ratio=1.0, rated_voltage=10.0),),
+        (Sensor("x_m", {"x": 1.0}),),
+    )
+
+
+def test_force_error_of_a_known_motion() -> None:
+    """x = sin 2 t needs F = m a + b v exactly; a machine with another mass misses by a known share."""
+    time = np.arange(4000) * 1e-3
+    mass, viscous, rate = 3.0, 5.0, 2.0
+    # The held input means the force at a row is half that of the row before.
+    middle = time + 0.5e-3
+    force = -mass * rate**2 * np.sin(rate * middle) + viscous * rate * np.cos(rate * middle)
+    run = Recording("r", time, force[:, None] / 2.0, np.sin(rate * time)[:, None])
+    data = prepare([run], axis(mass, viscous))
+    exact = force_error(axis(mass, viscous), data)
+    assert exact is not None
+    assert exact < 2e-3
+    wrong = force_error(axis(1.1 * mass, viscous), data)
+    missed = 0.1 * mass * rate**2 * np.sin(rate * middle)
+    assert wrong == pytest.approx(np.linalg.norm(missed) / np.linalg.norm(force), rel=0.02)
+
+
+def test_a_belt_machine_has_no_force_error(hframe: Machine) -> None:
+    time = np.arange(50) * 1e-3
+    data = prepare([Recording("r", time, np.zeros((50, 2)), np.zeros((50, 4)))], BUILTIN_MACHINES["hframe"]())
+    assert force_error(hframe, data) is None

@@ -1,0 +1,54 @@
+"""A and B against eq. 21-22 written out as the paper prints them (with the gear ratio of the erratum)."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import signal
+
+from hframe_gym.dynamics import simulate
+from hframe_gym.machine import BUILTIN_MACHINES, linearize
+
+
+def test_state_space_is_equation_21_and_22() -> None:
+    machine = BUILTIN_MACHINES["hframe-linear"]()
+    k_l, k_r, k_b, r = 1.3167e4, 1.0791e4, 8.0492e3, 0.0194
+    M_bridge, M_cart, J, B_M = 4.07, 1.0412, 1.12e-4, 0.0042
+    b_bridge, b_cart = 46.4449, 45.5517
+    gain, emf = 5.9 * 23e-3 / 0.71, 5.9**2 * 23e-3**2 / 0.71
+    # States in the paper's order: x, x', y, y', phi1, phi1', phi2, phi2'.
+    A = np.zeros((8, 8))
+    A[0, 1] = A[2, 3] = A[4, 5] = A[6, 7] = 1.0
+    A[1, [0, 1, 2, 4, 6]] = [
+        -(k_l + k_r + 4 * k_b) / M_bridge,
+        -b_bridge / M_bridge,
+        -(k_l - k_r) / M_bridge,
+        -(k_l + 2 * k_b) * r / M_bridge,
+        (k_r + 2 * k_b) * r / M_bridge,
+    ]
+    A[3, [0, 2, 3, 4, 6]] = np.array([-(k_l - k_r), -(k_l + k_r), -b_cart, -k_l * r, -k_r * r]) / M_cart
+    A[5, [0, 2, 4, 5, 6]] = (
+        np.array([-(k_l + 2 * k_b) * r, -k_l * r, -(k_l + k_b) * r**2, -(B_M + emf), k_b * r**2]) / J
+    )
+    A[7, [0, 2, 4, 6, 7]] = np.array([(k_r + 2 * k_b) * r, -k_r * r, k_b * r**2, -(k_r + k_b) * r**2, -(B_M + emf)]) / J
+    order = [0, 4, 1, 5, 2, 6, 3, 7]
+    found = linearize(machine)
+    np.testing.assert_allclose(found.A[np.ix_(order, order)], A, rtol=1e-12, atol=1e-9)
+    B = np.zeros((8, 2))
+    B[5, 0] = B[7, 1] = gain / J
+    np.testing.assert_allclose(found.B[order], B, rtol=1e-12)
+    np.testing.assert_array_equal(found.C[:2, order], np.eye(8)[[4, 6]])
+    np.testing.assert_array_equal(found.D, 0.0)
+
+
+def test_the_kernel_follows_scipys_linear_simulation() -> None:
+    for name in ("hframe-linear", "hframe-order20"):
+        machine = BUILTIN_MACHINES[name]()
+        rng = np.random.default_rng(2)
+        time = np.arange(400) * 1e-3
+        inputs = np.repeat(rng.uniform(-6, 6, (20, 2)), 20, axis=0)
+        A, B, C, D = linearize(machine)
+        discrete = signal.cont2discrete((A, B, C, D), 1e-3)
+        _, exact, _ = signal.dlsim(discrete, inputs, time)
+        found = simulate(machine, time, inputs, longest_step=0.05e-3).outputs
+        scale = np.array([0.0194, 0.0194, 1.0, 1.0])
+        assert np.abs((found - exact) * scale).max() < 1e-7

@@ -1,0 +1,98 @@
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hframe_gym.effects import EFFECTS
+from hframe_gym.errors import InputError
+from hframe_gym.machine import BUILTIN_MACHINES, Machine, Uncertainty
+from hframe_gym.recordings import load_machine, machine_to_dict, save_machine
+
+
+@pytest.mark.parametrize("name", sorted(BUILTIN_MACHINES))
+def test_round_trip_keeps_every_number_and_the_shape(name: str, tmp_path: Path) -> None:
+    machine = load_machine(name)
+    save_machine(machine, tmp_path / "machine.json")
+    again = load_machine(tmp_path / "machine.json")
+    assert again.parameters == machine.parameters
+    assert again.shape == machine.shape
+    assert again.sensors == machine.sensors
+
+
+def test_round_trip_with_effects_and_uncertainty(hframe: Machine, tmp_path: Path) -> None:
+    machine = hframe.with_effects(EFFECTS["stribeck_friction"].at("phi1", dF=0.02, vs=1.5))
+    names = ("x.mass", "stribeck_friction@phi1.dF")
+    covariance = np.array([[1e-4, 1e-7], [1e-7, 4e-8]])
+    machine = machine.replace(uncertainty=Uncertainty(names, covariance))
+    save_machine(machine, tmp_path / "machine.json")
+    again = load_machine(tmp_path / "machine.json")
+    assert again.parameters == machine.parameters
+    assert again.uncertainty is not None
+    np.testing.assert_allclose(again.uncertainty.covariance, covariance)
+    content = json.loads((tmp_path / "machine.json").read_text())
+    assert content["effects"][0]["parameters"]["dF"] == {"value": 0.02, "unit": "Nm", "std": 2e-4}
+
+
+def change(path: list[Any], value: Any) -> Callable[[dict[str, Any]], None]:
+    def edit(content: dict[str, Any]) -> None:
+        for key in path[:-1]:
+            content = content[key]
+        content[path[-1]] = value
+
+    return edit
+
+
+@pytest.mark.parametrize(
+    ("edit", "message"),
+    [
+        (change(["coordinates", 0, "mass", "value"], -1.0), "coordinates.x.mass: -1 must be positive"),
+        (change(["coordinates", 0, "mass", "unit"], "g"), "coordinates.x.mass: unit is 'g', must be 'kg'"),
+        (change(["coordinates", 2, "coulomb", "unit"], "N"), "coordinates.phi1.coulomb: unit is 'N', must be 'Nm'"),
+        (change(["coordinates", 0, "name"], "two words"), "coordinates.0.name"),
+        (change(["coordinates", 1, "name"], "x"), "coordinates: two have the same name"),
+        (change(["belts", 0, "extension"], {"z": 1.0}), "belts.left.extension: no coordinate is called 'z'"),
+        (change(["drives", 0, "coordinate"], "z"), "drives.motor1.coordinate: no coordinate is called 'z'"),
+        (change(["sensors", 0, "noise", "unit"], "m"), "sensors.phi1_rad.noise: unit is 'm', must be 'rad'"),
+        (change(["surprise"], 1), "surprise"),
+        (change(["schema"], 2), "schema"),
+        (change(["effects"], [{"name": "magic", "site": "x", "parameters": {}}]), "effects.magic: no such effect"),
+        (
+            change(["effects"], [{"name": "constant_force", "site": "z", "parameters": {}}]),
+            "effects.constant_force: site 'z' is none of",
+        ),
+        (
+            change(["effects"], [{"name": "constant_force", "site": "x", "parameters": {}}]),
+            "effects.constant_force: effect constant_force at x takes size",
+        ),
+    ],
+)
+def test_a_wrong_file_is_refused_by_field(
+    edit: Callable[[dict[str, Any]], None], message: str, hframe: Machine, tmp_path: Path
+) -> None:
+    content = machine_to_dict(hframe)
+    edit(content)
+    path = tmp_path / "wrong.json"
+    path.write_text(json.dumps(content))
+    with pytest.raises(InputError) as error:
+        load_machine(path)
+    assert str(path) in str(error.value)
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_not_a_number_does_not_enter(hframe: Machine, tmp_path: Path) -> None:
+    content = machine_to_dict(hframe)
+    content["coordinates"][0]["mass"]["value"] = float("nan")
+    (tmp_path / "m.json").write_text(json.dumps(content))
+    with pytest.raises(InputError, match=r"coordinates\.0\.mass"):
+        load_machine(tmp_path / "m.json")
+
+
+def test_an_unknown_name_lists_the_built_in_ones() -> None:
+    with pytest.raises(InputError, match="hframe-linear"):
+        load_machine("no-such-machine")
