@@ -3,11 +3,12 @@
 from .effect import AppliedEffect, Effect, EffectParameter
 from .kinematics import rest_state
 from .linearization import linearize, mode_frequencies
-from .machine import Belt, Coordinate, Drive, Machine, Sensor, Uncertainty
+from .machine import SENSOR_KINDS, Belt, Coordinate, Drive, Machine, Sensor, SensorKind, Uncertainty
 from .presets import BUILTIN_MACHINES, with_constant_stiffness
 
 __all__ = [
     "BUILTIN_MACHINES",
+    "SENSOR_KINDS",
     "AppliedEffect",
     "Belt",
     "Coordinate",
@@ -16,6 +17,7 @@ __all__ = [
     "EffectParameter",
     "Machine",
     "Sensor",
+    "SensorKind",
     "Uncertainty",
     "linearize",
     "mode_frequencies",

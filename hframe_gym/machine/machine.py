@@ -15,16 +15,18 @@ import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..registry import Registry
 from .effect import AppliedEffect
 
 if TYPE_CHECKING:
     from ..dynamics.simulation import Trajectory
 
+Array = NDArray[np.float64]
 Row = Mapping[str, float]
 Kind = Literal["linear", "rotary"]
 
@@ -119,6 +121,53 @@ class Drive:
         return self.gear_ratio**2 * self.Kt * self.Ke / self.resistance
 
 
+class SensorKind:
+    """Base class of sensor kinds: what a sensor outputs for an ideal reading.
+
+    A kind is a subclass that registers itself, `@SENSOR_KINDS.register("name")`. Kinds are never instantiated.
+
+    Attributes:
+        incremental: Whether the sensor counts from where it was switched on. Its zero is then unknown, and elastic
+            belts may lie between it and the tool.
+    """
+
+    incremental: ClassVar[bool] = False
+
+    @staticmethod
+    def measure(reading: Array, noise: ArrayLike, resolution: ArrayLike, normal: ArrayLike) -> Array:
+        """Add noise to ideal readings and round them to the resolution.
+
+        All arguments broadcast against each other; the unit is the channel's.
+
+        Args:
+            reading: Ideal readings, m or rad, any shape.
+            noise: Standard deviation of the noise, m or rad.
+            resolution: Quantum of the sensor, m or rad; 0 for a continuous sensor.
+            normal: Samples of the standard normal distribution.
+
+        Returns:
+            Measured values, m or rad, in the broadcast shape.
+        """
+        value = np.asarray(reading + np.asarray(noise) * normal)
+        quantum = np.broadcast_to(np.asarray(resolution, float), value.shape)
+        return np.where(quantum > 0.0, np.rint(value / np.where(quantum > 0.0, quantum, 1.0)) * quantum, value)
+
+
+SENSOR_KINDS: Registry[type[SensorKind]] = Registry("sensor kind")
+
+
+@SENSOR_KINDS.register("encoder")
+class Encoder(SensorKind):
+    """An incremental encoder: it counts from where it was switched on."""
+
+    incremental = True
+
+
+@SENSOR_KINDS.register("laser")
+class Laser(SensorKind):
+    """A distance sensor with a fixed zero."""
+
+
 @dataclass(frozen=True)
 class Sensor:
     """A measured channel: reading = sum(row[c] * position[c]), in the coordinates' own units.
@@ -133,6 +182,11 @@ class Sensor:
     noise: float = 0.0
     resolution: float = 0.0
     kind: str = "laser"
+
+    @property
+    def incremental(self) -> bool:
+        """Whether the sensor counts from where it was switched on, so that its zero is unknown."""
+        return SENSOR_KINDS.get(self.kind).incremental
 
     @property
     def coordinate(self) -> str:
@@ -161,6 +215,11 @@ PARAMETERS: dict[type, tuple[str, ...]] = {
     Belt: ("EA", "rest_length"),
     Drive: ("Kt", "Ke", "resistance", "gear_ratio"),
 }
+# The quantities of sensors and drives that the equations of motion do not use, but that randomization may vary.
+DEVICE_PARAMETERS: dict[type, tuple[str, ...]] = {
+    Sensor: ("noise", "resolution"),
+    Drive: ("converter_bits", "voltage_range"),
+}
 FIXED_UNITS = {
     "radius": "m",
     "EA": "N",
@@ -169,6 +228,8 @@ FIXED_UNITS = {
     "Ke": "Vs/rad",
     "resistance": "ohm",
     "gear_ratio": "1",
+    "converter_bits": "1",
+    "voltage_range": "V",
 }
 
 
@@ -267,9 +328,27 @@ class Machine:
             values |= {f"{e.label}.{key}": value for key, value in e.parameters.items()}
         return values
 
+    @cached_property
+    def device_parameters(self) -> dict[str, float]:
+        """Quantities of sensors and drives that the simulation kernel does not use, by full name.
+
+        They are the noise and resolution of every sensor (`x_m.noise`, `x_m.resolution`, in the channel's unit) and
+        the converter of every drive (`motor1.converter_bits`; `motor1.voltage_range`, V, by default the rated
+        voltage). Domain randomization may vary them like `parameters`; `replace` accepts their names.
+        """
+        values: dict[str, float] = {}
+        for sensor in self.sensors:
+            values |= {f"{sensor.channel}.noise": sensor.noise, f"{sensor.channel}.resolution": sensor.resolution}
+        for drive in self.drives:
+            limit = drive.rated_voltage if drive.voltage_range is None else drive.voltage_range
+            values |= {f"{drive.name}.converter_bits": drive.converter_bits, f"{drive.name}.voltage_range": limit}
+        return values
+
     def unit(self, parameter: str) -> str:
-        """The unit of a parameter by its full name."""
+        """The unit of a parameter or device parameter by its full name."""
         owner, _, key = parameter.rpartition(".")
+        if key in DEVICE_PARAMETERS[Sensor] and owner in self.output_channels:
+            return self.coordinate(self.sensor(owner).coordinate).unit("position")
         if owner in self.coordinate_names and key not in FIXED_UNITS:
             return self.coordinate(owner).unit("force" if key == "coulomb" else key)
         for e in self.effects:
@@ -286,17 +365,21 @@ class Machine:
     def replace(self, values: Mapping[str, float] | None = None, **fields: object) -> Machine:
         """This machine with other parameter values (by full name) and other fields.
 
-        Raises KeyError for a name that is no parameter of this machine.
+        Raises KeyError for a name that is no parameter or device parameter of this machine.
         """
         values = dict(values or {})
-        unknown = sorted(set(values) - set(self.parameters))
+        unknown = sorted(set(values) - set(self.parameters) - set(self.device_parameters))
         if unknown:
             raise KeyError(f"machine {self.name!r} has no parameter {', '.join(unknown)}")
         values |= {tied: factor * values[name] for tied, (name, factor) in self.ties.items() if name in values}
 
         def changed(item: Any) -> Any:
-            own = {k.rpartition(".")[2]: v for k, v in values.items() if k.rpartition(".")[0] == item.name}
-            return dataclasses.replace(item, **own) if own else item
+            keys = (*PARAMETERS.get(type(item), ()), *DEVICE_PARAMETERS.get(type(item), ()))
+            name = item.channel if isinstance(item, Sensor) else item.name
+            new: dict[str, Any] = {key: values[f"{name}.{key}"] for key in keys if f"{name}.{key}" in values}
+            if "converter_bits" in new:
+                new["converter_bits"] = round(new["converter_bits"])
+            return dataclasses.replace(item, **new) if new else item
 
         effects = tuple(
             e.with_parameters({k: values.get(f"{e.label}.{k}", v) for k, v in e.parameters.items()})
@@ -306,6 +389,7 @@ class Machine:
             "coordinates": tuple(map(changed, self.coordinates)),
             "belts": tuple(map(changed, self.belts)),
             "drives": tuple(map(changed, self.drives)),
+            "sensors": tuple(map(changed, self.sensors)),
             "effects": effects,
         }
         return dataclasses.replace(self, **(tables | fields))  # type: ignore[arg-type]
