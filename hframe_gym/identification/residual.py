@@ -11,8 +11,7 @@ from scipy import signal
 from ..machine import Machine
 from .dataset import Dataset, PreparedRecording
 from .effect_perturbation import MotionRecord, effects_force
-from .estimation import over_runs
-from .prediction import POLISH_STEP, observer_gains, predict, zeros
+from .prediction import POLISH_STEP, map_runs, observer_gains, predict, sensor_offsets
 
 Array = NDArray[np.float64]
 
@@ -41,15 +40,15 @@ def free_run_error(machine: Machine, run: PreparedRecording, data: Dataset) -> A
 
     What the sensors' zeros explain is taken off, from every machine alike (see `prediction.zeros`).
     """
-    motion = predict(machine, run, "free", period=data.period, longest_step=POLISH_STEP)
+    motion = predict(machine, run, "simulation", period=data.period, longest_step=POLISH_STEP)
     measured = np.isfinite(run.outputs)
     error = np.where(measured, run.outputs - motion.readings, 0.0)
-    return np.where(measured, (error - zeros(run, data, error, measured))[0], np.nan)
+    return np.where(measured, (error - sensor_offsets(run, data, error, measured))[0], np.nan)
 
 
 def channel_errors(machine: Machine, data: Dataset) -> dict[str, ChannelError]:
     """Free-run error of each output channel over all runs; the offset is that of the resting rows, nothing fitted."""
-    errors = np.concatenate(list(over_runs(lambda run: free_run_error(machine, run, data), data)))
+    errors = np.concatenate(list(map_runs(lambda run: free_run_error(machine, run, data), data)))
     found = {}
     for j, channel in enumerate(machine.output_channels):
         column = errors[:, j][np.isfinite(errors[:, j])]
@@ -69,7 +68,7 @@ def smooth_force_residual(machine: Machine, run: PreparedRecording, data: Datase
 
 def variables(machine: Machine, run: PreparedRecording, data: Dataset) -> dict[str, Array]:
     """What a missing effect may follow, each (n,): positions and speeds along the fitted motion, inputs, the clock."""
-    motion = predict(machine, run, "innovations", period=data.period, states=True)
+    motion = predict(machine, run, "one_step", period=data.period, states=True)
     found = {f"position of {c}": motion.positions[0, :, i] for i, c in enumerate(machine.coordinate_names)}
     found |= {f"velocity of {c}": motion.velocities[0, :, i] for i, c in enumerate(machine.coordinate_names)}
     found |= {c: run.inputs[:, j] for j, c in enumerate(machine.input_channels)}
@@ -82,7 +81,7 @@ def force_residual(machine: Machine, run: PreparedRecording, data: Dataset) -> A
     It is what the output injection puts into the velocities, a disturbance observer: right below its bandwidth.
     """
     count = len(machine.coordinates)
-    readings = predict(machine, run, "innovations", period=data.period).readings[0]
+    readings = predict(machine, run, "one_step", period=data.period).readings[0]
     innovation = np.nan_to_num(run.outputs - readings)
     gains = observer_gains(machine, data.period)[count:]
     mass = np.array([c.mass for c in machine.coordinates])
@@ -99,14 +98,14 @@ def missing_force(machine: Machine, data: Dataset) -> dict[str, Array]:
     low_pass = signal.butter(2, min(0.9, 80.0 * data.period), output="sos")
 
     def of(run: PreparedRecording) -> Array:
-        motion = predict(machine, run, "innovations", period=data.period, states=True)
+        motion = predict(machine, run, "one_step", period=data.period, states=True)
         force = signal.sosfiltfilt(low_pass, force_residual(machine, run, data), axis=0)
         rate = np.gradient(force, run.time_s, axis=0)
         bend = np.gradient(rate, run.time_s, axis=0)
         whole = force + 2 * slowness * rate + slowness**2 * bend
         return np.stack([motion.positions[0], motion.velocities[0], whole], axis=2)
 
-    parts = np.concatenate(list(over_runs(of, data)))
+    parts = np.concatenate(list(map_runs(of, data)))
     return {name: parts[:, i] for i, name in enumerate(machine.coordinate_names)}
 
 
