@@ -26,7 +26,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..atomic_files import write_text
-from ..machine.effect import CONTRIBUTIONS
 from ..machine.machine import Machine
 from . import friction
 from . import simd as lanes
@@ -48,6 +47,7 @@ COORDINATES, STATES, INPUTS, SENSORS, PARAMETERS, DERIVED = {sizes}
 DELAYED, LAGGED, FORCED = {delayed}, {lagged}, {forced}
 
 '''
+_FORMER_NAMES = ("force", "guard", "coulomb", "friction", "viscous", "voltage", "delay", "current", "tension", "growth", "travel", "arm", "reading", "lag", "evolve")  # fmt: skip  # noqa: E501
 _DRIVERS = (drivers.rollout, drivers.prepare_blocks, drivers.advance_blocks)
 
 
@@ -98,7 +98,7 @@ def generate(machine: Machine, *, forced: bool = False) -> tuple[str, KernelSour
     )
     parts = [header]
     for k, effect in enumerate(machine.effects):
-        for name in CONTRIBUTIONS:
+        for name in _FORMER_NAMES:
             function = getattr(effect.definition, name)
             if function is not None:
                 text = getattr(function, "text", None) or inspect.getsource(function)
