@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 from ..atomic_files import write_text
 from ..effects import EFFECTS, effect_sites, get_effect
 from ..errors import InputError
-from ..machine import BUILTIN_MACHINES, Belt, Coordinate, Drive, Machine, Sensor, Uncertainty
+from ..machine import BUILTIN_MACHINES, SENSOR_KINDS, Belt, Coordinate, Drive, Machine, Sensor, Uncertainty
 from ..machine.machine import FIXED_UNITS, UNITS
 
 SCHEMA = 1
@@ -56,13 +56,20 @@ class _Drive(_Table):
     resistance: _Quantity
     gear_ratio: _Quantity
     rated_voltage: _Quantity
+    converter_bits: Annotated[int, Field(ge=0, le=32)] = 0
+    voltage_range: _Quantity | None = None
+    current_limit: _Quantity | None = None
+    delay: _Quantity | None = None
 
 
 class _Sensor(_Table):
     channel: str
+    kind: str | None = None
     row: dict[str, FiniteFloat]
     noise: _Quantity
     resolution: _Quantity
+    range: tuple[FiniteFloat, FiniteFloat] | None = None
+    delay: _Quantity | None = None
 
 
 class _AppliedEffect(_Table):
@@ -141,11 +148,12 @@ def machine_to_dict(machine: Machine) -> dict[str, Any]:
     drives = [
         {"name": d.name, "channel": d.channel, "coordinate": d.coordinate}
         | {key: quantity(d.name, key, getattr(d, key)) for key in ("Kt", "Ke", "resistance", "gear_ratio")}
-        | {"rated_voltage": {"value": d.rated_voltage, "unit": "V"}}
+        | {"rated_voltage": {"value": d.rated_voltage, "unit": "V"}, "converter_bits": d.converter_bits}
+        | ({} if d.voltage_range is None else {"voltage_range": {"value": d.voltage_range, "unit": "V"}})
         for d in machine.drives
     ]
     sensors = [
-        {"channel": s.channel, "row": dict(s.row)}
+        {"channel": s.channel, "kind": s.kind, "row": dict(s.row)}
         | {
             key: {"value": getattr(s, key), "unit": machine.coordinate(s.coordinate).unit("position")}
             for key in ("noise", "resolution")
@@ -226,14 +234,33 @@ def _to_machine(file: _MachineFile, path: str) -> Machine:
             for key in ("Kt", "Ke", "resistance", "gear_ratio")
         }
         rated = value(f"drives.{d.name}.rated_voltage", d.rated_voltage, "V", positive=True)
-        drives.append(Drive(d.name, d.channel, d.coordinate, rated_voltage=rated, **numbers))
+        voltage_range = None
+        if d.voltage_range is not None:
+            voltage_range = value(f"drives.{d.name}.voltage_range", d.voltage_range, "V", positive=True)
+        drives.append(
+            Drive(
+                d.name,
+                d.channel,
+                d.coordinate,
+                rated_voltage=rated,
+                converter_bits=d.converter_bits,
+                voltage_range=voltage_range,
+                **numbers,
+            )
+        )
     sensors = []
     for s in file.sensors:
         where = f"sensors.{s.channel}"
         row(f"{where}.row", s.row, products=True)
-        unit = UNITS[kinds[Sensor(s.channel, s.row).coordinate]]["position"]
+        coordinate_kind = kinds[Sensor(s.channel, s.row).coordinate]
+        unit = UNITS[coordinate_kind]["position"]
         noise, resolution = (value(f"{where}.{k}", getattr(s, k), unit) for k in ("noise", "resolution"))
-        sensors.append(Sensor(s.channel, s.row, noise, resolution))
+        kind = s.kind or ("encoder" if coordinate_kind == "rotary" else "laser")
+        try:
+            SENSOR_KINDS.get(kind)
+        except InputError as error:
+            raise fail(f"{where}.kind", str(error)) from None
+        sensors.append(Sensor(s.channel, s.row, noise, resolution, kind))
     names = [*kinds, *(b.name for b in belts), *(d.name for d in drives)]
     channels = [*(d.channel for d in drives), *(s.channel for s in sensors)]
     for what, found in (("names of coordinates, belts and drives", names), ("channels", channels)):
@@ -243,7 +270,7 @@ def _to_machine(file: _MachineFile, path: str) -> Machine:
         file.name, tuple(coordinates), tuple(belts), tuple(drives), tuple(sensors), description=file.description
     )
     numbers_of = {**machine.parameters}
-    for e in file.effects:
+    for e in [*file.effects, *_declared_effects(file, machine)]:
         where = f"effects.{e.name}"
         try:
             effect = get_effect(e.name)
@@ -251,12 +278,16 @@ def _to_machine(file: _MachineFile, path: str) -> Machine:
             raise fail(where, f"no such effect; there are {', '.join(EFFECTS)}") from None
         # A structural effect has changed these tables already: they have no room for it any more.
         possible = ("machine",) if effect.structure else effect_sites(effect, machine)
+        if effect.site == "drives":
+            possible = (*possible, *(d.name for d in machine.drives))
         if e.site not in possible:
             raise fail(where, f"site {e.site!r} is none of {', '.join(possible) or 'this machine'}")
         try:
             applied = effect.at(e.site, **{k: q.value for k, q in e.parameters.items()})
         except ValueError as error:
             raise fail(where, str(error)) from None
+        if any(applied.label == other.label for other in machine.effects):
+            raise fail(where, f"declared twice at {e.site}; keep one of the two declarations")
         for key, quantity in e.parameters.items():
             expected = machine.effect_unit(applied, key)
             if quantity.unit != expected:
@@ -272,6 +303,36 @@ def _to_machine(file: _MachineFile, path: str) -> Machine:
     if file.uncertainty is not None:
         machine = machine.replace(uncertainty=_to_uncertainty(file.uncertainty, machine, path))
     return machine
+
+
+def _declared_effects(file: _MachineFile, machine: Machine) -> list[_AppliedEffect]:
+    """Return the effects that the optional fields of sensors and drives stand for.
+
+    A sensor's `range` and `delay` are the effects sensor_range and sensor_delay at its channel; a drive's
+    `current_limit` and `delay` are current_limit and input_delay. One delay for all drives is input_delay at "drives".
+    """
+    effects = []
+    for s in file.sensors:
+        if s.range is not None:
+            unit = machine.unit(f"{s.channel}.noise")
+            limits = dict(zip(("low", "high"), s.range, strict=True))
+            parameters = {key: _Quantity(value=limit, unit=unit) for key, limit in limits.items()}
+            effects.append(_AppliedEffect(name="sensor_range", site=s.channel, parameters=parameters))
+        if s.delay is not None:
+            effects.append(_AppliedEffect(name="sensor_delay", site=s.channel, parameters={"d": s.delay}))
+    for d in file.drives:
+        if d.current_limit is not None:
+            effects.append(_AppliedEffect(name="current_limit", site=d.name, parameters={"I": d.current_limit}))
+    delays = [d.delay for d in file.drives]
+    if delays[0] is not None and all(delay == delays[0] for delay in delays):
+        effects.append(_AppliedEffect(name="input_delay", site="drives", parameters={"d": delays[0]}))
+    else:
+        effects += [
+            _AppliedEffect(name="input_delay", site=d.name, parameters={"d": d.delay})
+            for d in file.drives
+            if d.delay is not None
+        ]
+    return effects
 
 
 def _to_uncertainty(table: _Uncertainty, machine: Machine, path: str) -> Uncertainty:
