@@ -69,6 +69,27 @@ def test_measures_of_a_small_tree(tmp_path: Path) -> None:
     assert found.long_functions == [f"hframe_gym/long.py:1: f ({house.MAX_FUNCTION_LINES + 2})"]
 
 
+def test_a_method_inherits_the_sections_of_its_base_class(tmp_path: Path) -> None:
+    for folder in ("hframe_gym", "agents"):
+        (tmp_path / folder).mkdir()
+    (tmp_path / "hframe_gym" / "base.py").write_text(
+        "class Base:\n"
+        "    def act(self, x: int) -> None:\n        '''Act.\n\n        Args:\n            x: Value.\n        '''\n"
+        "    def stop(self, x: int) -> None:\n        '''Stop.'''\n"
+    )
+    (tmp_path / "agents" / "derived.py").write_text(
+        "class Derived(base.Base[int]):\n"
+        "    def act(self, x: int) -> None:\n        '''Act otherwise.'''\n"
+        "    def stop(self, x: int) -> None:\n        '''Stop otherwise.'''\n"
+        "class Silent(Derived):\n    def act(self, x: int) -> None:\n        return None\n"
+    )
+    assert sorted(entry.partition(": ")[2] for entry in measure(tmp_path).undocumented) == [
+        "Base.stop lacks Args",
+        "Derived.stop lacks Args",
+        "Silent.act lacks docstring",
+    ]
+
+
 def test_the_sample_depends_on_the_seed_only() -> None:
     first, again, other = (draw(house.ROOT, seed, 30) for seed in (12, 12, 13))
     assert [f.name for f in first] == [f.name for f in again]

@@ -96,6 +96,7 @@ class House:
         modules: Number of lines by module of hframe_gym without effects/ and agents.
         module_lines: Number of lines by module, all of them.
         functions: All functions and methods that are not nested in a function.
+        bases: Names of the base classes by the name of a class.
     """
 
     lines: int = 0
@@ -103,6 +104,7 @@ class House:
     modules: dict[Path, int] = field(default_factory=dict)
     module_lines: dict[Path, int] = field(default_factory=dict)
     functions: list[Function] = field(default_factory=list)
+    bases: dict[str, list[str]] = field(default_factory=dict)
 
     @property
     def words_per_1000_lines(self) -> float:
@@ -126,9 +128,24 @@ class House:
 
     @property
     def undocumented(self) -> list[str]:
-        """Return the public functions whose docstring lacks a section as "path:line: name lacks ..."."""
-        missing = ((f, f.missing_sections()) for f in self.public_functions)
-        return [f"{_where(f)} lacks {', '.join(sections)}" for f, sections in missing if sections]
+        """Return the public functions whose docstring lacks a section as "path:line: name lacks ...".
+
+        A method with a docstring inherits the sections of the base class's method.
+        """
+        complete = {f.name for f in self.public_functions if not f.missing_sections()}
+        return [
+            f"{_where(f)} lacks {', '.join(missing)}"
+            for f in self.public_functions
+            if (missing := f.missing_sections()) and (missing == ["docstring"] or not self._inherits(f.name, complete))
+        ]
+
+    def _inherits(self, name: str, complete: set[str]) -> bool:
+        """Return whether a base class of this repository has a completely documented method of the same name."""
+        class_name, _, method = name.rpartition(".")
+        return any(
+            f"{base}.{method}" in complete or self._inherits(f"{base}.{method}", complete)
+            for base in self.bases.get(class_name, ())
+        )
 
 
 def measure(root: Path = ROOT) -> House:
@@ -150,7 +167,11 @@ def measure(root: Path = ROOT) -> House:
             house.modules[relative] = count
         for number, line in enumerate(text.splitlines(), start=1):
             house.words += [f"{relative}:{number}: {word}" for word in _WORD.findall(line)]
-        house.functions += [Function(relative, name, node) for name, node in _functions(ast.parse(text))]
+        tree = ast.parse(text)
+        house.functions += [Function(relative, name, node) for name, node in _functions(tree)]
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ClassDef):
+                house.bases[node.name] = [_last_name(base) for base in node.bases]
     return house
 
 
@@ -176,9 +197,9 @@ def _functions(tree: ast.Module | ast.ClassDef, prefix: str = "") -> Iterator[tu
             yield prefix + node.name, node
 
 
-def _last_name(decorator: ast.expr) -> str:
-    """Return the last part of a decorator's name."""
-    return re.split(r"[.(]", ast.unparse(decorator).split("(")[0])[-1]
+def _last_name(expression: ast.expr) -> str:
+    """Return the last part of a dotted name, without arguments or subscripts: "Base" of `module.Base[int]`."""
+    return re.split(r"[(\[]", ast.unparse(expression))[0].rpartition(".")[2]
 
 
 def _where(function: Function) -> str:
