@@ -1,7 +1,7 @@
 """Registries of named parts, such as controllers, tasks, rewards and sensor kinds.
 
-A name of the form `package.module:name` imports the module first. A part that is defined outside the package is therefore
-available to every command and to `gym.make` without any change inside the package.
+A name of the form `package.module:name` imports the module first. A part that is defined outside the package is
+therefore available to every command and to `gym.make` without any change inside the package.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ import pytest
 from hframe_gym.data_validation import check_recordings, recording_warnings
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import Recording
-from tests.data_validation.planted_mistakes import X, Y, faults, measure, with_change, with_column
+from tests.data_validation.planted_mistakes import PHI1, X, Y, faults, measure, with_column
 
 
 def test_good_recordings_have_no_fault(runs: list[Recording], hframe: Machine) -> None:
@@ -36,7 +36,7 @@ def test_an_encoder_that_keeps_its_value_is_stuck(runs: list[Recording], hframe:
         y[900:1800] = y[900]
         return y
 
-    [warning] = recording_warnings(with_column(runs[1:2], 0, stick)[0], hframe)
+    [warning] = recording_warnings(with_column(runs[1:2], PHI1, stick)[0], hframe)
     assert warning.channel == "phi1_rad"
     assert "stuck?" in warning.message
 
@@ -87,15 +87,10 @@ def test_a_run_in_which_nothing_moves_is_advice(runs: list[Recording], hframe: M
 
 
 def test_the_quantum_of_an_encoder_is_not_lost_among_resting_runs(runs: list[Recording], hframe: Machine) -> None:
-    coarse = with_change(runs[:2], lambda u, y: (u, np.round(y / [2e-3, 2e-3, 1.0, 1.0], 0) * [2e-3, 2e-3, 1.0, 1.0]))
-    coarse = [
-        dataclasses.replace(c, outputs=np.column_stack([c.outputs[:, :2], r.outputs[:, 2:]]))
-        for c, r in zip(coarse, runs[:2], strict=True)
-    ]
-    resting = [
-        dataclasses.replace(runs[0], name=f"still_{i}", inputs=0 * runs[0].inputs, outputs=0 * runs[0].outputs)
-        for i in range(3)
-    ]
+    quantum = 2e-3  # rad, four times the declared one
+    coarse = with_column(runs[:2], PHI1, lambda y: np.rint(y / quantum) * quantum)
+    still = dataclasses.replace(runs[0], inputs=0 * runs[0].inputs, outputs=0 * runs[0].outputs)
+    resting = [dataclasses.replace(still, name=f"still_{i}") for i in range(3)]
     findings = check_recordings([*coarse, *resting], hframe)
     [line] = [f.message for f in findings if f.channel == "phi1_rad" and f.message.startswith("noise")]
     assert "steps of 0.002 rad (declared" in line
