@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..identification import Dataset, FreeParameter, default_free_parameters
-from ..identification.linearization import ResidualModel
+from ..identification import Dataset, FreeParameter, PreparedRecording, default_free_parameters
+from ..identification.linearization import NormalEquations, ResidualModel
+from ..identification.prediction import map_runs
 from ..machine import Machine
 from .findings import Finding, Severity
 
@@ -24,6 +25,7 @@ _MAX_ROWS = 20_000  # rows of a run that are simulated
 _LARGE_STD = 0.1  # relative standard deviation above which a parameter is reported as poorly identifiable
 _INSEPARABLE = 0.98  # correlation above which two parameters are reported as inseparable
 _NO_INFLUENCE = 1e-12  # sensitivity relative to the largest one below which a parameter has no influence
+_SINGULAR = 1e-13  # eigenvalue of the normalized information matrix below which a combination is not determined
 
 
 @dataclass(frozen=True)
@@ -59,19 +61,23 @@ def cramer_rao_bounds(data: Dataset, machine: Machine, names: Sequence[str] = ()
         Ljung, System Identification (1999), section 7.4.
     """
     names = [n for n in (names or [f.name for f in default_free_parameters(machine)]) if machine.parameters[n] != 0.0]
-    values = [machine.parameters[name] for name in names]
-    free = tuple(  # theta is the relative change of each parameter, without prior
-        FreeParameter(name, value, prior=np.inf, scale=abs(value), lower=-np.inf)
-        for name, value in zip(names, values, strict=True)
-    )
     runs = tuple(
         dataclasses.replace(
             run, time_s=run.time_s[:_MAX_ROWS], inputs=run.inputs[:_MAX_ROWS], outputs=run.outputs[:_MAX_ROWS]
         )
         for run in data.runs
     )
-    model = ResidualModel(machine, free, dataclasses.replace(data, runs=runs), "simulation")
-    return _joint_bounds(names, model.linearize(np.zeros(len(free))).normal_equations.information)
+    data = dataclasses.replace(data, runs=runs)
+    forward, backward = (_residual_model(data, machine, names, direction) for direction in (1.0, -1.0))
+    at_declared = np.zeros(len(names))
+
+    def normal_equations(run: PreparedRecording) -> NormalEquations:
+        """Combine forward and backward differences to central ones: a forward difference separates what is not."""
+        rows = forward.linearize_run(run, at_declared)
+        opposite = backward.linearize_run(run, at_declared)
+        return NormalEquations.from_rows((rows.jacobian - opposite.jacobian) / 2, rows.residual)
+
+    return _joint_bounds(names, NormalEquations.total(map_runs(normal_equations, data)).information)
 
 
 def check_parameters(data: Dataset, machine: Machine) -> list[Finding]:
@@ -97,6 +103,15 @@ def check_parameters(data: Dataset, machine: Machine) -> list[Finding]:
     return findings
 
 
+def _residual_model(data: Dataset, machine: Machine, names: Sequence[str], direction: float) -> ResidualModel:
+    """Return the residual as a function of relative changes, positive or negative, without priors."""
+    free = tuple(
+        FreeParameter(name, value, prior=np.inf, scale=direction * abs(value), lower=-np.inf)
+        for name, value in ((name, machine.parameters[name]) for name in names)
+    )
+    return ResidualModel(machine, free, data, "simulation")
+
+
 def _joint_bounds(names: Sequence[str], information: Array) -> list[CramerRaoBound]:
     """Invert an information matrix (k, k) of relative changes, without the parameters that have no influence."""
     sensitivity = np.sqrt(np.diag(information))
@@ -104,11 +119,10 @@ def _joint_bounds(names: Sequence[str], information: Array) -> list[CramerRaoBou
     kept = [name for name, used in zip(names, influential, strict=True) if used]
     scale = sensitivity[influential]
     normalized = information[np.ix_(influential, influential)] / np.outer(scale, scale)
-    # Singular for parameters that cannot be separated; their variance is then large but finite.
-    covariance = (
-        np.linalg.pinv(normalized + 1e-14 * np.eye(len(kept)), hermitian=True, rcond=1e-14) if kept else normalized
-    )
-    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    # Parameters that cannot be separated make the matrix singular; rounding may even make an eigenvalue negative.
+    eigenvalues, eigenvectors = np.linalg.eigh(normalized)
+    covariance = (eigenvectors / np.maximum(eigenvalues, _SINGULAR)) @ eigenvectors.T
+    std = np.sqrt(np.diag(covariance))
     bounds = {}
     for i, name in enumerate(kept):
         correlations = covariance[i] / np.maximum(std[i] * std, 1e-300)

@@ -213,7 +213,7 @@ def _ratios(data: Dataset, machine: Machine) -> list[Finding]:
         parts = []
         for run in data.runs:
             linear_only = run.outputs.copy()
-            linear_only[:, rotary] = np.nan  # other encoders may share the mistake
+            linear_only[:, rotary] = np.nan  # other encoders may have the same mistake
             prediction = rigid_prediction(linear_only, j, machine)
             if prediction is not None:
                 both = np.column_stack([run.outputs[:, j], prediction[0]])

@@ -78,7 +78,8 @@ class Machine:
         uncertainty: Covariance of the parameters, if they were identified.
         description: One sentence for people.
         ties: Parameters that equal a factor times another parameter, by full name, for example
-            {"phi3.radius": ("phi1.radius", 1.0)}. Effects that add coordinates tie the new parameters to their own.
+            {"phi3.radius": ("phi1.radius", 1.0)}. An effect that adds coordinates ties their
+            parameters to those of the effect.
     """
 
     name: str
@@ -108,7 +109,7 @@ class Machine:
 
     @cached_property
     def shape(self) -> tuple[object, ...]:
-        """The machine without parameter values, hashable: machines of one shape share one compiled kernel."""
+        """The machine without parameter values, hashable: machines of one shape have one compiled kernel."""
         return (
             tuple((c.name, c.kind) for c in self.coordinates),
             tuple((b.name, tuple(b.extension.items()), tuple(b.length.items())) for b in self.belts),

@@ -125,7 +125,7 @@ def hframe_literal() -> Machine:
     """
     return hframe().replace(
         name="hframe-literal",
-        description="Equation 17 taken literally (gear ratio 1): does not match the paper's own figures.",
+        description="Equation 17 taken literally (gear ratio 1): does not match the figures of the paper.",
         drives=_drives(1.0),
     )
 

@@ -9,6 +9,7 @@ from hframe_gym.data_validation import cramer_rao_bounds
 from hframe_gym.identification import prepare
 from hframe_gym.machine import BUILTIN_MACHINES, Coordinate, Machine
 from hframe_gym.recordings import Recording
+from tests.data_validation.planted_mistakes import measure
 
 
 @pytest.fixture
@@ -55,3 +56,16 @@ def test_parameters_of_a_machine_that_never_moves_have_infinite_bounds(hframe: M
     data = prepare([Recording("r", time, np.zeros((800, 2)), np.zeros((800, 4)))], hframe)
     bounds = cramer_rao_bounds(data, hframe, ["x.mass", "x.coulomb", "left.EA"])
     assert all(np.isinf(bound.relative_std) for bound in bounds)
+
+
+def test_friction_of_a_motor_is_inseparable_from_its_back_emf(hframe: Machine) -> None:
+    """Both are viscous friction of the motor's coordinate, so no recording separates them."""
+    time = np.arange(1000) * 1e-3
+    inputs = np.column_stack([6 * np.sin(9 * time), 5 * np.sin(7 * time)])
+    outputs = measure(hframe, hframe.simulate(time, inputs).outputs)
+    data = prepare([Recording("r", time, inputs, outputs)], hframe)
+    friction, back_emf = cramer_rao_bounds(data, hframe, ["phi1.viscous", "motor1.Ke"])
+    assert friction.partner == "motor1.Ke"
+    assert friction.correlation < -0.999
+    assert friction.relative_std > 0.1
+    assert friction.relative_std > back_emf.relative_std
