@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..identification import Dataset, estimate_initial_state, prepare
 from ..machine import Machine, stiffness_matrix
-from ..recordings import Recording
+from ..recordings import GAP_PERIODS, Recording
 from .excitation import check_excitation, constant_inputs
 from .findings import Finding, Severity
 from .identifiability import check_parameters
@@ -18,7 +18,6 @@ from .wiring import check_wiring, rigid_prediction
 
 Array = NDArray[np.float64]
 
-_GAP = 1.5  # median periods; a longer step means that samples were lost
 _JITTER = 0.02  # of the period; standard deviation above which sampling is irregular
 _SAME_RATE = 1.02  # ratio of sampling periods up to which runs have one rate
 _MIN_REST = 0.05  # s at rest that determine the initial state and the sensors' zeros
@@ -84,7 +83,7 @@ def _check_sampling(recording: Recording) -> list[Finding]:
         return [Finding("fault", recording.name, "time_s", "has a single row, which contains no motion")]
     findings = []
     period = float(np.median(steps))
-    gaps = steps > _GAP * period
+    gaps = steps > GAP_PERIODS * period
     if gaps.any():
         lost = float(np.sum(steps[gaps]) - np.sum(gaps) * period)  # s
         message = (
@@ -110,7 +109,7 @@ def _sampling_rate(recordings: Sequence[Recording]) -> Finding:
 
 def _overlapping_clocks(recordings: Sequence[Recording]) -> list[Finding]:
     """Report runs that overlap in time: their clocks were restarted."""
-    ordered = sorted(recordings, key=lambda r: r.time_s[0])
+    ordered = sorted(recordings, key=lambda recording: recording.time_s[0])
     overlapping = [b.name for a, b in pairwise(ordered) if b.time_s[0] < a.time_s[-1]]
     if not overlapping:
         return []

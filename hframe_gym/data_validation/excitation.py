@@ -66,11 +66,12 @@ def constant_inputs(recordings: Sequence[Recording], machine: Machine) -> list[F
 def _overvoltage(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
     """Report inputs far above the rated voltage."""
     findings = []
-    for j, d in enumerate(machine.drives):
-        largest = max(float(np.abs(r.inputs[:, j]).max()) for r in recordings)
-        if largest > _OVERVOLTAGE * d.rated_voltage:
-            message = f"reaches {largest:.4g} V, rated {d.rated_voltage:.4g} V: is the column in another unit or in %?"
-            findings.append(Finding("advice", "", d.channel, message))
+    for column, drive in enumerate(machine.drives):
+        largest = max(float(np.abs(recording.inputs[:, column]).max()) for recording in recordings)
+        if largest > _OVERVOLTAGE * drive.rated_voltage:
+            rated = f"rated {drive.rated_voltage:.4g} V"
+            message = f"reaches {largest:.4g} V, {rated}: is the column in another unit or in %?"
+            findings.append(Finding("advice", "", drive.channel, message))
     return findings
 
 
@@ -100,12 +101,12 @@ def _frequencies(recordings: Sequence[Recording], machine: Machine) -> list[Find
     """Report the spectrum of each input relative to the machine's lowest belt mode."""
     findings = []
     modes = [float(f) for f in mode_frequencies(machine) if f > 0]
-    for j, channel in enumerate(machine.input_channels):
+    for column, channel in enumerate(machine.input_channels):
         grids, powers = [], []
-        for r in recordings:
-            values = r.inputs[:, j] - r.inputs[:, j].mean()
+        for recording in recordings:
+            values = recording.inputs[:, column] - recording.inputs[:, column].mean()
             if len(values) > 8 and np.any(values):
-                period = float(np.median(np.diff(r.time_s)))
+                period = float(np.median(np.diff(recording.time_s)))
                 grids.append(np.fft.rfftfreq(len(values), period))
                 powers.append(np.abs(np.fft.rfft(values * np.hanning(len(values)))) ** 2 * period / len(values))
         if not grids:
@@ -151,14 +152,14 @@ def _coverage(data: Dataset, machine: Machine) -> list[Finding]:
 
 def _check_travel(name: str, travel: Array, machine: Machine) -> list[Finding]:
     """Report the travel of a coordinate relative to its range."""
-    c = machine.coordinate(name)
+    coordinate = machine.coordinate(name)
     low, high = float(np.nanmin(travel)), float(np.nanmax(travel))
-    message = f"travels from {low:.4g} to {high:.4g} {c.unit('position')}"
-    if c.range is None:
+    message = f"travels from {low:.4g} to {high:.4g} {coordinate.unit('position')}"
+    if coordinate.range is None:
         return [Finding("note", "", name, message)]
-    fraction = (high - low) / (c.range[1] - c.range[0])
+    fraction = (high - low) / (coordinate.range[1] - coordinate.range[0])
     if fraction > _WIDE_TRAVEL:
-        return [Finding("advice", "", name, f"{message}, more than its declared range {list(c.range)}")]
+        return [Finding("advice", "", name, f"{message}, more than its declared range {list(coordinate.range)}")]
     message += f", {100 * fraction:.0f} % of its range"
     if fraction < _NARROW_TRAVEL:
         message += ": effects that depend on position are poorly identifiable"

@@ -73,13 +73,14 @@ def print_findings(findings: Sequence[Finding], console: Console) -> None:
     """
     if console.is_terminal:
         table = Table("", "run", "channel", "finding", box=None)
-        for f in group_findings(findings):
-            table.add_row(f"[{_STYLES[f.severity]}]{f.severity}[/]", f.run, f.channel, escape(f.message))
+        for finding in group_findings(findings):
+            severity = f"[{_STYLES[finding.severity]}]{finding.severity}[/]"
+            table.add_row(severity, finding.run, finding.channel, escape(finding.message))
         console.print(table, soft_wrap=False)
     else:
-        for f in group_findings(findings):
-            console.print(str(f), markup=False, highlight=False)
-    counts = (f"{sum(f.severity == severity for f in findings)} {severity}" for severity in _STYLES)
+        for finding in group_findings(findings):
+            console.print(str(finding), markup=False, highlight=False)
+    counts = (f"{sum(finding.severity == kind for finding in findings)} {kind}" for kind in _STYLES)
     console.print(", ".join(counts), markup=False, highlight=False)
 
 

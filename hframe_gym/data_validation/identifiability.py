@@ -127,7 +127,7 @@ def _joint_bounds(names: Sequence[str], information: Array) -> list[CramerRaoBou
     for i, name in enumerate(kept):
         correlations = covariance[i] / np.maximum(std[i] * std, 1e-300)
         correlations[i] = 0.0
-        j = int(np.argmax(np.abs(correlations)))
-        partner = kept[j] if len(kept) > 1 else ""
-        bounds[name] = CramerRaoBound(name, float(std[i] / scale[i]), partner, float(correlations[j]))
+        closest = int(np.argmax(np.abs(correlations)))
+        partner = kept[closest] if len(kept) > 1 else ""
+        bounds[name] = CramerRaoBound(name, float(std[i] / scale[i]), partner, float(correlations[closest]))
     return [bounds.get(name, CramerRaoBound(name, float("inf"), "", 0.0)) for name in names]

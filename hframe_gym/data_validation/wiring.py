@@ -140,11 +140,11 @@ def _corrections(channels: Sequence[str], groups: Sequence[str]) -> dict[str, Ar
         negation = np.eye(len(channels))
         negation[j, j] = -1.0
         corrections[f"{channel} has the wrong sign"] = negation
-    for i, j in combinations(range(len(channels)), 2):
-        if groups[i] == groups[j]:
+    for first, second in combinations(range(len(channels)), 2):
+        if groups[first] == groups[second]:
             order = list(range(len(channels)))
-            order[i], order[j] = j, i
-            corrections[f"{channels[i]} and {channels[j]} are swapped"] = np.eye(len(channels))[order]
+            order[first], order[second] = second, first
+            corrections[f"{channels[first]} and {channels[second]} are swapped"] = np.eye(len(channels))[order]
     return corrections
 
 
@@ -209,14 +209,14 @@ def _ratios(data: Dataset, machine: Machine) -> list[Finding]:
     """
     findings = []
     rotary = [j for j, s in enumerate(machine.sensors) if machine.coordinate(s.coordinate).kind == "rotary"]
-    for j in rotary:
+    for column in rotary:
         parts = []
         for run in data.runs:
             linear_only = run.outputs.copy()
             linear_only[:, rotary] = np.nan  # other encoders may have the same mistake
-            prediction = rigid_prediction(linear_only, j, machine)
+            prediction = rigid_prediction(linear_only, column, machine)
             if prediction is not None:
-                both = np.column_stack([run.outputs[:, j], prediction[0]])
+                both = np.column_stack([run.outputs[:, column], prediction[0]])
                 parts.append(both - np.nanmean(both, axis=0))
         rows = np.concatenate(parts) if parts else np.zeros((0, 2))
         rows = rows[np.isfinite(rows).all(axis=1)]
@@ -225,7 +225,7 @@ def _ratios(data: Dataset, machine: Machine) -> list[Finding]:
         angle, predicted = rows.T
         slope = float(angle @ predicted / (predicted @ predicted))
         if _RATIO_TOLERANCE < abs(slope - 1) < _MAX_RATIO_ERROR and _correlation(angle, predicted) > _RATIO_CORRELATION:
-            sensor = machine.sensors[j]
+            sensor = machine.sensors[column]
             radius = machine.coordinate(sensor.coordinate).radius
             message = (
                 f"turns {100 * (slope - 1):+.1f} % too far for the carriage's travel: the pulley has a radius of "
