@@ -40,7 +40,9 @@ class ActuatorModel:
         self._ranges = self._converter()
         self.inputs = np.zeros((size, (steps if delayed else 1) * self._width, LANES))
         periods = 2 + int(np.ceil(max(self._longest_delays()) / period)) if delayed else 1
-        self._history = np.zeros((size, periods, self._width, LANES)) if delayed else self.inputs[:, None]
+        # Commanded voltages of past periods. Without delays `inputs` is all there is; no view of it is kept, because a
+        # copied environment would have two unrelated arrays.
+        self._history = np.zeros((size, periods, self._width, LANES)) if delayed else None
         self.delays = np.zeros((size, self._width, LANES))
         n = len(machine.coordinates)
         self._speeds = np.array([n + machine.coordinate_names.index(d.coordinate) for d in machine.drives])
@@ -84,7 +86,7 @@ class ActuatorModel:
                 motors[:, k] = Ke * gear * units[:, self._machine.coordinate_names.index(d.coordinate)]
                 motors[:, self._width + k] = self._drives.current_limit * R
             blocks.put(index, motors, self._motors)
-        if self._delayed:
+        if self._history is not None:
             block, lane = np.divmod(index, LANES)
             self._history[block, :, :, lane] = 0.0
             for k, drive in enumerate(self._machine.drives):
@@ -93,13 +95,14 @@ class ActuatorModel:
 
     def begin(self) -> None:
         """A control period begins."""
-        if self._delayed:
+        if self._history is not None:
             self._history[:, 1:] = self._history[:, :-1]
 
     def command(self, actions: NDArray[Any], first: int, last: int, clipped: NDArray[np.int64]) -> None:
         """Set the inputs of blocks first..last-1 for a period from actions (count, inputs); clipped (count,) grows."""
-        command(actions, self._ranges, first, last, self._history, clipped)
-        if self._delayed:
+        history = self.inputs[:, None] if self._history is None else self._history
+        command(actions, self._ranges, first, last, history, clipped)
+        if self._history is not None:
             late(self._history, self.delays, self._period, self._period / self._steps, first, last, self.inputs)
 
     def advance(
