@@ -1,18 +1,21 @@
-"""What environments of a batch observe of their stages: the full state or sensors' readings, and what is privileged."""
+"""Builds the observations of a batch, from the full state or from measurements."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..dynamics.simd import LANES
-from .batched_simulator import BatchedSimulator, View
+from ..machine import Sensor
+from .batched_simulator import BatchedSimulator, StateView
+from .counter_rng import compiled
 from .machine_sampler import MachineSampler
-from .sensor_readings import read, report
-from .sensors import Sensors, channels, sensed_entries
-from .spaces import BEYOND, SignalSpec, privileged_entries, workspace
+from .measurements import SensorArray
+from .sensors import PositionFromSensors
+from .spaces import MARGIN, SignalSpec, bounds_of, privileged_signals, sensor_signals, state_signals, workspace_of
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -20,104 +23,182 @@ Observation = dict[str, NDArray[np.float32]]
 
 
 class ObservationBuilder:
-    """Looks at all stages of a batch.
+    """Builds the observations of a batch.
 
-    sensors: None for the full state.  drawn: for privileged observations, the bounds of each drawn parameter by name,
-    as shares of its nominal value (or as it is where that is zero); None for none.
+    Args:
+        simulator: The batch of machines.
+        sensors: The observed sensors; None for the full state.
+        sampler: Samples the parameters.
+        privileged: Whether observations have `privileged`.
 
-    entries, privileged: what each number of `observation` and of `privileged` is.
+    Attributes:
+        entries: Signals of `observation`.
+        privileged: Signals of `privileged`; empty without it.
+        measured: Whether sensors are observed instead of the state.
     """
 
     def __init__(
         self,
-        stages: BatchedSimulator,
-        sensors: Sensors | None,
-        drawn: Mapping[str, tuple[float, float]] | None,
+        simulator: BatchedSimulator,
+        sensors: tuple[Sensor, ...] | None,
+        sampler: MachineSampler,
+        *,
+        privileged: bool,
     ) -> None:
-        self._stages = stages
-        self.sensors = sensors
-        machine, count = stages.machine, stages.count
-        self.entries = sensed_entries(machine, sensors)
-        goals = workspace(machine) + np.array([-BEYOND, BEYOND])
-        self._tool = stages.view([("x", False), ("y", False)], goals[:, 0], goals[:, 1])
-        wanted = [e for e in self.entries if sensors is None or not e.velocity]
-        self._view = self._view_of(wanted)
-        self._readings = np.zeros((count, 2, len(wanted)))
-        self._keys = np.zeros(count, np.uint64)  # of each environment's episode, for its noise
-        if sensors is not None:
-            self._channels = channels(machine, sensors)
-            low, high = (np.array([getattr(e, edge) for e in self.entries]) for edge in ("low", "high"))
-            self._report = (stages.period, *self._channels[2:], low, high, goals)
-        self.privileged = () if drawn is None else privileged_entries(machine, drawn)
-        self._all_state = self._view_of([e for e in self.privileged if e.coordinate])
-        self._shares = np.zeros((count, len(drawn or {})), np.float32)
+        self._simulator = simulator
+        machine, count = simulator.machine, simulator.count
+        self.measured = sensors is not None
+        self.entries = state_signals(machine) if sensors is None else sensor_signals(machine, sensors)
+        goals = workspace_of(machine) + np.array([-MARGIN, MARGIN])
+        self._tool = simulator.view([("x", False), ("y", False)], goals[:, 0], goals[:, 1])
+        self._sensors: SensorArray | None = None
+        if sensors is None:
+            self._state = self._view_of(self.entries)
+        else:
+            self._sensors = SensorArray(machine, sensors, count, sampler.space.names.index)
+            self._position = PositionFromSensors.of(machine, sensors)
+            self._box = np.stack(bounds_of(self.entries))
+            self._goal_box = goals
+        self.privileged = privileged_signals(machine, sampler.normalized_bounds()) if privileged else ()
+        self._all_state = self._view_of([s for s in self.privileged if s.coordinate])
+        self._parameters = np.zeros((count, len(sampler.names) if privileged else 0), np.float32)
 
-    def _view_of(self, wanted: Sequence[SignalSpec]) -> View:
-        # The box is float32; its edges may lie inside those of the entries.
-        low, high = (np.array([getattr(e, edge) for e in wanted], np.float32) for edge in ("low", "high"))
-        return self._stages.view([(e.coordinate, e.velocity) for e in wanted], low, high)
+    def _view_of(self, signals: Sequence[SignalSpec]) -> StateView:
+        """Return the view of state signals, clipped to the float32 bounds of the space, which may be inside theirs."""
+        low, high = (edges.astype(np.float32) for edges in bounds_of(signals))
+        return self._simulator.view([(s.coordinate, s.velocity) for s in signals], low, high)
 
     def begin(
         self,
         index: Index,
         keys: NDArray[np.uint64],
         values: Array,
-        population: MachineSampler,
+        sampler: MachineSampler,
         elapsed: NDArray[np.int64],
     ) -> None:
-        """Episodes of environments index (k,) begin, with keys (k,) and parameters values (k, P)."""
-        self._keys[index] = keys
-        if self.privileged:
-            self._shares[index] = population.shares(values)
-        if self.sensors is not None:
-            self._read(index, elapsed, fresh=True)
+        """Begin episodes, after the simulator has placed them.
 
-    def read(self, first: int, last: int, elapsed: NDArray[np.int64]) -> None:
-        """Take the sensors' readings of blocks first..last-1 after elapsed (count,) periods of their episodes."""
-        if self.sensors is not None:
-            self._read(self._rows(first, last), elapsed, fresh=False)
+        Args:
+            index: Environments, shape (k,).
+            keys: Keys of the episodes, shape (k,).
+            values: Parameters, shape (k, N).
+            sampler: Sampled the parameters.
+            elapsed: Control periods since the reset of each environment, shape (count,).
+        """
+        if self.privileged:
+            self._parameters[index] = sampler.normalized(values)
+        if self._sensors is not None:
+            self._sensors.begin(index, keys, values)
+            self._sensors.measure(self._simulator.readings, index, elapsed, fresh=True)
+
+    def measure(self, first: int, last: int, elapsed: NDArray[np.int64]) -> None:
+        """Take the measurements of one control period.
+
+        Args:
+            first: First block.
+            last: Block after the last one.
+            elapsed: Control periods since the reset of each environment, shape (count,).
+        """
+        if self._sensors is not None:
+            self._sensors.measure(self._simulator.readings, self._rows(first, last), elapsed, fresh=False)
 
     def _rows(self, first: int, last: int) -> Index:
-        return np.arange(first * LANES, min(last * LANES, self._stages.count))
-
-    def _read(self, index: Index, elapsed: NDArray[np.int64], *, fresh: bool) -> None:
-        own = self._view.entries, *self._channels[:4]
-        read(*self._stages.tables, *own, self._keys, elapsed, index, fresh, self._readings)
+        """Return the environments of blocks first..last-1."""
+        return np.arange(first * LANES, min(last * LANES, self._simulator.count))
 
     def blank(self) -> tuple[Observation, NDArray[np.float32]]:
-        """Arrays for the observations of all environments, without goals, and for where the tools are (count, 2)."""
-        count = self._stages.count
-        achieved = np.empty((count, 2), np.float32)
+        """Allocate an observation.
+
+        Returns:
+            Arrays of the observation without goals, first axis count, and of the true tool positions, (count, 2).
+        """
+        count = self._simulator.count
         observation = {
             "observation": np.empty((count, len(self.entries)), np.float32),
-            "achieved_goal": achieved,
+            "achieved_goal": np.empty((count, 2), np.float32),
         }
         if self.privileged:
             observation["privileged"] = np.empty((count, len(self.privileged)), np.float32)
-        return observation, self.tool(observation)
+        return observation, self.tool_array(observation)
 
-    def tool(self, observation: Observation) -> NDArray[np.float32]:
-        """An array (count, 2) for where the tools are: with the full state, that is what is achieved."""
+    def tool_array(self, observation: Observation) -> NDArray[np.float32]:
+        """Return the array for the true tool positions, (count, 2): `achieved_goal` where the state is observed."""
         achieved = observation["achieved_goal"]
-        return achieved if self.sensors is None else np.empty_like(achieved)
+        return np.empty_like(achieved) if self.measured else achieved
 
-    def see(self, first: int, last: int, observation: Observation, tool: NDArray[np.float32]) -> int:
-        """Write what environments of blocks first..last-1 observe; returns one that is not finite, or -1."""
-        look = self._stages.observe
-        if self.sensors is None:
-            broken = look(first, last, self._view, observation["observation"], tool)
+    def write(self, first: int, last: int, observation: Observation, tool: NDArray[np.float32]) -> int:
+        """Write the observations of blocks first..last-1.
+
+        Args:
+            first: First block.
+            last: Block after the last one.
+            observation: Output, from `blank`.
+            tool: Output, true tool positions, m, shape (count, 2).
+
+        Returns:
+            Index of an environment whose state is not finite, or -1.
+        """
+        observe = self._simulator.observe
+        if self._sensors is None:
+            broken = observe(first, last, self._state, observation["observation"], tool)
         else:
-            broken = look(first, last, self._tool, tool, tool)
-            index = self._rows(first, last)
-            out = observation["observation"], observation["achieved_goal"]
-            report(self._readings, *self._report, index, *out)
+            broken = observe(first, last, self._tool, tool, tool)
+            self._write_measurements(self._sensors, first, last, observation)
         if self.privileged:
             rows = observation["privileged"]
-            broken = max(broken, look(first, last, self._all_state, rows, tool))
-            own = slice(first * LANES, last * LANES)
-            rows[own, len(self._all_state.entries) :] = self._shares[own]
+            broken = max(broken, observe(first, last, self._all_state, rows, tool))
+            block_rows = slice(first * LANES, last * LANES)
+            rows[block_rows, len(self._all_state.entries) :] = self._parameters[block_rows]
         return broken
 
-    def see_tools(self, first: int, last: int, tool: NDArray[np.float32]) -> None:
-        """Write where the tools of blocks first..last-1 are into tool (count, 2)."""
-        self._stages.observe(first, last, self._tool, tool, tool)
+    def _write_measurements(self, sensors: SensorArray, first: int, last: int, observation: Observation) -> None:
+        """Write `observation` and `achieved_goal` of blocks first..last-1 from measurements."""
+        limits, boxes = (sensors.low, sensors.high), (self._box, self._goal_box)
+        position = self._position.belts, self._position.direct, self._position.scale
+        out = observation["observation"], observation["achieved_goal"]
+        index = self._rows(first, last)
+        _write_measurements(sensors.measurements, self._simulator.period, *limits, *position, *boxes, index, *out)
+
+    def write_tool(self, first: int, last: int, tool: NDArray[np.float32]) -> None:
+        """Write the true tool positions of blocks first..last-1, m, to tool, shape (count, 2)."""
+        self._simulator.observe(first, last, self._tool, tool, tool)
+
+
+@compiled
+def _write_measurements(
+    measurements: Any,
+    period: float,
+    range_low: Any,
+    range_high: Any,
+    belts: Any,
+    direct: Any,
+    scale: Any,
+    box: Any,
+    goal_box: Any,
+    index: Any,
+    out: Any,
+    achieved: Any,
+) -> None:
+    """Write observations out (B, 2 n) and achieved (B, 2) of environments index (k,) from measurements (B, 2, n).
+
+    achieved is the measurement of x and y itself where that is strictly inside its range (B, n), else the position that
+    the other sensors give on unstretched belts. All are clipped to box (2, 2 n) and goal_box (2, 2).
+    """
+    n = measurements.shape[2]
+    for i in range(index.shape[0]):
+        b = index[i]
+        for j in range(n):
+            now = measurements[b, 0, j]
+            out[b, j] = np.float32(min(box[1, j], max(box[0, j], now)))
+            rate = (now - measurements[b, 1, j]) / period
+            out[b, n + j] = np.float32(min(box[1, n + j], max(box[0, n + j], rate)))
+        for axis in range(2):
+            position = 0.0
+            undetermined = True
+            for j in range(n):
+                position += belts[axis, j] * measurements[b, 0, j]
+                undetermined = undetermined and belts[axis, j] == 0.0
+            j = direct[axis]
+            if j >= 0 and (undetermined or range_low[b, j] < measurements[b, 0, j] < range_high[b, j]):
+                position = scale[axis] * measurements[b, 0, j]
+            achieved[b, axis] = np.float32(min(goal_box[axis, 1], max(goal_box[axis, 0], position)))
