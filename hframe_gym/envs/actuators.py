@@ -68,8 +68,10 @@ class Actuators:
         Raises:
             InputError: If the machine has a dead time already and `delay` is not 0.
         """
-        converter = {"converter_bits": self.bits or 0, "voltage_range": self.range_V}
-        machine = machine.replace(drives=tuple(dataclasses.replace(d, **converter) for d in machine.drives))
+        drives = [
+            dataclasses.replace(d, converter_bits=self.bits or 0, voltage_range=self.range_V) for d in machine.drives
+        ]
+        machine = machine.replace(drives=tuple(drives))
         if self.current_limit is not None:
             for drive in machine.drives:
                 machine = _with_current_limit(machine, drive.name, self.current_limit)
@@ -146,7 +148,9 @@ class ActuatorModel:
         self._period, self._steps = period, steps
         drives, blocks = len(machine.drives), -(-count // LANES)
         self._rated = np.array([d.rated_voltage for d in machine.drives])
-        self._columns = [[column(f"{d.name}.{key}") for key in ("converter_bits", "voltage_range")] for d in machine.drives]
+        self._columns = [
+            [column(f"{d.name}.{key}") for key in ("converter_bits", "voltage_range")] for d in machine.drives
+        ]
         # Quantum (0: continuous), lowest and highest voltage of the converters, V.
         self._converters = np.zeros((blocks, 3 * drives, LANES))
         self._quantized = False

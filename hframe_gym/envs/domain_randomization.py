@@ -272,10 +272,11 @@ def as_rules(randomize: RandomizationLike, names: Sequence[str]) -> tuple[Rule, 
 def _as_rule(entry: object) -> Rule:
     """Return a rule, made from a mapping where it is one; raises InputError for anything else."""
     if isinstance(entry, Mapping):
+        arguments = dict(entry)
         try:
-            entry = RandomizeParameter(**entry)
+            entry = RandomizeParameter(**arguments)
         except TypeError as error:
-            raise InputError(f"randomize: {dict(entry)}: {error}") from None
+            raise InputError(f"randomize: {arguments}: {error}") from None
     if not isinstance(entry, RandomizeParameter | RandomizeIdentified):
         raise InputError(f"randomize: {entry!r} is neither a RandomizeParameter nor a RandomizeIdentified")
     if entry.when not in ("reset", "startup"):
@@ -296,3 +297,7 @@ def matching(names: Sequence[str], rule: RandomizeParameter) -> list[int]:
         Indices into `names`, ascending.
     """
     return [i for i, name in enumerate(names) if fnmatchcase(name, rule.parameter)]
+
+
+# Aliases until all packages use the new names.
+PRESETS = RANDOMIZATION_PRESETS

@@ -16,7 +16,15 @@ from scipy.special import ndtri
 from ..errors import InputError
 from ..machine import Machine
 from .counter_rng import episode_keys, reset_uniforms
-from .domain_randomization import RandomizationLike, RandomizeIdentified, RandomizeParameter, Rule, When, as_rules, matching
+from .domain_randomization import (
+    RandomizationLike,
+    RandomizeIdentified,
+    RandomizeParameter,
+    Rule,
+    When,
+    as_rules,
+    matching,
+)
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -139,9 +147,11 @@ class RuleSampler:
         # Indices of the parameters, column of the first uniform number, factor of the covariance.
         self._joint: list[tuple[list[int], int, Array]] = []
         for rule in rules:
-            if rule.when == when and isinstance(rule, RandomizeParameter):
+            if rule.when != when:
+                continue
+            if isinstance(rule, RandomizeParameter):
                 self._add_parameter_rule(rule)
-            elif rule.when == when:
+            else:
                 self._add_identified_rule(rule, machine)
         changed = {i for i, _, _ in self._single} | {i for indices, _, _ in self._joint for i in indices}
         self.names = tuple(space.names[i] for i in sorted(changed))

@@ -33,9 +33,7 @@ class SensorArray:
         measurements: The last and the one before, in the channels' units, shape (count, 2, n).
     """
 
-    def __init__(
-        self, machine: Machine, sensors: tuple[Sensor, ...], count: int, column: Callable[[str], int]
-    ) -> None:
+    def __init__(self, machine: Machine, sensors: tuple[Sensor, ...], count: int, column: Callable[[str], int]) -> None:
         channels = list(machine.output_channels)
         self._rows = np.array([channels.index(s.channel) for s in sensors], np.intp)
         self._device_columns = [[column(f"{s.channel}.{key}") for key in ("noise", "resolution")] for s in sensors]
@@ -151,7 +149,7 @@ class DelayLine:
 
     def __init__(self, blocks: int, sensors: int, longest_delay: float, h: float) -> None:
         self._h = h
-        self._depth = int(math.ceil(longest_delay / h)) + 3
+        self._depth = math.ceil(longest_delay / h) + 3
         self._history = np.zeros((blocks, self._depth, sensors, LANES))
         self.delays = np.zeros((blocks, sensors, LANES))
 

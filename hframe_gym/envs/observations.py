@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..dynamics.simd import LANES
+from ..dynamics.simd import LANES, any_of, load, store, where
+from ..dynamics.simd_math import maximum, minimum
 from ..machine import Sensor
-from .batched_simulator import BatchedSimulator, StateView
+from .batched_simulator import BatchedSimulator
 from .counter_rng import compiled
 from .machine_sampler import MachineSampler
 from .measurements import SensorArray
@@ -20,6 +22,39 @@ from .spaces import MARGIN, SignalSpec, bounds_of, privileged_signals, sensor_si
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Observation = dict[str, NDArray[np.float32]]
+
+
+class StateView(NamedTuple):
+    """Entries of a state that are observed, n of them; the first two are the tool position.
+
+    Attributes:
+        rows: Row of the state, its coordinate, and two coordinates whose product is added or -1, shape (n, 4).
+        box: Lower and upper bound in the coordinates' units, shape (2, n).
+    """
+
+    rows: Index
+    box: Array
+
+    @classmethod
+    def of(cls, simulator: BatchedSimulator, signals: Sequence[SignalSpec]) -> StateView:
+        """Return the view of state signals, clipped to float32 bounds as the space has them.
+
+        Args:
+            simulator: The batch of machines.
+            signals: Positions and velocities; x and y first.
+
+        Returns:
+            The view.
+        """
+        names = simulator.machine.coordinate_names
+        rows = np.full((len(signals), 4), -1)
+        for row, signal in zip(rows, signals, strict=True):
+            i = names.index(signal.coordinate)
+            row[:2] = i + len(names) * signal.velocity, i
+            if not signal.velocity:
+                row[2:] = simulator.tool_product(signal.coordinate)
+        box = np.stack(bounds_of(signals)).astype(np.float32)
+        return cls(rows, box.astype(np.float64))
 
 
 class ObservationBuilder:
@@ -50,23 +85,26 @@ class ObservationBuilder:
         self.measured = sensors is not None
         self.entries = state_signals(machine) if sensors is None else sensor_signals(machine, sensors)
         goals = workspace_of(machine) + np.array([-MARGIN, MARGIN])
-        self._tool = simulator.view([("x", False), ("y", False)], goals[:, 0], goals[:, 1])
+        self._tool = StateView.of(simulator, state_signals(machine, ("x", "y"))[:2])
         self._sensors: SensorArray | None = None
         if sensors is None:
-            self._state = self._view_of(self.entries)
+            self._state = StateView.of(simulator, self.entries)
         else:
             self._sensors = SensorArray(machine, sensors, count, sampler.space.names.index)
             self._position = PositionFromSensors.of(machine, sensors)
             self._box = np.stack(bounds_of(self.entries))
             self._goal_box = goals
         self.privileged = privileged_signals(machine, sampler.normalized_bounds()) if privileged else ()
-        self._all_state = self._view_of([s for s in self.privileged if s.coordinate])
+        self._all_state = StateView.of(simulator, [s for s in self.privileged if s.coordinate])
         self._parameters = np.zeros((count, len(sampler.names) if privileged else 0), np.float32)
 
-    def _view_of(self, signals: Sequence[SignalSpec]) -> StateView:
-        """Return the view of state signals, clipped to the float32 bounds of the space, which may be inside theirs."""
-        low, high = (edges.astype(np.float32) for edges in bounds_of(signals))
-        return self._simulator.view([(s.coordinate, s.velocity) for s in signals], low, high)
+    def _observe(
+        self, first: int, last: int, view: StateView, out: NDArray[np.float32], tool: NDArray[np.float32]
+    ) -> int:
+        """Write the entries of a view to out, and the tool position to tool; returns a broken environment or -1."""
+        simulator = self._simulator
+        broken: int = _observe(simulator.state, simulator.units_per_travel, *view, first, last, out, tool)
+        return broken
 
     def begin(
         self,
@@ -138,7 +176,7 @@ class ObservationBuilder:
         Returns:
             Index of an environment whose state is not finite, or -1.
         """
-        observe = self._simulator.observe
+        observe = self._observe
         if self._sensors is None:
             broken = observe(first, last, self._state, observation["observation"], tool)
         else:
@@ -148,7 +186,7 @@ class ObservationBuilder:
             rows = observation["privileged"]
             broken = max(broken, observe(first, last, self._all_state, rows, tool))
             block_rows = slice(first * LANES, last * LANES)
-            rows[block_rows, len(self._all_state.entries) :] = self._parameters[block_rows]
+            rows[block_rows, len(self._all_state.rows) :] = self._parameters[block_rows]
         return broken
 
     def _write_measurements(self, sensors: SensorArray, first: int, last: int, observation: Observation) -> None:
@@ -161,7 +199,7 @@ class ObservationBuilder:
 
     def write_tool(self, first: int, last: int, tool: NDArray[np.float32]) -> None:
         """Write the true tool positions of blocks first..last-1, m, to tool, shape (count, 2)."""
-        self._simulator.observe(first, last, self._tool, tool, tool)
+        self._observe(first, last, self._tool, tool, tool)
 
 
 @compiled
@@ -202,3 +240,38 @@ def _write_measurements(
             if j >= 0 and (undetermined or range_low[b, j] < measurements[b, 0, j] < range_high[b, j]):
                 position = scale[axis] * measurements[b, 0, j]
             achieved[b, axis] = np.float32(min(goal_box[axis, 1], max(goal_box[axis, 0], position)))
+
+
+@compiled
+def _observe(state: Any, units: Any, entries: Any, box: Any, first: int, last: int, out: Any, tool: Any) -> int:
+    """Write entries (n, 4) of the state as float32 to out (B, n or more), the first two also to tool (B, 2).
+
+    units (blocks, coordinates, LANES): units per metre of travel; box (2, n). Returns a machine whose state is not
+    finite, or -1.
+    """
+    count = entries.shape[0]
+    values = np.empty((count + 1, LANES))
+    broken = -1
+    for block in range(first, last):
+        begin = block * LANES
+        block_state, block_units = state[block], units[block]
+        residue = load(block_state, 0) * 0.0  # stays zero until a value is not finite
+        for j in range(count):
+            value = load(block_state, entries[j, 0]) * load(block_units, entries[j, 1])
+            a, b = entries[j, 2], entries[j, 3]
+            if a >= 0:
+                across = load(block_state, b) * load(block_units, b)
+                value = value + load(block_state, a) * load(block_units, a) * across
+            residue = residue + (value - value)
+            store(values, j, minimum(maximum(value, box[0, j]), box[1, j]))
+        for lane in range(min(LANES, out.shape[0] - begin)):
+            for j in range(count):
+                out[begin + lane, j] = values[j, lane]
+            for j in range(2):
+                tool[begin + lane, j] = values[j, lane]
+        if any_of(where(residue == 0.0, 0.0, 1.0) > 0.0):
+            store(values, count, residue)
+            for lane in range(LANES):
+                if broken < 0 and not math.isfinite(values[count, lane]):
+                    broken = begin + lane
+    return broken

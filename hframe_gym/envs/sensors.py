@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -174,6 +174,29 @@ def as_sensors(sensors: SensorsLike) -> SensorSuite | None:
     return SENSOR_PRESETS[sensors]
 
 
+def observed_machine(machine: Machine, sensors: SensorsLike) -> Machine | None:
+    """Return the machine whose declared sensors are those that an environment observes.
+
+    Args:
+        machine: The machine.
+        sensors: The option `sensors`.
+
+    Returns:
+        A machine with these sensors in the order of the observation, with their ranges and delays as effects; None for
+        the full state.
+
+    Raises:
+        InputError: If the option is invalid.
+    """
+    suite = as_sensors(sensors)
+    if suite is None:
+        return None
+    changed = suite.apply(machine)
+    observed = suite.observed(changed)
+    others = set(changed.output_channels) - {sensor.channel for sensor in observed}
+    return changed.replace(sensors=observed, effects=tuple(e for e in changed.effects if e.site not in others))
+
+
 def _sensor_of(machine: Machine, coordinate: str) -> str:
     """Return the channel of the first sensor of a coordinate, or "" if there is none."""
     return next((s.channel for s in machine.sensors if s.coordinate == coordinate), "")
@@ -259,3 +282,42 @@ class PositionFromSensors:
                     "declare a sensor of it, or choose sensors='state'"
                 )
         return cls(belts, direct, scale)
+
+
+# Aliases until all packages use the new names.
+class Channels(NamedTuple):
+    """Properties of the observed sensors, one number per sensor, in the order of the observation."""
+
+    quanta: Array
+    noise: Array
+    least: Array
+    most: Array
+    tool: Array
+    lasers: Index
+
+
+def channels(machine: Machine, sensors: SensorSuite) -> Channels:
+    """Return the nominal properties of the observed sensors."""
+    machine = sensors.apply(machine)
+    observed = sensors.observed(machine)
+    position = PositionFromSensors.of(machine, observed)
+    limits = [[machine.parameters.get(name, np.nan) for name in sensor_range_names(s)] for s in observed]
+    low, high = np.array(limits).T
+    return Channels(
+        np.array([s.resolution for s in observed]),
+        np.array([s.noise for s in observed]),
+        np.where(np.isnan(low), -np.inf, low),
+        np.where(np.isnan(high), np.inf, high),
+        position.belts,
+        position.direct,
+    )
+
+
+def sensed_entries(machine: Machine, sensors: SensorSuite | None) -> tuple[Any, ...]:
+    """Return the signals of `observation`."""
+    from .spaces import sensor_signals, state_signals
+
+    if sensors is None:
+        return state_signals(machine)
+    machine = sensors.apply(machine)
+    return sensor_signals(machine, sensors.observed(machine))

@@ -13,6 +13,7 @@ from ...errors import InputError
 from ...registry import Registry
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 Metrics = Literal["reach", "track"]
 
 
@@ -161,3 +162,78 @@ def check_point(label: str, points: Array, workspace: Array) -> None:
     if not np.all(inside):
         (x0, x1), (y0, y1) = workspace
         raise InputError(f"{label} must be (x, y) with x in [{x0:g}, {x1:g}] m and y in [{y0:g}, {y1:g}] m")
+
+
+class ReferenceTrajectories:
+    """Plans of `count` episodes of a task, and the goals that follow from them.
+
+    Args:
+        task: The task.
+        count: Number of environments.
+        period: Control period, s.
+
+    Attributes:
+        elapsed: Control periods since the reset of each environment, shape (count,).
+        moving: Whether goals move.
+    """
+
+    def __init__(self, task: Task, count: int, period: float) -> None:
+        self._task, self._period = task, period
+        self.elapsed = np.zeros(count, np.int64)
+        self.moving = bool(task.ahead_s) or task.metrics == "track"
+        self._plans = np.zeros((count, task.plan_size))
+        self._fixed_goals = np.zeros((count, 2), np.float32)  # goals at reset; all there is if goals do not move
+        self._times = np.array([0.0, *task.ahead_s])
+
+    def begin(self, index: Index, plans: Array) -> None:
+        """Begin episodes of environments index (k,) with plans (k, plan_size)."""
+        self._plans[index] = plans
+        self.elapsed[index] = 0
+        self._fixed_goals[index] = self._task.goal(plans, np.zeros(len(index)))
+
+    def goals(self, index: Index | slice) -> NDArray[np.float32]:
+        """Return the present goals of environments index (k,), m, shape (k, 2), as a new array."""
+        if not self.moving:
+            return np.array(self._fixed_goals[index])
+        return self._task.goal(self._plans[index], self._elapsed_s(index)).astype(np.float32)
+
+    def blank(self) -> dict[str, NDArray[np.float32]]:
+        """Allocate `desired_goal` and `preview` of all environments; goals that do not move are filled in already."""
+        if not self.moving:
+            return {"desired_goal": self._fixed_goals.copy()}
+        count, size = len(self._fixed_goals), 2 * len(self._task.ahead_s)
+        arrays = {"desired_goal": np.empty((count, 2), np.float32)}
+        return arrays | ({"preview": np.empty((count, size), np.float32)} if size else {})
+
+    def write(self, index: Index | slice, observation: dict[str, NDArray[np.float32]]) -> None:
+        """Write goals and previews of environments index (k,) to an observation.
+
+        Args:
+            index: Environments.
+            observation: Output; `desired_goal`, m, shape (count, 2), and `preview`, m, shape (count, 2 * previews): x
+                and y of the next future goal, then of the one after it, ...
+        """
+        if not self.moving:
+            observation["desired_goal"][index] = self._fixed_goals[index]
+            return
+        times = self._elapsed_s(index)[:, None] + self._times
+        goals = self._task.goal(self._plans[index], times).reshape(len(times), -1)
+        observation["desired_goal"][index] = goals[:, :2]
+        if "preview" in observation:
+            observation["preview"][index] = goals[:, 2:]
+
+    def path(self, b: int, elapsed_s: Array) -> NDArray[np.float32]:
+        """Return the goals of environment b at times elapsed_s (n,) after its reset, s, shape (n, 2); none if fixed."""
+        if not self.moving:
+            return np.zeros((0, 2), np.float32)
+        return self._task.goal(self._plans[b : b + 1], elapsed_s[None])[0].astype(np.float32)
+
+    def contour(self, index: Index | slice, tools: Array) -> Array | None:
+        """Return the distances of tools (k, 2) to their paths, m, shape (k,); None for a task without a path."""
+        if self._task.metrics != "track":
+            return None
+        return self._task.contour(self._plans[index], tools, self._elapsed_s(index))
+
+    def _elapsed_s(self, index: Index | slice) -> Array:
+        """Return the times since the reset of environments index (k,), s, shape (k,)."""
+        return np.asarray(self.elapsed[index].astype(np.float64) * self._period)

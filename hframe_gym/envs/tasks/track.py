@@ -26,8 +26,8 @@ class Track(Task):
     """Follow a goal along a path, from rest at its beginning.
 
     The goal speeds up over `lead_s` by v = speed (3 u^2 - 2 u^3), u = t / lead_s, so that its acceleration has no step
-    (at 0.3 m/s and 0.2 s it is at most 2.3 m/s^2, a twentieth of what full voltage gives). At the end of an open path it
-    slows down in the same way. A file with times keeps its times, with straight lines between the points.
+    (at 0.3 m/s and 0.2 s it is at most 2.3 m/s^2, a twentieth of what full voltage gives). At the end of an open path
+    it slows down in the same way. A file with times keeps its times, with straight lines between the points.
 
     Args:
         path: "circle", "square", "lissajous", a tuple of these (one is chosen per episode), or a CSV file of points
