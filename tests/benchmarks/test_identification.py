@@ -1,6 +1,7 @@
 """Test the cache of the identification benchmark, its behavior on exceptions, and what it writes."""
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -75,7 +76,17 @@ def test_only_complete_sets_are_written(tmp_path, monkeypatch):
     json.dumps(written)
 
 
-def test_the_cache_depends_on_the_source_of_the_package():
-    assert identification.source_key() == identification.source_key()
+def test_the_cache_depends_on_the_source_of_the_package(tmp_path, monkeypatch):
     for package in identification.PACKAGES:
         assert list((Path(hframe_gym.__file__).parent / package).glob("*.py")), package
+        (tmp_path / package).mkdir()
+        (tmp_path / package / "module.py").write_text("x = 1\n")
+    monkeypatch.setattr(hframe_gym, "__file__", str(tmp_path / "__init__.py"))
+    keys = [identification.source_key()]
+    for package in identification.PACKAGES:
+        (tmp_path / package / "module.py").write_text("x = 2\n")
+        keys.append(identification.source_key())
+    assert len(set(keys)) == 1 + len(identification.PACKAGES)
+    shutil.rmtree(tmp_path / identification.PACKAGES[0])
+    with pytest.raises(FileNotFoundError, match=r"correct PACKAGES"):
+        identification.source_key()
