@@ -174,7 +174,8 @@ def compare(this: Checkout, other: Checkout, measure: str, repeats: int) -> NDAr
     Returns:
         Rates, 1/s, shape (repeats, 2, 2): pair; this and other checkout; processor and wall time.
     """
-    this.rates(measure), other.rates(measure)
+    this.rates(measure)
+    other.rates(measure)
     pairs = []
     for i in range(repeats):
         # The order alternates as well, so that a drift of the machine's speed cancels.
@@ -208,7 +209,8 @@ def main() -> None:
         cells += [f"{np.median(r):.3f} ({r.min():.3f} to {r.max():.3f})" for r in ratios.T]
         table.add_row(measure, *cells)
         console.print(f"{measure}: {cells[2]}", highlight=False)
-    this.close(), other.close()
+    this.close()
+    other.close()
     console.print(table)
     sys.exit(1 if failed else 0)
 
