@@ -58,6 +58,8 @@ def _function(source: str) -> Function:
         ("def f(x: int) -> int:\n    '''Return x.'''", ["Args", "Returns"]),
         ("def f(x: int) -> None:\n    '''Take x.\n\n    Args:\n        x: Value.\n    '''", []),
         ("def f(self) -> int:\n    '''Return one.\n\n    Returns:\n        One.\n    '''", []),
+        ("@app.command()\ndef f(x: int) -> None:\n    '''Print x.'''", []),
+        ("@app.command()\ndef f(x: int) -> None:\n    print(x)", ["docstring"]),
         ("@property\ndef f(self) -> int:\n    '''Return one.'''", []),
     ],
 )
