@@ -101,8 +101,7 @@ def table_variables(machine: Machine, data: Dataset) -> dict[str, Array]:
 
 
 def _curve(variable_values: Array, values: Array, *, symmetric: bool) -> tuple[float, Array]:
-    """Return the fraction of the mean square that a curve over the variable explains beyond the mean, and the curve's
-    knots.
+    """Return the fraction of the mean square that a curve explains beyond the mean, and the curve's knots.
 
     Args:
         variable_values: Variable, shape (n,).
@@ -193,8 +192,7 @@ def add_tables(
 def _cross_validation(
     current: Fit, scored: ScoredCandidate, scales: TypicalScales, data: Dataset, criteria: SelectionCriteria
 ) -> float:
-    """Return the cost of data that a table was not fitted to, relative to the cost without it, over both halves of the
-    data.
+    """Return the cost of the data that a table was not fitted to, relative to the cost without the table.
 
     Two dozen values fit much that does not exist; a table against the wrong variable does not predict another run.
     """

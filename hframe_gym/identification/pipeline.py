@@ -73,6 +73,7 @@ def identify(
         held_out: Names of the runs to evaluate on. Default: every fourth.
         criteria: Decision thresholds. Default: `SelectionCriteria()`.
         log: Called with a line of text at each stage. Default: nothing is reported.
+        say: Former name of `log`.
 
     Returns:
         Verdict, machines, selected effects and their errors on the held-out runs.
