@@ -146,7 +146,7 @@ def held_belt_angles(machine: Machine) -> dict[str, float]:
     return {
         c.name: max(_HELD_FRICTION * c.coulomb / c.radius**2 / stiffness, _SMALLEST_HELD_ANGLE)
         for c in machine.coordinates
-        if c.kind == "rotary" and c.name in measured and c.name not in machine.sprung
+        if c.kind == "rotary" and c.name in measured and c.name not in machine.spring_loaded
     }
 
 

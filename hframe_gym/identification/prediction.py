@@ -66,12 +66,12 @@ def observer_gains(machine: Machine, period: float) -> Array:
     """
     count = len(machine.coordinates)
     gains = np.zeros((2 * count, len(machine.sensors)))
-    has_motors = any(c.kind == "rotary" for c in machine.coordinates)
+    has_encoders = any(sensor.incremental for sensor in machine.sensors)
     for j, sensor in enumerate(machine.sensors):
         name = sensor.coordinate
         i = machine.coordinate_names.index(name)
-        slow = has_motors and machine.coordinate(name).kind == "linear"
-        bandwidth = _LASER_BANDWIDTH if slow else _ENCODER_BANDWIDTH
+        # A laser beside encoders only corrects what these cannot see.
+        bandwidth = _LASER_BANDWIDTH if has_encoders and not sensor.incremental else _ENCODER_BANDWIDTH
         rate = bandwidth * min(period, _LONGEST_OBSERVER_PERIOD)  # rad per sample
         gains[i, j] = 2 * rate / sensor.row[name]
         gains[count + i, j] = rate**2 / period / sensor.row[name]
@@ -113,7 +113,7 @@ def predict(
     measured = gains = None
     if has_feedback(mode):
         count = len(run.start) // 2
-        encoders = [machine.coordinate(sensor.coordinate).kind == "rotary" for sensor in machine.sensors]
+        encoders = [sensor.incremental for sensor in machine.sensors]
         # Encoders count from where the run starts, wherever the machine puts that.
         displacement = machine.sensor_matrix[:, :count] @ (run_state[:count] - run.start[:count])
         measured = run.outputs + np.where(encoders, displacement, 0.0)
@@ -158,7 +158,7 @@ def initial_state_of_run(machine: Machine, run: PreparedRecording) -> Array:
     if run.zeroed or np.array_equal(tool_position, run.start[: len(run.start) // 2]):
         excluded: list[str | None] = []
         if not run.zeroed:
-            excluded = [machine.site_coordinate(e.site) for e in machine.effects if e.definition.behind]
+            excluded = [machine.coordinate_of_site(e.site) for e in machine.effects if e.definition.rest_angle_offset]
         for i, angle in encoder_angles(machine, run).items():
             if machine.coordinate_names[i] not in excluded:
                 position[i] = angle
@@ -173,8 +173,10 @@ def encoder_angles(machine: Machine, run: PreparedRecording) -> dict[int, float]
         measured_angle = float(run.start[i])
         angles[i] = measured_angle
         for e in machine.effects:
-            if e.definition.behind and machine.site_coordinate(e.site) == machine.coordinate_names[i]:
-                angles[i] += float(e("behind", q=measured_angle, per_radius=1.0 / machine.radii[i]))
+            if e.definition.rest_angle_offset and machine.coordinate_of_site(e.site) == machine.coordinate_names[i]:
+                angles[i] += float(
+                    e("rest_angle_offset", q=measured_angle, per_radius=1.0 / machine.travel_per_unit[i])
+                )
     return angles
 
 
@@ -187,16 +189,19 @@ def position_from_measurements(machine: Machine, run: PreparedRecording) -> Arra
     position = run.start[: len(run.start) // 2].copy()
     names = machine.coordinate_names
     for e in machine.effects:
-        if not e.definition.reading or machine.coordinate(machine.site_coordinate(e.site) or "").kind != "linear":
+        if (
+            not e.definition.measurement
+            or machine.coordinate(machine.coordinate_of_site(e.site) or "").kind != "linear"
+        ):
             continue
         sensor = machine.sensors[machine.output_channels.index(e.site)]
-        index, other = names.index(sensor.coordinate), machine.across(sensor.coordinate)
+        index, other = names.index(sensor.coordinate), machine.other_axis(sensor.coordinate)
         measured = float(position[index])
         across = position[names.index(other)] if other else 0.0
         estimate = measured
         for _ in range(_INVERSION_ITERATIONS):
-            estimate -= float(e("reading", r=estimate, across=across)) - measured
-        if abs(float(e("reading", r=estimate, across=across)) - measured) < _INVERSION_TOLERANCE:
+            estimate -= float(e("measurement", r=estimate, across=across)) - measured
+        if abs(float(e("measurement", r=estimate, across=across)) - measured) < _INVERSION_TOLERANCE:
             position[index] = estimate
     return position
 
