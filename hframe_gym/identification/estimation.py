@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..machine import Machine
 from .dataset import Dataset, PreparedRecording
-from .free_parameters import FreeParameter, default_free_parameters, prior_precision, typical_force, values_at
+from .free_parameters import FreeParameter, default_free_parameters, prior_precision, values_at
 from .linearization import ResidualModel
 from .prediction import SEARCH_STEP, Mode, map_runs, predict, residuals
 
@@ -147,5 +147,4 @@ __all__ = [
     "fit",
     "over_runs",
     "prediction_cost",
-    "typical_force",
 ]

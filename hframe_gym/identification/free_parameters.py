@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..machine import Machine
+from .dataset import typical_force
 
 Array = NDArray[np.float64]
 
@@ -117,15 +118,6 @@ def prior_precision(free: Sequence[FreeParameter]) -> Array:
     return precision
 
 
-def typical_force(machine: Machine) -> float:
-    """Return a tenth of the force of all drives at standstill and rated voltage, N of travel."""
-    total = 0.0
-    for drive in machine.drives:
-        coordinate = machine.coordinate(drive.coordinate)
-        total += drive.gain * drive.rated_voltage / (coordinate.radius if coordinate.kind == "rotary" else 1.0)
-    return 0.1 * total
-
-
 def default_free_parameters(machine: Machine, *, effects: bool = True) -> tuple[FreeParameter, ...]:
     """Return the parameters that identification refits by default.
 
@@ -160,7 +152,7 @@ def _coordinate_parameters(machine: Machine) -> list[FreeParameter]:
     force = typical_force(machine)
     free = []
     for c in machine.coordinates:
-        radius = c.radius if c.kind == "rotary" else 1.0
+        radius = c.travel_per_unit
         free.append(FreeParameter(f"{c.name}.mass", c.mass, prior=_MASS_PRIOR))
         undeclared = {
             "viscous": _UNDECLARED_VISCOUS * force * radius**2,

@@ -21,7 +21,7 @@ from ..dynamics.simulation import Motion
 from ..machine import Machine
 from .dataset import Dataset, PreparedRecording
 from .free_parameters import FreeParameter, parameter_table, values_at
-from .prediction import SEARCH_STEP, Mode, has_feedback, initial_state_of_run, map_runs, predict, residuals
+from .prediction import SEARCH_STEP, Mode, has_feedback, map_runs, predict, residuals
 
 Array = NDArray[np.float64]
 
@@ -262,7 +262,7 @@ class ResidualModel:
         held_angles = {} if has_feedback(self.mode) else held_belt_angles(machine)
         if not held_angles:
             return None
-        initial_state = initial_state_of_run(machine, run)
+        initial_state = run.initial_state(machine)
         initial_states = np.tile(initial_state, (len(held_angles) + 1, 1))
         for k, (name, angle) in enumerate(held_angles.items(), start=1):
             initial_states[k, machine.coordinate_names.index(name)] += angle

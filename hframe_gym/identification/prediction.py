@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from ..dynamics.simulation import Motion, simulate_batch, threads
 from ..machine import Machine
 from .dataset import Dataset, PreparedRecording
-from .initial_state import settled
-from .static_equilibrium import static_equilibrium
+from .rest_measurement import sensor_zero_error
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
@@ -34,8 +33,6 @@ POLISH_STEP = 0.125e-3  # s; an input that changes inside a step costs a microme
 _ENCODER_BANDWIDTH = 60.0
 _LASER_BANDWIDTH = 25.0
 _LONGEST_OBSERVER_PERIOD = 5e-3  # s; limits the observer gains of slowly sampled recordings
-_INVERSION_ITERATIONS = 4  # each leaves a few hundredths of the error
-_INVERSION_TOLERANCE = 1e-6  # m or rad
 _BLOCK_S = 4e-3  # s; measurements respond more slowly than this to mechanical effects
 
 
@@ -101,21 +98,20 @@ def predict(
         parameters: Kernel parameters, shape (batch, parameters); default: those of the machine.
         extra_force: Force on every coordinate, N or Nm, held per sample, shape (batch, n, coordinates).
         extra_measurement: Value added to the sensors' output, channel units, shape (batch, n, sensors).
-        initial_state: Positions and velocities, shape (batch, 2 * coordinates); default: the run's, see
-            `initial_state_of_run`.
+        initial_state: Positions and velocities, shape (batch, 2 * coordinates); default: the machine's in this run.
         longest_step: Maximum integration step, s.
         states: Whether to return positions and velocities too.
 
     Returns:
         Predicted measurements (batch, n, sensors), with positions and velocities (batch, n, coordinates) on request.
     """
-    run_state = initial_state_of_run(machine, run)
+    run_state = run.initial_state(machine)
     measured = gains = None
     if has_feedback(mode):
-        count = len(run.start) // 2
+        start = run.initial.position
         encoders = [sensor.incremental for sensor in machine.sensors]
         # Encoders count from where the run starts, wherever the machine puts that.
-        displacement = machine.sensor_matrix[:, :count] @ (run_state[:count] - run.start[:count])
+        displacement = machine.sensor_matrix[:, : len(start)] @ (run_state[: len(start)] - start)
         measured = run.outputs + np.where(encoders, displacement, 0.0)
         if extra_measurement is not None:
             measured = measured - extra_measurement
@@ -136,85 +132,35 @@ def predict(
     return motion if extra_measurement is None else motion._replace(readings=motion.readings + extra_measurement)
 
 
-def initial_state_of_run(machine: Machine, run: PreparedRecording) -> Array:
-    """Return the state at rest from which a machine predicts a run.
-
-    Lasers determine the tool's position, the static equilibrium of the machine determines the motors' angles.  Encoders
-    whose zero is known beyond the belts' stretch determine their motors' angles instead, with two exceptions while
-    the encoder zeros have not been corrected with a fitted machine: eccentric pulleys, and all motors if an effect
-    changes the tool position that the sensors imply.  In both cases the effect was mistaken for a stretch of the belts.
-
-    Args:
-        machine: Machine that predicts.
-        run: Run whose initial rows are at rest.
-
-    Returns:
-        Positions and zero velocities, shape (2 * coordinates,).
-    """
-    if not machine.belts:
-        return run.start
-    tool_position = position_from_measurements(machine, run)
-    position = static_equilibrium(machine, tool_position)
-    if run.zeroed or np.array_equal(tool_position, run.start[: len(run.start) // 2]):
-        excluded: list[str | None] = []
-        if not run.zeroed:
-            excluded = [machine.coordinate_of_site(e.site) for e in machine.effects if e.definition.rest_angle_offset]
-        for i, angle in encoder_angles(machine, run).items():
-            if machine.coordinate_names[i] not in excluded:
-                position[i] = angle
-    return np.concatenate([position, np.zeros_like(position)])
-
-
-def encoder_angles(machine: Machine, run: PreparedRecording) -> dict[int, float]:
-    """Return, by coordinate index, the angle that an encoder with a known zero gives for an ideal round pulley, rad."""
-    angles: dict[int, float] = {}
-    for j in np.flatnonzero(run.told):
-        i = machine.coordinate_names.index(machine.sensors[j].coordinate)
-        measured_angle = float(run.start[i])
-        angles[i] = measured_angle
-        for e in machine.effects:
-            if e.definition.rest_angle_offset and machine.coordinate_of_site(e.site) == machine.coordinate_names[i]:
-                angles[i] += float(
-                    e("rest_angle_offset", q=measured_angle, per_radius=1.0 / machine.travel_per_unit[i])
-                )
-    return angles
-
-
-def position_from_measurements(machine: Machine, run: PreparedRecording) -> Array:
-    """Return a run's initial positions (coordinates,) with the sensor effects of the machine's lasers inverted.
-
-    The inversion is a fixed-point iteration.  A measurement that no position explains, such as one beyond the end of a
-    sensor's range, leaves the position as it is.
-    """
-    position = run.start[: len(run.start) // 2].copy()
-    names = machine.coordinate_names
-    for e in machine.effects:
-        if (
-            not e.definition.measurement
-            or machine.coordinate(machine.coordinate_of_site(e.site) or "").kind != "linear"
-        ):
-            continue
-        sensor = machine.sensors[machine.output_channels.index(e.site)]
-        index, other = names.index(sensor.coordinate), machine.other_axis(sensor.coordinate)
-        measured = float(position[index])
-        across = position[names.index(other)] if other else 0.0
-        estimate = measured
-        for _ in range(_INVERSION_ITERATIONS):
-            estimate -= float(e("measurement", r=estimate, across=across)) - measured
-        if abs(float(e("measurement", r=estimate, across=across)) - measured) < _INVERSION_TOLERANCE:
-            position[index] = estimate
-    return position
-
-
 def mechanical_rows_per_block(data: Dataset) -> int:
     """Return how many rows may be averaged where only the response to mechanical effects matters."""
     return max(1, round(_BLOCK_S / data.period))
 
 
+def prediction_error(run: PreparedRecording, data: Dataset, measurements: Array) -> Array:
+    """Return measured minus predicted values, less what the sensors' zeros explain.
+
+    Args:
+        run: Measured run.
+        data: Data set of the run, for the sensors' quanta.
+        measurements: Predicted values, shape (batch, n, sensors).
+
+    Returns:
+        Errors in channel units, shape (batch, n, sensors); arbitrary where a value was not measured.
+    """
+    measured = np.isfinite(run.outputs)
+    error: Array = run.outputs - measurements
+    if not measured.all():
+        error = np.where(measured, error, 0.0)
+    max_mean = np.where(data.behind_belts, np.inf, data.quantum / 2)
+    error -= sensor_zero_error(error, measured, run.initial.resting_rows, max_mean)
+    return error
+
+
 def residuals(run: PreparedRecording, data: Dataset, measurements: Array, rows_per_block: int = 1) -> Array:
     """Return measured minus predicted values in units of the noise.
 
-    Each channel's zero is estimated, see `sensor_offsets`.
+    The error that the sensors' zeros explain is removed, see `prediction_error`.
 
     Args:
         run: Measured run.
@@ -230,10 +176,7 @@ def residuals(run: PreparedRecording, data: Dataset, measurements: Array, rows_p
     measured = np.isfinite(run.outputs)
     counted = measured if run.rows is None else measured & run.rows[:, None]
     with np.errstate(over="ignore", invalid="ignore"):  # parameters that make a machine diverge cost infinitely much
-        error = run.outputs - measurements  # (batch, n, sensors)
-        if not measured.all():
-            error = np.where(measured, error, 0.0)
-        error -= sensor_offsets(run, data, error, measured)
+        error = prediction_error(run, data, measurements)
         error *= counted / data.noise
     batch, rows, sensors = error.shape
     if rows_per_block > 1:
@@ -243,32 +186,5 @@ def residuals(run: PreparedRecording, data: Dataset, measurements: Array, rows_p
     return error.reshape(batch, -1)
 
 
-def sensor_offsets(run: PreparedRecording, data: Dataset, error: Array, measured: NDArray[np.bool_]) -> Array:
-    """Return the part of prediction errors that the unknown zeros of the sensors explain.
-
-    It is the mean over the settled rows at rest.  These rows determine the zero of a quantized channel only to within
-    its quantum, so up to half a quantum of the mean error over the whole run is removed too, but not more: with
-    feedback, a constant force shows as just such a mean.  For an encoder behind belts the entire mean is removed,
-    because static friction holds an unknown stretch of the belts at rest.
-
-    Args:
-        run: Measured run.
-        data: Data set of the run.
-        error: Measured minus predicted values, zero where not measured, shape (batch, n, sensors).
-        measured: Which values were measured, shape (n, sensors).
-
-    Returns:
-        Offsets in channel units, shape (batch, 1, sensors).
-    """
-    rest = settled(run.rest)
-    counts = np.maximum(measured.sum(axis=0), 1)
-    at_rest = error[:, rest].sum(axis=1) / np.maximum(measured[rest].sum(axis=0), 1)
-    remaining_mean = error.sum(axis=1) / counts - at_rest * (measured.sum(axis=0) / counts)
-    limit = np.where(data.behind_belts, np.inf, data.quantum / 2)
-    offsets: Array = (at_rest + np.clip(remaining_mean, -limit, limit))[:, None, :]
-    return offsets
-
-
 # Aliases until all packages use the new names.
-position_from_readings = position_from_measurements
 over_runs = map_runs

@@ -12,7 +12,7 @@ from scipy import signal
 from ..dynamics import Equations, net_forces
 from ..machine import Machine
 from .dataset import Dataset, PreparedRecording
-from .prediction import POLISH_STEP, map_runs, observer_gains, predict, sensor_offsets
+from .prediction import POLISH_STEP, map_runs, observer_gains, predict, prediction_error
 
 Array = NDArray[np.float64]
 
@@ -72,9 +72,8 @@ def simulation_error(machine: Machine, run: PreparedRecording, data: Dataset) ->
         Errors in channel units, NaN where not measured, shape (n, sensors).
     """
     motion = predict(machine, run, "simulation", period=data.period, longest_step=POLISH_STEP)
-    measured = np.isfinite(run.outputs)
-    error = np.where(measured, run.outputs - motion.readings, 0.0)  # (1, n, sensors)
-    return np.where(measured, (error - sensor_offsets(run, data, error, measured))[0], np.nan)
+    error = prediction_error(run, data, motion.readings)[0]
+    return np.where(np.isfinite(run.outputs), error, np.nan)
 
 
 def channel_errors(machine: Machine, data: Dataset) -> dict[str, ChannelError]:

@@ -24,7 +24,7 @@ from ..dynamics import Equations, net_forces
 from ..dynamics.simulation import Motion, parameter_batch
 from ..effects import EFFECTS, effect_sites
 from ..machine import AppliedEffect, Effect, Machine
-from .dataset import Dataset, PreparedRecording
+from .dataset import Dataset, PreparedRecording, TypicalScales
 from .estimation import Fit
 from .free_parameters import prior_precision, second_difference_penalty
 from .linearization import DIFFERENCE_STEP, ResidualModel, Responses
@@ -32,7 +32,6 @@ from .prediction import mechanical_rows_per_block, predict
 
 if TYPE_CHECKING:
     from .candidates import Candidate
-    from .typical_scales import TypicalScales
 
 Array = NDArray[np.float64]
 

@@ -41,7 +41,7 @@ def test_fit_recovers_the_parameters_of_the_reference_simulator(hframe: Machine,
 @pytest.mark.unit
 def test_fit_reports_the_cost_of_its_machine(hframe: Machine, data: Dataset) -> None:
     """In one-step mode no initial state is projected out, so the cost is that of a plain prediction."""
-    two_runs = data.only([run.name for run in data.runs[:2]])
+    two_runs = data.with_runs([run.name for run in data.runs[:2]])
     fitted = fit(hframe, default_free_parameters(hframe), two_runs, "one_step", iterations=3)
     assert fitted.cost == pytest.approx(prediction_cost(fitted.machine, two_runs, "one_step"), rel=1e-9)
     assert fitted.cost < prediction_cost(hframe, two_runs, "one_step")
@@ -51,7 +51,7 @@ def test_fit_reports_the_cost_of_its_machine(hframe: Machine, data: Dataset) -> 
 @pytest.mark.unit
 def test_a_tight_prior_keeps_the_declared_parameters(hframe: Machine, data: Dataset) -> None:
     tight = [dataclasses.replace(f, prior=1e-9) for f in default_free_parameters(hframe)]
-    fitted = fit(hframe, tight, data.only([data.runs[0].name]), "one_step")
+    fitted = fit(hframe, tight, data.with_runs([data.runs[0].name]), "one_step")
     for parameter in tight:
         assert fitted.values[parameter.name] == pytest.approx(hframe.parameters[parameter.name], rel=1e-6, abs=1e-9)
     np.testing.assert_allclose(fitted.theta, 0.0, atol=1e-8)
