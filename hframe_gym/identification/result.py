@@ -1,7 +1,8 @@
 """The result of an identification, and the folder of files it is written to.
 
-The folder holds report.json, declared.json, before.json, machine.json, evidence.npz (the curves of the plots) and, where another
-run would distinguish the leading effect from a rival, next_experiment.csv. `report.build_report` adds plots and report.html.
+The folder holds report.json, declared.json, before.json, machine.json, evidence.npz (the curves of the plots) and,
+where another run would distinguish the leading effect from a rival, next_experiment.csv. `report.build_report` adds
+plots and report.html.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from .criteria import SelectionCriteria
 from .dataset import Dataset
 from .experiment_design import FILE, ExperimentDesign
 from .forward_selection import SelectedEffect
-from .residual import ChannelError, Dependence, free_run_error, smooth_force_residual, variables
+from .residual import ChannelError, Dependence, simulation_error, smooth_force_residual, variables
 
 Array = NDArray[np.float64]
 Verdict = Literal["effect_found", "no_effect", "unexplained"]
@@ -107,7 +108,7 @@ class IdentificationResult:
             "effects": [self._effect(selected) for selected in self.effects],
             "residual": {
                 "depends_on": [
-                    {"variable": d.variable, "coordinate": d.coordinate, "share": round(d.share, 4)}
+                    {"variable": d.variable, "coordinate": d.coordinate, "share": round(d.explained, 4)}
                     for d in self.dependence
                 ],
                 "white": self.white,
@@ -171,10 +172,10 @@ def plot_data(result: IdentificationResult) -> dict[str, Array]:
         result: Result of `identify`.
 
     Returns:
-        Arrays by name. ``RUN/time_s`` (n,), ``RUN/measured``, ``RUN/declared``, ``RUN/before`` and ``RUN/after`` (n, sensors): time,
-        measurements and the three machines' simulation errors of each held-out run. ``force/variable``, ``force/before`` and
-        ``force/after`` (m,): residual force of the fitted runs against the variable that it depends on most, thinned.
-        ``coverage/NAME`` (m,): positions, velocities and inputs of the fitted runs, thinned.
+        Arrays by name. ``RUN/time_s`` (n,), ``RUN/measured``, ``RUN/declared``, ``RUN/before`` and ``RUN/after`` (n,
+        sensors): time, measurements and the three machines' simulation errors of each held-out run. ``force/variable``,
+        ``force/before`` and ``force/after`` (m,): residual force of the fitted runs against the variable that it
+        depends on most, thinned. ``coverage/NAME`` (m,): positions, velocities and inputs of the fitted runs, thinned.
     """
     curves: dict[str, Array] = {}
     evaluations = {"declared": result.declared, "before": result.before, "after": result.after}
@@ -182,7 +183,7 @@ def plot_data(result: IdentificationResult) -> dict[str, Array]:
         curves[f"{run.name}/time_s"] = run.time_s
         curves[f"{run.name}/measured"] = run.outputs
         for name, evaluation in evaluations.items():
-            curves[f"{run.name}/{name}"] = free_run_error(evaluation.machine, run, result.held_out)
+            curves[f"{run.name}/{name}"] = simulation_error(evaluation.machine, run, result.held_out)
     if result.dependence:
         strongest = result.dependence[0]
         i = result.declared.machine.coordinate_names.index(strongest.coordinate)
