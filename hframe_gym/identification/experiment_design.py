@@ -76,7 +76,11 @@ class ExperimentDesign:
         )
 
     def as_json(self) -> dict[str, Any]:
-        """Return the entry `next_experiment` of report.json."""
+        """Return the design without its voltages.
+
+        Returns:
+            The entry `next_experiment` of report.json.
+        """
         return {"separates": list(self.separates), "file": FILE, "why": self.why}
 
     def write(self, path: Path, machine: Machine) -> None:

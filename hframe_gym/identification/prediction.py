@@ -4,13 +4,15 @@ Two prediction modes:
 
 - `one_step`: a Luenberger observer feeds the difference of measured and predicted values back into position and
   velocity at every sample.  The error of a wrong model remains local in time.
-- `simulation`: the machine runs from its initial state without feedback.
+- `simulation`: the machine runs from its initial state without feedback.  The stretch that friction held in the belts
+  at the beginning is unknown and is projected out of the residual.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from typing import Literal, TypeVar
 
 import numpy as np
@@ -23,8 +25,7 @@ from .rest_measurement import sensor_zero_error
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
-# The last two are the former names of the modes; they go when no module uses them any more.
-Mode = Literal["one_step", "simulation", "innovations", "free"]
+Mode = Literal["one_step", "simulation"]
 
 SEARCH_STEP = 0.5e-3  # s; integration step of the search
 POLISH_STEP = 0.125e-3  # s; an input that changes inside a step costs a micrometer at twice this step
@@ -33,16 +34,34 @@ POLISH_STEP = 0.125e-3  # s; an input that changes inside a step costs a microme
 _ENCODER_BANDWIDTH = 60.0
 _LASER_BANDWIDTH = 25.0
 _LONGEST_OBSERVER_PERIOD = 5e-3  # s; limits the observer gains of slowly sampled recordings
+# Fraction of the motors' Coulomb friction that typically remains as belt tension when the stage has come to rest.
+_HELD_FRICTION = 0.1
+_SMALLEST_HELD_ANGLE = 1e-6  # rad; keeps the column of a motor without friction away from zero
 _BLOCK_S = 4e-3  # s; measurements respond more slowly than this to mechanical effects
 
 
 def has_feedback(mode: Mode) -> bool:
-    """Return whether a prediction mode feeds measurements back."""
-    return mode in ("one_step", "innovations")
+    """Return whether a prediction mode feeds measurements back.
+
+    Args:
+        mode: "one_step" or "simulation".
+
+    Returns:
+        Whether it does.
+    """
+    return mode == "one_step"
 
 
 def map_runs(function: Callable[[PreparedRecording], T], data: Dataset) -> Iterator[T]:
-    """Apply a function to every run, in parallel threads; results come in the order of the runs."""
+    """Apply a function to every run, in parallel threads.
+
+    Args:
+        function: Function of one run.
+        data: Runs.
+
+    Yields:
+        Results in the order of the runs.
+    """
     count = min(threads(), len(data.runs))
     if count == 1:
         yield from map(function, data.runs)
@@ -133,7 +152,14 @@ def predict(
 
 
 def mechanical_rows_per_block(data: Dataset) -> int:
-    """Return how many rows may be averaged where only the response to mechanical effects matters."""
+    """Return how many rows may be averaged where only the response to mechanical effects matters.
+
+    Args:
+        data: Runs, for their sampling period.
+
+    Returns:
+        Number of rows in 4 ms, at least one.
+    """
     return max(1, round(_BLOCK_S / data.period))
 
 
@@ -186,5 +212,82 @@ def residuals(run: PreparedRecording, data: Dataset, measurements: Array, rows_p
     return error.reshape(batch, -1)
 
 
-# Aliases until all packages use the new names.
-over_runs = map_runs
+@dataclass(frozen=True)
+class InitialStateProjection:
+    """Projection that removes the unknown initial stretch of the belts from residuals.
+
+    Attributes:
+        directions: Orthonormal responses of the residual to the initial state, shape (rows, s).
+        weights: Fraction of each that is removed, between 0 (known by the prior) and 1 (unknown), shape (s,).
+    """
+
+    directions: Array
+    weights: Array
+
+    def __call__(self, residual: Array) -> Array:
+        """Project residuals (batch, rows), so that their squares are the costs at the optimal initial state."""
+        return residual - (residual @ self.directions) * self.weights @ self.directions.T
+
+
+def held_belt_angles(machine: Machine) -> dict[str, float]:
+    """Return the angles that static friction typically holds in the belts at rest.
+
+    Args:
+        machine: Machine with or without belts.
+
+    Returns:
+        Angle in rad by name of each motor coordinate with a sensor; empty without belts.
+    """
+    if not machine.belts:
+        return {}
+    stiffness = float(np.mean([b.EA / b.rest_length for b in machine.belts]))
+    measured = {s.coordinate for s in machine.sensors}
+    return {
+        c.name: max(_HELD_FRICTION * c.coulomb / c.radius**2 / stiffness, _SMALLEST_HELD_ANGLE)
+        for c in machine.coordinates
+        if c.kind == "rotary" and c.name in measured and c.name not in machine.spring_loaded
+    }
+
+
+def initial_state_projection(
+    machine: Machine,
+    run: PreparedRecording,
+    data: Dataset,
+    mode: Mode,
+    *,
+    longest_step: float = SEARCH_STEP,
+    rows_per_block: int = 1,
+) -> InitialStateProjection | None:
+    """Return the projection that removes the unknown initial belt stretch of a run.
+
+    Static friction holds an unknown stretch in the belts when a run begins, which encoders behind belts do not
+    resolve.  Its effect on the measurements is one column per motor and run; with a Gaussian prior of the size that
+    friction can hold, the column is eliminated from residual and Jacobian alike (variable projection).
+
+    Args:
+        machine: Machine that predicts.
+        run: Run to predict.
+        data: Data set of the run.
+        mode: "one_step" or "simulation".
+        longest_step: Maximum integration step, s.
+        rows_per_block: As of `residuals`.
+
+    Returns:
+        The projection, or None in one-step mode (feedback forgets the initial state) and without belts.
+
+    References:
+        Golub and Pereyra (1973), variable projection.
+    """
+    held_angles = {} if has_feedback(mode) else held_belt_angles(machine)
+    if not held_angles:
+        return None
+    initial_states = np.tile(run.initial_state(machine), (len(held_angles) + 1, 1))
+    for k, (name, angle) in enumerate(held_angles.items(), start=1):
+        initial_states[k, machine.coordinate_names.index(name)] += angle
+    motion = predict(machine, run, mode, period=data.period, initial_state=initial_states, longest_step=longest_step)
+    residual = residuals(run, data, motion.readings, rows_per_block)
+    columns = (residual[1:] - residual[0]).T  # (rows, motors), in units of the prior's standard deviation
+    if not np.all(np.isfinite(columns)):
+        return None
+    directions, sizes, _ = np.linalg.svd(columns, full_matrices=False)
+    return InitialStateProjection(directions, 1.0 - 1.0 / np.sqrt(1.0 + sizes**2))

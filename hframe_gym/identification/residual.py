@@ -120,7 +120,16 @@ def force_residual(machine: Machine, run: PreparedRecording, data: Dataset) -> A
 
 
 def smooth_force_residual(machine: Machine, run: PreparedRecording, data: Dataset) -> Array:
-    """Return `force_residual` below 30 Hz, filtered without phase lag, shape (n, coordinates)."""
+    """Return `force_residual` below 30 Hz, filtered without phase lag.
+
+    Args:
+        machine: Machine that predicts.
+        run: Measured run.
+        data: Data set of the run.
+
+    Returns:
+        Force on every coordinate, N or Nm, shape (n, coordinates).
+    """
     return _low_pass(force_residual(machine, run, data), _RESIDUAL_CUTOFF, data.period)
 
 
@@ -218,6 +227,9 @@ def is_white(machine: Machine, data: Dataset) -> bool:
     Args:
         machine: Machine to simulate.
         data: Measured runs.
+
+    Returns:
+        Whether the block means of every channel shrink like those of white noise.
     """
     rows = max(2, round(_WHITENESS_BLOCK_S / data.period))
     errors = [simulation_error(machine, run, data) for run in data.runs]

@@ -221,7 +221,14 @@ def _score(candidate: Candidate, information: Array, gradient: Array, before: Ar
 
 
 def has_no_small_version(effect: Effect) -> bool:
-    """Return whether an effect replaces a part of the machine, so that it cannot be linearized around zero."""
+    """Return whether an effect replaces a part of the machine, so that it cannot be linearized around zero.
+
+    Args:
+        effect: Definition of the effect.
+
+    Returns:
+        True for structural effects and those that replace dry friction.
+    """
     return bool(effect.structure or effect.friction)
 
 

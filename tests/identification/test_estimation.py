@@ -12,7 +12,7 @@ from hframe_gym.identification import Dataset, default_free_parameters, fit, pre
 from hframe_gym.identification.estimation import prediction_cost
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import load_recordings
-from tools.make_examples import TRUTH
+from tools.make_examples import TRUE_RIG
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -29,12 +29,12 @@ def test_fit_recovers_the_parameters_of_the_reference_simulator(hframe: Machine,
     fitted = fit(hframe, default_free_parameters(hframe), data, "simulation", theta=first_fit.theta)
     assert fitted.chi2 < 1.1
     # Voltages determine forces only in units of the first motor's gain.
-    gains = [k * g for k, g in zip(TRUTH.torque_constant, TRUTH.drive_gain, strict=True)]
+    gains = [k * g for k, g in zip(TRUE_RIG.torque_constant, TRUE_RIG.drive_gain, strict=True)]
     unit = gains[0] / hframe.drives[0].Kt
     values = fitted.machine.parameters
     for i, name in enumerate(("x", "y", "phi1", "phi2")):
-        assert values[f"{name}.mass"] * unit == pytest.approx(TRUTH.mass[i], rel=0.01)
-        assert values[f"{name}.coulomb"] * unit == pytest.approx(TRUTH.coulomb[i], rel=0.01)
+        assert values[f"{name}.mass"] * unit == pytest.approx(TRUE_RIG.mass[i], rel=0.01)
+        assert values[f"{name}.coulomb"] * unit == pytest.approx(TRUE_RIG.coulomb[i], rel=0.01)
     assert values["motor2.Kt"] * unit == pytest.approx(gains[1], rel=0.01)
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from hframe_gym.identification import Dataset, prepare
 from hframe_gym.identification.prediction import (
-    has_feedback,
+    initial_state_projection,
     map_runs,
     observer_gains,
     predict,
@@ -110,6 +110,18 @@ def test_results_of_runs_keep_their_order(axis: Machine) -> None:
     assert list(map_runs(lambda run: run.name, data)) == ["long", "short"]
 
 
-def test_only_one_step_prediction_has_feedback() -> None:
-    assert has_feedback("one_step")
-    assert not has_feedback("simulation")
+def test_initial_stretch_is_projected_out_of_a_simulation(hframe: Machine) -> None:
+    """The projection shrinks the directions of the two initial motor angles by their weights."""
+    data = prepare([recorded(hframe)], hframe)
+    projection = initial_state_projection(hframe, data.runs[0], data, "simulation")
+    assert projection is not None
+    np.testing.assert_allclose(projection.directions.T @ projection.directions, np.eye(2), atol=1e-9)
+    assert np.all((projection.weights > 0) & (projection.weights < 1))
+    direction = projection.directions[:, :1].T
+    np.testing.assert_allclose(projection(direction), direction * (1 - projection.weights[0]), atol=1e-9)
+
+
+def test_no_projection_with_feedback_or_without_belts(hframe: Machine, axis: Machine, data: Dataset) -> None:
+    hframe_data = prepare([recorded(hframe)], hframe)
+    assert initial_state_projection(hframe, hframe_data.runs[0], hframe_data, "one_step") is None
+    assert initial_state_projection(axis, data.runs[0], data, "simulation") is None
