@@ -38,7 +38,7 @@ Array = NDArray[np.float64]
 _COLUMNS_AT_ONCE = 64  # bounds the memory of long recordings
 _MIMICKED = 1e-6  # fraction of a column's square below which the machine's parameters explain it entirely
 _RIDGE = 1e-9
-_COULOMB_FRACTION = 1e-4  # of a column's typical amplitude
+_SMALL_FRACTION = 1e-4  # of a column's typical amplitude
 _FITTED_STRUCTURES = 3
 
 
@@ -104,8 +104,8 @@ def candidate_perturbations(
 ) -> Perturbation:
     """Return what all columns of some candidates would add along a motion, in order.
 
-    This is an approximation in two respects: the motion is that of the machine without the candidate, and the
-    machine's present effects do not interact with it.
+    This is an approximation in three respects: the motion is that of the machine without the candidate, the machine's
+    present effects do not interact with it, and forces are held from each sample to the next.
 
     Args:
         machine: Machine that moves.
@@ -126,8 +126,9 @@ def candidate_perturbations(
         effect, columns = members[0].effect, [column for c in members for column in c.columns]
         force = np.zeros((len(columns), *motion.positions.shape[1:]))
         measurement = np.zeros((len(columns), *motion.readings.shape[1:]))
-        # A machine's Coulomb level cannot become negative.  A small amplitude keeps the response linear.
-        fraction = _COULOMB_FRACTION if effect.coulomb else 1.0
+        # A small amplitude keeps the response linear: a Coulomb level cannot become negative, and the force of an
+        # eccentric pulley contains the product of belt travel and lever arm.
+        fraction = _SMALL_FRACTION if effect.coulomb or effect.belt_travel else 1.0
         scales = {name: fraction if name in effect.amplitudes else 1.0 for name in columns[0]}
         parameters = {name: np.array([[scale * column[name]] for column in columns]) for name, scale in scales.items()}
         perturbed = dataclasses.replace(bare, effects=(AppliedEffect(effect, members[0].site, parameters),))
