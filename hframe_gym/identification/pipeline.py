@@ -19,7 +19,7 @@ from .forward_selection import Log, SelectedEffect, Selection, minimum_gain, pru
 from .free_parameters import default_free_parameters
 from .nonparametric import add_tables
 from .prediction import POLISH_STEP, Mode, has_feedback
-from .residual import channel_errors, depends_on, force_error, is_white
+from .residual import channel_errors, force_error, is_white, rank_dependences
 from .result import IdentificationResult, ModelEvaluation, PredictionErrors, Verdict
 from .sensor_properties import Range, blank_saturated, range_effects, saturation_ranges
 
@@ -116,7 +116,7 @@ def identify(
         after=final,
         effects=selected,
         gains={s.effect.label: _held_out_gain(s, corrected, validation, before.mode) for s in selected},
-        dependence=tuple(depends_on(before.machine, data)[:_MAX_DEPENDENCES]),
+        dependence=tuple(rank_dependences(before.machine, data)[:_MAX_DEPENDENCES]),
         white=is_white(corrected, validation),
         fitted=data,
         held_out=validation,
