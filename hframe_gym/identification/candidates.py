@@ -1,7 +1,8 @@
 """The candidates of the search: every effect of the library at every site, at several starting values of its shape.
 
-The library gives sizes relative to the machine (0.3 of the typical force, a tenth of the top speed); `TypicalScales` turns them into
-values. Periods along the travel are candidates where the periodogram of the missing force has its peaks.
+The library gives sizes relative to the machine (0.3 of the typical force, a tenth of the top speed); `TypicalScales`
+turns them into values. Periods along the travel are candidates where the periodogram of the missing force has its
+peaks.
 """
 
 from __future__ import annotations
@@ -16,7 +17,8 @@ from numpy.typing import NDArray
 from ..effects import EFFECTS, effect_sites
 from ..machine import AppliedEffect, Effect, Machine
 from .dataset import Dataset, TypicalScales
-from .estimation import FreeParameter
+from .free_parameters import FreeParameter
+from .screening import has_no_small_version
 from .sensor_properties import UNLIMITED
 
 Array = NDArray[np.float64]
@@ -40,8 +42,8 @@ class Candidate:
     Attributes:
         effect: Definition of the effect.
         site: Where it acts.
-        columns: Parameters of one or more perturbations of typical size, whose weighted sum is the effect; an effect without an
-            amplitude has one, which is the effect itself.
+        columns: Parameters of one or more perturbations of typical size, whose weighted sum is the effect; an effect
+            without an amplitude has one, which is the effect itself.
         scales: Typical sizes at the site, by unit.
     """
 
@@ -82,11 +84,6 @@ class Candidate:
         return self.effect.at(self.site, **{n: float(np.clip(v, *bounds[n])) for n, v in values.items()})
 
 
-def replaces(effect: Effect) -> bool:
-    """Return whether an effect replaces a part of the model, so that it has no small amplitude to linearize around."""
-    return bool(effect.structure or effect.friction)
-
-
 def candidates(
     machine: Machine,
     data: Dataset,
@@ -101,22 +98,24 @@ def candidates(
         machine: Current machine.
         data: Prepared recordings.
         scales: Typical sizes on this machine.
-        missing_force: Position, velocity and missing force by coordinate, shape (n, 3) each, see `residual.missing_force`.
-        slow_friction: Whether to try all long periods of friction along the travel, beside the peaks of the periodogram.
+        missing_force: Position, velocity and missing force by coordinate, shape (n, 3) each, see
+            `residual.missing_force`.
+        slow_friction: Whether to try all long periods of friction along the travel, beside the peaks of the
+            periodogram.
 
     Returns:
         Candidates of effects that act through forces or readings; those that replace a part of the model are in
-        `structural_candidates`.
+        `screening.screen_structures`.
     """
     present = {e.label for e in machine.effects}
     proposed: list[Candidate] = []
     for effect in EFFECTS.values():
-        if replaces(effect) or effect.refitted:
+        if has_no_small_version(effect) or effect.refitted:
             continue
         for site in effect_sites(effect, machine):
             if f"{effect.name}@{site}" in present:
                 continue
-            at_site = scales.of(machine.site_coordinate(site) or "")
+            at_site = scales.of(machine.coordinate_of_site(site) or "")
             for shape in _shapes(effect, site, machine, data, at_site, missing_force, slow_friction):
                 proposed.append(Candidate(effect, site, _columns(effect, shape, at_site), at_site))
     return proposed
@@ -125,7 +124,7 @@ def candidates(
 def _columns(
     effect: Effect, shape: Mapping[str, float], scales: Mapping[str, float]
 ) -> tuple[Mapping[str, float], ...]:
-    """Return the parameters of the perturbations that span the effect at one shape: a sine and a cosine, or each amplitude."""
+    """Return the parameters of the perturbations that span an effect: sine and cosine, or each amplitude."""
     zero = dict.fromkeys(effect.amplitudes, 0.0)
     size = {p.name: p.scale * scales.get(p.unit, 1.0) for p in effect.parameters if p.amplitude}
     phase = next((p.name for p in effect.parameters if p.role == "phase"), None)
@@ -151,7 +150,7 @@ def _shapes(
         if p.role == "shape":
             grids[p.name] = [g * scales.get(p.unit, 1.0) for g in p.grid]
         elif p.role in ("rate", "period"):
-            motion = missing_force[machine.site_coordinate(site) or ""]
+            motion = missing_force[machine.coordinate_of_site(site) or ""]
             rates = periodogram_peaks(motion, friction=effect.coulomb is not None)
             if slow_friction and effect.coulomb:
                 rates = np.concatenate([rates, slow_rates(motion[:, 0])])
@@ -186,8 +185,8 @@ def _range_shapes(j: int, data: Dataset) -> list[Mapping[str, float]]:
 def effect_parameters(effect: AppliedEffect, machine: Machine, scales: TypicalScales) -> tuple[FreeParameter, ...]:
     """Return the free parameters of an effect.
 
-    Parameters that may be zero or negative are fitted linearly, all others as logarithms. Their values are those at theta = 0, except
-    for a table, whose values are theta itself.
+    Parameters that may be zero or negative are fitted linearly, all others as logarithms. Their values are those at
+    theta = 0, except for a table, whose values are theta itself.
 
     Args:
         effect: Effect with its starting values.
@@ -197,7 +196,7 @@ def effect_parameters(effect: AppliedEffect, machine: Machine, scales: TypicalSc
     Returns:
         One free parameter for each that is not fixed.
     """
-    at_site = scales.of(machine.site_coordinate(effect.site) or "")
+    at_site = scales.of(machine.coordinate_of_site(effect.site) or "")
     free = []
     for p in effect.definition.parameters:
         if p.role == "fixed":

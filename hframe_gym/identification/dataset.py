@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..machine import Machine
 from ..recordings import Recording, fill_gaps
+from .free_parameters import typical_force
 from .initial_state import encoder_zero_errors, model_initial_state, refine_offsets
 from .rest_measurement import InitialState, behind_belts, common_encoder_zeros, estimate_initial_state
 from .sensor_properties import sensor_noise, sensor_quantum
@@ -26,7 +27,8 @@ class PreparedRecording:
         name: Name of the run.
         time_s: Sample times, s, shape (n,).
         inputs: Drive voltages, V, shape (n, drives).
-        outputs: Measurements minus the sensors' zeros, in the sensors' units, shape (n, sensors); NaN where not measured.
+        outputs: Measurements minus the sensors' zeros, in the sensors' units, shape (n, sensors); NaN where not
+            measured.
         initial: Measured initial state.
         rows: Rows that count in the residual, shape (n,). Default: all.
     """
@@ -225,18 +227,7 @@ class TypicalScales:
         return {**self.general, **self.by_coordinate.get(coordinate, {})}
 
 
-def typical_force(machine: Machine) -> float:
-    """Return a tenth of the force of all drives together at rated voltage and rest, N of belt travel."""
-    total = 0.0
-    for d in machine.drives:
-        c = machine.coordinate(d.coordinate)
-        total += d.gain * d.rated_voltage / (c.radius if c.kind == "rotary" else 1.0)
-    return 0.1 * total
-
-
-def scales_of_motion(
-    machine: Machine, positions: Array, velocities: Array, inputs: Sequence[Array]
-) -> TypicalScales:
+def scales_of_motion(machine: Machine, positions: Array, velocities: Array, inputs: Sequence[Array]) -> TypicalScales:
     """Return the typical sizes of the quantities in a motion.
 
     Args:
@@ -270,7 +261,7 @@ def scales_of_motion(
         by_coordinate[d.coordinate]["A"] = max(float(np.abs(current).max()), 1e-9)
     general: dict[str, float] = {}
     if machine.belts:
-        rows = np.array([machine.row(b.extension) for b in machine.belts]) * machine.radii
+        rows = np.array([machine.coefficients(b.extension) for b in machine.belts]) * machine.travel_per_unit
         extension = positions @ rows.T  # (n, belts)
         stiffness = np.array([b.EA / b.rest_length for b in machine.belts])
         largest = max(float(np.percentile(np.abs(extension), 99)), 1e-9)

@@ -1,8 +1,8 @@
 """Forward selection of the effects that a machine lacks.
 
-The best candidates of the screening are fitted together with the machine's parameters; the best of them is selected if it reduces
-chi-squared per sample by enough, and the search continues from there. At the end every effect must still be worth its place.
-`SelectionCriteria` states what is enough.
+The best candidates of the screening are fitted together with the machine's parameters; the best of them is selected if
+it reduces chi-squared per sample by enough, and the search continues from there. At the end every effect must still be
+worth its place. `SelectionCriteria` states what is enough.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from .candidates import candidates, effect_parameters
 from .covariance import with_uncertainty
 from .criteria import SelectionCriteria
 from .dataset import Dataset, TypicalScales, scales_of_motion
-from .estimation import Fit, FreeParameter, default_free_parameters, fit, over_runs
-from .prediction import POLISH_STEP, SEARCH_STEP, predict
+from .estimation import Fit, fit
+from .free_parameters import FreeParameter, default_free_parameters
+from .prediction import POLISH_STEP, SEARCH_STEP, has_feedback, map_runs, predict
 from .residual import missing_force
-from .screening import ScoredCandidate, screen
-from .structural_candidates import structural
+from .screening import ScoredCandidate, screen, screen_structures
 
 Array = NDArray[np.float64]
 Log = Callable[[str], None]
 # Integration step by mode, s. In simulation a candidate is compared with the result of a refined fit.
-_STEPS = {"innovations": SEARCH_STEP, "free": POLISH_STEP}
+_STEPS = {"one_step": SEARCH_STEP, "simulation": POLISH_STEP}
 _TRIAL_ITERATIONS, _TRIAL_TOLERANCE = 8, 1e-3  # A trial need not converge fully to be ranked.
-_MODE_NAMES = {"innovations": "one-step prediction", "free": "simulation"}
+_MODE_NAMES = {"one_step": "one-step prediction", "simulation": "simulation"}
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,8 @@ class SelectedEffect:
 
     Attributes:
         effect: The effect with its fitted parameters.
-        rivals: Labels of effects that explain the data equally well, and descriptions of what no recording can distinguish.
+        rivals: Labels of effects that explain the data equally well, and descriptions of what no recording can
+            distinguish.
         gain: Reduction of chi-squared per sample on the fitted runs.
         machine_without: The machine as it was fitted before the effect was added.
         rival_effects: The rivals among the fitted candidates.
@@ -145,21 +146,19 @@ def _trials(current: Fit, data: Dataset, enough: float, criteria: SelectionCrite
         data,
         scales,
         missing_force(current.machine, data),
-        slow_friction=current.mode == "free",
+        slow_friction=not has_feedback(current.mode),
     )
     promising = _promising(screen(current, proposed, data), enough * data.count, criteria)
     trials = [fit_with_candidate(current, scored, scales, data) for scored in promising]
     floor = criteria.one_step_floor
     if not any(t.chi2 - floor < criteria.structural_remainder * (current.chi2 - floor) for t in trials):
         any_useful = max((current.cost - t.cost for t in trials), default=0.0) >= enough * data.count
-        machines = structural(current, data, scales, enough if any_useful else 0.0)
+        machines = screen_structures(current, data, scales, enough if any_useful else 0.0)
         trials += [_replace(current, machine, scales, data) for machine in machines]
     return trials
 
 
-def _promising(
-    ranked: list[ScoredCandidate], enough: float, criteria: SelectionCriteria
-) -> list[ScoredCandidate]:
+def _promising(ranked: list[ScoredCandidate], enough: float, criteria: SelectionCriteria) -> list[ScoredCandidate]:
     """Return the few best candidates, one shape of each effect and site, that may reduce the cost by enough."""
     best: dict[str, ScoredCandidate] = {}
     least = max(criteria.linear_gain_ratio * enough, criteria.min_promise * ranked[0].gain if ranked else 0.0)
@@ -191,7 +190,8 @@ def fit_with_candidate(current: Fit, scored: ScoredCandidate, scales: TypicalSca
 def _replace(current: Fit, machine: Machine, scales: TypicalScales, data: Dataset) -> Fit:
     """Fit a machine in which an effect replaces a part of the model, with default free parameters.
 
-    Where the structure is new, the search starts from the declared parameters: those fitted without the effect compensate for it.
+    Where the structure is new, the search starts from the declared parameters: those fitted without the effect
+    compensate for it.
     """
     effect = machine.effects[-1]
     if effect.definition.structure:
@@ -204,9 +204,7 @@ def _replace(current: Fit, machine: Machine, scales: TypicalScales, data: Datase
     return _trial_fit(machine, tuple(free), theta, current, data)
 
 
-def _trial_fit(
-    machine: Machine, free: tuple[FreeParameter, ...], theta: Array, current: Fit, data: Dataset
-) -> Fit:
+def _trial_fit(machine: Machine, free: tuple[FreeParameter, ...], theta: Array, current: Fit, data: Dataset) -> Fit:
     """Fit a candidate with few iterations, in the mode of the current fit."""
     return fit(
         machine,
@@ -233,9 +231,7 @@ def _converged(trial: Fit, data: Dataset) -> Fit:
     return min(fits, key=lambda candidate_fit: candidate_fit.cost)
 
 
-def _rivals(
-    trials: list[Fit], current: Fit, data: Dataset, criteria: SelectionCriteria
-) -> tuple[AppliedEffect, ...]:
+def _rivals(trials: list[Fit], current: Fit, data: Dataset, criteria: SelectionCriteria) -> tuple[AppliedEffect, ...]:
     """Return the effects of the trials that explain the data as well as the best one."""
     best = trials[0]
     margin = max(
@@ -273,8 +269,8 @@ def prune_effects(
 ) -> Selection:
     """Remove the effects that are not worth their place in the mode of the current fit, weakest first.
 
-    Later effects may make earlier ones superfluous. An effect is also removed if its amplitude is within a few standard deviations
-    of zero. Structural effects are kept, because the other effects act on the coordinates that they add.
+    Later effects may make earlier ones superfluous. An effect is also removed if its amplitude is within a few standard
+    deviations of zero. Structural effects are kept, because the other effects act on the coordinates that they add.
 
     Args:
         current: Fit of the machine with all selected effects.
@@ -348,7 +344,7 @@ def typical_scales(current: Fit, data: Dataset) -> TypicalScales:
         Typical sizes by coordinate and unit.
     """
     motions = list(
-        over_runs(lambda run: predict(current.machine, run, current.mode, period=data.period, states=True), data)
+        map_runs(lambda run: predict(current.machine, run, current.mode, period=data.period, states=True), data)
     )
     positions, velocities = (
         np.concatenate([getattr(m, key)[0] for m in motions]) for key in ("positions", "velocities")

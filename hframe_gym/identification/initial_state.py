@@ -1,7 +1,7 @@
 """The initial state of a run for a given machine.
 
-`rest_measurement` estimates the position from the measurements alone. A machine with effects knows more: an effect on a reading is
-inverted, and pulleys are in static equilibrium with the forces that act at rest.
+`rest_measurement` estimates the position from the measurements alone. A machine with effects knows more: an effect on a
+reading is inverted, and pulleys are in static equilibrium with the forces that act at rest.
 
 Every command takes its initial states from here: identification from `model_initial_state`, ``hframe simulate`` from
 `initial_state_of_recording`.
@@ -15,12 +15,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..dynamics import simulate_batch
+from ..dynamics import effect_forces, simulate_batch
 from ..machine import Machine, rest_state
 from ..machine.linearization import stiffness_matrix
 from ..recordings import Recording
 from .criteria import SelectionCriteria
-from .effect_perturbation import MotionRecord, effects_force
 from .rest_measurement import (
     InitialState,
     count_resting_rows,
@@ -41,8 +40,9 @@ _INVERSION_TOLERANCE = 1e-6  # m
 def static_equilibrium(machine: Machine, position: Array) -> Array:
     """Return the positions at rest under the forces of a machine's effects, with the tool at a given position.
 
-    Static friction carries the load up to the Coulomb level. Any excess force displaced the carriage; it came to rest at the far
-    end of its first swing, at twice the displacement of the excess, or where the belts carry the whole force.
+    Static friction carries the load up to the Coulomb level. Any excess force displaced the carriage; it came to rest
+    at the far end of its first swing, at twice the displacement of the excess, or where the belts carry the whole
+    force.
 
     Args:
         machine: Machine with its effects.
@@ -59,7 +59,7 @@ def static_equilibrium(machine: Machine, position: Array) -> Array:
         return at_rest
     force = _force_at_rest(machine, at_rest)[linear]
     friction = np.array([c.coulomb for c in machine.coordinates])[linear]
-    rotary = ~linear & ~np.isin(names, machine.sprung)
+    rotary = ~linear & ~np.isin(names, machine.spring_loaded)
     stiffness = stiffness_matrix(machine, at_rest)[np.ix_(linear, rotary)]
     carried = np.sign(force) * np.clip(2.0 * (np.abs(force) - friction), 0.0, np.abs(force))
     at_rest[rotary] += np.linalg.lstsq(stiffness, carried, rcond=None)[0]
@@ -69,22 +69,16 @@ def static_equilibrium(machine: Machine, position: Array) -> Array:
 def _force_at_rest(machine: Machine, position: Array) -> Array:
     """Return the force of the effects on each coordinate of a machine at rest (coordinates,), N or Nm."""
     positions = np.tile(position, (2, 1))
-    motion = MotionRecord(
-        np.array([0.0, 1e-3]),
-        np.zeros((2, len(machine.drives))),
-        positions,
-        np.zeros_like(positions),
-        np.zeros((2, len(machine.sensors))),
-    )
-    return effects_force(machine, motion)[0]
+    inputs = np.zeros((2, len(machine.drives)))
+    return np.asarray(effect_forces(machine, np.array([0.0, 1e-3]), positions, np.zeros_like(positions), inputs)[0])
 
 
 def model_initial_state(machine: Machine, initial: InitialState) -> Array:
     """Return the initial state of a machine whose effects change the static equilibrium or the sensors' readings.
 
-    Encoders with a known zero determine the angles of their pulleys; the other pulleys are in static equilibrium. So are an
-    eccentric pulley, and all pulleys where an effect changes the reading of a laser, until a machine with that effect has refined
-    the zeros: before, the apparent stretch of the belts was the effect.
+    Encoders with a known zero determine the angles of their pulleys; the other pulleys are in static equilibrium. So
+    are an eccentric pulley, and all pulleys where an effect changes the reading of a laser, until a machine with that
+    effect has refined the zeros: before, the apparent stretch of the belts was the effect.
 
     Args:
         machine: Machine with its effects; structural effects may have added coordinates.
@@ -98,7 +92,7 @@ def model_initial_state(machine: Machine, initial: InitialState) -> Array:
     measured = position_from_measurements(machine, initial)
     position = static_equilibrium(machine, measured)
     if initial.offsets_refined or np.array_equal(measured, initial.position):
-        eccentric = [machine.site_coordinate(e.site) for e in machine.effects if e.definition.behind]
+        eccentric = [machine.coordinate_of_site(e.site) for e in machine.effects if e.definition.rest_angle_offset]
         for i, angle in encoder_angles(machine, initial).items():
             if initial.offsets_refined or machine.coordinate_names[i] not in eccentric:
                 position[i] = angle
@@ -122,16 +116,16 @@ def encoder_angles(machine: Machine, initial: InitialState) -> dict[int, float]:
         i = machine.coordinate_names.index(machine.sensors[j].coordinate)
         angles[i] = measured = float(initial.state[i])
         for e in machine.effects:
-            if e.definition.behind and machine.site_coordinate(e.site) == machine.coordinate_names[i]:
-                angles[i] += float(e("behind", q=measured, per_radius=1.0 / machine.radii[i]))
+            if e.definition.rest_angle_offset and machine.coordinate_of_site(e.site) == machine.coordinate_names[i]:
+                angles[i] += float(e("rest_angle_offset", q=measured, per_radius=1.0 / machine.travel_per_unit[i]))
     return angles
 
 
 def position_from_measurements(machine: Machine, initial: InitialState) -> Array:
     """Return the positions at rest for which a machine's lasers read what was measured.
 
-    The effects on the readings (skew, scale) are inverted. A reading beyond the end of a sensor's range has no inverse; there
-    other sensors determined the position, and it is kept.
+    The effects on the readings (skew, scale) are inverted. A reading beyond the end of a sensor's range has no inverse;
+    there other sensors determined the position, and it is kept.
 
     Args:
         machine: Machine with its effects.
@@ -143,15 +137,15 @@ def position_from_measurements(machine: Machine, initial: InitialState) -> Array
     position = initial.position.copy()
     names = machine.coordinate_names
     for e in machine.effects:
-        if not e.definition.reading or machine.sensor(e.site).incremental:
+        if not e.definition.measurement or machine.sensor(e.site).incremental:
             continue
         sensor = machine.sensor(e.site)
-        i, other = names.index(sensor.coordinate), machine.across(sensor.coordinate)
+        i, other = names.index(sensor.coordinate), machine.other_axis(sensor.coordinate)
         measured, across = float(position[i]), position[names.index(other)] if other else 0.0
         inverse = measured
         for _ in range(_INVERSION_STEPS):
-            inverse -= float(e("reading", r=inverse, across=across)) - measured
-        if abs(float(e("reading", r=inverse, across=across)) - measured) < _INVERSION_TOLERANCE:
+            inverse -= float(e("measurement", r=inverse, across=across)) - measured
+        if abs(float(e("measurement", r=inverse, across=across)) - measured) < _INVERSION_TOLERANCE:
             position[i] = inverse
     return position
 
@@ -159,9 +153,9 @@ def position_from_measurements(machine: Machine, initial: InitialState) -> Array
 def encoder_zero_errors(machine: Machine, initial: Sequence[InitialState]) -> Array:
     """Return by how much the known zeros of the encoders are wrong according to a fitted machine.
 
-    `common_encoder_zeros` assumes that the belts are unstretched on average. A force that acts at rest, from a cable or a tilt,
-    stretches them in one direction, and a machine with that force predicts by how much. The error is the median over the runs of
-    the measured angle minus the angle in static equilibrium; friction adds to it in either direction.
+    `common_encoder_zeros` assumes that the belts are unstretched on average. A force that acts at rest, from a cable or
+    a tilt, stretches them in one direction, and a machine with that force predicts by how much. The error is the median
+    over the runs of the measured angle minus the angle in static equilibrium; friction adds to it in either direction.
 
     Args:
         machine: Fitted machine.
@@ -206,9 +200,10 @@ def refine_offsets(initial: InitialState, machine: Machine, errors: Array) -> In
 def initial_state_of_recording(machine: Machine, recording: Recording) -> InitialState:
     """Determine the initial state from which a machine is simulated over a recording.
 
-    This is the initial state that identification uses, for a single run: measurements beyond a sensor's range do not count, effects
-    on readings are inverted, pulleys are in static equilibrium. The offsets are those of the simulation from that state, so that
-    `simulate(..., offset=initial.offset)` minus the recording is the error that identification reports.
+    This is the initial state that identification uses, for a single run: measurements beyond a sensor's range do not
+    count, effects on readings are inverted, pulleys are in static equilibrium. The offsets are those of the simulation
+    from that state, so that `simulate(..., offset=initial.offset)` minus the recording is the error that identification
+    reports.
 
     Args:
         machine: Machine, declared or identified.

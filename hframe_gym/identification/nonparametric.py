@@ -1,7 +1,7 @@
 """Nonparametric candidates: a table of a force or a friction level against one variable.
 
-They are the fallback for what no effect of the library explains. The missing force of every coordinate is compared with every
-variable; the best pairs become candidates. The report names a table as a table, not as a physical effect.
+They are the fallback for what no effect of the library explains. The missing force of every coordinate is compared with
+every variable; the best pairs become candidates. The report names a table as a table, not as a physical effect.
 """
 
 from __future__ import annotations
@@ -16,10 +16,9 @@ from ..machine import Machine
 from .candidates import Candidate
 from .criteria import SelectionCriteria
 from .dataset import Dataset, PreparedRecording, TypicalScales
-from .effect_perturbation import MotionRecord, variable
-from .estimation import Fit, cost_of, fit, over_runs
+from .estimation import Fit, fit, prediction_cost
 from .forward_selection import Log, SelectedEffect, Selection, describe_gain, fit_with_candidate, typical_scales
-from .prediction import predict
+from .prediction import map_runs, predict
 from .residual import missing_force
 from .screening import ScoredCandidate, screen
 
@@ -54,8 +53,8 @@ def table_candidates(
         criteria: Decision thresholds.
 
     Returns:
-        For each coordinate the best tables, and one against time: a force that is missing on one coordinate shows on the others
-        too, and the position of a run distinguishes runs as well as time does.
+        For each coordinate the best tables, and one against time: a force that is missing on one coordinate shows on
+        the others too, and the position of a run distinguishes runs as well as time does.
     """
     motion_and_force = missing_force(machine, data)
     variables = table_variables(machine, data)
@@ -64,7 +63,7 @@ def table_candidates(
         force, direction = motion[:, 2], np.sign(motion[:, 1])
         if not np.any(force):
             continue
-        power = float(np.mean(force**2)) * (machine.radii[machine.coordinate_names.index(site)] ** -2)
+        power = float(np.mean(force**2)) * (machine.travel_per_unit[machine.coordinate_names.index(site)] ** -2)
         for name, values in variables.items():
             for kind, curve in (("smooth_force", force), ("smooth_friction", -force * direction)):
                 fraction, knots = _curve(values, curve, symmetric=name.startswith("velocity"))
@@ -88,20 +87,23 @@ def table_variables(machine: Machine, data: Dataset) -> dict[str, Array]:
     Returns:
         Positions, velocities and distances travelled of the coordinates and the time, along all runs, shape (n,) each.
     """
-    quantities = ("position", "velocity", "path")
-    names = [f"{quantity} of {c}" for quantity in quantities for c in machine.coordinate_names] + ["time"]
 
     def in_run(run: PreparedRecording) -> dict[str, Array]:
-        motion = predict(machine, run, "innovations", period=data.period, states=True)
-        record = MotionRecord(run.time_s, run.inputs, *(part[0] for part in motion))
-        return {name: variable(machine, definition(f"smooth_force[{name}]"), record) for name in names}
+        motion = predict(machine, run, "one_step", period=data.period, states=True)
+        values: dict[str, Array] = {}
+        for i, c in enumerate(machine.coordinate_names):
+            position = motion.positions[0, :, i]
+            values[f"position of {c}"] = position
+            values[f"velocity of {c}"] = motion.velocities[0, :, i]
+            values[f"path of {c}"] = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(position)))])
+        return values | {"time": run.time_s}
 
-    parts = list(over_runs(in_run, data))
-    return {name: np.concatenate([part[name] for part in parts]) for name in names}
+    parts = list(map_runs(in_run, data))
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
 def _curve(variable_values: Array, values: Array, *, symmetric: bool) -> tuple[float, Array]:
-    """Return the fraction of the mean square that a curve over the variable explains beyond the mean, and the curve's knots.
+    """Return the fraction of the mean square that a curve explains beyond the mean, and the curve's knots.
 
     Args:
         variable_values: Variable, shape (n,).
@@ -192,7 +194,7 @@ def add_tables(
 def _cross_validation(
     current: Fit, scored: ScoredCandidate, scales: TypicalScales, data: Dataset, criteria: SelectionCriteria
 ) -> float:
-    """Return the cost of data that a table was not fitted to, relative to the cost without it, over both halves of the data.
+    """Return the cost of the data that a table was not fitted to, relative to the cost without the table.
 
     Two dozen values fit much that does not exist; a table against the wrong variable does not predict another run.
     """
@@ -201,13 +203,13 @@ def _cross_validation(
     with_table = without_table = 0.0
     for fitted, validation in (halves, halves[::-1]):
         trial = fit_with_candidate(current, scored, scales, fitted)
-        with_table += cost_of(trial.machine, validation, current.mode)
-        without_table += cost_of(current.machine, validation, current.mode)
+        with_table += prediction_cost(trial.machine, validation, current.mode)
+        without_table += prediction_cost(current.machine, validation, current.mode)
     return with_table / without_table
 
 
 def _halves(data: Dataset, *, by_run: bool, blocks: int) -> tuple[Dataset, Dataset]:
-    """Return every other run and the rest; or every other part of each run, where there is one run or runs differ in the variable."""
+    """Return every other run and the rest; or, for one run or where runs differ in the variable, every other part."""
     if by_run and len(data.runs) > 1:
         names = [run.name for run in data.runs]
         return data.with_runs(names[0::2]), data.with_runs(names[1::2])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -13,12 +13,13 @@ from ..recordings import Recording
 from .covariance import with_uncertainty
 from .criteria import SelectionCriteria
 from .dataset import Dataset, prepare, refine_encoder_offsets, with_all_measurements
-from .estimation import Fit, default_free_parameters, fit
+from .estimation import Fit, fit
 from .experiment_design import design_discriminating_experiment
 from .forward_selection import Log, SelectedEffect, Selection, minimum_gain, prune_effects, select_effects
+from .free_parameters import default_free_parameters
 from .nonparametric import add_tables
-from .prediction import POLISH_STEP, Mode
-from .residual import channel_errors, depends_on, force_error, is_white
+from .prediction import POLISH_STEP, Mode, has_feedback
+from .residual import channel_errors, force_error, is_white, rank_dependences
 from .result import IdentificationResult, ModelEvaluation, PredictionErrors, Verdict
 from .sensor_properties import Range, blank_saturated, range_effects, saturation_ranges
 
@@ -46,8 +47,8 @@ def hold_out(recordings: Sequence[Recording], chosen: Sequence[str] = ()) -> tup
     kept = tuple(chosen) or tuple(names[_HOLD_OUT_EVERY - 1 :: _HOLD_OUT_EVERY]) or tuple(names[-1:])
     if len(set(kept)) >= len(names):
         raise InputError(
-            f"{len(names)} run(s), {len(set(kept))} held out: at least one must be left to fit; split the recording into "
-            "several runs or hold out fewer"
+            f"{len(names)} run(s), {len(set(kept))} held out: at least one must be left to fit; split the "
+            "recording into several runs or hold out fewer"
         )
     return kept
 
@@ -63,8 +64,8 @@ def identify(
 ) -> IdentificationResult:
     """Identify the effects that a machine's model lacks.
 
-    The machine's parameters are fitted to the recordings. Effects are selected that reduce the remaining error, and declared,
-    refitted and corrected machine are evaluated by simulating the held-out runs, which nothing was fitted to.
+    The machine's parameters are fitted to the recordings. Effects are selected that reduce the remaining error, and
+    declared, refitted and corrected machine are evaluated by simulating the held-out runs, which nothing was fitted to.
 
     Args:
         recordings: Runs of one rig, at least two.
@@ -72,6 +73,7 @@ def identify(
         held_out: Names of the runs to evaluate on. Default: every fourth.
         criteria: Decision thresholds. Default: `SelectionCriteria()`.
         log: Called with a line of text at each stage. Default: nothing is reported.
+        say: Former name of `log`.
 
     Returns:
         Verdict, machines, selected effects and their errors on the held-out runs.
@@ -87,7 +89,7 @@ def identify(
     validation = with_all_measurements(everything.with_runs(kept), recordings)
     data = everything.with_runs([r.name for r in recordings if r.name not in kept])
     log(f"fitting {machine.name} to {len(data.runs)} runs, {len(validation.runs)} held out")
-    base = fit(machine, default_free_parameters(machine), data, "innovations")
+    base = fit(machine, default_free_parameters(machine), data, "one_step")
     before = _refined(base, data, _mode(base, data, criteria))
     log(f"refitted machine: chi-squared per sample {base.chi2:.4g} (one-step prediction)")
     if _simulates(before):
@@ -114,7 +116,7 @@ def identify(
         after=final,
         effects=selected,
         gains={s.effect.label: _held_out_gain(s, corrected, validation, before.mode) for s in selected},
-        dependence=tuple(depends_on(before.machine, data)[:_MAX_DEPENDENCES]),
+        dependence=tuple(rank_dependences(before.machine, data)[:_MAX_DEPENDENCES]),
         white=is_white(corrected, validation),
         fitted=data,
         held_out=validation,
@@ -127,7 +129,7 @@ def identify(
 def _prepare(
     recordings: Sequence[Recording], machine: Machine, criteria: SelectionCriteria, log: Log
 ) -> tuple[Dataset, dict[str, Range]]:
-    """Prepare all recordings without saturated measurements; return them and the ranges of the sensors that saturate."""
+    """Return all recordings without saturated measurements, and the ranges of the sensors that saturate."""
     everything = prepare(recordings, machine)
     ranges = saturation_ranges(recordings, machine, everything.noise, criteria)
     if ranges:
@@ -144,7 +146,7 @@ def _prepare(
 def _corrected(
     after: Fit, selected: tuple[SelectedEffect, ...], ranges: dict[str, Range], data: Dataset, name: str
 ) -> tuple[Machine, tuple[SelectedEffect, ...]]:
-    """Return the machine with its uncertainty and the ranges of saturated sensors, one range per sensor, and all its effects."""
+    """Return the machine with its uncertainty and one range per saturated sensor, and all its effects."""
     fitted = with_uncertainty(after, data).replace(name=name)
     limits = range_effects(ranges, [s.effect for s in selected])
     labels = {e.label for e in limits}
@@ -156,7 +158,7 @@ def _corrected(
 
 def _simulates(fitted: Fit) -> bool:
     """Return whether a fit is one of the simulation, not of the one-step prediction."""
-    return fitted.mode == "free"
+    return not has_feedback(fitted.mode)
 
 
 def _mode(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> Mode:
@@ -168,7 +170,7 @@ def _mode(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> Mode:
         rmse = errors[channel].rmse
         if rmse is not None:
             largest = max(largest, rmse / max(float(np.nanstd(values)), 1e-12))
-    return "free" if largest < criteria.max_drift else "innovations"
+    return "simulation" if largest < criteria.max_drift else "one_step"
 
 
 def _refined(fitted: Fit, data: Dataset, mode: Mode) -> Fit:
@@ -195,7 +197,7 @@ class _Search:
         self._close = self._simulation and before.chi2 < criteria.max_simulation_chi2
 
     def run(self) -> tuple[Verdict, Fit, tuple[SelectedEffect, ...]]:
-        """Return verdict, fit and effects: effects of the library if they explain the residual, else a table, else nothing."""
+        """Return verdict, fit and effects; tables are tried where no known effects explain the residual."""
         base, before, criteria = self._base, self._before, self._criteria
         min_gain = criteria.min_gain_one_step
         if not self._simulation:
@@ -246,7 +248,7 @@ class _Search:
         return gain < minimum_gain(current, self._criteria.min_gain_simulation, self._criteria)
 
     def _with_tables(self, selected: Selection, after: Fit) -> Selection | None:
-        """Return a model with a table alone, or with tables beside the selected effects, if it explains the residual."""
+        """Return a model with tables, alone or beside the selected effects, if it explains the residual."""
         criteria, data, log = self._criteria, self._data, self._log
         log("no known effect explains the residual; searching for a table of force or friction")
         for start, effects, count in ((self._base, (), 1), (*selected, 2)):
@@ -281,11 +283,12 @@ def _errors(machine: Machine, data: Dataset) -> PredictionErrors:
 def _held_out_gain(selected: SelectedEffect, machine: Machine, validation: Dataset, mode: Mode) -> float:
     """Return the fraction of the held-out squared error that this effect alone removes.
 
-    The error is that of the simulation; where the simulation drifts, it is the error of the drives' force, if the machine has one.
+    The error is that of the simulation; where the simulation drifts, it is the error of the drives' force, if the
+    machine has one.
     """
 
     def squared_error(m: Machine) -> float:
-        force = force_error(m, validation) if mode == "innovations" else None
+        force = force_error(m, validation) if has_feedback(mode) else None
         if force is not None:
             return force**2
         ratios = [e.noise_ratio for e in channel_errors(m, validation).values() if e.noise_ratio is not None]

@@ -1,8 +1,8 @@
 """What the sensors of a run measure at rest: the position and the zero of every sensor.
 
-A recording begins at rest; the rows before the first input change measure the position there. Sensors with a fixed zero (lasers)
-determine the position of the tool. The pulleys follow from unstretched belts or from encoders whose zero is known. What a sensor
-measures at rest beyond the reading of that state is its zero.
+A recording begins at rest; the rows before the first input change measure the position there. Sensors with a fixed zero
+(lasers) determine the position of the tool. The pulleys follow from unstretched belts or from encoders whose zero is
+known. What a sensor measures at rest beyond the reading of that state is its zero.
 """
 
 from __future__ import annotations
@@ -19,7 +19,9 @@ from ..machine import Machine
 from ..recordings import Recording
 
 Array = NDArray[np.float64]
-_MIN_RUNS_FOR_ZERO = 3  # Runs needed to tell an encoder that keeps its zero from one that was switched on for every run.
+_MIN_RUNS_FOR_ZERO = (
+    3  # Runs needed to tell an encoder that keeps its zero from one that was switched on for every run.
+)
 _FALLBACK_WEIGHT = 1e-6  # Weight of an encoder with an unknown zero: used only where no other sensor measures.
 _MIN_STRETCH = 0.1e-3  # rad; zeros that scatter by less show no stretch of the belts.
 
@@ -32,8 +34,8 @@ class InitialState:
         state: Positions and velocities at rest, in the coordinates' units, shape (2 * coordinates,).
         offset: Measurement minus reading of the state, the sensors' zeros, shape (sensors,).
         resting_rows: Number of rows at rest at the beginning of the run.
-        offset_known: Whether a sensor is an encoder that kept its zero in all runs and measures the stretch of the belts, shape
-            (sensors,).
+        offset_known: Whether a sensor is an encoder that kept its zero in all runs and measures the stretch of the
+            belts, shape (sensors,).
         offsets_refined: Whether a fitted machine has corrected the encoders' zeros.
         position_measured: Whether sensors with a known zero measure the position at rest.
         warnings: What could not be measured and what is assumed instead, one sentence each.
@@ -91,10 +93,10 @@ def settled_rows(resting_rows: int) -> slice:
 def estimate_initial_state(recording: Recording, machine: Machine, zeros: EncoderZeros | None = None) -> InitialState:
     """Estimate the state at rest and the sensors' zeros from the measurements of one run.
 
-    Sensors with a fixed zero determine the position where they can, encoders where their zero is known or where nothing else
-    measures. The belts are unstretched unless encoders with a known zero measure their stretch. A sensor with a fixed zero that
-    measures nothing at rest, for example because it saturates, is replaced by its later measurements minus the displacement that
-    the encoders measure.
+    Sensors with a fixed zero determine the position where they can, encoders where their zero is known or where nothing
+    else measures. The belts are unstretched unless encoders with a known zero measure their stretch. A sensor with a
+    fixed zero that measures nothing at rest, for example because it saturates, is replaced by its later measurements
+    minus the displacement that the encoders measure.
 
     Args:
         recording: The run; saturated measurements are NaN.
@@ -127,7 +129,7 @@ def estimate_initial_state(recording: Recording, machine: Machine, zeros: Encode
         usable |= replaced
         warnings = (_position_warning(recording, machine, fixed & ~measured, replaced),)
     # An angle is as accurate as a length once it is multiplied by the radius.
-    weight = np.where(fixed | (known & ~zeros.stretched), machine.radii[site], _FALLBACK_WEIGHT)
+    weight = np.where(fixed | (known & ~zeros.stretched), machine.travel_per_unit[site], _FALLBACK_WEIGHT)
     position = np.zeros(count)
     if usable.any():
         weighted = weight[usable, None] * seen[usable]
@@ -149,9 +151,9 @@ def rigid_motions(machine: Machine) -> Array:
     """Return a basis of the displacements that stretch neither belts nor springs, shape (coordinates, motions)."""
     if not machine.belts:
         return np.eye(len(machine.coordinates))
-    constraints = [machine.row(b.extension) for b in machine.belts]
-    constraints += [machine.row({name: 1.0}) for name in machine.sprung]
-    return np.asarray(null_space(np.array(constraints)) / machine.radii[:, None])
+    constraints = [machine.coefficients(b.extension) for b in machine.belts]
+    constraints += [machine.coefficients({name: 1.0}) for name in machine.spring_loaded]
+    return np.asarray(null_space(np.array(constraints)) / machine.travel_per_unit[:, None])
 
 
 def _rank(rows: Array) -> int:
@@ -162,7 +164,8 @@ def _rank(rows: Array) -> int:
 def _later_measurements(recording: Recording, at_rest: Array, machine: Machine, rigid: Array) -> Array:
     """Return what each sensor would have measured at rest, from its later rows (sensors,); NaN where they do not tell.
 
-    The encoders measure the displacement since then; the median over all rows is insensitive to the stretch of the belts.
+    The encoders measure the displacement since then; the median over all rows is insensitive to the stretch of the
+    belts.
     """
     unknown = np.full(len(machine.sensors), np.nan)
     encoders = np.array([s.incremental for s in machine.sensors]) & np.isfinite(at_rest)
@@ -184,20 +187,21 @@ def _position_warning(
     channels = np.array(machine.output_channels)
     if silent.any() and np.array_equal(silent, replaced):
         return (
-            f"{recording.name}: {', '.join(channels[silent])} measures nothing at rest; the initial position follows from its "
-            "later measurements and the encoders."
+            f"{recording.name}: {', '.join(channels[silent])} measures nothing at rest; its initial position follows "
+            "from later measurements and the encoders."
         )
     return (
-        f"{recording.name}: the initial position cannot be determined, because no sensor with a known zero measures it. The "
-        "encoders are assumed to count from the machine's zero, and positions without any measurement are assumed to be 0."
+        f"{recording.name}: the initial position cannot be determined, because no sensor with a known zero "
+        "measures it; the encoders are assumed to count from the machine's zero, and positions without any measurement "
+        "are assumed to be 0."
     )
 
 
 def common_encoder_zeros(initial: Sequence[InitialState], machine: Machine, quanta: Array) -> EncoderZeros:
     """Find the encoders that kept their zero in all runs of a session.
 
-    If an encoder's zero differs from run to run by no more than the stretch of the belts that friction can hold, the encoder kept
-    its zero; an encoder that was switched on for every run differs by turns.
+    If an encoder's zero differs from run to run by no more than the stretch of the belts that friction can hold, the
+    encoder kept its zero; an encoder that was switched on for every run differs by turns.
 
     Args:
         initial: Initial states of the runs, with unknown zeros.
@@ -232,10 +236,10 @@ def _mean_stiffness(machine: Machine) -> float:
 def sensor_zero_error(error: Array, measured: NDArray[np.bool_], resting_rows: int, max_mean: Array) -> Array:
     """Return the part of a prediction error that the sensors' zeros explain.
 
-    It is the mean over the settled resting rows, because a sensor counts from where it was switched on. Those rows determine the
-    zero of a quantized channel only to within its quantum, so up to half a quantum of the mean over the whole run is added; not
-    more, because in one-step prediction a constant force causes such a mean. An encoder behind belts loses its whole mean: friction
-    holds an unknown stretch of the belts at rest.
+    It is the mean over the settled resting rows, because a sensor counts from where it was switched on. Those rows
+    determine the zero of a quantized channel only to within its quantum, so up to half a quantum of the mean over the
+    whole run is added; not more, because in one-step prediction a constant force causes such a mean. An encoder behind
+    belts loses its whole mean: friction holds an unknown stretch of the belts at rest.
 
     Args:
         error: Measured minus predicted, 0 where not measured, shape (batch, n, sensors).
@@ -254,7 +258,7 @@ def sensor_zero_error(error: Array, measured: NDArray[np.bool_], resting_rows: i
 
 
 def max_zero_means(machine: Machine, quanta: Array) -> Array:
-    """Return the part of a run's mean error that each sensor's zero may explain: half a quantum, anything behind belts."""
+    """Return the part of a run's mean error that a zero may explain: half a quantum, or anything behind belts."""
     return np.where(behind_belts(machine), np.inf, quanta / 2)
 
 

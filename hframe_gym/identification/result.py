@@ -1,7 +1,8 @@
 """The result of an identification, and the folder of files it is written to.
 
-The folder holds report.json, declared.json, before.json, machine.json, evidence.npz (the curves of the plots) and, where another
-run would distinguish the leading effect from a rival, next_experiment.csv. `report.build_report` adds plots and report.html.
+The folder holds report.json, declared.json, before.json, machine.json, evidence.npz (the curves of the plots) and,
+where another run would distinguish the leading effect from a rival, next_experiment.csv. `report.build_report` adds
+plots and report.html.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from .criteria import SelectionCriteria
 from .dataset import Dataset
 from .experiment_design import FILE, ExperimentDesign
 from .forward_selection import SelectedEffect
-from .residual import ChannelError, Dependence, free_run_error, smooth_force_residual, variables
+from .residual import ChannelError, Dependence, dependence_variables, simulation_error, smooth_force_residual
 
 Array = NDArray[np.float64]
 Verdict = Literal["effect_found", "no_effect", "unexplained"]
@@ -107,7 +108,7 @@ class IdentificationResult:
             "effects": [self._effect(selected) for selected in self.effects],
             "residual": {
                 "depends_on": [
-                    {"variable": d.variable, "coordinate": d.coordinate, "share": round(d.share, 4)}
+                    {"variable": d.variable, "coordinate": d.coordinate, "share": round(d.explained, 4)}
                     for d in self.dependence
                 ],
                 "white": self.white,
@@ -171,10 +172,10 @@ def plot_data(result: IdentificationResult) -> dict[str, Array]:
         result: Result of `identify`.
 
     Returns:
-        Arrays by name. ``RUN/time_s`` (n,), ``RUN/measured``, ``RUN/declared``, ``RUN/before`` and ``RUN/after`` (n, sensors): time,
-        measurements and the three machines' simulation errors of each held-out run. ``force/variable``, ``force/before`` and
-        ``force/after`` (m,): residual force of the fitted runs against the variable that it depends on most, thinned.
-        ``coverage/NAME`` (m,): positions, velocities and inputs of the fitted runs, thinned.
+        Arrays by name. ``RUN/time_s`` (n,), ``RUN/measured``, ``RUN/declared``, ``RUN/before`` and ``RUN/after`` (n,
+        sensors): time, measurements and the three machines' simulation errors of each held-out run. ``force/variable``,
+        ``force/before`` and ``force/after`` (m,): residual force of the fitted runs against the variable that it
+        depends on most, thinned. ``coverage/NAME`` (m,): positions, velocities and inputs of the fitted runs, thinned.
     """
     curves: dict[str, Array] = {}
     evaluations = {"declared": result.declared, "before": result.before, "after": result.after}
@@ -182,12 +183,12 @@ def plot_data(result: IdentificationResult) -> dict[str, Array]:
         curves[f"{run.name}/time_s"] = run.time_s
         curves[f"{run.name}/measured"] = run.outputs
         for name, evaluation in evaluations.items():
-            curves[f"{run.name}/{name}"] = free_run_error(evaluation.machine, run, result.held_out)
+            curves[f"{run.name}/{name}"] = simulation_error(evaluation.machine, run, result.held_out)
     if result.dependence:
         strongest = result.dependence[0]
         i = result.declared.machine.coordinate_names.index(strongest.coordinate)
         data = result.fitted
-        by_run = [variables(result.before.machine, run, data)[strongest.variable] for run in data.runs]
+        by_run = [dependence_variables(result.before.machine, run, data)[strongest.variable] for run in data.runs]
         thin = max(1, sum(map(len, by_run)) // _MAX_POINTS)
         curves["force/variable"] = np.concatenate(by_run)[::thin]
         for name in ("before", "after"):
@@ -203,7 +204,7 @@ def _coverage(result: IdentificationResult) -> dict[str, Array]:
     linear = [c.name for c in machine.coordinates if c.kind == "linear"]
     coordinates = linear or machine.coordinate_names
     names = [f"{quantity} of {c}" for quantity in ("position", "velocity") for c in coordinates]
-    by_run = [variables(machine, run, data) for run in data.runs]
+    by_run = [dependence_variables(machine, run, data) for run in data.runs]
     thin = max(1, sum(len(run.time_s) for run in data.runs) // _MAX_POINTS)
     return {
         name: np.concatenate([values[name] for values in by_run])[::thin] for name in (*names, *machine.input_channels)

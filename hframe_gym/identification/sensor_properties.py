@@ -1,7 +1,8 @@
 """Properties of the sensors that follow from the recordings alone: quantum, noise and the ends of their range.
 
-A sensor saturates where many measurements lie together at the outermost value while the encoders show that the machine moves.
-Those rows carry no position: they are kept out of the fit, and the effect ``sensor_range`` goes into the machine.
+A sensor saturates where many measurements lie together at the outermost value while the encoders show that the machine
+moves. Those rows carry no position: they are kept out of the fit, and the effect ``sensor_range`` goes into the
+machine.
 """
 
 from __future__ import annotations
@@ -64,8 +65,8 @@ def sensor_quantum(channel: Sequence[Array], resolution: float) -> float:
 def sensor_noise(channel: Sequence[Array], resting_rows: Sequence[int], quantum: float, declared: float) -> float:
     """Return the standard deviation of a sensor's noise.
 
-    It is estimated from the resting rows. Where there are too few, the declared value is used, and third differences of the
-    measurements where none is declared. It is at least the standard deviation of the rounding error.
+    It is estimated from the resting rows. Where there are too few, the declared value is used, and third differences of
+    the measurements where none is declared. It is at least the standard deviation of the rounding error.
 
     Args:
         channel: Measurements of the sensor by run, each of shape (n,), NaN where not measured.
@@ -113,8 +114,8 @@ def saturation_ranges(
         criteria: Decision thresholds.
 
     Returns:
-        Lower and upper end of the range by channel, in the sensor's unit, for the sensors that saturate. An end that was never
-        reached lies far away.
+        Lower and upper end of the range by channel, in the sensor's unit, for the sensors that saturate. An end that
+        was never reached lies far away.
     """
     ranges: dict[str, Range] = {}
     travel = [_positions_from_encoders(r, machine) for r in recordings]
@@ -135,12 +136,12 @@ def saturation_ranges(
 
 
 def _positions_from_encoders(recording: Recording, machine: Machine) -> Array:
-    """Return displacements (n, coordinates) since the first row that the incremental sensors measure, belts unstretched."""
+    """Return the displacements (n, coordinates) since the first row by the encoders, with unstretched belts."""
     encoders = [j for j, sensor in enumerate(machine.sensors) if sensor.incremental]
     count = len(machine.coordinates)
     if not encoders or not machine.belts:
         return np.full((len(recording.time_s), count), np.nan)
-    extension = np.array([machine.row(b.extension) for b in machine.belts]) * machine.radii
+    extension = np.array([machine.coefficients(b.extension) for b in machine.belts]) * machine.travel_per_unit
     rows = np.vstack([machine.sensor_matrix[encoders], extension])
     angles = recording.outputs[:, encoders] - recording.outputs[0, encoders]
     measured = np.hstack([angles, np.zeros((len(angles), len(extension)))])

@@ -1,5 +1,7 @@
 """Re-export until all packages use the new names."""
 
-from .dataset import TypicalScales as TypicalScales
-from .dataset import scales_of_motion as references
-from .dataset import scales_of_motion as scales_of_motion
+from .dataset import TypicalScales, scales_of_motion
+
+references = scales_of_motion
+
+__all__ = ["TypicalScales", "references", "scales_of_motion"]
