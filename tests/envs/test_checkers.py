@@ -69,8 +69,14 @@ def test_results_of_the_vector_environment_are_in_its_spaces(options):
         for array, dtype in ((reward, np.float64), (terminated, np.bool_), (truncated, np.bool_)):
             assert array.shape == (3,)
             assert array.dtype == dtype
-        for key, values in info.items():
-            assert isinstance(values, dict) or len(values) == 3, key
+        keys = {"distance_m", "is_success", "clipped_actions"}
+        keys |= {"contour_m"} if options.get("task") == "track" else set()
+        keys |= {"parameters"} if "randomize" in options else set()
+        assert info.keys() == keys | {f"_{key}" for key in keys}
+        for key in keys - {"parameters"}:
+            assert info[key].shape == info[f"_{key}"].shape == (3,)
+        for values in info.get("parameters", {}).values():
+            assert values.shape == (3,)
 
 
 @pytest.mark.slow

@@ -118,6 +118,7 @@ def test_identified_parameters_do_not_depend_on_the_batch():
     env = HFrameEnv(machine=identified_machine(), randomize="identified")
     for b in range(13):
         _, single = env.reset(seed=b)
+        assert set(single["parameters"]) == {"x.coulomb", "y.viscous"}
         for name, value in single["parameters"].items():
             assert info["parameters"][name][b] == value
 

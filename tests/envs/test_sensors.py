@@ -104,9 +104,13 @@ def test_privileged_holds_the_randomized_parameters():
     assert observation["privileged"].shape == (len(entries),) == env.observation_space["privileged"].shape
     assert len(entries) == 2 * 10 + len(info["parameters"])
     nominal = env.batch.machine.parameters
-    for entry, value in zip(entries, observation["privileged"], strict=True):
-        if not entry.coordinate:
-            assert value * nominal[entry.name] == pytest.approx(info["parameters"][entry.name], rel=1e-6)
+    parameters = {
+        entry.name: value * nominal[entry.name]
+        for entry, value in zip(entries, observation["privileged"], strict=True)
+        if not entry.coordinate
+    }
+    assert parameters == pytest.approx(info["parameters"], rel=1e-6)
+    assert len(parameters) > 20
 
 
 # -- effects at sensors ------------------------------------------------------------------------------------------------

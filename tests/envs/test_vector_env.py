@@ -137,7 +137,7 @@ def test_a_hundred_thousand_steps_stay_finite_and_inside_the_end_stops():
     for action in actions(500, 200):
         observation, reward, *_ = envs.step(action)
         assert np.isfinite(reward).all()
-    assert box.contains(observation)
+        assert box.contains(observation)
     # No tool is farther outside than a buffer yields.
     x, y = np.abs(observation["achieved_goal"]).max(axis=0)
     assert x < 0.28 + 0.02
