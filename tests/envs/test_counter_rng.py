@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import kstest, norm
 
-from hframe_gym.envs.counter_rng import _log, normal_pair, reset_uniforms, cos_sin_of_turns, uniform
+from hframe_gym.envs.counter_rng import _log, cos_sin_of_turns, normal_pair, reset_uniforms, uniform
 
 KEY = np.uint64(0xDEADBEEF12345678)
 

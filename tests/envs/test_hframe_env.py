@@ -8,7 +8,16 @@ import pytest
 
 from hframe_gym.dynamics import simulate
 from hframe_gym.dynamics.simulation import LONGEST_STEP
-from hframe_gym.envs import EnvConfig, EnvOptions, HFrameEnv, HFrameVectorEnv, RandomizeParameter, Reach, Track, register
+from hframe_gym.envs import (
+    EnvConfig,
+    EnvOptions,
+    HFrameEnv,
+    HFrameVectorEnv,
+    RandomizeParameter,
+    Reach,
+    Track,
+    register,
+)
 from hframe_gym.envs.domain_randomization import Uniform
 from hframe_gym.errors import InputError
 from hframe_gym.machine import BUILTIN_MACHINES

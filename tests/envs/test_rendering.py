@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from hframe_gym.envs import HFrameEnv, HFrameVectorEnv
-from hframe_gym.envs.rendering import BeltGeometry
-from hframe_gym.envs.rendering import HEIGHT, NEUTRAL, PATH, TARGET, TAUT, UNKNOWN, WIDTH, tension_color
+from hframe_gym.envs.rendering import HEIGHT, NEUTRAL, PATH, TARGET, TAUT, UNKNOWN, WIDTH, BeltGeometry, tension_color
 
 
 def test_picture_shows_the_target_and_the_motion():
