@@ -14,29 +14,28 @@ time_optimal            lower bound of the settling time (extra: bound)
 """
 
 from .adaptive_controller import AdaptiveController
-from .base import CONTROLLERS, Controller, check_period
+from .base import CONTROLLERS, Controller, EpisodeStarts, Estimator, OutputFeedbackController, check_period
 from .input_compensation import DeadTime, InputInversion
 from .minimum_energy import MinimumEnergyTransfers
 from .model_based_controller import ModelBasedController
 from .momentum_filter import MomentumFilter
 from .motion_model import MotionModel, OperatingPointGrid
 from .preview_control import PreviewGains, PreviewTracker
-from .state_estimator import MeasurementChannel, OutputFeedbackController, StateEstimator
+from .state_estimator import StateEstimator
 from .textbook_pid import TextbookPID
 
 # Aliases until all packages use the new names.
 AdaptivePID = AdaptiveController
-Channel = MeasurementChannel
 
 __all__ = [
     "CONTROLLERS",
     "AdaptiveController",
     "AdaptivePID",
-    "Channel",
     "Controller",
     "DeadTime",
+    "EpisodeStarts",
+    "Estimator",
     "InputInversion",
-    "MeasurementChannel",
     "MinimumEnergyTransfers",
     "ModelBasedController",
     "MomentumFilter",

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..machine import Machine
 from ..registry import Registry
+from .motion_model import MotionModel
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -150,3 +151,78 @@ class EpisodeStarts:
     def clear(self) -> None:
         """Unmark all stages."""
         self.mask = np.zeros(len(self.mask), np.bool_)
+
+
+class Estimator(Protocol):
+    """State estimator of a batch of B stages; `StateEstimator` is one.
+
+    Attributes:
+        model: Model of the machine.
+        period: Control period, s.
+        channels: Number of measurements per stage.
+    """
+
+    model: MotionModel
+    period: float
+    channels: int
+
+    def reset(self, mask: Mask | None = None) -> None:
+        """Start a new episode on the stages of mask (B,), or on all."""
+
+    def update(self, measurements: Array) -> Array:
+        """Return states (B, 2 n), m and m/s, for measurements (B, channels)."""
+
+    def send(self, volts: Array) -> None:
+        """Record the voltages (B, drives) of the period that begins, V."""
+
+    def replace_last(self, volts: Array) -> None:
+        """Replace the voltages (B, drives) that were sent last, V."""
+
+
+class OutputFeedbackController(Controller):
+    """A full-state controller that runs from estimated states.
+
+    Args:
+        controller: Full-state controller.
+        estimator: Estimator of its machine; `observation` must begin with the estimator's measurements.
+    """
+
+    feedback: ClassVar[Feedback] = "observation"
+
+    def __init__(self, controller: Controller, estimator: Estimator) -> None:
+        super().__init__(estimator.model.machine, estimator.period)
+        self.controller, self.estimator = controller, estimator
+
+    def reset(self, mask: Mask | None = None) -> None:
+        """Start a new episode on some stages or all.
+
+        Args:
+            mask: Stages to reset, shape (B,). Default: all.
+        """
+        self.controller.reset(mask)
+        self.estimator.reset(mask)
+
+    def act(self, observation: Mapping[str, NDArray[Any]]) -> Array:
+        """Return the actions for the control period that begins.
+
+        Args:
+            observation: `observation`, shape (B, channels or more), in the channels' units; `desired_goal` and perhaps
+                `preview` as in `Controller.act`.
+
+        Returns:
+            Voltages divided by the rated voltages, in [-1, 1], shape (B, drives).
+        """
+        model = self.estimator.model
+        state = self.estimator.update(observation["observation"][:, : self.estimator.channels])
+        actions = self.controller.act({**observation, "observation": model.observation(state)})
+        self.estimator.send(np.clip(actions, -1.0, 1.0) * model.rated)
+        return actions
+
+    def replace_last_action(self, actions: Array) -> None:
+        """Correct the voltages that were sent last.
+
+        Args:
+            actions: Actions that were applied, in [-1, 1], shape (B, drives).
+        """
+        self.controller.replace_last_action(actions)
+        self.estimator.replace_last(actions * self.estimator.model.rated)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
-from ..dynamics import rollout
+from ..dynamics import Equations, rollout
 from ..errors import InputError
 from ..machine import Machine
 
@@ -33,12 +33,10 @@ class DeadTime:
     """
 
     def __init__(self, machine: Machine, period: float) -> None:
-        delays = [e for e in machine.effects if e.definition.delay is not None]
-        by_drive = [sum(float(e("delay")) for e in delays if e.site in (d.name, "drives")) for d in machine.drives]
-        self.delay_s = max(by_drive, default=0.0)
+        self.delay_s = max((float(delay) for delay in Equations(machine).voltage_delays()), default=0.0)
         self.period = period
         self.machine_without_delay = dataclasses.replace(
-            machine, effects=tuple(e for e in machine.effects if e not in delays)
+            machine, effects=tuple(e for e in machine.effects if e.definition.delay is None)
         )
         self._whole_periods = int(self.delay_s / period + 1e-9)
         self._remainder_s = max(self.delay_s - self._whole_periods * period, 0.0)
@@ -130,7 +128,7 @@ class DeadTime:
         volts = self._sent[:, [*range(self._whole_periods, -1, -1), 0]]
         if self._remainder_s == 0.0:
             times, volts = times[1:], volts[:, 1:]
-        scale = np.tile(self.machine_without_delay.radii, 2)
+        scale = np.tile(self.machine_without_delay.travel_per_unit, 2)
         end = rollout(self.machine_without_delay, times, volts, start=state / scale, velocities=True)[:, -1]
         return np.asarray(end * scale)
 
@@ -151,13 +149,11 @@ class InputInversion:
     def __init__(self, machine: Machine) -> None:
         self.rated = np.array([d.rated_voltage for d in machine.drives])
         self._tables: dict[int, tuple[Array, Array]] = {}  # by drive: command and motor voltage, V
-        for j, drive in enumerate(machine.drives):
-            effects = [e for e in machine.effects if e.site == drive.name and e.definition.voltage is not None]
-            if effects:
-                command = np.linspace(-drive.rated_voltage, drive.rated_voltage, TABLE_POINTS)
-                motor = command
-                for e in effects:
-                    motor = np.asarray(e("voltage", V=motor), np.float64)
+        equations = Equations(machine)
+        commands = [np.linspace(-rated, rated, TABLE_POINTS) for rated in self.rated]
+        for j, motor in enumerate(equations.motor_voltages(commands)):
+            drive, command = machine.drives[j], commands[j]
+            if any(equations.effects_at("voltage", drive.name, "drives")):
                 if np.any(np.diff(motor) < 0.0):
                     raise InputError(
                         f"machine {machine.name!r}: drive {drive.name} gives a lower voltage for a higher command"

@@ -19,7 +19,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..machine.linearization import stiffness_matrix
+from ..machine import stiffness_matrix
 from .motion_model import AXES, MotionModel, OperatingPointGrid
 
 Array = NDArray[np.float64]
@@ -51,10 +51,10 @@ class MomentumFilter:
         self.model, self.period = model, period
         self._tool = [model.machine.coordinate_names.index(axis) for axis in AXES]
         self._grid = OperatingPointGrid(model.machine)
-        radii = model.machine.radii
+        units = model.machine.travel_per_unit
         self._stiffness = np.stack(
-            [stiffness_matrix(model.machine, model.rigid @ p / radii)[self._tool] for p in self._grid.points]
-        ) / (radii[self._tool, None] * radii)  # N/m, (points, 2, n)
+            [stiffness_matrix(model.machine, model.rigid @ p / units)[self._tool] for p in self._grid.points]
+        ) / (units[self._tool, None] * units)  # N/m, (points, 2, n)
         # Rows: the rigid motion along x and y, then the tool's; columns: the coordinates.
         self._rows = np.vstack([model.rigid.T, np.eye(n)[self._tool]])
         self._prior_std = np.concatenate([np.full(n, FRICTION_STD), np.full(n, MASS_STD), [BELT_STD]])

@@ -6,16 +6,18 @@ the same scale.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import dataclasses
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
+from ..dynamics import Equations, ForceBalance, MotionPoint
 from ..errors import InputError
 from ..machine import AppliedEffect, Machine, linearize, rest_state
-from ..machine.effect import asked
+from ..machine.effect import argument_names
 
 Array = NDArray[np.float64]
 AXES = ("x", "y")
@@ -92,19 +94,20 @@ class MotionModel:
                 f"and no others; it has {', '.join(names)} and {len(machine.drives)} drives"
             )
         n = len(names)
-        radii = machine.radii
+        units = machine.travel_per_unit
         linear = [c.name for c in machine.coordinates if c.kind == "linear"]
         self.rigid = np.stack(
-            [rest_state(machine, [float(c == axis) for c in linear])[:n] * radii for axis in AXES], axis=1
+            [rest_state(machine, [float(c == axis) for c in linear])[:n] * units for axis in AXES], axis=1
         )
-        self.mass = np.array([c.mass for c in machine.coordinates]) / radii**2
-        self.coulomb = np.array([c.coulomb for c in machine.coordinates]) / radii
-        self.viscous = np.array([c.viscous for c in machine.coordinates]) / radii**2
+        self._declared = equations = Equations(dataclasses.replace(machine, effects=()))
+        memoryless = tuple(e for e in machine.effects if _memoryless(e))
+        self._with_effects = Equations(dataclasses.replace(machine, effects=memoryless))
+        self.mass = np.array([equations.mass(i) for i in range(n)])
+        self.coulomb = np.array([equations.coulomb(i) for i in range(n)])
+        self.viscous = np.array([equations.viscous(i, 1.0) for i in range(n)])
         self.drive = np.zeros((n, len(machine.drives)))
         for j, d in enumerate(machine.drives):
-            i = names.index(d.coordinate)
-            self.drive[i, j] = d.gain / radii[i]
-            self.viscous[i] += d.back_emf / radii[i] ** 2
+            self.drive[names.index(d.coordinate), j] = equations.force_per_volt(j)
         self.rated = np.array([d.rated_voltage for d in machine.drives])
         self.force_per_volt = self.rigid.T @ self.drive
         if abs(np.linalg.det(self.force_per_volt)) < 1e-9 * np.abs(self.force_per_volt).max() ** 2:
@@ -112,7 +115,7 @@ class MotionModel:
         self._volts_per_force = np.linalg.inv(self.force_per_volt)
         order = np.array([self.observed.index(c) for c in names])
         self._order = np.concatenate([order, n + order])
-        self._scale = np.tile(radii, 2)
+        self._scale = np.tile(units, 2)
 
     def state(self, observation: Mapping[str, NDArray[Any]]) -> Array:
         """Return the state of a full-state observation.
@@ -187,7 +190,7 @@ class MotionModel:
         Returns:
             A (2 n, 2 n), B (2 n, 2) for voltages and E (2 n, n) for a force on each coordinate.
         """
-        space = linearize(self.machine, self.rigid @ goal / self.machine.radii)
+        space = linearize(self.machine, self.rigid @ goal / self.machine.travel_per_unit)
         A, B = space.A * self._scale[:, None] / self._scale, space.B * self._scale[:, None]
         E = np.vstack([np.zeros((len(self.mass),) * 2), np.diag(1.0 / self.mass)])
         block = np.zeros((len(A) + B.shape[1] + E.shape[1],) * 2)
@@ -199,6 +202,8 @@ class MotionModel:
     def effect_force(self, state: Array, elapsed_s: Array) -> Array:
         """Return the forces of the machine's effects other than friction.
 
+        Effects with a memory or a table are left out.
+
         Args:
             state: Travel and its velocity, m and m/s, shape (B, 2 n).
             elapsed_s: Time since the episode's start, s, shape (B,).
@@ -206,11 +211,7 @@ class MotionModel:
         Returns:
             Forces on each coordinate, N, shape (B, n).
         """
-        force = np.zeros((len(state), len(self.mass)))
-        for e, i, q, v, radius in self._effects(state):
-            if _static(e, "force"):
-                force[:, i] += e("force", q=q, v=v, t=elapsed_s) / radius
-        return force
+        return _stack(self._balance(state, elapsed_s).held, state)
 
     def friction_force(self, state: Array, elapsed_s: Array) -> Array:
         """Return the nonlinear friction: Coulomb friction and that of the machine's effects.
@@ -222,7 +223,8 @@ class MotionModel:
         Returns:
             Forces on each coordinate, N, shape (B, n).
         """
-        return self.effect_friction(state, elapsed_s) - self.coulomb * self._direction(state)
+        level = _stack(self._balance(state, elapsed_s).coulomb, state)
+        return self._effect_viscous_force(state) - level * self._direction(state)
 
     def effect_friction(self, state: Array, elapsed_s: Array) -> Array:
         """Return the friction of the machine's effects.
@@ -234,28 +236,24 @@ class MotionModel:
         Returns:
             Forces on each coordinate beyond Coulomb and viscous friction, N, shape (B, n).
         """
-        direction = self._direction(state)
-        force = np.zeros((len(state), len(self.mass)))
-        for e, i, q, v, radius in self._effects(state):
-            if _static(e, "coulomb"):
-                force[:, i] -= e("coulomb", q=q, v=v, t=elapsed_s) / radius * direction[:, i]
-            if _static(e, "viscous"):
-                b = self.machine.coordinates[i].viscous
-                force[:, i] -= (e("viscous", b=b, direction=np.where(v < 0.0, -1.0, 1.0)) - b) * v / radius
-        return force
+        return self.friction_force(state, elapsed_s) + self.coulomb * self._direction(state)
+
+    def _balance(self, state: Array, elapsed_s: Array) -> ForceBalance:
+        """Return the forces of the effects alone and the Coulomb levels."""
+        n = len(self.mass)
+        point = MotionPoint(list(state[:, :n].T), list(state[:, n:].T), elapsed_s)
+        return self._with_effects.force_balance(point, [0.0] * len(self.rated), [0.0] * n)
+
+    def _effect_viscous_force(self, state: Array) -> Array:
+        """Return the force (B, n) of effects on viscous friction, N."""
+        velocity = state[:, len(self.mass) :]
+        side = np.where(velocity < 0.0, -1.0, 1.0)
+        coefficients = [self._with_effects.viscous(i, side[:, i]) for i in range(len(self.mass))]
+        return (self.viscous - _stack(coefficients, state)) * velocity
 
     def _direction(self, state: Array) -> Array:
         """Return the smoothed direction of motion of each coordinate (B, n), within [-1, 1]."""
         return np.tanh(state[:, len(self.mass) :] / REVERSAL_SPEED)
-
-    def _effects(self, state: Array) -> Iterator[tuple[AppliedEffect, int, Array, Array, float]]:
-        """Iterate over effects at coordinates and motors: effect, coordinate, its position and velocity, its radius."""
-        for e in self.machine.effects:
-            coordinate = self.machine.site_coordinate(e.site)
-            if coordinate is not None:
-                i = self.machine.coordinate_names.index(coordinate)
-                radius = float(self.machine.radii[i])
-                yield e, i, state[:, i] / radius, state[:, len(self.mass) + i] / radius, radius
 
     def static_stretch(self, force: Array, goal: Array) -> Array:
         """Return the elastic travel of the motors at which the belts hold the tool against a force.
@@ -270,11 +268,12 @@ class MotionModel:
         names = self.machine.coordinate_names
         tool = [names.index(axis) for axis in AXES]
         motors = [i for i in range(len(names)) if i not in tool]
-        coupling = np.zeros((len(goal), len(tool), len(motors)))
-        for belt in self.machine.belts:
-            row = self.machine.row(belt.extension)
-            length = belt.rest_length + goal @ self.rigid.T @ self.machine.row(belt.length)
-            coupling += (belt.EA / length)[:, None, None] * np.outer(row[tool], row[motors])
+        travel = goal @ self.rigid.T
+        belts = self._declared.belt_states(MotionPoint(list(travel.T), list(np.zeros_like(travel).T)))
+        coupling = np.zeros((len(goal), len(tool), len(motors)))  # N/m
+        for belt, state in zip(self.machine.belts, belts, strict=True):
+            row = self.machine.coefficients(belt.extension)
+            coupling += np.reshape(state.stiffness, (-1, 1, 1)) * np.outer(row[tool], row[motors])
         stretch = np.zeros_like(force)
         if motors:
             stretch[:, motors] = np.linalg.solve(coupling, force[:, tool, None])[..., 0]
@@ -318,9 +317,13 @@ class MotionModel:
         return np.maximum(push - friction, 0.0) / np.maximum((self.rigid**2).T @ self.viscous, 1e-9)
 
 
-def _static(effect: AppliedEffect, contribution: str) -> bool:
-    """Whether an effect has a contribution that follows from position, velocity and time alone."""
-    function = getattr(effect.definition, contribution)
-    if function is None:
-        return False
-    return not {"z", "u", "i"} & set(asked(function))
+def _memoryless(effect: AppliedEffect) -> bool:
+    """Whether an effect's forces or friction follow from position, velocity and time of its coordinate alone."""
+    hooks = [getattr(effect.definition, name) for name in ("force", "coulomb", "viscous")]
+    arguments = {name for hook in hooks if hook for name in argument_names(hook)}
+    return any(hooks) and not {"z", "u", "i"} & arguments
+
+
+def _stack(values: Sequence[Any], state: Array) -> Array:
+    """Return values of each coordinate, numbers or arrays (B,), as an array (B, n)."""
+    return np.stack([np.broadcast_to(value, len(state)) for value in values], axis=1).astype(np.float64)

@@ -18,16 +18,15 @@ References:
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, ClassVar
+import dataclasses
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..dynamics import rollout
+from ..dynamics import Equations, rollout
 from ..errors import InputError
 from ..machine import Machine
-from .base import Controller, EpisodeStarts, Feedback, Mask
+from .base import EpisodeStarts, Mask, check_period
 from .input_compensation import DeadTime
 from .motion_model import MotionModel
 
@@ -101,9 +100,10 @@ class MeasurementModel:
     """Linear measurement equation of a machine's declared sensors, scaled to belt travel.
 
     Args:
-        machine: Machine whose `sensors`, with their ranges and delays, supply the measurements.
+        model: Model of the machine whose `sensors`, with their ranges and delays, supply the measurements.
 
     Attributes:
+        channels: Number of sensors.
         matrix: H of z = H (travel, velocity), m, shape (channels, 2 n).
         variance: Noise variance, the quantization's included, m^2, shape (channels,).
 
@@ -111,25 +111,31 @@ class MeasurementModel:
         InputError: If the sensors do not determine the tool's position.
     """
 
-    def __init__(self, machine: Machine) -> None:
+    def __init__(self, model: MotionModel) -> None:
+        machine = model.machine
         names = machine.coordinate_names
-        rows = machine.sensor_matrix.reshape(-1, len(names)) / machine.radii  # own unit per travel
-        lengths = np.linalg.norm(rows, axis=1)
-        self._unit = np.where(lengths > 0.0, 1.0 / np.where(lengths > 0.0, lengths, 1.0), 0.0)  # m per own unit
-        delays = np.array([self._effect(machine, s.channel, "sensor_delay").get("d", 0.0) for s in machine.sensors])
+        self.channels = len(machine.sensors)
+        ranges = {e.site: e.parameters for e in machine.effects if e.name == "sensor_range"}
+        unlimited = dataclasses.replace(machine, effects=tuple(e for e in machine.effects if e.name != "sensor_range"))
+        equations = Equations(unlimited)
+        zeros = np.zeros(len(names))
+        readings = [np.array(equations.sensor_readings(q), np.float64) for q in (zeros, *np.eye(len(names)))]
+        rows = (np.stack(readings[1:], axis=1) - readings[0][:, None]) / machine.travel_per_unit
+        lengths = np.linalg.norm(rows, axis=1)  # channel's unit per travel
+        self._unit = 1.0 / np.where(lengths > 0.0, lengths, 1.0)  # m per channel's unit
         positions = rows * self._unit[:, None]
         # To first order in a sensor's delay d, it measures travel - d * velocity.
-        self.matrix: Array = np.hstack([positions, -delays.reshape(-1, 1) * positions])
-        ranges = [self._effect(machine, s.channel, "sensor_range") for s in machine.sensors]
-        self._low = np.array([r.get("low", -np.inf) for r in ranges])
-        self._high = np.array([r.get("high", np.inf) for r in ranges])
+        delays = np.array(equations.measurement_delays(), np.float64)
+        self.matrix: Array = np.hstack([positions, -delays[:, None] * positions])
+        self._low = np.array([ranges.get(s.channel, {}).get("low", -np.inf) for s in machine.sensors])
+        self._high = np.array([ranges.get(s.channel, {}).get("high", np.inf) for s in machine.sensors])
         noise = np.array([np.hypot(s.noise, s.resolution / np.sqrt(12.0)) for s in machine.sensors])
         self.variance: Array = (noise * self._unit) ** 2 + SMALLEST_NOISE_M**2
-
-    @staticmethod
-    def _effect(machine: Machine, channel: str, name: str) -> Mapping[str, float]:
-        """Return the parameters of the effect of that name at a channel; empty without one."""
-        return next((e.parameters for e in machine.effects if e.name == name and e.site == channel), {})
+        if np.linalg.matrix_rank(positions @ model.rigid) < model.rigid.shape[1]:
+            raise InputError(
+                f"machine {machine.name!r}: its sensors ({', '.join(machine.output_channels) or 'none'}) do not "
+                "determine the position of the tool"
+            )
 
     def to_travel(self, measurements: Array) -> Array:
         """Return measurements (B, channels), in the channels' units, in units of travel, m."""
@@ -150,6 +156,7 @@ class StateEstimator:
     Attributes:
         model: Model of the machine.
         period: As given, s.
+        channels: Number of sensors.
         measurements: Measurement equation of the sensors.
         augmented: The estimated parameters, in the order of `parameter_ratios`.
 
@@ -161,12 +168,15 @@ class StateEstimator:
     def __init__(self, machine: Machine, period: float) -> None:
         self.model = model = MotionModel(machine)
         self.period = check_period(period)
-        self.measurements = MeasurementModel(machine)
+        self.measurements = MeasurementModel(model)
+        self.channels = self.measurements.channels
         self._dead_time = DeadTime(machine, period)
-        self._simulated = self._dead_time.machine_without_delay
+        prompt = self._dead_time.machine_without_delay
+        sensed = tuple(e for e in prompt.effects if e.definition.site != "sensor")
+        self._simulated = dataclasses.replace(prompt, effects=sensed)
         self.augmented = AugmentedParameters(self._simulated)
         n, count = len(model.mass), len(self.augmented.names)
-        self._scale = np.tile(machine.radii, 2)
+        self._scale = np.tile(machine.travel_per_unit, 2)
         self._smallest_std = np.repeat(SMALLEST_STD, [n, n, count])
         self._initial_covariance = np.zeros((2 * n + count, 2 * n + count))
         self._initial_covariance[:n, :n] = INITIAL_STRETCH_STD**2 * np.eye(n)
@@ -305,56 +315,6 @@ class StateEstimator:
         room = self._largest_variance / np.maximum(variance, self._smallest_std**2)
         factor = np.sqrt(np.minimum(inflation, np.maximum(room, 1.0)))
         self._covariance = factor[:, :, None] * self._covariance * factor[:, None, :]
-
-
-class OutputFeedbackController(Controller):
-    """A full-state controller that runs from estimated states.
-
-    Args:
-        controller: Full-state controller.
-        estimator: Estimator of its machine; `observation` must begin with the measurements of its sensors.
-    """
-
-    feedback: ClassVar[Feedback] = "observation"
-
-    def __init__(self, controller: Controller, estimator: StateEstimator) -> None:
-        super().__init__(estimator.model.machine, estimator.period)
-        self.controller, self.estimator = controller, estimator
-
-    def reset(self, mask: Mask | None = None) -> None:
-        """Start a new episode on some stages or all.
-
-        Args:
-            mask: Stages to reset, shape (B,). Default: all.
-        """
-        self.controller.reset(mask)
-        self.estimator.reset(mask)
-
-    def act(self, observation: Mapping[str, NDArray[Any]]) -> Array:
-        """Return the actions for the control period that begins.
-
-        Args:
-            observation: `observation`, shape (B, channels or more), in the channels' units; `desired_goal` and perhaps
-                `preview` as in `Controller.act`.
-
-        Returns:
-            Voltages divided by the rated voltages, in [-1, 1], shape (B, 2).
-        """
-        model = self.estimator.model
-        channels = len(self.estimator.measurements.matrix)
-        state = self.estimator.update(observation["observation"][:, :channels])
-        actions = self.controller.act({**observation, "observation": model.observation(state)})
-        self.estimator.send(np.clip(actions, -1.0, 1.0) * model.rated)
-        return actions
-
-    def replace_last_action(self, actions: Array) -> None:
-        """Correct the voltages that were sent last.
-
-        Args:
-            actions: Actions that were applied, in [-1, 1], shape (B, 2).
-        """
-        self.controller.replace_last_action(actions)
-        self.estimator.replace_last(actions * self.estimator.model.rated)
 
 
 def sigma_points(mean: Array, covariance: Array, smallest_std: Array) -> Array:
