@@ -1,6 +1,5 @@
 """A task, a reward and a distribution defined in this file alone work through every interface."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
@@ -13,6 +12,7 @@ from gymnasium.utils import env_checker
 from hframe_gym.envs import DISTRIBUTIONS, REWARDS, TASKS, HFrameEnv, HFrameVectorEnv, Task, as_task
 from hframe_gym.envs.sb3_vec_env import HFrameVecEnv
 from hframe_gym.errors import InputError
+from hframe_gym.evaluation import evaluate
 
 
 @TASKS.register("test-hop")
@@ -147,16 +147,7 @@ def test_unknown_names_are_refused_with_the_choices():
 
 
 @pytest.mark.parametrize(("task", "metric"), [("test-hop", "settling_s"), ("test-line", "contour_mm")])
-def test_the_evaluate_command_takes_the_task(tmp_path, task, metric):
-    from typer.testing import CliRunner
-
-    from hframe_gym.cli import app
-
-    arguments = ["evaluate", "pid", "--task", task, "--episodes", "2", "--randomize", "none", "--out", str(tmp_path)]
-    result = CliRunner().invoke(app, arguments)
-    if result.exit_code == 2 and "--task" in result.output:
-        pytest.xfail("the command line does not list registered tasks yet")
-    assert result.exit_code == 0, result.output
-    scores = json.loads((tmp_path / "scores.json").read_text())
+def test_a_task_is_evaluated_with_its_metrics(task, metric):
+    scores, _ = evaluate("pid", task=task, episodes=2, randomize="none", duration_s=0.3)
     assert scores["task"] == task
     assert metric in scores["controllers"]["pid"]
