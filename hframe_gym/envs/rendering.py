@@ -81,11 +81,10 @@ class Scene:
         # A drive without a pulley is drawn at rest.
         drives = [d.coordinate for d in batch.machine.drives if batch.machine.coordinate(d.coordinate).kind == "rotary"]
         angles = [position[c] for c in drives[:2]] + [0.0, 0.0]
-        x, y = batch.references.goals(index)[0].tolist()
         period = batch.config.period
         return cls(
             position=(position["x"], position["y"]),
-            target=(x, y),
+            target=tuple(batch.references.goals(index)[0].tolist()),
             band=batch.task.band,
             angles=(angles[0], angles[1]),
             tensions=batch.simulator.tensions(b),

@@ -57,6 +57,7 @@ def workspace_of(machine: Machine) -> Array:
                 f"machine {machine.name!r} has no coordinate {name!r}; the environment moves a tool in x and y. "
                 "Use a machine with both, for example a copy of 'hframe'; `hframe simulate` takes any machine"
             )
+    for name in ("x", "y"):
         if machine.coordinate(name).range is None:
             raise InputError(
                 f"machine {machine.name!r}: coordinate {name!r} has no range; the environment needs one as its "
