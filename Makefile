@@ -11,13 +11,14 @@ demo: $(INSTALLED)  ## fit a recorded rig, find what its model lacks, drive the 
 	$(BIN)/hframe evaluate pid ppo --machine out/demo/machine.json --randomize none --episodes 32 --out out/demo/control
 	@echo "open out/demo/report.html, out/demo/control/pid.png and ppo.png"
 
-test: $(INSTALLED)  ## the fast tests
-	$(BIN)/python -m pytest
+test: $(INSTALLED)  ## all tests but the slow ones
+	$(BIN)/pytest
 
-check: $(INSTALLED)  ## format, lint, types
+check: $(INSTALLED) hframe_gym/agents  ## format, lint, docstrings, types, layers
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
+	$(BIN)/lint-imports --no-logo
 
 bench: $(INSTALLED)  ## every number of RESULTS.md
 	$(BIN)/pip install -q -c constraints.txt -e '.[bench]'
@@ -26,8 +27,12 @@ bench: $(INSTALLED)  ## every number of RESULTS.md
 docs: $(INSTALLED)  ## tables that are made from the code
 	$(BIN)/python -m tools.tables
 
+# mypy and import-linter look for hframe_gym.agents beside the package's other folders.
+hframe_gym/agents:
+	ln -s ../agents $@
+
 clean:
-	rm -rf $(VENV) out build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) out build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache hframe_gym/agents
 
 # torch first and by itself: another package's requirement would pull the build with GPU libraries.
 $(INSTALLED): pyproject.toml constraints.txt

@@ -1,4 +1,4 @@
-"""What many tests need: the declared machine, and recordings written to a folder."""
+"""Provide the fixtures that several packages' tests use, and mark the unit tests."""
 
 from __future__ import annotations
 
@@ -11,16 +11,29 @@ import pytest
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 
 HEADER = "time_s,v1_V,v2_V,phi1_rad,phi2_rad,x_m,y_m"
+NOT_UNIT = ("oracle", "train", "slow")
+
+
+@pytest.hookimpl(tryfirst=True)  # before pytest selects by marker
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark every test as `unit` that carries none of the markers in `NOT_UNIT`."""
+    for item in items:
+        if not any(item.get_closest_marker(name) for name in NOT_UNIT):
+            item.add_marker("unit")
 
 
 @pytest.fixture
 def hframe() -> Machine:
+    """Return the nonlinear 8th-order H-frame as declared."""
     return BUILTIN_MACHINES["hframe"]()
 
 
 @pytest.fixture
 def write_run(tmp_path: Path) -> Callable[..., Path]:
-    """Writes a small valid run; `cells` replaces cells by (row, column name), `header` the header."""
+    """Return a function that writes a valid recording of 20 rows and returns its path.
+
+    Its argument `cells` replaces cells by (row counted from 1, column name); `header` replaces the header line.
+    """
 
     def write(
         name: str = "run.csv", cells: dict[tuple[int, str], str] | None = None, header: str = HEADER, rows: int = 20
