@@ -9,9 +9,6 @@ import os
 import sys
 import warnings
 import webbrowser
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import fields
 from importlib import metadata
 from pathlib import Path
 from typing import Annotated, Any
@@ -19,15 +16,15 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from .agents import recipe_names
-from .controllers import CONTROLLERS
-from .envs.domain_randomization import PRESETS as RANDOMIZATIONS
-from .envs.tasks import TASKS
+from .cli_support import (
+    DEBUG_VARIABLE,
+    CommandWithChoices,
+    describe_failure,
+    require_folder,
+    task_with_path,
+    value_errors_as_input_errors,
+)
 from .errors import InputError
-
-INPUT_AT_FAULT, INTERNAL_ERROR = 2, 1
-DEBUG_VARIABLE = "HFRAME_DEBUG"
-RECIPES = sorted({name.rpartition("_")[0] for name in recipe_names()})
 
 app = typer.Typer(
     help="H-frame stages: simulate, identify from measured data, train and evaluate controllers.",
@@ -39,39 +36,16 @@ app = typer.Typer(
 console = Console(soft_wrap=True)
 
 
-def _listed(names: Any) -> str:
-    """Join names, for example those of a registry, for a help text."""
-    return ", ".join(names)
-
-
 MachineOption = Annotated[str, typer.Option(help="A machine.json or a built-in name (see `hframe machines`).")]
 OutOption = Annotated[Path, typer.Option(help="Folder for the results; created if it does not exist.")]
-TaskOption = Annotated[str, typer.Option(help=f"Task: {_listed(TASKS)}, or module:name.")]
-RandomizeOption = Annotated[
-    str, typer.Option(help=f"Randomization of each episode's machine: {_listed(RANDOMIZATIONS)}.")
-]
+TaskOption = Annotated[str, typer.Option(help="Task: {tasks}, or module:name.")]
+RandomizeOption = Annotated[str, typer.Option(help="Randomization of each episode's machine: {randomizations}.")]
 RecordingsArgument = Annotated[Path, typer.Argument(help="A folder of recordings, one run per file.")]
 
 
 def _log(line: str) -> None:
     """Print a plain line immediately, on a terminal or in a log."""
     console.print(line, markup=False, highlight=False)
-
-
-@contextmanager
-def _value_errors_are_input_errors() -> Iterator[None]:
-    """Raise the ValueErrors with which the library refuses options as InputErrors."""
-    try:
-        yield
-    except ValueError as error:
-        raise InputError(str(error)) from error
-
-
-def _require_folder(path: Path) -> Path:
-    """Return the value of --out, or raise InputError if it is a file."""
-    if path.exists() and not path.is_dir():
-        raise InputError(f"--out {path}: is a file, but must be a folder")
-    return path
 
 
 def _print_version(requested: bool) -> None:
@@ -161,7 +135,7 @@ def identify(
     if jobs:
         os.environ["HFRAME_THREADS"] = str(jobs)
     declared = load_machine(machine)
-    _require_folder(out)
+    require_folder(out)
     recordings = load_recordings(runs_dir, declared)
     data_warnings = [str(finding) for recording in recordings for finding in warnings_of(recording, declared)]
     for warning in data_warnings:
@@ -194,14 +168,14 @@ def report(
         webbrowser.open(page.resolve().as_uri())
 
 
-@app.command()
+@app.command(cls=CommandWithChoices)
 def train(
-    algorithm: Annotated[str, typer.Argument(help=f"Recipe: {_listed(RECIPES)}.")],
+    algorithm: Annotated[str, typer.Argument(help="Recipe: {algorithms}.")],
     out: OutOption,
     machine: MachineOption = "hframe",
     task: TaskOption = "reach",
     randomize: Annotated[
-        str | None, typer.Option(help=f"Randomization: {_listed(RANDOMIZATIONS)} (default: the recipe's).")
+        str | None, typer.Option(help="Randomization: {randomizations} (default: the recipe's).")
     ] = None,
     steps: Annotated[
         int | None, typer.Option(min=1, help="Environment steps in total (default: the recipe's).")
@@ -224,22 +198,22 @@ def train(
     declared = load_machine(machine)
     columns = BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
     bar = Progress(*columns, console=console, disable=not console.is_terminal)
-    with bar, _value_errors_are_input_errors():
+    with bar, value_errors_as_input_errors():
         bar_task = bar.add_task("", total=None)
 
         def progress(done: int, total: int) -> None:
             bar.update(bar_task, completed=done, total=total)
 
-        run_training(algorithm, declared, task, steps, seed, resume, _require_folder(out), _log, progress, randomize)
+        run_training(algorithm, declared, task, steps, seed, resume, require_folder(out), _log, progress, randomize)
     _log(f"wrote {out}")
 
 
-@app.command()
+@app.command(cls=CommandWithChoices)
 def evaluate(
     controllers: Annotated[
         list[str],
         typer.Argument(
-            help=f"Controllers: {_listed(CONTROLLERS)}, a shipped agent (ppo, sac, residual), the folder of a trained "
+            help="Controllers: {controllers}, a shipped agent (ppo, sac, residual), the folder of a trained "
             "agent, or module:name."
         ),
     ],
@@ -268,9 +242,9 @@ def evaluate(
     from .recordings import load_machine
 
     declared = load_machine(machine)
-    _require_folder(out)
-    with _value_errors_are_input_errors():
-        scenario = Scenario(declared, _task_with_path(task, path), randomize, sensors, episodes, seed, period)
+    require_folder(out)
+    with value_errors_as_input_errors():
+        scenario = Scenario(declared, task_with_path(task, path), randomize, sensors, episodes, seed, period)
         made = {name: make_controller(name, scenario) for name in dict.fromkeys(controllers)}
         scores, recorded = run_evaluation(made, scenario)
     written = write_scores(out, scores)
@@ -324,32 +298,6 @@ def kernel(
     sys.stdout.write(generate(load_machine(machine))[0] + "\n")
 
 
-def _task_with_path(name: str, path: str | None) -> Any:
-    """Return the task that follows the path of --path, or the name of a task that follows none."""
-    if name not in TASKS and ":" not in name:
-        raise InputError(f"task {name!r} is unknown; choose one of {_listed(TASKS)}")
-    task_class: Any = TASKS.get(name)
-    follows_path = "path" in {field.name for field in fields(task_class)}
-    if path is not None and not follows_path:
-        raise InputError(f"--path {path}: the task {name} follows no path")
-    return (task_class() if path is None else task_class(path=path)) if follows_path else name
-
-
-def _failure(error: Exception) -> tuple[int, str]:
-    """Return the exit code and the line that describe an exception to the user."""
-    from .dynamics import NotFiniteError
-
-    text = " ".join(str(error).split())
-    if isinstance(error, InputError | ImportError):
-        return INPUT_AT_FAULT, text
-    if isinstance(error, NotFiniteError):
-        return INPUT_AT_FAULT, f"{text}: the inputs or the machine's parameters are too large"
-    if isinstance(error, OSError) and error.filename is not None:
-        return INPUT_AT_FAULT, f"{error.filename}: {error.strerror}"
-    hint = f"set {DEBUG_VARIABLE}=1 to see the traceback"
-    return INTERNAL_ERROR, f"internal error, please report it ({hint}): {type(error).__name__}: {text}"
-
-
 def _print_warning(message: Warning | str, *_args: Any, **_keywords: Any) -> None:
     """Print a warning of the library as one line on standard error."""
     print(f"hframe: warning: {message}", file=sys.stderr)
@@ -365,6 +313,6 @@ def main() -> None:
         except Exception as error:
             if os.environ.get(DEBUG_VARIABLE):
                 raise
-            code, line = _failure(error)
+            code, line = describe_failure(error)
             print(f"hframe: {line}", file=sys.stderr)
             raise SystemExit(code) from None
