@@ -1,14 +1,104 @@
-"""H-frame belt stages for motion control by learning, and for finding what a stage's model lacks.
+"""H-frame belt stages: simulation, Gymnasium environments, and identification of missing model effects.
 
-Importing registers `HFrame-v0` with gymnasium.
+Importing the package registers the environments `HFrame-v0` and `HFrameTrack-v0` with Gymnasium. The names below load
+their subpackage when they are first used:
+
+    Machine              the machine model: coordinates, belts, drives, sensors, effects
+    load_machine         read a machine.json, or return a preset by name
+    save_machine         write a machine.json
+    simulate             simulate a machine over a voltage history
+    Trajectory           the result of a simulation
+    load_recordings      read the recordings of a folder
+    check_recordings     report faults and gaps in recordings before identification
+    identify             fit a machine to recordings and find the effects that its model lacks
+    EFFECTS              the library of effects, by name
+    HFrameEnv            the environment
+    HFrameVectorEnv      the vectorized environment
+    make_controller      create a controller by name
+    evaluate             evaluate controllers on a task
+    InputError           the error of faulty files and arguments
 """
 
-from .dynamics.simulation import Trajectory
-from .envs.registration import register
+from __future__ import annotations
+
+import importlib
+from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING, Any
+
 from .errors import InputError
-from .machine.machine import Machine
-from .recordings.machine_file import load_machine, save_machine
+from .machine import SIMULATORS
+from .registration import register_environments
 
-register()
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
 
-__all__ = ["InputError", "Machine", "Trajectory", "load_machine", "save_machine"]
+    from .data_validation import check_recordings
+    from .dynamics import simulate
+    from .effects import EFFECTS
+    from .envs import HFrameEnv, HFrameVectorEnv
+    from .evaluation import evaluate, make_controller
+    from .identification import identify
+    from .machine import Machine, Trajectory
+    from .recordings import load_machine, load_recordings, save_machine
+
+__all__ = [
+    "EFFECTS",
+    "HFrameEnv",
+    "HFrameVectorEnv",
+    "InputError",
+    "Machine",
+    "Trajectory",
+    "__version__",
+    "check_recordings",
+    "evaluate",
+    "identify",
+    "load_machine",
+    "load_recordings",
+    "make_controller",
+    "save_machine",
+    "simulate",
+]
+
+_SUBPACKAGES = {
+    "EFFECTS": "effects",
+    "HFrameEnv": "envs",
+    "HFrameVectorEnv": "envs",
+    "Machine": "machine",
+    "Trajectory": "machine",
+    "check_recordings": "data_validation",
+    "evaluate": "evaluation",
+    "identify": "identification",
+    "load_machine": "recordings",
+    "load_recordings": "recordings",
+    "make_controller": "evaluation",
+    "save_machine": "recordings",
+    "simulate": "dynamics",
+}
+
+try:
+    __version__ = version("hframe_gym")
+except PackageNotFoundError:  # run from a source tree that is not installed
+    __version__ = "0.0.0"
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name from its subpackage at first use."""
+    if name not in _SUBPACKAGES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f".{_SUBPACKAGES[name]}", __name__), name)
+
+
+def __dir__() -> list[str]:
+    """List the public names, loaded or not."""
+    return sorted({*globals(), *__all__})
+
+
+@SIMULATORS.register("default")
+def _simulate(machine: Machine, time_s: ArrayLike, inputs: ArrayLike, initial: ArrayLike | None = None) -> Trajectory:
+    """Simulate a machine for `Machine.simulate`; the package `machine` does not depend on `dynamics`."""
+    from .dynamics import simulate
+
+    return simulate(machine, time_s, inputs, initial)  # type: ignore[return-value]
+
+
+register_environments()

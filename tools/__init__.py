@@ -1,0 +1,1 @@
+"""Scripts that measure the repository and generate its tables, pages and examples."""

@@ -48,7 +48,14 @@ COORDINATES, STATES, INPUTS, SENSORS, PARAMETERS, DERIVED = {sizes}
 DELAYED, LAGGED, FORCED = {delayed}, {lagged}, {forced}
 
 '''
-_DRIVERS = (drivers.rollout, drivers.prepare_blocks, drivers.advance_blocks)
+_DRIVERS = (
+    drivers.rollout,
+    drivers.prepare_blocks,
+    drivers.advance_blocks,
+    drivers.read_blocks,
+    drivers.sensor_delay_blocks,
+    drivers.drive_delay_blocks,
+)
 
 
 @dataclass(frozen=True)
@@ -59,7 +66,11 @@ class Kernel:
     rollout: Callable[..., None]
     prepare_blocks: Callable[..., None]
     advance_blocks: Callable[..., None]
+    read_blocks: Callable[..., None]
+    sensor_delay_blocks: Callable[..., None]
+    drive_delay_blocks: Callable[..., None]
     delayed: bool
+    lagged: bool
     states: int
     source: str
 
@@ -151,7 +162,11 @@ def kernel_for(machine: Machine, *, forced: bool = False) -> Kernel:
             module.rollout,
             module.prepare_blocks,
             module.advance_blocks,
+            module.read_blocks,
+            module.sensor_delay_blocks,
+            module.drive_delay_blocks,
             source.effects.delayed,
+            source.effects.lagged,
             source.states,
             str(module.__file__),
         )

@@ -164,3 +164,43 @@ def advance_blocks(state, parameters, derived, inputs, h, steps, first, last):
     W = np.zeros((COORDINATES, LANES))
     for block in range(first, last):
         advance(state[block], parameters[block], derived[block], inputs[block], W, h, steps)
+
+
+def read_blocks(state, parameters, first, last, readings):
+    """Evaluate every sensor of blocks first..last-1 at the present state, without its delay.
+
+    Args:
+        state: Travel, velocity, time and effect states, shape (blocks, STATES, LANES).
+        parameters: Machine parameters, shape (blocks, PARAMETERS, LANES).
+        first: First block.
+        last: Block after the last one.
+        readings: Output, ideal readings in the channels' units, shape (blocks, SENSORS, LANES).
+    """
+    for block in range(first, last):
+        read_sensors(state[block], parameters[block], readings[block])
+
+
+def sensor_delay_blocks(parameters, first, last, sensor_delays):
+    """Evaluate the delay of every sensor of blocks first..last-1.
+
+    Args:
+        parameters: Machine parameters, shape (blocks, PARAMETERS, LANES).
+        first: First block.
+        last: Block after the last one.
+        sensor_delays: Output, s, shape (blocks, SENSORS, LANES).
+    """
+    for block in range(first, last):
+        lags(parameters[block], sensor_delays[block])
+
+
+def drive_delay_blocks(parameters, first, last, drive_delays):
+    """Evaluate the delay of every drive of blocks first..last-1.
+
+    Args:
+        parameters: Machine parameters, shape (blocks, PARAMETERS, LANES).
+        first: First block.
+        last: Block after the last one.
+        drive_delays: Output, s, shape (blocks, INPUTS, LANES).
+    """
+    for block in range(first, last):
+        delays(parameters[block], drive_delays[block])

@@ -7,7 +7,7 @@ def tension(s, k, h):  # type: ignore[no-untyped-def]
     return k * s * (1.0 + h * s * s)
 
 
-def growth(s, h):  # type: ignore[no-untyped-def]
+def energy_slope(s, h):  # type: ignore[no-untyped-def]
     return 0.5 * s * s * (1.0 + 0.5 * h * s * s)
 
 
@@ -18,6 +18,6 @@ EFFECT = Effect(
     formula="T = k s (1 + h s^2)",
     source="Duffing's spring",
     tension=tension,
-    growth=growth,
+    energy_slope=energy_slope,
     parameters=(EffectParameter("h", "1/m^2", -1e12, 1e12, scale=0.1, role="amplitude"),),
 )

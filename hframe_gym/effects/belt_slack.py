@@ -1,6 +1,6 @@
 """Belts that go slack: tension beyond the pretension T0 cannot fall below -T0."""
 
-from ..dynamics.simd_math import maximum
+from ..dynamics.elementwise import maximum
 from ..machine.effect import Effect, EffectParameter
 
 
@@ -8,7 +8,7 @@ def tension(s, k, T0):  # type: ignore[no-untyped-def]
     return maximum(k * s, -T0)
 
 
-def growth(s, k, T0):  # type: ignore[no-untyped-def]
+def energy_slope(s, k, T0):  # type: ignore[no-untyped-def]
     taut = maximum(s, -T0 / k)
     return 0.5 * taut * taut
 
@@ -20,6 +20,6 @@ EFFECT = Effect(
     formula="T = max(k s, -T0)",
     source="a belt cannot push",
     tension=tension,
-    growth=growth,
+    energy_slope=energy_slope,
     parameters=(EffectParameter("T0", "N", 0.0, 1e5, scale=0.1, grid=(0.15, 0.3, 0.45, 0.6, 0.75, 0.9)),),
 )

@@ -3,7 +3,7 @@
 n = 1 on an arm in the vertical plane is its weight.
 """
 
-from ..dynamics.simd_math import sin
+from ..dynamics.elementwise import sin
 from ..machine.effect import Effect, EffectParameter
 
 

@@ -1,6 +1,6 @@
 """An amplifier that limits the motor's current: |i| <= I, i = (V - Ke N w)/R."""
 
-from ..dynamics.simd_math import maximum, minimum
+from ..dynamics.elementwise import maximum, minimum
 from ..machine.effect import Effect, EffectParameter
 
 

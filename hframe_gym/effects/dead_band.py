@@ -4,7 +4,7 @@ drop = 0: a switch (a servo amplifier's enable threshold); drop = 1: a continuou
 an output stage, brushes' contact voltage).
 """
 
-from ..dynamics.simd import absolute, copysign, where
+from ..dynamics.elementwise import absolute, copysign, where
 from ..machine.effect import Effect, EffectParameter
 
 

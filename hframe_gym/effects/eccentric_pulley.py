@@ -4,25 +4,25 @@ A run starts with belts that no eccentricity stretches, so there the pulley stan
 round one: behind by e sin(phi + p) / r.
 """
 
-from ..dynamics.simd_math import cos, sin
+from ..dynamics.elementwise import cos, sin
 from ..machine.effect import Effect, EffectParameter
 
 
-def evolve(z, dq):  # type: ignore[no-untyped-def]
+def next_state(z, dq):  # type: ignore[no-untyped-def]
     return z + dq
 
 
-def behind(q, e, p, per_radius):  # type: ignore[no-untyped-def]
+def rest_angle_offset(q, e, p, per_radius):  # type: ignore[no-untyped-def]
     return e * sin(q + p) * per_radius
 
 
-def travel(q, z, e, p, per_radius):  # type: ignore[no-untyped-def]
+def belt_travel(q, z, e, p, per_radius):  # type: ignore[no-untyped-def]
     start = q - z + p
     back = e * sin(start) * per_radius
     return e * (sin(q + p - back) - sin(start - back))
 
 
-def arm(q, z, e, p, per_radius):  # type: ignore[no-untyped-def]
+def lever_arm(q, z, e, p, per_radius):  # type: ignore[no-untyped-def]
     return e * cos(q + p - e * sin(q - z + p) * per_radius)
 
 
@@ -32,10 +32,10 @@ EFFECT = Effect(
     site="motor",
     formula="travel r phi + e sin(phi + p), arm r + e cos(phi + p)",
     source="kinematics of an eccentric circle, first order in e/r",
-    travel=travel,
-    arm=arm,
-    behind=behind,
-    evolve=evolve,
+    belt_travel=belt_travel,
+    lever_arm=lever_arm,
+    rest_angle_offset=rest_angle_offset,
+    next_state=next_state,
     fits=lambda machine: bool(machine.belts),
     parameters=(
         EffectParameter("e", "m", -1e-2, 1e-2, scale=0.1, role="amplitude"),

@@ -1,10 +1,10 @@
 """The winding's inductance: tau di/dt = (V - Ke N w)/R - i, tau = L/R; solved exactly over each part of a step."""
 
-from ..dynamics.simd_math import exp, maximum
+from ..dynamics.elementwise import exp, maximum
 from ..machine.effect import Effect, EffectParameter
 
 
-def evolve(z, i, dt, tau):  # type: ignore[no-untyped-def]
+def next_state(z, i, dt, tau):  # type: ignore[no-untyped-def]
     return i + (z - i) * exp(-dt / maximum(tau, 1e-9))
 
 
@@ -19,6 +19,6 @@ EFFECT = Effect(
     formula="tau di/dt = (V - Ke N w)/R - i",
     source="any text on DC motors",
     current=current,
-    evolve=evolve,
+    next_state=next_state,
     parameters=(EffectParameter("tau", "s", 0.0, 0.1, scale=5e-4, role="amplitude"),),
 )

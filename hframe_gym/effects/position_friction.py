@@ -3,7 +3,7 @@
 A leadscrew's or rack's pitch, the balls of a recirculating carriage, a bent rail.
 """
 
-from ..dynamics.simd_math import sin
+from ..dynamics.elementwise import sin
 from ..machine.effect import Effect, EffectParameter
 
 

@@ -4,12 +4,11 @@ dz/dt = v - s0 |v| z/F, friction s0 z + s1 dz/dt, with F the Coulomb level, Stri
 state's flow over a way dq is closed: z runs exponentially towards +-F/s0.
 """
 
-from ..dynamics.simd import absolute, copysign
-from ..dynamics.simd_math import exp, maximum
+from ..dynamics.elementwise import absolute, copysign, exp, maximum
 from ..machine.effect import Effect, EffectParameter
 
 
-def evolve(z, dq, level, s0):  # type: ignore[no-untyped-def]
+def next_state(z, dq, level, s0):  # type: ignore[no-untyped-def]
     end = maximum(level, 1e-12) / s0
     towards = copysign(end, dq)
     return towards + (z - towards) * exp(-absolute(dq) / end)
@@ -26,7 +25,7 @@ EFFECT = Effect(
     formula="dz/dt = v - s0 |v| z/F, friction s0 z + s1 dz/dt",
     source="Dahl 1968; Canudas de Wit et al. 1995",
     friction=friction,
-    evolve=evolve,
+    next_state=next_state,
     parameters=(
         EffectParameter("s0", "stiffness", 1e-3, 1e9, scale=1.0, grid=(3e2, 1e3, 3e3, 1e4, 3e4)),
         EffectParameter("s1", "viscous", 0.0, 1e6, scale=1.0),

@@ -1,6 +1,6 @@
 """Drag that grows with the square of speed, -c v |v|: air, grease that churns, a fan on the spindle."""
 
-from ..dynamics.simd import absolute
+from ..dynamics.elementwise import absolute
 from ..machine.effect import Effect, EffectParameter
 
 

@@ -3,7 +3,7 @@
 from ..machine.effect import Effect, EffectParameter
 
 
-def lag(d):  # type: ignore[no-untyped-def]
+def measurement_delay(d):  # type: ignore[no-untyped-def]
     return d
 
 
@@ -13,6 +13,6 @@ EFFECT = Effect(
     site="sensor",
     formula="shown(t) = r(t - d)",
     source="averaging and transmission in the sensor",
-    lag=lag,
+    measurement_delay=measurement_delay,
     parameters=(EffectParameter("d", "s", 0.0, 0.1, scale=1e-3, role="amplitude"),),
 )

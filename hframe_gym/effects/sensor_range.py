@@ -3,11 +3,11 @@
 The paper's laser does so at 100 mm (section V).
 """
 
-from ..dynamics.simd_math import maximum, minimum
+from ..dynamics.elementwise import maximum, minimum
 from ..machine.effect import Effect, EffectParameter
 
 
-def reading(r, low, high):  # type: ignore[no-untyped-def]
+def measurement(r, low, high):  # type: ignore[no-untyped-def]
     return minimum(maximum(r, low), high)
 
 
@@ -17,7 +17,7 @@ EFFECT = Effect(
     site="sensor",
     formula="shown = clip(r, low, high)",
     source="Sollmann et al., section V",
-    reading=reading,
+    measurement=measurement,
     parameters=(
         EffectParameter("low", "position", -1e6, 1e6, scale=0.01),
         EffectParameter("high", "position", -1e6, 1e6, scale=0.01),

@@ -6,7 +6,7 @@ Of an encoder it is the same as a pulley of another radius.
 from ..machine.effect import Effect, EffectParameter
 
 
-def reading(r, g):  # type: ignore[no-untyped-def]
+def measurement(r, g):  # type: ignore[no-untyped-def]
     return r + g * r
 
 
@@ -16,7 +16,7 @@ EFFECT = Effect(
     site="sensor",
     formula="shown = (1 + g) r",
     source="calibration",
-    reading=reading,
+    measurement=measurement,
     equivalent=("a pulley's radius",),
     # A rig whose only sensor has another gain is a rig of other masses and forces.
     fits=lambda machine: len(machine.sensors) > sum(c.kind == "linear" for c in machine.coordinates),

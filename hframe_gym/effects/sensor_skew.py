@@ -3,7 +3,7 @@
 from ..machine.effect import Effect, EffectParameter
 
 
-def reading(r, across, a):  # type: ignore[no-untyped-def]
+def measurement(r, across, a):  # type: ignore[no-untyped-def]
     return r + a * across
 
 
@@ -13,7 +13,7 @@ EFFECT = Effect(
     site="sensor",
     formula="shown = r + a across",
     source="a laser's target or an axis out of square",
-    reading=reading,
+    measurement=measurement,
     fits=lambda machine: any(machine.across(s.coordinate) for s in machine.sensors),
     parameters=(EffectParameter("a", "1", -1.0, 1.0, scale=0.01, role="amplitude"),),
 )

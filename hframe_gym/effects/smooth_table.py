@@ -10,7 +10,7 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
-from ..dynamics.simd import absolute, where
+from ..dynamics.elementwise import absolute, where
 from ..machine.effect import Effect, EffectParameter
 
 KNOTS = 24
@@ -60,7 +60,7 @@ def definition(name: str) -> Effect:
         formula=f"{'f' if contribution == 'force' else 'F - Fc'} = table of {against}",
         source="this recording",
         against=against,
-        evolve=_evolve if what == "path" else None,
+        next_state=_evolve if what == "path" else None,
         parameters=tuple(numbers),
         **{contribution: _table(contribution)},  # type: ignore[arg-type]
     )

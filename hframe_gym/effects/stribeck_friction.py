@@ -4,7 +4,7 @@ Armstrong-Helouvry, Dupont and Canudas de Wit (1994), Automatica 30(7), eq. 8 wi
 rises with speed.
 """
 
-from ..dynamics.simd_math import exp
+from ..dynamics.elementwise import exp
 from ..machine.effect import Effect, EffectParameter
 
 

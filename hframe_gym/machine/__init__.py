@@ -1,24 +1,52 @@
-"""What the stage is: tables, kernels made from them, simulation.  No files, no gymnasium."""
+"""The machine model: components, parameters, kinematics, linearization and presets.
 
+This package holds no integrator and reads no files.
+"""
+
+from .components import (
+    FIXED_UNITS,
+    SENSOR_KINDS,
+    UNITS,
+    Belt,
+    Coordinate,
+    CoordinateKind,
+    Drive,
+    Row,
+    Sensor,
+    SensorKind,
+    Uncertainty,
+)
 from .effect import AppliedEffect, Effect, EffectParameter
-from .kinematics import rest_state
-from .linearization import linearize, mode_frequencies
-from .machine import Belt, Coordinate, Drive, Machine, Sensor, Uncertainty
+from .kinematics import rest_state, rigid_motions
+from .linearization import StateSpace, linearize, mode_frequencies, stiffness_matrix
+from .machine import SIMULATORS, Machine, Simulator, Trajectory
 from .presets import BUILTIN_MACHINES, with_constant_stiffness
 
 __all__ = [
     "BUILTIN_MACHINES",
+    "FIXED_UNITS",
+    "SENSOR_KINDS",
+    "SIMULATORS",
+    "UNITS",
     "AppliedEffect",
     "Belt",
     "Coordinate",
+    "CoordinateKind",
     "Drive",
     "Effect",
     "EffectParameter",
     "Machine",
+    "Row",
     "Sensor",
+    "SensorKind",
+    "Simulator",
+    "StateSpace",
+    "Trajectory",
     "Uncertainty",
     "linearize",
     "mode_frequencies",
     "rest_state",
+    "rigid_motions",
+    "stiffness_matrix",
     "with_constant_stiffness",
 ]

@@ -1,36 +1,39 @@
-"""What an effect is: formulas at a site of a machine that the declared model may lack.
+"""Effects: formulas at a site of a machine that the declared model may lack.
 
-An `Effect` is a definition (one file of `hframe_gym.effects`); an `AppliedEffect` is that definition at a site with
-numbers.  A definition gives one or more *contributions*: plain functions that ask for what they need by the names of
-their arguments, beside the effect's own parameters, and that the kernel inlines at their place:
+An `Effect` is a definition (one file of `hframe_gym.effects`). An `AppliedEffect` is a definition at a site with
+parameter values. A definition gives one or more *hooks*: plain functions that name what they need as arguments. The
+arguments are the effect's parameters and the quantities of the table's last column:
 
-    contribution  gives                                                    may ask for
-    force         force added to the coordinate, N or Nm                   q, v, t, z, u
-    guard         where the force may be other than zero (default: all)    q
-    coulomb       Coulomb level added, N or Nm (never falls below zero)    q, v, t, z, u
-    friction      the force of dry friction, in place of the Coulomb one   z, v, level
-    viscous       the coordinate's viscous coefficient, Ns/m or Nms        b, direction (+1 or -1)
-    voltage       voltage that reaches the drive, V                        V
-    delay         time by which the drive's voltage arrives late, s
-    current       current of the drive, A                                  i, z
-    tension       a belt's tension, N                                      s, rate, k
-    growth        its energy's slope with stiffness, m^2 (else s^2/2)      s, k
-    travel, arm   belt travel added by a pulley, m, and its slope, m/rad   q, z, per_radius
-    behind        angle by which a pulley at rest stands behind, rad       q, per_radius
-    reading       what a sensor shows, in its unit                         r, across
-    lag           time by which a sensor is late, s
-    evolve        the effect's own state after dt                          z, dq, dt, v, level, i
+    hook                returns                                                      arguments
+    force               force added to the coordinate, N or Nm                       q, v, t, z, u
+    active_region       where the force may differ from zero (default: everywhere)   q, v, t
+    coulomb             change of the Coulomb level, N or Nm (the sum stays >= 0)    q, v, t, z, u
+    friction            dry friction force that replaces Coulomb friction, N or Nm   q, v, t, z, level
+    viscous             viscous coefficient of the coordinate, Ns/m or Nms           b, direction (+1 or -1)
+    voltage             voltage that reaches the drive, V                            V
+    delay               delay of the drive's voltage, s
+    current             current of the drive, A                                      i, z
+    tension             tension of a belt, N                                         s, rate, k
+    energy_slope        derivative of the belt's energy by its stiffness, m^2        s, k
+                        (default: s^2/2)
+    belt_travel         belt travel that a pulley adds, m                            q, z, per_radius
+    lever_arm           derivative of that travel by the angle, m/rad                q, z, per_radius
+    rest_angle_offset   angle by which a pulley at rest lags a round one, rad        q, per_radius
+    measurement         measured value of a sensor, in its unit                      r, across
+    measurement_delay   delay of a sensor, s
+    next_state          state of the effect after the time dt                        z, dq, dt, v, level, i
 
-q, v: the coordinate's position and speed (own units); t: the rig's clock, s; u: the variable that `against` names;
-z: the effect's own state, zero at the start of a run; level: the Coulomb level there; i: the current that Ohm's law
-gives, A; s, rate, k: a belt's extension (m), its rate (m/s) and stiffness (N/m); r: the sensor's ideal reading; across:
-position of the other linear coordinate; dq: the way gone in dt; per_radius: 1/m, of the pulley.
+Symbols: q, v: position and speed of the coordinate in its own unit; t: time since the machine was switched on, s; u:
+the variable that `against` names; z: the effect's state, zero at the start of a run; level: Coulomb level of the
+coordinate; i: current by Ohm's law, A; s, rate, k: extension (m), its rate (m/s) and the stiffness (N/m) of a belt; r:
+ideal measurement; across: position of the other linear coordinate, m; dq: distance traveled in dt; per_radius: 1/radius
+of the pulley, 1/m.
 
-`structure` changes the machine's tables instead: it adds coordinates, belts and sensor rows whose numbers are tied to
-the effect's parameters.
+`structure` changes the machine itself: it adds coordinates, belts and sensor rows whose parameters are tied to the
+effect's parameters.
 
-Contributions see NumPy arrays when plotted and SIMD registers in a kernel, so they use `where`, `exp`, `sin`, ... from
-`hframe_gym.dynamics.simd` and `vector_math`.
+Formulas use the elementary functions of `hframe_gym.dynamics.elementwise`, so that one definition serves NumPy arrays,
+the kernel and CasADi. They may call helper functions and use constants of their module.
 """
 
 from __future__ import annotations
@@ -42,11 +45,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Literal
 
-Site = Literal["coordinate", "motor", "drive", "drives", "belts", "sensor", "machine"]
-Contribution = Callable[..., Any]
-CONTRIBUTIONS = (
+SiteKind = Literal["coordinate", "motor", "drive", "drives", "belts", "sensor", "machine"]
+Hook = Callable[..., Any]
+HOOKS = (
     "force",
-    "guard",
+    "active_region",
     "coulomb",
     "friction",
     "viscous",
@@ -54,24 +57,30 @@ CONTRIBUTIONS = (
     "delay",
     "current",
     "tension",
-    "growth",
-    "travel",
-    "arm",
-    "reading",
-    "lag",
-    "evolve",
+    "energy_slope",
+    "belt_travel",
+    "lever_arm",
+    "rest_angle_offset",
+    "measurement",
+    "measurement_delay",
+    "next_state",
 )
 
 
 @dataclass(frozen=True)
 class EffectParameter:
-    """A number of an effect: its unit (a key of `machine.tables.UNITS` where it follows the site), range and guesses.
+    """A parameter of an effect.
 
-    lower, upper: bounds in SI.  scale: the size of a typical change, for fits.  grid: starting values a search tries
-    (one for an amplitude, several for a shape).  Both are relative to what is typical of the unit on the machine.
-    role: an "amplitude" is zero where the effect is absent; a "phase" shifts the sine that the amplitude belongs to, so
-    that both together are linear; a "period" (length of one) and a "rate" (rad per position) are searched on a grid
-    made from the way travelled; "fixed" is not fitted; the rest is "shape".
+    Attributes:
+        name: Name of the argument of the hooks.
+        unit: Unit, or a key of `machine.UNITS` where the unit follows the site's coordinate.
+        lower: Lower bound, SI.
+        upper: Upper bound, SI.
+        scale: Size of a typical change, relative to what is typical of the unit on the machine.
+        grid: Starting values of a search, with the same reference as `scale`.
+        role: "amplitude" is zero where the effect is absent. "phase" shifts the sine of the amplitude, so that both
+            together are linear. "period" (a length) and "rate" (rad per position) are searched on a grid that follows
+            from the distance traveled. "fixed" is not fitted. "shape" is everything else.
     """
 
     name: str
@@ -84,60 +93,86 @@ class EffectParameter:
 
     @property
     def amplitude(self) -> bool:
+        """Whether the parameter is zero where the effect is absent."""
         return self.role == "amplitude"
 
 
 @dataclass(frozen=True)
 class Effect:
-    """A definition: name, family, the kind of site it can sit at, parameters, contributions, formula and source.
+    """Definition of an effect; the hooks are described at the top of the module.
 
-    family: the effect's line in a user's catalogue, of which there may be several members.  equivalent: what no
-    recording can tell from it, in words.  against: the variable `u` of a table ("position of y", "time", ...).
-    refitted: whether a refit of the machine's own parameters holds it, so that nobody need search for it.
-    coordinate: the one that `structure` adds, on which the force acts.  fits: whether a machine has room for it.
+    Attributes:
+        name: Unique name.
+        family: Name of the group of effects that a user sees as one; a family may have several members.
+        site: Kind of site at which the effect can act.
+        parameters: Parameters, in the order of the full parameter vector.
+        formula: The equation, for tables and reports.
+        source: Reference of the formula.
+        structure: Function (machine, applied effect) -> machine that changes the machine's tables.
+        fits: Predicate (machine) -> bool: whether the machine has room for the effect.
+        fits_site: Predicate (machine, site) -> bool: whether the effect can act at that site.
+        equivalent: What no recording can distinguish from the effect, in words.
+        refitted: Whether a refit of the machine's parameters already contains the effect, so that no search needs it.
+        against: Variable `u` of a tabulated effect ("position of y", "velocity of y", "path of y", "time").
+        coordinate: Name of the coordinate that `structure` adds, on which the force acts.
     """
 
     name: str
     family: str
-    site: Site
+    site: SiteKind
     parameters: tuple[EffectParameter, ...]
     formula: str
     source: str
-    force: Contribution | None = None
-    guard: Contribution | None = None
-    coulomb: Contribution | None = None
-    friction: Contribution | None = None
-    viscous: Contribution | None = None
-    voltage: Contribution | None = None
-    delay: Contribution | None = None
-    current: Contribution | None = None
-    tension: Contribution | None = None
-    growth: Contribution | None = None
-    travel: Contribution | None = None
-    arm: Contribution | None = None
-    behind: Contribution | None = None
-    reading: Contribution | None = None
-    lag: Contribution | None = None
-    evolve: Contribution | None = None
+    force: Hook | None = None
+    active_region: Hook | None = None
+    coulomb: Hook | None = None
+    friction: Hook | None = None
+    viscous: Hook | None = None
+    voltage: Hook | None = None
+    delay: Hook | None = None
+    current: Hook | None = None
+    tension: Hook | None = None
+    energy_slope: Hook | None = None
+    belt_travel: Hook | None = None
+    lever_arm: Hook | None = None
+    rest_angle_offset: Hook | None = None
+    measurement: Hook | None = None
+    measurement_delay: Hook | None = None
+    next_state: Hook | None = None
     structure: Callable[..., Any] | None = None
     fits: Callable[..., bool] | None = None
+    fits_site: Callable[..., bool] | None = None
     equivalent: tuple[str, ...] = ()
     refitted: bool = False
     against: str = ""
     coordinate: str = ""
+    guard: dataclasses.InitVar[Hook | None] = None  # alias of active_region, see the end of the module
+
+    def __post_init__(self, guard: Hook | None) -> None:
+        if guard is not None:
+            object.__setattr__(self, "active_region", guard)
 
     def parameter(self, name: str) -> EffectParameter:
+        """Return the parameter of that name."""
         return next(p for p in self.parameters if p.name == name)
 
     @property
     def amplitudes(self) -> tuple[str, ...]:
-        """The parameters that are zero where the effect is absent."""
+        """Names of the parameters that are zero where the effect is absent."""
         return tuple(p.name for p in self.parameters if p.amplitude)
 
     def at(self, site: str, **parameters: float) -> AppliedEffect:
-        """This effect at a site, with every parameter given.
+        """Apply the effect at a site.
 
-        Raises ValueError naming the parameter that is missing, unknown or outside its bounds.
+        Args:
+            site: Name of a coordinate, drive or sensor channel, or "drives", "belts", "machine", as `site` says.
+            **parameters: Value of every parameter, SI.
+
+        Returns:
+            The applied effect.
+
+        Raises:
+            ValueError: If a parameter is missing, unknown or outside its bounds; the message names it.
         """
         names = [p.name for p in self.parameters]
         if set(parameters) != set(names):
@@ -150,10 +185,21 @@ class Effect:
                 )
         return AppliedEffect(self, site, {n: float(parameters[n]) for n in names})
 
+    def __getattr__(self, name: str) -> Any:
+        if name in _FORMER_HOOKS:
+            return getattr(self, _FORMER_HOOKS[name])
+        raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+
 
 @dataclass(frozen=True)
 class AppliedEffect:
-    """An effect at a site of a machine, with its numbers (of a machine: floats; of many variants at once: arrays)."""
+    """An effect at a site of a machine.
+
+    Attributes:
+        definition: The effect.
+        site: Name of the site.
+        parameters: Values by name, SI: floats, or arrays for many variants at once.
+    """
 
     definition: Effect
     site: str
@@ -161,28 +207,55 @@ class AppliedEffect:
 
     @property
     def name(self) -> str:
+        """Name of the definition."""
         return self.definition.name
 
     @property
     def label(self) -> str:
-        """`name@site`, the prefix of its parameters' full names."""
+        """`name@site`, the prefix of the parameters' full names."""
         return f"{self.definition.name}@{self.site}"
 
     def with_parameters(self, parameters: Mapping[str, float]) -> AppliedEffect:
-        """The same effect with other numbers."""
+        """Return the same effect with other parameter values."""
         return dataclasses.replace(self, parameters=dict(parameters))
 
-    def __call__(self, contribution: str, **scope: Any) -> Any:
-        """A contribution's value for given arguments (see the module's table) and the effect's own parameters.
+    def __call__(self, hook: str, **quantities: Any) -> Any:
+        """Evaluate a hook.
 
-        Raises KeyError naming an argument that the contribution asks for and nobody gave.
+        Args:
+            hook: Name of the hook.
+            **quantities: Quantities that the hook may need; see the table at the top of the module.
+
+        Returns:
+            The hook's value, in the table's unit.
+
+        Raises:
+            KeyError: If the hook needs an argument that was not given; the message names it.
         """
-        function = getattr(self.definition, contribution)
-        known = {**scope, **self.parameters}
-        return function(*(known[name] for name in asked(function)))
+        function = getattr(self.definition, hook)
+        values = {**quantities, **self.parameters}
+        return function(*(values[name] for name in argument_names(function)))
 
 
 @lru_cache(maxsize=1024)
-def asked(function: Contribution) -> tuple[str, ...]:
-    """The names of a contribution's arguments."""
+def argument_names(function: Hook) -> tuple[str, ...]:
+    """Return the names of a hook's arguments."""
     return tuple(inspect.signature(function).parameters)
+
+
+# Aliases until all packages use the new names.
+del Effect.guard  # the default of the alias keyword must not hide __getattr__
+_FORMER_HOOKS = {
+    "guard": "active_region",
+    "growth": "energy_slope",
+    "travel": "belt_travel",
+    "arm": "lever_arm",
+    "behind": "rest_angle_offset",
+    "reading": "measurement",
+    "lag": "measurement_delay",
+    "evolve": "next_state",
+}
+asked = argument_names
+CONTRIBUTIONS = HOOKS
+Contribution = Hook
+Site = SiteKind

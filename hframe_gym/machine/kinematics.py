@@ -1,27 +1,62 @@
-"""Kinematics of a machine: positions at rest with unstretched belts."""
+"""Kinematics of a machine with unstretched belts."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from .components import Array
 from .machine import Machine
 
-Array = NDArray[np.float64]
+_STRETCHES = 1e-9  # m per unit of the leading coordinate; a motion that extends a belt by more is not rigid
 
 
 def rest_state(machine: Machine, position: ArrayLike | None = None) -> Array:
-    """State (2 n,) at rest with unstretched belts, from the positions of the coordinates that carry the tool.
+    """Return the state at rest with unstretched belts.
 
-    position: the linear coordinates' positions in order, m (default zeros); rotary ones follow from s = 0.
+    Args:
+        machine: Machine.
+        position: Positions of the linear coordinates in their order, m, shape (linear coordinates,). Default: zeros.
+            The angles of the pulleys follow from zero extension of every belt.
+
+    Returns:
+        Positions, m or rad, then zero velocities, shape (2 * coordinates,).
     """
-    n = len(machine.coordinates)
-    q = np.zeros(n)
+    count = len(machine.coordinates)
+    q = np.zeros(count)
     linear = [i for i, c in enumerate(machine.coordinates) if c.kind == "linear"]
     if position is not None:
         q[linear] = np.asarray(position, float)
-    rotary = [i for i in range(n) if i not in linear and machine.coordinate_names[i] not in machine.sprung]
-    if rotary and machine.belts:
-        G = np.array([machine.row(b.extension) for b in machine.belts]) * machine.radii
-        q[rotary] = np.linalg.lstsq(G[:, rotary], -G[:, linear] @ q[linear], rcond=None)[0]
-    return np.concatenate([q, np.zeros(n)])
+    pulleys = [i for i in range(count) if i not in linear and machine.coordinate_names[i] not in machine.spring_loaded]
+    if pulleys and machine.belts:
+        G = machine.belt_matrix
+        q[pulleys] = np.linalg.lstsq(G[:, pulleys], -G[:, linear] @ q[linear], rcond=None)[0]
+    return np.concatenate([q, np.zeros(count)])
+
+
+def rigid_motions(machine: Machine) -> dict[str, Array]:
+    """Return the independent motions of a machine that stretch no belt.
+
+    With belts each linear coordinate leads one motion and the pulleys follow; without belts each coordinate moves
+    independently.
+
+    Args:
+        machine: Machine.
+
+    Returns:
+        By leading coordinate, the motion of every coordinate per unit of the leading one, shape (coordinates,). A
+        linear coordinate that cannot move without stretching a belt is left out.
+    """
+    count = len(machine.coordinates)
+    if not machine.belts:
+        return {name: np.eye(count)[i] for i, name in enumerate(machine.coordinate_names)}
+    G = machine.belt_matrix
+    rotary = [i for i, c in enumerate(machine.coordinates) if c.kind == "rotary"]
+    motions = {}
+    for i, c in enumerate(machine.coordinates):
+        if c.kind == "linear":
+            motion = np.eye(count)[i]
+            motion[rotary] = np.linalg.lstsq(G[:, rotary], -G[:, i], rcond=None)[0]
+            if np.max(np.abs(G @ motion)) < _STRETCHES:
+                motions[c.name] = motion
+    return motions

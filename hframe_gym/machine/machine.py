@@ -1,12 +1,13 @@
-"""A machine as tables: coordinates with a diagonal mass, belts that stretch, drives, sensors, effects.
+"""The machine model: coordinates with a diagonal mass matrix, elastic belts, drives, sensors and effects.
 
-Every model of the paper, a single axis and a stage with a yawing bridge are this one object.  A belt's extension is a
-row of numbers times the coordinates' travel, s = G p (physics: V = 1/2 sum k s^2); its length is such a row too, so
-its stiffness k = EA / length follows the carriage (eq. 38-44).  A rotary coordinate enters rows as belt travel
-p = radius * angle, which makes the rows small whole numbers: the machine's topology.
+Every model of the paper, a single axis and a stage with a yawing bridge are instances of this one class. The extension
+of a belt is a linear combination of the travel of the coordinates, s = G p (potential energy V = 1/2 sum k s^2), and so
+is its length; therefore its stiffness k = EA / length depends on the carriage's position (eq. 38-44). A rotary
+coordinate enters with its belt travel p = radius * angle, so that the coefficients are small integers: the topology of
+the machine.
 
-Machines are immutable; `replace` returns a changed one.  Values are SI, in the coordinate's own unit (kg and N, or
-kg m^2 and Nm).
+Values are SI, in the unit of the coordinate (kg and N, or kg m^2 and Nm). Machines are immutable; `Machine.replace`
+returns a changed copy.
 """
 
 from __future__ import annotations
@@ -15,169 +16,69 @@ import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ..registry import Registry
+from .components import FIXED_UNITS as FIXED_UNITS
+from .components import UNITS as UNITS
+from .components import Array, Drive, Sensor, Uncertainty
+from .components import Belt as Belt
+from .components import Coordinate as Coordinate
+from .components import Row as Row
 from .effect import AppliedEffect
 
-if TYPE_CHECKING:
-    from ..dynamics.simulation import Trajectory
-
-Row = Mapping[str, float]
-Kind = Literal["linear", "rotary"]
-
-# Units of a coordinate's own quantities; an effect's parameter may name one of these keys as its unit.
-UNITS: dict[Kind, dict[str, str]] = {
-    "linear": {
-        "position": "m",
-        "speed": "m/s",
-        "mass": "kg",
-        "force": "N",
-        "viscous": "Ns/m",
-        "stiffness": "N/m",
-        "drag": "Ns^2/m^2",
-        "rad/position": "rad/m",
-    },
-    "rotary": {
-        "position": "rad",
-        "speed": "rad/s",
-        "mass": "kg m^2",
-        "force": "Nm",
-        "viscous": "Nms",
-        "stiffness": "Nm/rad",
-        "drag": "Nms^2",
-        "rad/position": "1",
-    },
-}
-
 
 @dataclass(frozen=True)
-class Coordinate:
-    """One degree of freedom.
+class Trajectory:
+    """The simulated motion of a machine.
 
-    mass: kg or kg m^2.  viscous: Ns/m or Nms.  coulomb: N or Nm.  radius: of the pulley, m (rotary only).
-    range: where the coordinate can go, m or rad (None: anywhere).
+    Attributes:
+        time_s: Sample times, s, shape (n,).
+        positions: Positions of the coordinates, m or rad, shape (n, coordinates).
+        velocities: Velocities of the coordinates, m/s or rad/s, shape (n, coordinates).
+        outputs: Noise-free sensor readings, in the channels' units, shape (n, sensors).
+        channels: Names of the output channels.
     """
 
-    name: str
-    mass: float
-    viscous: float = 0.0
-    coulomb: float = 0.0
-    kind: Kind = "linear"
-    radius: float = 1.0
-    range: tuple[float, float] | None = None
-
-    def unit(self, quantity: str) -> str:
-        """The unit of this coordinate's position, speed, mass, force, viscous or stiffness."""
-        return UNITS[self.kind][quantity]
+    time_s: Array
+    positions: Array
+    velocities: Array
+    outputs: Array
+    channels: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class Belt:
-    """One elastic section: extension s = sum(extension[c] * travel[c]), k = EA / (rest_length + length . travel).
+class Simulator(Protocol):
+    """A function that simulates a machine; the package `dynamics` registers one."""
 
-    EA: N.  rest_length: m, at zero travel.  An empty length row means a constant stiffness.
-    """
-
-    name: str
-    EA: float
-    rest_length: float
-    extension: Row
-    length: Row = field(default_factory=dict)
+    def __call__(
+        self, machine: Machine, time_s: ArrayLike, inputs: ArrayLike, initial: ArrayLike | None = None
+    ) -> Trajectory:
+        """Simulate a machine over a voltage history; see `Machine.simulate`."""
+        ...
 
 
-@dataclass(frozen=True)
-class Drive:
-    """A DC motor behind a gear: torque = gear_ratio * Kt/R * (V - Ke * gear_ratio * w)   (eq. 17 with its erratum).
-
-    channel: the recording's input, e.g. v1_V.  Kt: Nm/A.  Ke: Vs/rad.  resistance: ohm.  rated_voltage: V.
-    On a linear coordinate gear_ratio is rad/m.  converter_bits: resolution of the D/A converter (0: continuous), which
-    covers -voltage_range to voltage_range (V; None: the rated voltage).
-    """
-
-    name: str
-    channel: str
-    coordinate: str
-    Kt: float
-    Ke: float
-    resistance: float
-    gear_ratio: float
-    rated_voltage: float
-    converter_bits: int = 0
-    voltage_range: float | None = None
-
-    @property
-    def gain(self) -> float:
-        """Force or torque per volt at rest, N/V or Nm/V."""
-        return self.gear_ratio * self.Kt / self.resistance
-
-    @property
-    def back_emf(self) -> float:
-        """Viscous friction that the short-circuited motor adds, Ns/m or Nms."""
-        return self.gear_ratio**2 * self.Kt * self.Ke / self.resistance
-
-
-@dataclass(frozen=True)
-class Sensor:
-    """A measured channel: reading = sum(row[c] * position[c]), in the coordinates' own units.
-
-    A row's key may be a product, "y*yaw": the reading then has that coefficient times both positions.
-    noise: standard deviation; resolution: quantum (0: none); both in the channel's unit.  kind: "encoder" for an
-    incremental sensor, which counts from where it was switched on, or "laser" for one with a fixed zero.
-    """
-
-    channel: str
-    row: Row
-    noise: float = 0.0
-    resolution: float = 0.0
-    kind: str = "laser"
-
-    @property
-    def coordinate(self) -> str:
-        """The coordinate that it measures above all."""
-        return max((c for c in self.row if "*" not in c), key=lambda c: abs(self.row[c]))
-
-
-@dataclass(frozen=True)
-class Uncertainty:
-    """What identification left open: a covariance over named parameters (and, beside it, the evidence's size)."""
-
-    names: tuple[str, ...]
-    covariance: NDArray[np.float64]
-
-    def std(self, name: str) -> float | None:
-        """Standard deviation of a parameter, or None where it was not identified."""
-        if name not in self.names:
-            return None
-        i = self.names.index(name)
-        return float(np.sqrt(self.covariance[i, i]))
-
-
-# The numbers of each table that may be fitted or randomised, and the units of those that do not follow a coordinate.
-PARAMETERS: dict[type, tuple[str, ...]] = {
-    Coordinate: ("mass", "viscous", "coulomb", "radius"),
-    Belt: ("EA", "rest_length"),
-    Drive: ("Kt", "Ke", "resistance", "gear_ratio"),
-}
-FIXED_UNITS = {
-    "radius": "m",
-    "EA": "N",
-    "rest_length": "m",
-    "Kt": "Nm/A",
-    "Ke": "Vs/rad",
-    "resistance": "ohm",
-    "gear_ratio": "1",
-}
+# This package does not depend on the integrator. Whoever provides one registers it under the name "default".
+SIMULATORS: Registry[Simulator] = Registry("simulator")
 
 
 @dataclass(frozen=True)
 class Machine:
-    """The stage.  Build one from the built-in names or a file with `hframe_gym.load_machine`.
+    """A belt-driven stage. Load one by preset name or from a file with `hframe_gym.load_machine`.
 
-    ties: numbers of the tables that are no parameters of their own but a factor times one, by full name, e.g.
-    {"phi3.radius": ("phi1.radius", 1.0)}: what a structural effect adds hangs on its parameters.
+    Attributes:
+        name: Name of the machine.
+        coordinates: Degrees of freedom.
+        belts: Elastic belt sections.
+        drives: Motors, in the order of the input channels.
+        sensors: Sensors, in the order of the output channels.
+        effects: Additional effects (friction, sensors, belts, ...) at their sites.
+        uncertainty: Covariance of the parameters, if they were identified.
+        description: One sentence for people.
+        ties: Parameters that equal a factor times another parameter, by full name, for example
+            {"phi3.radius": ("phi1.radius", 1.0)}. Effects that add coordinates tie the new parameters to their own.
     """
 
     name: str
@@ -192,19 +93,22 @@ class Machine:
 
     @cached_property
     def coordinate_names(self) -> tuple[str, ...]:
+        """Names of the coordinates, in the order of state vectors."""
         return tuple(c.name for c in self.coordinates)
 
     @cached_property
     def input_channels(self) -> tuple[str, ...]:
+        """Names of the voltage channels, in the order of the drives."""
         return tuple(d.channel for d in self.drives)
 
     @cached_property
     def output_channels(self) -> tuple[str, ...]:
+        """Names of the measured channels, in the order of the sensors."""
         return tuple(s.channel for s in self.sensors)
 
     @cached_property
     def shape(self) -> tuple[object, ...]:
-        """What a kernel is compiled for: the machine without its numbers, hashable."""
+        """The machine without parameter values, hashable: machines of one shape share one compiled kernel."""
         return (
             tuple((c.name, c.kind) for c in self.coordinates),
             tuple((b.name, tuple(b.extension.items()), tuple(b.length.items())) for b in self.belts),
@@ -215,30 +119,75 @@ class Machine:
         )
 
     def coordinate(self, name: str) -> Coordinate:
+        """Return the coordinate with a name.
+
+        Args:
+            name: Name of a coordinate of this machine.
+
+        Returns:
+            The coordinate.
+        """
         return self.coordinates[self.coordinate_names.index(name)]
 
-    def row(self, row: Row) -> NDArray[np.float64]:
-        """A row over names as an array over all coordinates, shape (n,); products have no place in it."""
-        return np.array([row.get(name, 0.0) for name in self.coordinate_names])
-
-    @cached_property
-    def radii(self) -> NDArray[np.float64]:
-        """Travel per unit of each coordinate, shape (n,): pulley radius, or 1 for a linear one."""
-        return np.array([c.radius if c.kind == "rotary" else 1.0 for c in self.coordinates])
-
-    @cached_property
-    def sensor_matrix(self) -> NDArray[np.float64]:
-        """C of reading = C q, shape (sensors, coordinates), without products and effects."""
-        return np.array([self.row(s.row) for s in self.sensors])
-
     def drive(self, name: str) -> Drive:
+        """Return the drive with a name.
+
+        Args:
+            name: Name of a drive of this machine.
+
+        Returns:
+            The drive.
+        """
         return next(d for d in self.drives if d.name == name)
 
     def sensor(self, channel: str) -> Sensor:
+        """Return the sensor of a channel.
+
+        Args:
+            channel: An output channel of this machine.
+
+        Returns:
+            The sensor.
+        """
         return next(s for s in self.sensors if s.channel == channel)
 
-    def site_coordinate(self, site: str) -> str | None:
-        """The coordinate of a site: itself, the drive's, or the one that the sensor measures; None for wider sites."""
+    def coefficients(self, row: Row) -> Array:
+        """Convert a row of coefficients by name to an array over all coordinates.
+
+        Args:
+            row: Coefficients by coordinate name. Products ("y*yaw") are ignored.
+
+        Returns:
+            Coefficients, shape (coordinates,); zero where the row does not name the coordinate.
+        """
+        return np.array([row.get(name, 0.0) for name in self.coordinate_names])
+
+    @cached_property
+    def travel_per_unit(self) -> Array:
+        """Belt travel per unit of each coordinate, m/rad or 1, shape (coordinates,)."""
+        return np.array([c.travel_per_unit for c in self.coordinates])
+
+    @cached_property
+    def belt_matrix(self) -> Array:
+        """Extension of each belt per unit of each coordinate, m/m or m/rad, shape (belts, coordinates)."""
+        rows = [self.coefficients(b.extension) * self.travel_per_unit for b in self.belts]
+        return np.array(rows).reshape(len(self.belts), len(self.coordinates))
+
+    @cached_property
+    def sensor_matrix(self) -> Array:
+        """Ideal reading of each sensor per unit of each coordinate, shape (sensors, coordinates), without products."""
+        return np.array([self.coefficients(s.row) for s in self.sensors])
+
+    def coordinate_of_site(self, site: str) -> str | None:
+        """Return the coordinate on which an effect at a site acts.
+
+        Args:
+            site: Site of an effect: the name of a coordinate, drive or channel, or "drives", "belts", "machine".
+
+        Returns:
+            The coordinate, the drive's coordinate, or the coordinate that the sensor measures; None for a site that
+            is not at one coordinate.
+        """
         if site in self.coordinate_names:
             return site
         by_drive = {d.name: d.coordinate for d in self.drives}
@@ -246,81 +195,169 @@ class Machine:
         return (by_drive | by_sensor).get(site)
 
     @cached_property
-    def sprung(self) -> tuple[str, ...]:
-        """Coordinates with a spring of their own, which an effect added: zero at rest."""
+    def spring_loaded(self) -> tuple[str, ...]:
+        """Names of the coordinates that effects added, each with a spring to zero: they are zero at rest."""
         return tuple(e.definition.coordinate for e in self.effects if e.definition.coordinate)
 
-    def across(self, coordinate: str) -> str | None:
-        """The other linear coordinate, where there are just two."""
+    def other_axis(self, coordinate: str) -> str | None:
+        """Return the other linear coordinate of a machine that has two.
+
+        Args:
+            coordinate: Name of a coordinate.
+
+        Returns:
+            The name of the other linear coordinate, or None if there is not exactly one.
+        """
         others = [c.name for c in self.coordinates if c.kind == "linear" and c.name != coordinate]
         return others[0] if len(others) == 1 else None
 
     @cached_property
     def parameters(self) -> dict[str, float]:
-        """Every number that may be fitted or randomised, by its full name, e.g. `x.coulomb`, `left.EA`."""
+        """Parameters that can be identified or randomized, SI, by full name, for example `x.coulomb`, `left.EA`."""
         values: dict[str, float] = {}
-        tables: tuple[Any, ...] = (*self.coordinates, *self.belts, *self.drives)
-        for item in tables:
-            names = {key: f"{item.name}.{key}" for key in PARAMETERS[type(item)]}
-            values |= {name: getattr(item, key) for key, name in names.items() if name not in self.ties}
+        components: tuple[Coordinate | Belt | Drive, ...] = (*self.coordinates, *self.belts, *self.drives)
+        for component in components:
+            full_names = {key: f"{component.name}.{key}" for key in component.PARAMETERS}
+            values |= {name: getattr(component, key) for key, name in full_names.items() if name not in self.ties}
         for e in self.effects:
             values |= {f"{e.label}.{key}": value for key, value in e.parameters.items()}
         return values
 
+    @cached_property
+    def device_parameters(self) -> dict[str, float]:
+        """Parameters of sensors and drives that the simulation kernel does not use, by full name.
+
+        They are the noise and resolution of every sensor (`x_m.noise`, `x_m.resolution`, in the channel's unit) and
+        the converter of every drive (`motor1.converter_bits`; `motor1.voltage_range`, V, by default the rated
+        voltage). They can be randomized like `parameters`.
+        """
+        owners = [(s.channel, s.device_parameters) for s in self.sensors]
+        owners += [(d.name, d.device_parameters) for d in self.drives]
+        return {f"{owner}.{key}": value for owner, values in owners for key, value in values.items()}
+
     def unit(self, parameter: str) -> str:
-        """The unit of a parameter by its full name."""
+        """Return the unit of a parameter.
+
+        Args:
+            parameter: Full name of a parameter or device parameter.
+
+        Returns:
+            The unit, for example "Ns/m".
+        """
         owner, _, key = parameter.rpartition(".")
-        if owner in self.coordinate_names and key not in FIXED_UNITS:
-            return self.coordinate(owner).unit("force" if key == "coulomb" else key)
+        if owner in self.output_channels and key in self.sensor(owner).device_parameters:
+            return self.coordinate(self.sensor(owner).coordinate).unit("position")
+        if owner in self.coordinate_names:
+            return self.coordinate(owner).unit(key)
         for e in self.effects:
             if e.label == owner:
                 return self.effect_unit(e, key)
         return FIXED_UNITS[key]
 
-    def effect_unit(self, effect: AppliedEffect, key: str) -> str:
-        """The unit of an effect's parameter at its site (a friction level is N at x and Nm at a motor)."""
-        unit = effect.definition.parameter(key).unit
-        coordinate = self.site_coordinate(effect.site)
+    def effect_unit(self, effect: AppliedEffect, parameter: str) -> str:
+        """Return the unit of an effect's parameter at its site.
+
+        Args:
+            effect: Effect at a site of this machine; the machine need not have it.
+            parameter: Name of the effect's parameter.
+
+        Returns:
+            The unit, for example N for a friction level at a carriage and Nm at a motor.
+        """
+        unit = effect.definition.parameter(parameter).unit
+        coordinate = self.coordinate_of_site(effect.site)
         return UNITS[self.coordinate(coordinate).kind].get(unit, unit) if coordinate else unit
 
     def replace(self, values: Mapping[str, float] | None = None, **fields: object) -> Machine:
-        """This machine with other parameter values (by full name) and other fields.
+        """Return a copy with other parameter values and other fields.
 
-        Raises KeyError for a name that is no parameter of this machine.
+        Args:
+            values: New values by full name, SI; names of `parameters` or `device_parameters`. `converter_bits` is
+                rounded to an integer.
+            **fields: New values of dataclass fields, for example `name` or `drives`.
+
+        Returns:
+            The changed machine.
+
+        Raises:
+            KeyError: If this machine has no parameter of a name.
         """
         values = dict(values or {})
-        unknown = sorted(set(values) - set(self.parameters))
+        unknown = sorted(set(values) - set(self.parameters) - set(self.device_parameters))
         if unknown:
             raise KeyError(f"machine {self.name!r} has no parameter {', '.join(unknown)}")
         values |= {tied: factor * values[name] for tied, (name, factor) in self.ties.items() if name in values}
-
-        def changed(item: Any) -> Any:
-            own = {k.rpartition(".")[2]: v for k, v in values.items() if k.rpartition(".")[0] == item.name}
-            return dataclasses.replace(item, **own) if own else item
-
-        effects = tuple(
-            e.with_parameters({k: values.get(f"{e.label}.{k}", v) for k, v in e.parameters.items()})
-            for e in self.effects
-        )
-        tables: dict[str, object] = {
-            "coordinates": tuple(map(changed, self.coordinates)),
-            "belts": tuple(map(changed, self.belts)),
-            "drives": tuple(map(changed, self.drives)),
-            "effects": effects,
+        new: dict[str, object] = {
+            "coordinates": tuple(_with_values(c, c.name, c.PARAMETERS, values) for c in self.coordinates),
+            "belts": tuple(_with_values(b, b.name, b.PARAMETERS, values) for b in self.belts),
+            "drives": tuple(
+                _with_values(d, d.name, (*d.PARAMETERS, *d.device_parameters), values) for d in self.drives
+            ),
+            "sensors": tuple(_with_values(s, s.channel, tuple(s.device_parameters), values) for s in self.sensors),
+            "effects": tuple(
+                e.with_parameters({k: values.get(f"{e.label}.{k}", v) for k, v in e.parameters.items()})
+                for e in self.effects
+            ),
         }
-        return dataclasses.replace(self, **(tables | fields))  # type: ignore[arg-type]
-
-    def simulate(self, time_s: ArrayLike, inputs: ArrayLike, initial: ArrayLike | None = None) -> Trajectory:
-        """The machine's free run; see `hframe_gym.dynamics.simulation`."""
-        from ..dynamics.simulation import simulate  # the tables know nothing of kernels until one is asked for
-
-        return simulate(self, time_s, inputs, initial)
+        return dataclasses.replace(self, **(new | fields))  # type: ignore[arg-type]
 
     def with_effects(self, *effects: AppliedEffect) -> Machine:
-        """This machine with more effects; structural ones change its tables."""
+        """Return a copy with additional effects.
+
+        Args:
+            *effects: Effects at sites of this machine. An effect with a `structure` also changes the components.
+
+        Returns:
+            The extended machine.
+        """
         machine = self
         for e in effects:
             machine = dataclasses.replace(machine, effects=(*machine.effects, e))
             if e.definition.structure:
                 machine = e.definition.structure(machine, e)
         return machine
+
+    def simulate(self, time_s: ArrayLike, inputs: ArrayLike, initial: ArrayLike | None = None) -> Trajectory:
+        """Simulate the machine over a voltage history.
+
+        Each voltage is held from its sample until the next (zero-order hold).
+
+        Args:
+            time_s: Sample times, s, strictly increasing, shape (n,).
+            inputs: Drive voltages, V, shape (n, drives).
+            initial: Positions, then velocities, at the first sample, in the coordinates' units, shape
+                (2 * coordinates,). Default: at rest at the origin with unstretched belts.
+
+        Returns:
+            Positions, velocities and sensor readings at every sample.
+
+        Raises:
+            ValueError: If the shapes do not fit the machine, times do not increase, or a value is not finite.
+            RuntimeError: If no simulator is registered; importing `hframe_gym.dynamics` registers one.
+        """
+        if "default" not in SIMULATORS:
+            raise RuntimeError("no simulator is registered; import hframe_gym.dynamics before Machine.simulate")
+        return SIMULATORS.get("default")(self, time_s, inputs, initial)
+
+    # Aliases until all packages use the new names.
+    @property
+    def radii(self) -> Array:
+        """Return `travel_per_unit`."""
+        return self.travel_per_unit
+
+    @property
+    def sprung(self) -> tuple[str, ...]:
+        """Return `spring_loaded`."""
+        return self.spring_loaded
+
+    row = coefficients
+    across = other_axis
+    site_coordinate = coordinate_of_site
+
+
+def _with_values(component: Any, name: str, keys: tuple[str, ...], values: Mapping[str, float]) -> Any:
+    """Return a component with those of its parameters replaced that `values` holds under `name.key`."""
+    new: dict[str, Any] = {key: values[f"{name}.{key}"] for key in keys if f"{name}.{key}" in values}
+    if "converter_bits" in new:
+        new["converter_bits"] = round(new["converter_bits"])
+    return dataclasses.replace(component, **new) if new else component

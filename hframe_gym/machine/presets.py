@@ -1,34 +1,48 @@
-"""The machines that come with the library: the paper's rig in its variants, and a single axis to copy.
+"""Preset machines: the variants of the paper's rig, and a single axis as a starting point.
 
-Numbers: Sollmann, Jouaneh and Lavender, Tables 1, 3 and 4.  Errata that matter here are in docs/errata.md.
+References:
+    Sollmann, Jouaneh and Lavender (2010), Tables 1, 3 and 4; errata in docs/errata.md.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable
 
-from .machine import Belt, Coordinate, Drive, Machine, Sensor
+from .components import Belt, Coordinate, Drive, Sensor
+from .machine import Machine
 
-RADIUS = 0.0194  # m, Table 1
-AE = 5.5626e-6 * 2.50e9  # N, Table 4
-SECTIONS = (0.781, 0.781, 0.3334, 0.3334, 0.3334, 0.3334, 0.281, 0.281, 0.6159)  # m, l1..l9, Table 4
-STIFFNESS = {"left": 1.3167e4, "right": 1.0791e4, "bottom": 8.0492e3}  # N/m, Table 1
+RADIUS = 0.0194  # m, pitch radius of the pulleys, Table 1
+AE = 5.5626e-6 * 2.50e9  # N, cross section times Young's modulus of the belt, Table 4
+SECTIONS = (0.781, 0.781, 0.3334, 0.3334, 0.3334, 0.3334, 0.281, 0.281, 0.6159)  # m, belt sections l1..l9, Table 4
+STIFFNESS = {"left": 1.3167e4, "right": 1.0791e4, "bottom": 8.0492e3}  # N/m, belt sections, Table 1
 GEAR_RATIO = 5.9  # section II; missing from eq. 17
-# Section II: 512 lines read in quadrature before the gear; laser noise is not given, 20 um is typical of the model.
-ENCODER_QUANTUM = 2 * 3.141592653589793 / (4 * 512 * GEAR_RATIO)  # rad
+# Section II: encoders with 512 lines, read in quadrature, on the motor side of the gear.
+ENCODER_QUANTUM = 2 * math.pi / (4 * 512 * GEAR_RATIO)  # rad
 WORKSPACE = {"x": (-0.28, 0.28), "y": (-0.19, 0.19)}  # m, section II: 560 mm by 380 mm
-LASER_NOISE = 20e-6  # m
+LASER_NOISE = 20e-6  # m; the paper does not state it, this value is typical of the laser model
 
 
-def _drives(gear_ratio: float, first: str = "phi1", second: str = "phi2") -> tuple[Drive, ...]:
+def _drives(gear_ratio: float) -> tuple[Drive, ...]:
+    """Return the two motors of the rig."""
     return tuple(
-        Drive(f"motor{i}", f"v{i}_V", c, Kt=23e-3, Ke=23e-3, resistance=0.71, gear_ratio=gear_ratio, rated_voltage=12.0)
-        for i, c in ((1, first), (2, second))
+        Drive(
+            name=f"motor{i}",
+            channel=f"v{i}_V",
+            coordinate=f"phi{i}",
+            Kt=23e-3,
+            Ke=23e-3,
+            resistance=0.71,
+            gear_ratio=gear_ratio,
+            rated_voltage=12.0,
+        )
+        for i in (1, 2)
     )
 
 
 def _sensors() -> tuple[Sensor, ...]:
+    """Return the two motor encoders and the two lasers of the rig."""
     return (
         Sensor("phi1_rad", {"phi1": 1.0}, noise=0.0, resolution=ENCODER_QUANTUM, kind="encoder"),
         Sensor("phi2_rad", {"phi2": 1.0}, noise=0.0, resolution=ENCODER_QUANTUM, kind="encoder"),
@@ -38,11 +52,18 @@ def _sensors() -> tuple[Sensor, ...]:
 
 
 def hframe() -> Machine:
-    """8th order, Coulomb and viscous friction (Table 3), belts that depend on position (eq. 43-44), gear 5.9."""
+    """Return the paper's nonlinear 8th-order model.
+
+    It has Coulomb and viscous friction (Table 3), position-dependent belt stiffness (eq. 43-44) and a gear ratio of
+    5.9.
+
+    Returns:
+        The machine `hframe`.
+    """
     l1, l2, l3, l4, l5, l6, l7, l8, l9 = SECTIONS
     return Machine(
         name="hframe",
-        description="The paper's rig: 8th order, nonlinear friction, stiffness that follows the carriage.",
+        description="The paper's rig: 8th order, nonlinear friction, position-dependent belt stiffness.",
         coordinates=(
             Coordinate("x", mass=4.07, viscous=32.5114, coulomb=2.0, range=WORKSPACE["x"]),
             Coordinate("y", mass=1.0412, viscous=35.2944, coulomb=0.4, range=WORKSPACE["y"]),
@@ -60,13 +81,27 @@ def hframe() -> Machine:
 
 
 def with_constant_stiffness(machine: Machine, stiffness: dict[str, float]) -> Machine:
-    """The machine with belts of the given stiffness (N/m, by belt) wherever the carriage is."""
+    """Return a copy of a machine whose belt stiffness does not depend on the position.
+
+    Args:
+        machine: Machine.
+        stiffness: Stiffness by belt name, N/m.
+
+    Returns:
+        The changed machine.
+    """
     belts = tuple(dataclasses.replace(b, rest_length=b.EA / stiffness[b.name], length={}) for b in machine.belts)
     return machine.replace(belts=belts)
 
 
 def hframe_linear() -> Machine:
-    """8th order, viscous friction only and constant stiffness (Table 1), gear 5.9: A, B, C, D of eq. 20-24."""
+    """Return the paper's linear 8th-order model (eq. 20-24).
+
+    It has viscous friction only and constant belt stiffness (Table 1), and a gear ratio of 5.9.
+
+    Returns:
+        The machine `hframe-linear`.
+    """
     base = hframe()
     friction = {"x": (46.4449, 0.0), "y": (45.5517, 0.0), "phi1": (0.0042, 0.0), "phi2": (0.0042, 0.0)}
     coordinates = tuple(
@@ -81,7 +116,13 @@ def hframe_linear() -> Machine:
 
 
 def hframe_literal() -> Machine:
-    """`hframe` with eq. 17 as printed, without the gear ratio: kept to show that it contradicts Fig. 7."""
+    """Return `hframe` with eq. 17 as printed, without the gear ratio.
+
+    It is kept to show that the printed equation contradicts the paper's Fig. 7.
+
+    Returns:
+        The machine `hframe-literal`.
+    """
     return hframe().replace(
         name="hframe-literal",
         description="Equation 17 taken literally (gear ratio 1): does not match the paper's own figures.",
@@ -90,14 +131,18 @@ def hframe_literal() -> Machine:
 
 
 def hframe_order20() -> Machine:
-    """20th order, all eight pulleys (eq. 25-34 with errata), linear friction unlumped from Table 1 (eq. 4-8).
+    """Return the paper's linear 20th-order model with all eight pulleys (eq. 25-34 with errata).
 
-    Stiffness of each section at the position for which Table 1 holds (eq. 39-43), constant.
+    The inertia and friction of the idlers are separated from the lumped values of Table 1 (eq. 4-8). The stiffness of
+    each section is constant, at the position for which Table 1 holds (eq. 39-43).
+
+    Returns:
+        The machine `hframe-order20`.
     """
     linear = hframe_linear()
     x, y = -0.2227, -0.1163
     inertia, viscous = linear.coordinate("phi1").mass / 2, linear.coordinate("phi1").viscous / 2
-    lump = 4 / RADIUS**2
+    lump = 4 / RADIUS**2  # 1/m^2, mass on the cart per pulley inertia
     bridge, cart = linear.coordinate("x"), linear.coordinate("y")
     pulleys = tuple(Coordinate(f"phi{i}", inertia, viscous, kind="rotary", radius=RADIUS) for i in range(1, 9))
     cart = dataclasses.replace(cart, mass=cart.mass - lump * inertia, viscous=cart.viscous - lump * viscous)
@@ -112,9 +157,9 @@ def hframe_order20() -> Machine:
         {"y": 1, "phi8": -1},
         {"phi5": 1, "phi6": -1},
     )
-    grow = (0.0, 0.0, -x, -x, x, x, y, -y, 0.0)
+    added_length = (0.0, 0.0, -x, -x, x, x, y, -y, 0.0)  # m, by section at this position
     belts = tuple(
-        Belt(f"s{i + 1}", AE, section + grow[i], row)
+        Belt(f"s{i + 1}", AE, section + added_length[i], row)
         for i, (section, row) in enumerate(zip(SECTIONS, rows, strict=True))
     )
     return Machine(
@@ -128,10 +173,14 @@ def hframe_order20() -> Machine:
 
 
 def axis() -> Machine:
-    """A single motor-driven axis: one coordinate, one input, one output.  Copy it to describe a rig of your own."""
+    """Return a single motor-driven axis with one input and one output, as a template for other machines.
+
+    Returns:
+        The machine `axis`.
+    """
     return Machine(
         name="axis",
-        description="One carriage on one motor-driven axis; copy and edit to describe a rig.",
+        description="One carriage on one motor-driven axis; copy it and edit it to describe a machine.",
         coordinates=(Coordinate("x", mass=1.0, viscous=5.0, coulomb=1.0),),
         belts=(),
         drives=(Drive("motor", "v_V", "x", Kt=0.05, Ke=0.05, resistance=1.0, gear_ratio=50.0, rated_voltage=12.0),),

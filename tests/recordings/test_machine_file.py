@@ -1,3 +1,5 @@
+"""machine.json: round trips, defaults of optional fields, and refusals by field."""
+
 from __future__ import annotations
 
 import json
@@ -10,12 +12,12 @@ import pytest
 
 from hframe_gym.effects import EFFECTS
 from hframe_gym.errors import InputError
-from hframe_gym.machine import BUILTIN_MACHINES, Machine, Uncertainty
+from hframe_gym.machine import BUILTIN_MACHINES, SENSOR_KINDS, Machine, SensorKind, Uncertainty
 from hframe_gym.recordings import load_machine, machine_to_dict, save_machine
 
 
 @pytest.mark.parametrize("name", sorted(BUILTIN_MACHINES))
-def test_round_trip_keeps_every_number_and_the_shape(name: str, tmp_path: Path) -> None:
+def test_a_preset_survives_a_round_trip_through_its_file(name: str, tmp_path: Path) -> None:
     machine = load_machine(name)
     save_machine(machine, tmp_path / "machine.json")
     again = load_machine(tmp_path / "machine.json")
@@ -24,7 +26,7 @@ def test_round_trip_keeps_every_number_and_the_shape(name: str, tmp_path: Path) 
     assert again.sensors == machine.sensors
 
 
-def test_round_trip_with_effects_and_uncertainty(hframe: Machine, tmp_path: Path) -> None:
+def test_effects_and_covariance_survive_a_round_trip(hframe: Machine, tmp_path: Path) -> None:
     machine = hframe.with_effects(EFFECTS["stribeck_friction"].at("phi1", dF=0.02, vs=1.5))
     names = ("x.mass", "stribeck_friction@phi1.dF")
     covariance = np.array([[1e-4, 1e-7], [1e-7, 4e-8]])
@@ -58,6 +60,22 @@ def change(path: list[Any], value: Any) -> Callable[[dict[str, Any]], None]:
         (change(["belts", 0, "extension"], {"z": 1.0}), "belts.left.extension: no coordinate is called 'z'"),
         (change(["drives", 0, "coordinate"], "z"), "drives.motor1.coordinate: no coordinate is called 'z'"),
         (change(["sensors", 0, "noise", "unit"], "m"), "sensors.phi1_rad.noise: unit is 'm', must be 'rad'"),
+        (
+            change(["sensors", 0, "kind"], "magic"),
+            "sensors.phi1_rad.kind: sensor kind 'magic' is unknown; choose one of encoder",
+        ),
+        (change(["drives", 0, "converter_bits"], 40), "drives.0.converter_bits"),
+        (change(["sensors", 2, "range"], [0.1, -0.1]), "sensors.x_m.range: must be [lowest, highest]"),
+        (change(["belts", 1, "name"], "left"), "must all differ; 'left' occurs twice"),
+        (change(["ties"], {"x.mass": ["nothing", 1.0]}), "ties.x.mass: 'x.mass' and 'nothing' must be parameters"),
+        (
+            change(["uncertainty"], {"names": ["x.mass", "y.mass"], "covariance": [[1.0], [1.0, 2.0]]}),
+            "uncertainty.covariance: must be a symmetric 2 x 2 matrix",
+        ),
+        (
+            change(["uncertainty"], {"names": ["z.mass"], "covariance": [[1.0]]}),
+            "uncertainty.names: the machine has no parameter z.mass",
+        ),
         (change(["surprise"], 1), "surprise"),
         (change(["schema"], 2), "schema"),
         (change(["effects"], [{"name": "magic", "site": "x", "parameters": {}}]), "effects.magic: no such effect"),
@@ -71,7 +89,7 @@ def change(path: list[Any], value: Any) -> Callable[[dict[str, Any]], None]:
         ),
     ],
 )
-def test_a_wrong_file_is_refused_by_field(
+def test_an_error_names_file_and_field(
     edit: Callable[[dict[str, Any]], None], message: str, hframe: Machine, tmp_path: Path
 ) -> None:
     content = machine_to_dict(hframe)
@@ -85,7 +103,7 @@ def test_a_wrong_file_is_refused_by_field(
     assert "\n" not in str(error.value)
 
 
-def test_not_a_number_does_not_enter(hframe: Machine, tmp_path: Path) -> None:
+def test_a_nan_in_the_file_is_refused(hframe: Machine, tmp_path: Path) -> None:
     content = machine_to_dict(hframe)
     content["coordinates"][0]["mass"]["value"] = float("nan")
     (tmp_path / "m.json").write_text(json.dumps(content))
@@ -93,6 +111,85 @@ def test_not_a_number_does_not_enter(hframe: Machine, tmp_path: Path) -> None:
         load_machine(tmp_path / "m.json")
 
 
-def test_an_unknown_name_lists_the_built_in_ones() -> None:
+def test_an_unknown_machine_name_lists_the_presets() -> None:
     with pytest.raises(InputError, match="hframe-linear"):
         load_machine("no-such-machine")
+
+
+def test_a_file_without_sensor_kinds_gets_encoders_on_rotary_and_lasers_on_linear_coordinates(
+    hframe: Machine, tmp_path: Path
+) -> None:
+    content = machine_to_dict(hframe)
+    for sensor in content["sensors"]:
+        del sensor["kind"]
+    for drive in content["drives"]:
+        del drive["converter_bits"]
+    (tmp_path / "m.json").write_text(json.dumps(content))
+    machine = load_machine(tmp_path / "m.json")
+    assert [s.kind for s in machine.sensors] == ["encoder", "encoder", "laser", "laser"]
+    assert [d.converter_bits for d in machine.drives] == [0, 0]
+
+
+def test_a_declared_range_delay_and_current_limit_are_loaded_as_effects_and_survive_a_round_trip(
+    hframe: Machine, tmp_path: Path
+) -> None:
+    content = machine_to_dict(hframe)
+    content["sensors"][2] |= {"range": [-0.05, 0.05], "delay": {"value": 2e-3, "unit": "s"}}
+    content["drives"][0] |= {"current_limit": {"value": 12.0, "unit": "A"}, "converter_bits": 12}
+    content["drives"][1] |= {"voltage_range": {"value": 10.0, "unit": "V"}}
+    for drive in content["drives"]:
+        drive["delay"] = {"value": 1e-3, "unit": "s"}
+    (tmp_path / "m.json").write_text(json.dumps(content))
+    machine = load_machine(tmp_path / "m.json")
+    effect_parameters = {name: value for name, value in machine.parameters.items() if "@" in name}
+    assert effect_parameters == {
+        "sensor_range@x_m.low": -0.05,
+        "sensor_range@x_m.high": 0.05,
+        "sensor_delay@x_m.d": 2e-3,
+        "current_limit@motor1.I": 12.0,
+        "input_delay@drives.d": 1e-3,
+    }
+    assert machine.drives[0].converter_bits == 12
+    assert machine.drives[1].voltage_range == 10.0
+    save_machine(machine, tmp_path / "again.json")
+    again = load_machine(tmp_path / "again.json")
+    assert again.parameters == machine.parameters
+    assert again.drives == machine.drives
+
+
+def test_delays_that_differ_between_drives_act_on_each_drive(hframe: Machine, tmp_path: Path) -> None:
+    content = machine_to_dict(hframe)
+    content["drives"][1]["delay"] = {"value": 5e-3, "unit": "s"}
+    (tmp_path / "m.json").write_text(json.dumps(content))
+    machine = load_machine(tmp_path / "m.json")
+    assert machine.parameters["input_delay@motor2.d"] == 5e-3
+    save_machine(machine, tmp_path / "again.json")
+    again = load_machine(tmp_path / "again.json")
+    assert again.parameters == machine.parameters
+
+
+def test_an_effect_that_a_field_and_the_list_of_effects_both_declare_is_refused(
+    hframe: Machine, tmp_path: Path
+) -> None:
+    content = machine_to_dict(hframe.with_effects(EFFECTS["sensor_delay"].at("x_m", d=1e-3)))
+    content["sensors"][2]["delay"] = {"value": 2e-3, "unit": "s"}
+    (tmp_path / "m.json").write_text(json.dumps(content))
+    with pytest.raises(InputError, match=r"effects\.sensor_delay: declared twice at x_m"):
+        load_machine(tmp_path / "m.json")
+
+
+def test_a_sensor_kind_that_a_user_registers_is_accepted_by_the_file(hframe: Machine, tmp_path: Path) -> None:
+    @SENSOR_KINDS.register("resolver")
+    class Resolver(SensorKind):
+        """A rotary sensor that repeats after half a turn."""
+
+        @staticmethod
+        def measure(reading: Any, noise: Any, resolution: Any, normal: Any) -> Any:
+            return np.mod(reading, np.pi)
+
+    content = machine_to_dict(hframe)
+    content["sensors"][0]["kind"] = "resolver"
+    (tmp_path / "m.json").write_text(json.dumps(content))
+    sensor = load_machine(tmp_path / "m.json").sensors[0]
+    assert not sensor.incremental
+    assert SENSOR_KINDS.get(sensor.kind) is Resolver

@@ -1,12 +1,14 @@
-"""An independent simulator of the H-frame stage: the oracle and the rig of the benchmarks.
+"""Simulate the H-frame stage independently of the package: the oracle of the tests and the plant of the benchmarks.
 
-It shares neither code nor method with ``hframe_gym``. The equations come straight from the Lagrangian (`equations`),
-friction is event-driven (every coordinate sticks or slides in a known direction, and nothing is regularised), and
-between events an adaptive Runge-Kutta pair integrates to tight tolerances (`integrate`). `rig` lists what a stage can
-be made of, declared or not; `sensors` what its readings lose.
+The simulator shares neither code nor method with `hframe_gym`. Its equations follow directly from the Lagrangian
+(`equations`). Dry friction is event-driven (each coordinate sticks or slides in a known direction, without
+regularization), and an adaptive Runge-Kutta pair integrates between the events to tight tolerances (`integrator`).
+`rig` lists the parameters of a stage, including every effect that a machine file does not declare; `sensors` models the
+measurements.
 
-Coordinates, always in this order: x (bridge) [m], y (cart) [m], phi1, phi2 (belt pulleys) [rad].
-Belts, in this order: left, right, bottom. Drives: motor 1 on phi1, motor 2 on phi2.
+Conventions, everywhere in this package:
+    Coordinates: x (bridge), y (cart), m; phi1, phi2 (belt pulleys), rad; in this order.
+    Belts: left, right, bottom. Drives: motor 1 acts on phi1, motor 2 on phi2.
 """
 
 from tests.reference_simulator.rig import COORDINATES, Array, Frame, Payload, Rig, Yaw

@@ -1,7 +1,10 @@
-"""The stage's equations of motion, compiled: d/dt of everything it remembers, in given modes of dry friction.
+"""Equations of motion, compiled: time derivative of the state for given modes of dry friction.
 
-State, with n coordinates: q (n), v (n), motor currents (2), friction bristles (n), cable hysteresis (n), the motors'
-heat (2), the frame's place and speed. ``mode`` (n,) is 0 where a coordinate sticks, else the direction it slides in.
+The state z of a stage with n coordinates has 4 n + 6 entries, in this order:
+    positions q (n), velocities v (n), motor currents (2), friction bristles (n), cable hysteresis (n),
+    normalized heat of the motors (2), position and velocity of the frame (2).
+
+The mode (n,) of a coordinate is 0 while it sticks, otherwise the direction, +1 or -1, in which it slides.
 """
 
 from __future__ import annotations
@@ -13,50 +16,61 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from tests.reference_simulator.parameter_arrays import ParameterArrays
 from tests.reference_simulator.rig import Array
-from tests.reference_simulator.tables import Tables
 
-EXTRA = 6  # states beside four for every coordinate
+EXTRA = 6  # entries of the state in addition to four per coordinate
 
 
 @njit(cache=True)
 def derivative(
-    t: float, z: Array, volts: Array, mode: Array, tables: Tables, dz: Array, force: Array, level: Array
+    t: float, z: Array, volts: Array, mode: Array, arrays: ParameterArrays, dz: Array, force: Array, level: Array
 ) -> None:  # pragma: no cover - compiled
-    """Fill dz (4 n + 6,), and per coordinate (n,) every force but rigid dry friction, and that friction's level."""
-    coordinates = tables.coordinates
-    stage = tables.stage[0]
+    """Compute the state's derivative, the forces and the levels of dry friction, in place.
+
+    Args:
+        t: Time on the session's clock, s.
+        z: State, shape (4 n + 6,).
+        volts: Voltages at the drives, V, shape (2,).
+        mode: Modes of dry friction, shape (n,).
+        arrays: Parameters of the stage.
+        dz: Output: derivative of the state, shape (4 n + 6,).
+        force: Output: sum of all forces but rigid dry friction, N or Nm, shape (n,).
+        level: Output: level of rigid dry friction, N or Nm, shape (n,).
+    """
+    coordinates = arrays.coordinates
+    stage = arrays.stage[0]
     n = len(coordinates)
     for i in range(n):
         level[i] = dry_level(t, z, i, n, coordinates, stage)
-        force[i] = _own_force(z, i, n, coordinates[i], level[i], dz)
+        force[i] = _force_of_coordinate(z, i, n, coordinates[i], level[i], dz)
         if coordinates[i].bristle_stiffness != 0.0:
-            level[i] = 0.0
-    _add_drives(z, n, volts, tables.drives, force, dz)
-    _add_belts(z, n, tables, stage, force)
-    for link in tables.links:
+            level[i] = 0.0  # the bristle carries the friction
+    _add_drives(z, n, volts, arrays.drives, force, dz)
+    _add_belts(z, n, arrays, stage, force)
+    for link in arrays.links:
         gap = z[link.first] - z[link.second]
-        rate = z[n + link.first] - z[n + link.second]
-        depth = gap - min(max(gap, -link.half_gap), link.half_gap)
-        pull = link.stiffness * depth + link.viscous * rate
-        force[link.first] -= pull
-        force[link.second] += pull
+        gap_rate = z[n + link.first] - z[n + link.second]
+        deflection = gap - min(max(gap, -link.half_gap), link.half_gap)
+        link_force = link.stiffness * deflection + link.viscous * gap_rate
+        force[link.first] -= link_force
+        force[link.second] += link_force
     for i in range(n):
         dz[i] = dz[n + i] = 0.0
         if mode[i] != 0.0:
             dz[i] = z[n + i]
             dz[n + i] = (force[i] - mode[i] * level[i]) / coordinates[i].mass
-    at = 4 * n + 4
-    dz[at] = z[at + 1]
-    dz[at + 1] = -stage.frame_w * (stage.frame_w * z[at] + 2.0 * stage.frame_zeta * z[at + 1])
-    dz[at + 1] -= stage.frame_ratio * dz[n]
+    frame = 4 * n + 4
+    dz[frame] = z[frame + 1]
+    dz[frame + 1] = -stage.frame_w * (stage.frame_w * z[frame] + 2.0 * stage.frame_zeta * z[frame + 1])
+    dz[frame + 1] -= stage.frame_ratio * dz[n]
 
 
 @njit(cache=True)
 def dry_level(
     t: float, z: Array, i: int, n: int, coordinates: NDArray[Any], stage: Any
 ) -> float:  # pragma: no cover - compiled
-    """Level of dry friction of coordinate i, N or Nm, zero at least."""
+    """Return the level of dry friction of coordinate i, N or Nm, not below zero."""
     c = coordinates[i]
     v = z[n + i]
     level = c.coulomb + c.friction_slope * z[i]
@@ -64,8 +78,8 @@ def dry_level(
         level += c.stribeck_force * math.exp(-((v / c.stribeck_velocity) ** 2))
     if c.friction_wave != 0.0:
         level += c.friction_wave * math.sin(2.0 * math.pi * z[i] / c.friction_wavelength + c.friction_phase)
-    if c.friction_cross_place != 0.0:
-        level += c.friction_cross_place * z[i ^ 1]
+    if c.friction_cross_position != 0.0:
+        level += c.friction_cross_position * z[i ^ 1]  # 0 with 1 and 2 with 3 are pairs
     if c.friction_cross_speed != 0.0:
         level += c.friction_cross_speed * abs(z[n + (i ^ 1)])
     if c.friction_cold != 0.0:
@@ -74,8 +88,10 @@ def dry_level(
 
 
 @njit(cache=True)
-def _own_force(z: Array, i: int, n: int, c: Any, level: float, dz: Array) -> float:  # pragma: no cover - compiled
-    """What acts on coordinate i alone; its bristle's and its cable's rates go into dz."""
+def _force_of_coordinate(
+    z: Array, i: int, n: int, c: Any, level: float, dz: Array
+) -> float:  # pragma: no cover - compiled
+    """Return the force that depends on coordinate i alone; write the rates of its bristle and cable to dz."""
     q, v = z[i], z[n + i]
     bristle, cable = 2 * n + 2 + i, 3 * n + 2 + i
     force = c.constant_force - c.viscous * (1.0 + c.viscous_asymmetry * np.sign(v)) * v
@@ -83,7 +99,7 @@ def _own_force(z: Array, i: int, n: int, c: Any, level: float, dz: Array) -> flo
     if c.wave_force != 0.0:
         force += c.wave_force * math.sin(c.wave_number * q + c.wave_phase)
     if c.catch_force != 0.0:
-        u = (q - c.catch_place) / c.catch_width
+        u = (q - c.catch_position) / c.catch_width
         force -= c.catch_force * u * math.exp(0.5 - 0.5 * u * u)
     dz[bristle] = dz[cable] = 0.0
     if c.bristle_stiffness != 0.0:
@@ -100,11 +116,12 @@ def _own_force(z: Array, i: int, n: int, c: Any, level: float, dz: Array) -> flo
 def _add_drives(
     z: Array, n: int, volts: Array, drives: NDArray[Any], force: Array, dz: Array
 ) -> None:  # pragma: no cover - compiled
+    """Add the motors' torques to the forces; write the rates of their currents and heat to dz."""
     for j in range(2):
         d = drives[j]
-        wanted = d.drive_gain * volts[j]
-        wanted -= min(max(wanted, -d.dead_band_V), d.dead_band_V)
-        amps = (wanted + d.voltage_offset_V - d.emf * z[n + d.coordinate]) / d.ohm
+        voltage = d.drive_gain * volts[j]
+        voltage -= min(max(voltage, -d.dead_band_V), d.dead_band_V)
+        amps = (voltage + d.voltage_offset_V - d.emf * z[n + d.coordinate]) / d.ohm
         lag, heat = 2 * n + j, 4 * n + 2 + j
         dz[lag] = 0.0
         if d.electrical_lag_s > 0.0:
@@ -119,15 +136,21 @@ def _add_drives(
 
 
 @njit(cache=True)
-def _add_belts(z: Array, n: int, tables: Tables, stage: Any, force: Array) -> None:  # pragma: no cover - compiled
-    """Belts of energy k G(s): tension k G'(s) along their rows, and -G dk/dq, the pull to where the belt is softer."""
-    coordinates = tables.coordinates
-    for b in range(len(tables.belts)):
-        length = tables.belts[b, 1] + tables.growth[b, 0] * z[0] + tables.growth[b, 1] * z[1]
-        k = tables.belts[b, 0] / length
+def _add_belts(
+    z: Array, n: int, arrays: ParameterArrays, stage: Any, force: Array
+) -> None:  # pragma: no cover - compiled
+    """Add the belts' forces.
+
+    A belt of stiffness k(q) = EA / length(q) and extension s(q) stores the energy k G(s). It acts along its row with
+    the tension k G'(s), and with -G dk/dq towards positions where it is more compliant.
+    """
+    coordinates = arrays.coordinates
+    for b in range(len(arrays.belts)):
+        length = arrays.belts[b, 1] + arrays.length_gradient[b, 0] * z[0] + arrays.length_gradient[b, 1] * z[1]
+        k = arrays.belts[b, 0] / length
         s = rate = 0.0
         for i in range(n):
-            row = tables.rows[b, i]
+            row = arrays.rows[b, i]
             if row != 0.0:
                 c = coordinates[i]
                 s += row * (c.radius * z[i] + c.eccentricity_m * math.sin(z[i] + c.eccentricity_phase))
@@ -136,11 +159,11 @@ def _add_belts(z: Array, n: int, tables: Tables, stage: Any, force: Array) -> No
         s = max(s, -stage.belt_pretension_N / k)
         tension = k * (s * (1.0 + stage.belt_hardening * s * s) + stage.belt_damping_s * rate)
         for i in range(n):
-            row = tables.rows[b, i]
+            row = arrays.rows[b, i]
             if row != 0.0:
                 c = coordinates[i]
-                arm = c.radius + c.eccentricity_m * math.cos(z[i] + c.eccentricity_phase)
-                force[i] -= tension * row * arm
-        softer = 0.5 * s * s * (1.0 + 0.5 * stage.belt_hardening * s * s) * k / length
+                lever_arm = c.radius + c.eccentricity_m * math.cos(z[i] + c.eccentricity_phase)
+                force[i] -= tension * row * lever_arm
+        energy_per_length = 0.5 * s * s * (1.0 + 0.5 * stage.belt_hardening * s * s) * k / length
         for i in range(2):
-            force[i] += softer * tables.growth[b, i]
+            force[i] += energy_per_length * arrays.length_gradient[b, i]

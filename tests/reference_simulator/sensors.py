@@ -1,4 +1,4 @@
-"""What a rig's sensors read of a run, and what they lose. Channels, in this order: phi1, phi2 [rad], x, y [m]."""
+"""Model the sensors of a rig. Channels, in this order: phi1, phi2, rad; x, y, m."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from tests.reference_simulator.rig import INF, NONE, Array, Four, Two
+from tests.reference_simulator.rig import INF, OFF, Array, PerCoordinate
 
 ENCODER_STEP_RAD = 2.0 * np.pi / (512 * 4 * 5.9)  # at the belt pulley
 LASER_NOISE_M, LASER_STEP_M = 20e-6, 1e-6
@@ -15,32 +15,49 @@ LASER_NOISE_M, LASER_STEP_M = 20e-6, 1e-6
 
 @dataclass(frozen=True)
 class Sensors:
-    """Undeclared effects of the sensors, all off."""
+    """Undeclared effects of the sensors. The defaults switch all of them off."""
 
-    skew: Two = (0.0, 0.0)  # the lasers are not square: x + a y, y + b x
-    scale: Four = (1.0, 1.0, 1.0, 1.0)
-    range_x_m: Two = (-INF, INF)  # the bridge's laser sticks at the ends of its range
-    delay_s: Four = NONE
+    skew: tuple[float, float] = (0.0, 0.0)  # a, b: the lasers are not orthogonal and measure x + a y, y + b x
+    scale: PerCoordinate = (1.0, 1.0, 1.0, 1.0)
+    range_x_m: tuple[float, float] = (-INF, INF)  # the laser of the bridge saturates at these positions
+    delay_s: PerCoordinate = OFF
 
     def ideal(self, time_s: Array, positions: Array, velocities: Array) -> Array:
-        """Readings without noise and quantisation, (n, 4), from positions and velocities (n, 4) of x, y, phi1, phi2.
+        """Return the measurements without noise and quantization.
 
-        A late reading interpolates by cubics through the rows (which a jump in acceleration leaves exact to 1 um).
+        A delayed measurement is interpolated by cubic Hermite splines through the rows; where the acceleration jumps
+        the interpolation is exact to 1 um.
+
+        Args:
+            time_s: Sample times, s, shape (n,).
+            positions: Coordinates x, y, phi1, phi2, m and rad, shape (n, 4).
+            velocities: Rates of the coordinates, shape (n, 4).
+
+        Returns:
+            Measurements phi1, phi2, x, y, rad and m, shape (n, 4).
         """
-        reading = np.empty_like(positions)
+        measurement = np.empty_like(positions)
         for channel, coordinate in enumerate((2, 3, 0, 1)):
             path = CubicHermiteSpline(time_s, positions[:, coordinate], velocities[:, coordinate])
-            reading[:, channel] = path(np.maximum(time_s - self.delay_s[channel], time_s[0]))
-        x, y = reading[:, 2].copy(), reading[:, 3].copy()
-        reading[:, 2] += self.skew[0] * y
-        reading[:, 3] += self.skew[1] * x
-        reading *= np.array(self.scale)
-        reading[:, 2] = np.clip(reading[:, 2], *self.range_x_m)
-        return reading
+            measurement[:, channel] = path(np.maximum(time_s - self.delay_s[channel], time_s[0]))
+        x, y = measurement[:, 2].copy(), measurement[:, 3].copy()
+        measurement[:, 2] += self.skew[0] * y
+        measurement[:, 3] += self.skew[1] * x
+        measurement *= np.array(self.scale)
+        measurement[:, 2] = np.clip(measurement[:, 2], *self.range_x_m)
+        return measurement
 
 
 def noisy(ideal: Array, rng: np.random.Generator) -> Array:
-    """Encoders by whole steps, lasers with white noise and a fine step, (n, 4)."""
+    """Add noise and quantization: encoder steps, and white noise and a fine step for the lasers.
+
+    Args:
+        ideal: Measurements phi1, phi2, x, y, rad and m, shape (n, 4).
+        rng: Source of the noise.
+
+    Returns:
+        Noisy measurements, shape (n, 4).
+    """
     encoders = np.round(ideal[:, :2] / ENCODER_STEP_RAD) * ENCODER_STEP_RAD
     lasers = ideal[:, 2:] + rng.normal(0.0, LASER_NOISE_M, (len(ideal), 2))
     return np.hstack([encoders, np.round(lasers / LASER_STEP_M) * LASER_STEP_M])

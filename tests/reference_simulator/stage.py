@@ -1,4 +1,4 @@
-"""One stage in motion, stepped with held voltages."""
+"""Simulate a stage under voltages that are held between samples."""
 
 from __future__ import annotations
 
@@ -8,19 +8,35 @@ import numpy as np
 from scipy.optimize import brentq
 
 from tests.reference_simulator.equations import EXTRA
-from tests.reference_simulator.integrate import advance
+from tests.reference_simulator.integrator import advance
+from tests.reference_simulator.parameter_arrays import parameter_arrays
 from tests.reference_simulator.rig import Array, Rig
-from tests.reference_simulator.tables import tables
 
-_INSTANT_S = 1e-12  # less than this apart, two times of the clock are one
-_DRY = ("coulomb", "stribeck_force", "friction_wave", "friction_slope", "friction_cross_place", "friction_cross_speed")
+_TIME_TOLERANCE_S = 1e-12  # two times closer than this are the same
+_DRY = (
+    "coulomb",
+    "stribeck_force",
+    "friction_wave",
+    "friction_slope",
+    "friction_cross_position",
+    "friction_cross_speed",
+)
 
 
 class Stage:
-    """At rest at first with unstretched belts; ``step`` it.
+    """Stage that advances step by step, at first at rest with unstretched belts.
 
-    ``position`` and ``velocity`` are (4,) at ``time_s``: x, y of the tool and phi1, phi2 of the encoders. ``mode`` is 0
-    where a coordinate sticks, else the direction in which it slides.
+    Attributes:
+        rig: Parameters of the stage.
+        time_s: Present time, s.
+        mode: Modes of dry friction, shape (n,): 0 while a coordinate sticks, otherwise its direction of sliding.
+
+    Args:
+        rig: Parameters of the stage.
+        start_xy: Position of the carriage, m, shape (2,).
+        start_s: Start time on the session's clock, s.
+        rtol: Relative tolerance of the integrator.
+        atol: Absolute tolerance of the integrator, SI.
     """
 
     def __init__(
@@ -33,71 +49,79 @@ class Stage:
         atol: float = 1e-13,
     ) -> None:
         self.rig, self.time_s, self.rtol, self.atol = rig, float(start_s), rtol, atol
-        self._tables, self._places = tables(rig)
-        coordinates = self._tables.coordinates
+        self._arrays, self._measured = parameter_arrays(rig)
+        coordinates = self._arrays.coordinates
         self._n = len(coordinates)
         self._z = np.zeros(4 * self._n + EXTRA)
-        self._z[: self._n] = self._resting(float(start_xy[0]), float(start_xy[1]))
-        # Frictionless coordinates never stick, whatever their velocity: no events for them.
+        self._z[: self._n] = self._unstretched(float(start_xy[0]), float(start_xy[1]))
+        # A coordinate without friction never sticks, so it has no events.
         rigid = coordinates["bristle_stiffness"] == 0.0
         self._dry = np.any([coordinates[name] != 0.0 for name in _DRY], axis=0) & rigid
         self.mode = np.zeros(self._n)
-        self._volts = np.zeros(2)  # before the first command nothing is driven
+        self._volts = np.zeros(2)  # until the first command arrives
         self._pending: tuple[deque[tuple[float, float]], ...] = (deque(), deque())
         self._h = 1e-4
 
-    def _resting(self, x: float, y: float) -> Array:
-        """Coordinates (n,) at which no belt is stretched."""
+    def _unstretched(self, x: float, y: float) -> Array:
+        """Return the coordinates (n,) at which no belt is stretched."""
         r, q = self.rig.pulley_radius_m, np.zeros(self._n)
         q[:4] = x, y, -(x + y) / r, (x - y) / r
         for j, (e, p) in enumerate(zip(self.rig.eccentricity_m, self.rig.eccentricity_phase, strict=True)):
             if e:
-                round_ = q[2 + j]  # where it would be if the pulley were
-                q[2 + j] = brentq(_travel_error, round_ - 1.0, round_ + 1.0, (r, e, p, r * round_))
+                concentric = q[2 + j]  # the angle of a pulley without eccentricity
+                q[2 + j] = brentq(_travel_error, concentric - 1.0, concentric + 1.0, (r, e, p, r * concentric))
         if self.rig.idlers:
             q[4:6] = q[2:4]
             q[6:8] = -x / r - q[2], x / r - q[3]
             q[8:10] = -x / r - q[4], x / r - q[5]
-        for j, place in enumerate(self._places.encoders):
-            q[place] = q[2 + j]
+        for j, encoder in enumerate(self._measured.encoders):
+            q[encoder] = q[2 + j]
         if self.rig.payload:
-            q[self._tables.links[-1]["second"]] = y
+            q[self._arrays.links[-1]["second"]] = y
         return q
 
-    def _seen(self, at: int) -> Array:
-        """x, y, phi1, phi2 as the sensors see them (at = 0), or their rates (at = n)."""
+    def _measure(self, offset: int) -> Array:
+        """Return x, y, phi1, phi2 as the sensors measure them (offset 0), or their rates (offset n), shape (4,)."""
         n, z = self._n, self._z
-        seen = z[[at, at + 1, at + self._places.encoders[0], at + self._places.encoders[1]]]
-        seen[0] += z[4 * n + 4 + (at > 0)]
-        if self._places.yaw >= 0:
-            yaw = self._places.yaw
-            seen[0] += z[1] * z[at + yaw] + (z[n + 1] * z[yaw] if at else 0.0)
-        return seen
+        measured = z[[offset, offset + 1, offset + self._measured.encoders[0], offset + self._measured.encoders[1]]]
+        measured[0] += z[4 * n + 4 + (offset > 0)]
+        if self._measured.yaw >= 0:
+            yaw = self._measured.yaw
+            measured[0] += z[1] * z[offset + yaw] + (z[n + 1] * z[yaw] if offset else 0.0)
+        return measured
 
     @property
     def position(self) -> Array:
-        return self._seen(0)
+        """Return x, y of the tool, m, and phi1, phi2 of the encoders, rad, shape (4,)."""
+        return self._measure(0)
 
     @property
     def velocity(self) -> Array:
-        return self._seen(self._n)
+        """Return the rates of `position`, m/s and rad/s, shape (4,)."""
+        return self._measure(self._n)
 
     def step(self, volts: tuple[float, float] | Array, until_s: float) -> None:
-        """Hold the commanded voltages (2,) [V] from now until ``until_s``."""
+        """Hold the commanded voltages until a later time.
+
+        Args:
+            volts: Voltages of motor 1 and 2, V, shape (2,).
+            until_s: Time to advance to, s.
+        """
         for j in range(2):
             start = self.time_s + self.rig.input_delay_s[j]
             self._pending[j].append((start, float(volts[j])))
-        while self.time_s < until_s - _INSTANT_S:
+        while self.time_s < until_s - _TIME_TOLERANCE_S:
             due = until_s
             for j, queue in enumerate(self._pending):
-                # A delayed command due within rounding of now is due now: no piece is that short.
-                while queue and queue[0][0] <= self.time_s + _INSTANT_S:
+                # A delayed command that is due within rounding of the present time takes effect now.
+                while queue and queue[0][0] <= self.time_s + _TIME_TOLERANCE_S:
                     self._volts[j] = queue.popleft()[1]
                 if queue:
                     due = min(due, queue[0][0])
             self._advance(due)
 
     def _advance(self, until_s: float) -> None:
+        """Integrate to a time under the voltages that have arrived at the drives."""
         self._h = advance(
             self.time_s,
             until_s,
@@ -106,7 +130,7 @@ class Stage:
             self._volts,
             self.mode,
             self._dry,
-            self._tables,
+            self._arrays,
             self.rtol,
             self.atol,
         )
@@ -116,7 +140,7 @@ class Stage:
 
 
 def _travel_error(angle: float, r: float, e: float, p: float, travel: float) -> float:
-    """Belt travel of an eccentric pulley at an angle, less that wanted."""
+    """Return the belt travel of an eccentric pulley at an angle, minus the required travel."""
     return r * angle + e * float(np.sin(angle + p)) - travel
 
 
@@ -129,18 +153,22 @@ def simulate(
     rtol: float = 1e-10,
     atol: float = 1e-13,
 ) -> tuple[Array, Array]:
-    """Simulate a recording's inputs from rest with unstretched belts.
+    """Simulate a voltage history from rest with unstretched belts.
 
     Args:
-        rig: the stage.
-        time_s: (n,) strictly increasing [s]; effects that depend on time see this clock.
-        inputs: (n, 2) voltages of motor 1 and 2 [V], each held from its row until the next.
-            With an input delay the drives get 0 V until the first row arrives.
-        start_xy: (2,) position of the carriage at the first row [m].
-        rtol, atol: the integrator's tolerances; the defaults are the oracle's.
+        rig: Parameters of the stage.
+        time_s: Sample times, s, strictly increasing, shape (n,). Effects that depend on time use this clock.
+        inputs: Voltages of motor 1 and 2, V, each held from its row until the next, shape (n, 2). With an input delay
+            the drives receive 0 V until the first row arrives.
+        start_xy: Position of the carriage at the first row, m, shape (2,).
+        rtol: Relative tolerance of the integrator. The default is the oracle's.
+        atol: Absolute tolerance of the integrator, SI. The default is the oracle's.
 
     Returns:
-        positions (n, 4) [m, m, rad, rad] and velocities (n, 4), at the rows' times.
+        Positions x, y, phi1, phi2, m and rad, shape (n, 4), and their rates, shape (n, 4).
+
+    Raises:
+        ValueError: If the inputs do not have two columns and one row per time.
     """
     time_s, inputs = np.asarray(time_s, dtype=float), np.asarray(inputs, dtype=float)
     if inputs.shape != (len(time_s), 2):
@@ -155,10 +183,19 @@ def simulate(
 
 
 def energy(rig: Rig, position: Array, velocity: Array) -> Array:
-    """Kinetic energy plus that of the belts and cables [J] of the 8th-order stage, (...) from (..., 4) and (..., 4)."""
-    made, _ = tables(rig)
-    stretch = (position * made.coordinates["radius"]) @ made.rows.T
-    stiffness = made.belts[:, 0] / (made.belts[:, 1] + position[..., :2] @ made.growth.T)
-    kinetic = 0.5 * (made.coordinates["mass"] * velocity**2).sum(axis=-1)
-    trailing = made.coordinates["spring_stiffness"] * (position - made.coordinates["spring_rest"]) ** 2
+    """Return the kinetic energy plus the energy of belts and cables of the 8th-order stage.
+
+    Args:
+        rig: Parameters of the stage.
+        position: Coordinates x, y, phi1, phi2, m and rad, shape (..., 4).
+        velocity: Rates of the coordinates, shape (..., 4).
+
+    Returns:
+        Energy, J, shape (...).
+    """
+    arrays, _ = parameter_arrays(rig)
+    stretch = (position * arrays.coordinates["radius"]) @ arrays.rows.T
+    stiffness = arrays.belts[:, 0] / (arrays.belts[:, 1] + position[..., :2] @ arrays.length_gradient.T)
+    kinetic = 0.5 * (arrays.coordinates["mass"] * velocity**2).sum(axis=-1)
+    trailing = arrays.coordinates["spring_stiffness"] * (position - arrays.coordinates["spring_rest"]) ** 2
     return kinetic + 0.5 * (stiffness * stretch**2).sum(axis=-1) + 0.5 * trailing.sum(axis=-1)

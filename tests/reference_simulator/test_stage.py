@@ -1,4 +1,4 @@
-"""The reference simulator against energy, the paper's speeds and another formulation."""
+"""Compare the reference simulator with energy balances, the paper's speeds and a second formulation."""
 
 import dataclasses
 
@@ -7,7 +7,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from tests.reference_simulator import Rig, Stage, energy, simulate
-from tests.rigs.excitation import LIMIT_X_M, LIMIT_Y_M, runs
+from tests.rigs.excitation import LIMIT_X_M, LIMIT_Y_M, record_runs
+
+pytestmark = pytest.mark.oracle
 
 RADIUS = 0.0194
 NO_FRICTION = {"viscous": (0.0,) * 4, "coulomb": (0.0,) * 4}
@@ -25,7 +27,7 @@ def _random_history(seed, duration_s, hold_s, amplitude):
 
 
 def _potential(rig, q):
-    """Written out anew, from the belts' geometry."""
+    """Return the belts' energy, J, written out from the geometry and not from the simulator's rows."""
     x, y, phi1, phi2 = q
     left, right, bottom = rig.belt_length_m
     ea_l, ea_r, ea_b = rig.belt_EA_N
@@ -34,10 +36,10 @@ def _potential(rig, q):
     return v + 0.5 * ea_b / (bottom - 2 * x) * (-RADIUS * phi1 + RADIUS * phi2 - 2 * x) ** 2
 
 
-def _regularised(rig, time_s, inputs, start_xy, creep, method="LSODA"):
-    """Positions (n, 4) by an implicit method, friction smoothed over ``creep`` m/s.
+def _regularized(rig, time_s, inputs, start_xy, creep, method="LSODA"):
+    """Return positions (n, 4) by an implicit method with friction that is smoothed over a speed of `creep`, m/s.
 
-    Forces are the potential's complex-step gradient: nothing is shared with the reference.
+    The forces are the complex-step gradient of the potential, so that no code is shared with the simulator.
     """
     mass, scale = np.array(rig.mass), creep / np.array([1.0, 1.0, RADIUS, RADIUS])
     stribeck, vs = np.array(rig.stribeck_force), np.array(rig.stribeck_velocity)
@@ -58,9 +60,9 @@ def _regularised(rig, time_s, inputs, start_xy, creep, method="LSODA"):
     z = np.array([x, y, -(x + y) / RADIUS, (x - y) / RADIUS, 0.0, 0.0, 0.0, 0.0])
     rows = [z[:4]]
     for a, b, volts in zip(time_s, time_s[1:], inputs, strict=False):
-        answer = solve_ivp(rhs, (a, b), z, method, args=(volts,), rtol=1e-9, atol=1e-12)
-        assert answer.success
-        z = answer.y[:, -1]
+        solution = solve_ivp(rhs, (a, b), z, method, args=(volts,), rtol=1e-9, atol=1e-12)
+        assert solution.success
+        z = solution.y[:, -1]
         rows.append(z[:4])
     return np.array(rows)
 
@@ -68,7 +70,7 @@ def _regularised(rig, time_s, inputs, start_xy, creep, method="LSODA"):
 def test_energy_is_conserved_without_drive_and_friction():
     rig = Rig(torque_constant=(0.0, 0.0), **NO_FRICTION)
     stage = Stage(rig, (0.1, -0.05), rtol=1e-12, atol=1e-15)
-    # Belts stretched by millimetres: dk/dq matters, and the carriage drifts.
+    # The belts are stretched by millimeters, so that dk/dq matters, and the carriage drifts.
     stage._z[:8] = [0.105, -0.048, -3.0, 7.5, 0.3, -0.2, 5.0, -4.0]
     before = energy(rig, stage.position, stage.velocity)
     assert before > 0.1
@@ -88,12 +90,12 @@ def test_energy_balance_of_a_driven_stage_with_friction():
     work = np.trapezoid(power - loss, time_s)
     stored = energy(rig, q[-1], v[-1])
     assert stored > 0.01
-    assert work == pytest.approx(stored, rel=1e-4)  # the trapezoid's error
+    assert work == pytest.approx(stored, rel=1e-4)  # the error of the trapezoidal rule
 
 
 @pytest.mark.parametrize(("volts", "axis", "speed"), [((-4.0, -4.0), 1, 0.3811), ((-4.0, 4.0), 0, 0.3782)])
 def test_steady_speeds(volts, axis, speed):
-    # The paper's stiffness, held: steady speed does not depend on it, a moving one disturbs it.
+    # Constant stiffness: the steady speed does not depend on it, but a changing stiffness would disturb it.
     rig = Rig(length_follows=False)
     time_s, inputs = _held(volts, 1.0)
     _, v = simulate(rig, time_s, inputs)
@@ -109,24 +111,24 @@ def test_steady_speeds(volts, axis, speed):
         (Rig(stribeck_force=(3.0, 0.2, 0.0, 0.01), stribeck_velocity=(0.04, 0.05, 1, 2.5)), 3, 2.0),
     ],
 )
-def test_agrees_with_an_implicit_method_on_regularised_friction(rig, seed, amplitude):
+def test_agrees_with_an_implicit_method_with_regularized_friction(rig, seed, amplitude):
     time_s, inputs = _random_history(seed, 0.24, 0.02, amplitude)
     q, v = simulate(rig, time_s, inputs, (0.1, -0.05))
-    assert np.abs(np.diff(q, axis=0)).max(axis=0).min() > 1e-4  # everything moved
+    assert np.abs(np.diff(q, axis=0)).max(axis=0).min() > 1e-4  # every coordinate moved
     assert (v[1:] == 0.0).any() or amplitude > 1.0
-    other = _regularised(rig, time_s, inputs, (0.1, -0.05), creep=1e-7)
+    other = _regularized(rig, time_s, inputs, (0.1, -0.05), creep=1e-7)
     error = np.abs(q - other) * np.array([1.0, 1.0, RADIUS, RADIUS])
-    assert error.max() < 1e-7  # metres
+    assert error.max() < 1e-7  # m
 
 
-def test_tolerances_have_converged():
+def test_result_is_converged_in_the_tolerances():
     time_s, inputs = _random_history(4, 0.5, 1e-3, 6.0)
     tight, _ = simulate(Rig(), time_s, inputs)
     loose, _ = simulate(Rig(), time_s, inputs, rtol=1e-8, atol=1e-11)
     assert np.abs(tight - loose)[:, :2].max() < 1e-10
 
 
-def test_sticks_exactly_below_breakaway_and_leaves_above():
+def test_motor_sticks_below_the_breakaway_torque_and_slides_above():
     rig = Rig(stribeck_force=(0.0, 0.0, 0.02, 0.0))
     per_volt = rig.gear_ratio * 0.023 / 0.71
     for torque, moves in ((0.0699, False), (0.0701, True)):
@@ -164,9 +166,9 @@ def test_asymmetric_viscous_and_drag_set_the_terminal_speed():
         assert viscous * speed + 8.0 * speed**2 == pytest.approx(9.6, rel=1e-8)
 
 
-def test_excitation_is_repeatable_inside_the_travel_and_rich():
-    session = runs(7, 4, 2.0, rtol=1e-6, atol=1e-9)
-    again = runs(7, 1, 2.0, rtol=1e-6, atol=1e-9)
+def test_excitation_is_repeatable_within_the_travel_and_covers_both_directions():
+    session = record_runs(7, 4, 2.0, rtol=1e-6, atol=1e-9)
+    again = record_runs(7, 1, 2.0, rtol=1e-6, atol=1e-9)
     assert np.array_equal(session[0].inputs, again[0].inputs)
     starts = [run.time_s[0] for run in session]
     assert starts == sorted(starts)

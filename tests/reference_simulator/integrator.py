@@ -1,8 +1,11 @@
-"""Dormand and Prince's 5(4) pair between the events of dry friction, compiled.
+"""Integrate between the events of dry friction by Dormand and Prince's 5(4) pair, compiled.
 
-A coordinate slides until its speed is zero and sticks until the force on it exceeds the breakaway level. Both are found
-by a root search over the length of a real step, so no interpolant limits their accuracy. Everything else that is not
-smooth (clamps, gaps, |v|) is continuous, and the step-size control resolves it.
+A coordinate slides until its velocity is zero and sticks until the force on it exceeds the breakaway level. Both events
+are located by a root search over the length of an actual integration step, so no interpolant limits their accuracy.
+Everything else that is not smooth (clamps, gaps, |v|) is continuous, and the step-size control resolves it.
+
+References:
+    Dormand and Prince (1980), A family of embedded Runge-Kutta formulae, J. Comp. Appl. Math. 6, 19-26.
 """
 
 from __future__ import annotations
@@ -11,10 +14,9 @@ import numpy as np
 from numba import njit
 
 from tests.reference_simulator.equations import derivative
+from tests.reference_simulator.parameter_arrays import ParameterArrays
 from tests.reference_simulator.rig import Array
-from tests.reference_simulator.tables import Tables
 
-# Dormand and Prince (1980), J. Comp. Appl. Math. 6, 19-26.
 _A = np.array(
     [
         [1 / 5, 0, 0, 0, 0, 0],
@@ -27,12 +29,12 @@ _A = np.array(
 )
 _C = np.array([1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0, 1.0])
 _E = np.array([71 / 57600, 0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40])
-# A stuck coordinate lets go this much (relative) above its breakaway level, so that it leaves with an acceleration of
-# the right sign whatever the rounding of the event's time.
+# A stuck coordinate is released at this relative excess over its breakaway level, so that its acceleration has the
+# correct sign in spite of the rounding of the event's time.
 RELEASE = 1e-9
-_LONGEST_S = 0.5e-3  # events are looked for at a step's end and thrice inside it
-_INSTANT_S = 1e-12
-_MOST_EVENTS = 10_000
+_MAX_STEP_S = 0.5e-3  # events are looked for at the end of a step and at three points inside it
+_TIME_TOLERANCE_S = 1e-12  # two times closer than this are the same
+_MAX_EVENTS = 10_000  # per call; more means that the events accumulate
 
 
 @njit(cache=True)
@@ -42,15 +44,16 @@ def _step(
     h: float,
     volts: Array,
     mode: Array,
-    tables: Tables,
+    arrays: ParameterArrays,
     slopes: Array,
     force: Array,
     level: Array,
     end: Array,
 ) -> None:  # pragma: no cover - compiled
-    """One step of h from z into ``end``; slopes (7, N) has its first row filled and gets the rest.
+    """Take one step of length h from z to `end`.
 
-    force and level (n,) are left as they are at the step's end.
+    The first row of slopes (7, len(z)) must be filled; the other rows are computed. Afterwards force and level (n,) are
+    those at the end of the step.
     """
     for stage in range(6):
         for k in range(len(z)):
@@ -58,12 +61,12 @@ def _step(
             for earlier in range(stage + 1):
                 total += _A[stage, earlier] * slopes[earlier, k]
             end[k] = z[k] + h * total
-        derivative(t + _C[stage] * h, end, volts, mode, tables, slopes[stage + 1], force, level)
+        derivative(t + _C[stage] * h, end, volts, mode, arrays, slopes[stage + 1], force, level)
 
 
 @njit(cache=True)
 def _error(z: Array, end: Array, h: float, slopes: Array, rtol: float, atol: float) -> float:  # pragma: no cover
-    """Largest component of the embedded error, in units of its tolerance."""
+    """Return the largest component of the embedded error estimate, divided by its tolerance."""
     worst = 0.0
     for k in range(len(z)):
         total = 0.0
@@ -75,17 +78,20 @@ def _error(z: Array, end: Array, h: float, slopes: Array, rtol: float, atol: flo
 
 @njit(cache=True)
 def _margin(i: int, n: int, z: Array, mode: Array, force: Array, level: Array) -> float:  # pragma: no cover - compiled
-    """What coordinate i has left until its mode ends: speed, or force below breakaway."""
+    """Return the margin of coordinate i before its mode ends: its speed, or its force below the breakaway level."""
     if mode[i] != 0.0:
         return mode[i] * z[n + i]
     return level[i] * (1.0 + RELEASE) - abs(force[i])
 
 
 @njit(cache=True)
-def _suspect(
+def _event_fraction(
     i: int, n: int, z: Array, end: Array, h: float, mode: Array, slopes: Array, end_margin: float
 ) -> float:  # pragma: no cover - compiled
-    """Share of the step by which coordinate i's mode has ended, by the cubic through both ends; 0: it has not."""
+    """Return the fraction of the step at which the mode of coordinate i has ended; 0 if it has not.
+
+    The velocity inside the step is taken from the cubic Hermite interpolant of both ends.
+    """
     if mode[i] != 0.0:
         a, b = mode[i] * z[n + i], mode[i] * end[n + i]
         da, db = h * mode[i] * slopes[0, n + i], h * mode[i] * slopes[6, n + i]
@@ -99,12 +105,20 @@ def _suspect(
 
 
 @njit(cache=True)
-def _settle_modes(
-    t: float, z: Array, volts: Array, mode: Array, dry: Array, tables: Tables, dz: Array, force: Array, level: Array
+def _update_modes_at_rest(
+    t: float,
+    z: Array,
+    volts: Array,
+    mode: Array,
+    dry: Array,
+    arrays: ParameterArrays,
+    dz: Array,
+    force: Array,
+    level: Array,
 ) -> None:  # pragma: no cover - compiled
-    """Choose the modes of the coordinates that stand still: the force may have jumped."""
+    """Set the modes of the coordinates at zero velocity, because the force may have jumped with the voltage."""
     n = len(mode)
-    derivative(t, z, volts, mode, tables, dz, force, level)
+    derivative(t, z, volts, mode, arrays, dz, force, level)
     for i in range(n):
         if not dry[i]:
             mode[i] = 1.0
@@ -121,26 +135,39 @@ def advance(
     volts: Array,
     mode: Array,
     dry: Array,
-    tables: Tables,
+    arrays: ParameterArrays,
     rtol: float,
     atol: float,
 ) -> float:  # pragma: no cover - compiled
-    """Integrate z and mode in place from t to ``until`` under constant voltages, event by event.
+    """Integrate the state and the modes in place under constant voltages, event by event.
 
-    Returns the step to go on with; NaN where the state blew up or the events do not end.
+    Args:
+        t: Start time, s.
+        until: End time, s.
+        h: Step length to begin with, s.
+        z: State, shape (4 n + 6,), changed in place.
+        volts: Voltages at the drives, V, shape (2,).
+        mode: Modes of dry friction, shape (n,), changed in place.
+        dry: Whether a coordinate has rigid dry friction, shape (n,).
+        arrays: Parameters of the stage.
+        rtol: Relative tolerance of a step.
+        atol: Absolute tolerance of a step, in the units of the state.
+
+    Returns:
+        Step length to continue with, s; NaN if the state diverged or the events accumulate.
     """
     n, size = len(mode), len(z)
     slopes, end, probe = np.empty((7, size)), np.empty(size), np.empty((7, size))
     force, level = np.empty(n), np.empty(n)
     start_margin, end_margin = np.empty(n), np.empty(n)
     events = 0
-    _settle_modes(t, z, volts, mode, dry, tables, slopes[0], force, level)
-    while until - t > _INSTANT_S:
-        derivative(t, z, volts, mode, tables, slopes[0], force, level)
+    _update_modes_at_rest(t, z, volts, mode, dry, arrays, slopes[0], force, level)
+    while until - t > _TIME_TOLERANCE_S:
+        derivative(t, z, volts, mode, arrays, slopes[0], force, level)
         for i in range(n):
             start_margin[i] = _margin(i, n, z, mode, force, level)
-        step = min(h, until - t, _LONGEST_S)
-        _step(t, z, step, volts, mode, tables, slopes, force, level, end)
+        step = min(h, until - t, _MAX_STEP_S)
+        _step(t, z, step, volts, mode, arrays, slopes, force, level, end)
         error = _error(z, end, step, slopes, rtol, atol)
         if not error < np.inf:
             return np.nan
@@ -149,49 +176,51 @@ def advance(
             continue
         for i in range(n):
             end_margin[i] = _margin(i, n, end, mode, force, level)
-        first, where = -1, step
+        first, first_step = -1, step  # the coordinate of the first event, and the time from t until then
         for i in range(n):
             if not dry[i]:
                 continue
-            share = _suspect(i, n, z, end, step, mode, slopes, end_margin[i])
-            if share == 0.0:
+            fraction = _event_fraction(i, n, z, end, step, mode, slopes, end_margin[i])
+            if fraction == 0.0:
                 continue
             if start_margin[i] <= 0.0:
-                # It has just begun to slide, and does not get away; or it should not have been stuck.
-                at = 0.0 if mode[i] == 0.0 else 0.125 * step
+                # The coordinate has just begun to slide and stops again, or it should not have been stuck.
+                event_step = 0.0 if mode[i] == 0.0 else 0.125 * step
             else:
                 probe[0] = slopes[0]
-                at = _root(t, z, share * step, start_margin[i], i, volts, mode, tables, probe, force, level, end)
-            if first < 0 or at < where:
-                first, where = i, at
+                event_step = _event_step(
+                    t, z, fraction * step, start_margin[i], i, volts, mode, arrays, probe, force, level, end
+                )
+            if first < 0 or event_step < first_step:
+                first, first_step = i, event_step
         if first >= 0:
             events += 1
-            if events > _MOST_EVENTS:
+            if events > _MAX_EVENTS:
                 return np.nan
-            if where > 0.0:
-                _step(t, z, where, volts, mode, tables, slopes, force, level, end)
+            if first_step > 0.0:
+                _step(t, z, first_step, volts, mode, arrays, slopes, force, level, end)
                 z[:] = end
-                t += where
+                t += first_step
             if mode[first] != 0.0:
                 z[n + first] = 0.0
                 mode[first] = 0.0
-                derivative(t, z, volts, mode, tables, slopes[0], force, level)
+                derivative(t, z, volts, mode, arrays, slopes[0], force, level)
                 if abs(force[first]) > level[first] * (1.0 + RELEASE):
                     mode[first] = np.sign(force[first])
             else:
-                derivative(t, z, volts, mode, tables, slopes[0], force, level)
+                derivative(t, z, volts, mode, arrays, slopes[0], force, level)
                 mode[first] = np.sign(force[first])
             continue
         z[:] = end
         t += step
         grown = step * min(5.0, 0.9 * max(error, 1e-10) ** -0.2)
-        # A step cut short by the piece's end says nothing against the longer one.
+        # A step that was cut short by the end of the interval is no reason to continue with a shorter one.
         h = max(h, grown) if step < h else grown
     return h
 
 
 @njit(cache=True)
-def _root(
+def _event_step(
     t: float,
     z: Array,
     longest: float,
@@ -199,24 +228,24 @@ def _root(
     i: int,
     volts: Array,
     mode: Array,
-    tables: Tables,
+    arrays: ParameterArrays,
     slopes: Array,
     force: Array,
     level: Array,
     end: Array,
 ) -> float:  # pragma: no cover - compiled
-    """Length of the step at whose end coordinate i's margin is zero, by regula falsi (Illinois)."""
+    """Return the length of the step at whose end the margin of coordinate i is zero, by regula falsi (Illinois)."""
     n = len(mode)
     low, f_low, high = 0.0, start_margin, longest
-    _step(t, z, high, volts, mode, tables, slopes, force, level, end)
+    _step(t, z, high, volts, mode, arrays, slopes, force, level, end)
     f_high = _margin(i, n, end, mode, force, level)
     if f_high > 0.0:
-        return longest  # the interpolant was wrong by a hair: look again from there
+        return longest  # the interpolant was slightly wrong: search again from there
     for _ in range(100):
         if high - low <= 1e-15:
             break
         middle = (low * f_high - high * f_low) / (f_high - f_low)
-        _step(t, z, middle, volts, mode, tables, slopes, force, level, end)
+        _step(t, z, middle, volts, mode, arrays, slopes, force, level, end)
         f = _margin(i, n, end, mode, force, level)
         if abs(f) < 1e-15:
             return middle

@@ -1,4 +1,4 @@
-"""Belts and extra bodies of the reference: against energies written anew, closed forms and the paper's modes."""
+"""Compare the simulator's belts and additional bodies with energies, closed forms and the paper's modes."""
 
 import math
 
@@ -8,16 +8,18 @@ from scipy.integrate import solve_ivp
 
 from tests.reference_simulator import Frame, Payload, Rig, Stage, Yaw, simulate
 from tests.reference_simulator.equations import derivative
-from tests.reference_simulator.tables import tables
+from tests.reference_simulator.parameter_arrays import parameter_arrays
+
+pytestmark = pytest.mark.oracle
 
 R = 0.0194
 EA, LENGTHS = 13906.5, (1.3954, 1.3954, 1.2827)
-SMOOTH = {"coulomb": (0.0,) * 4}  # no events: SciPy can do it
+SMOOTH = {"coulomb": (0.0,) * 4}  # without dry friction there are no events, and SciPy can integrate
 PER_VOLT, BACK = 5.9 * 0.023 / 0.71, (5.9 * 0.023) ** 2 / 0.71
 
 
 def _stretch(q, eccentricity=0.0, phase=0.0, half_width=0.0):
-    """Extensions of left, right, bottom, from x, y, phi1, phi2 and the bridge's yaw."""
+    """Return the extensions of the left, right and bottom belt from x, y, phi1, phi2 and the bridge's yaw."""
     x, y, phi1, phi2, yaw = q
     a = R * phi1
     b = R * phi2 + eccentricity * np.sin(phi2 + phase)
@@ -30,7 +32,7 @@ def _lengths(q):
 
 
 def _slack(s, k, tension):
-    """Energy of a belt whose tension stops falling at -tension."""
+    """Return the energy of a belt whose tension change cannot fall below -tension."""
     edge = tension / k
     return np.where(s.real > -edge, 0.5 * k * s * s, -tension * s - 0.5 * tension * edge)
 
@@ -61,7 +63,7 @@ def test_belts_follow_from_their_energy(name):
     inputs = np.repeat(np.random.default_rng(8).uniform(-6.0, 6.0, (9, 2)), 20, axis=0)[:161]
     stage = Stage(rig, (0.05, -0.03))
     start = np.append(stage._z[:4], 0.0)
-    found, _ = simulate(rig, time_s, inputs, (0.05, -0.03))
+    simulated, _ = simulate(rig, time_s, inputs, (0.05, -0.03))
     yaw = Yaw()
     mass = np.array([*rig.mass, yaw.inertia])
     viscous = np.array([*rig.viscous, yaw.viscous])
@@ -87,15 +89,15 @@ def test_belts_follow_from_their_energy(name):
     tool = expected[:, :4].copy()
     tool[:, 0] += expected[:, 1] * expected[:, 4]
     assert np.ptp(tool, axis=0).min() > 1e-3
-    error = np.abs(found - tool) * [1.0, 1.0, R, R]
-    assert error.max() < (2e-9 if name in ("play", "slack") else 1e-10)  # kinks
+    error = np.abs(simulated - tool) * [1.0, 1.0, R, R]
+    assert error.max() < (2e-9 if name in ("play", "slack") else 1e-10)  # SciPy steps over the kinks
     if name != "plain":
         other, _ = simulate(Rig(**SMOOTH), time_s, inputs, (0.05, -0.03))
-        assert (np.abs(found - other) * [1.0, 1.0, R, R]).max() > 5e-6  # and it does something
+        assert (np.abs(simulated - other) * [1.0, 1.0, R, R]).max() > 5e-6  # the effect is visible
 
 
-def test_belt_damping_takes_the_energy_it_must():
-    """Two motors held by a stiff bridge: the bottom belt alone, an oscillator of known damping."""
+def test_belt_damping_gives_a_damped_oscillation():
+    """With bridge and cart held, the motors on the bottom belt are an oscillator of known damping."""
     heavy = Rig(
         mass=(1e9, 1e9, 1.12e-4, 1.12e-4),
         viscous=(0.0,) * 4,
@@ -116,25 +118,25 @@ def test_belt_damping_takes_the_energy_it_must():
 
 def test_idlers_have_the_modes_of_the_20th_order_model():
     rig = Rig(idlers=True, length_follows=True)
-    made, _ = tables(rig)
-    n = len(made.coordinates)
+    arrays, _ = parameter_arrays(rig)
+    n = len(arrays.coordinates)
     assert n == 10
-    assert made.coordinates["mass"][1] == pytest.approx(0.4460, abs=2e-4)
+    assert arrays.coordinates["mass"][1] == pytest.approx(0.4460, abs=2e-4)
     stage = Stage(rig, (-0.2227, -0.1163))  # where the paper's Table 1 holds
     stiffness = np.empty((n, n))
     for i in range(n):
         z = stage._z.copy()
         z[i] += 1e-7
         force, level, dz = np.empty(n), np.empty(n), np.empty_like(z)
-        derivative(0.0, z, np.zeros(2), np.ones(n), made, dz, force, level)
+        derivative(0.0, z, np.zeros(2), np.ones(n), arrays, dz, force, level)
         stiffness[:, i] = -force / 1e-7
-    scale = 1.0 / np.sqrt(made.coordinates["mass"])
+    scale = 1.0 / np.sqrt(arrays.coordinates["mass"])
     hertz = np.sqrt(np.abs(np.linalg.eigvalsh(0.5 * scale * (stiffness + stiffness.T) * scale[:, None]))) / (2 * np.pi)
     assert hertz[2:] == pytest.approx([41.29, 57.53, 80.74, 98.64, 114.55, 121.92, 219.71, 232.07], abs=0.02)
     assert hertz[:2].max() < 1.0
 
 
-def test_idlers_follow_the_8th_order_stage_slowly():
+def test_slow_motion_with_idlers_equals_that_of_the_8th_order_stage():
     time_s, inputs = np.arange(301) * 1e-3, np.full((301, 2), -4.0)
     many, _ = simulate(Rig(idlers=True), time_s, inputs)
     few, _ = simulate(Rig(), time_s, inputs)
@@ -142,21 +144,21 @@ def test_idlers_follow_the_8th_order_stage_slowly():
     assert 1e-6 < np.abs(many - few)[:, :2].max() < 1e-3
 
 
-def test_payload_swings_at_its_own_frequency():
-    """The cart held: a mass on a spring and a damper, let go."""
+def test_payload_swings_at_its_natural_frequency():
+    """With the cart held, a displaced payload is a damped oscillator."""
     rig = Rig(mass=(4.07, 1e9, 1.12e-4, 1.12e-4), payload=Payload(0.25, 160.0, 0.6))
     stage = Stage(rig)
-    hung = stage._n - 1
-    stage._z[hung] = 0.01
+    payload = stage._n - 1
+    stage._z[payload] = 0.01
     stage.step((0.0, 0.0), 0.3)
     w, zeta = math.sqrt(160.0 / 0.25), 0.6 / (2.0 * math.sqrt(160.0 * 0.25))
     wd = w * math.sqrt(1.0 - zeta**2)
     expected = 0.01 * math.exp(-zeta * w * 0.3) * (math.cos(wd * 0.3) + zeta * w / wd * math.sin(wd * 0.3))
-    assert stage._z[hung] == pytest.approx(expected, rel=1e-5)
+    assert stage._z[payload] == pytest.approx(expected, rel=1e-5)
 
 
-def test_frame_answers_an_acceleration():
-    """The bridge, free of friction and belts, under a constant force: the frame's step response."""
+def test_frame_responds_to_the_acceleration_of_the_bridge():
+    """A constant force on a bridge without friction and belts gives the step response of the frame."""
     frame = Frame(11.0, 0.05, 0.05)
     push = 4.07  # 1 m/s^2
     rig = Rig(
@@ -173,16 +175,16 @@ def test_frame_answers_an_acceleration():
     assert q[-1, 0] == pytest.approx(0.5 * t * t - 0.05 / w**2 * (1.0 - still), abs=1e-10)
 
 
-def test_backlash_lets_the_motor_run_ahead():
+def test_motor_crosses_the_backlash_before_the_pulley_moves():
     rig = Rig(backlash_rad=(0.02, 0.0))
     stage = Stage(rig)
-    gone = []
+    angles = []
     for until in np.arange(1, 200) * 1e-4:
         stage.step((3.0, 0.0), until)
         motor, pulley = stage.position[2], stage._z[2]
-        gone.append((motor, pulley))
-        assert motor - pulley < 0.02 + 0.01  # the teeth give a little
-    motor, pulley = np.array(gone).T
+        angles.append((motor, pulley))
+        assert motor - pulley < 0.02 + 0.01  # the teeth are elastic
+    motor, pulley = np.array(angles).T
     free = motor < 0.02
     assert free.sum() > 5
     assert np.all(pulley[free] == 0.0)
@@ -190,6 +192,6 @@ def test_backlash_lets_the_motor_run_ahead():
 
 
 @pytest.mark.parametrize("fields", [{"idlers": True, "yaw": Yaw()}, {"belt_pretension_N": 10.0, "belt_play_m": 1e-4}])
-def test_combinations_that_the_equations_do_not_cover_are_refused(fields):
+def test_unsupported_combinations_raise(fields):
     with pytest.raises(ValueError, match=r"yaw|slack"):
-        tables(Rig(**fields))
+        parameter_arrays(Rig(**fields))

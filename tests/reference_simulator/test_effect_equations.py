@@ -1,4 +1,4 @@
-"""Every effect of the reference on one coordinate against its scalar equation, integrated by SciPy."""
+"""Compare each effect of the simulator on one coordinate with its scalar equation, integrated by SciPy."""
 
 import math
 
@@ -8,14 +8,16 @@ from scipy.integrate import solve_ivp
 
 from tests.reference_simulator import Rig, simulate
 
-LOOSE = {"belt_EA_N": (1e-9,) * 3}  # belts that do not pull: every coordinate alone
+pytestmark = pytest.mark.oracle
+
+LOOSE = {"belt_EA_N": (1e-9,) * 3}  # without belt forces every coordinate moves independently
 M, B, FC = 1.0412, 35.2944, 0.4  # the cart
 J, BM, FM = 1.12e-4, 0.0036, 0.05  # a motor
 PER_AMP, EMF, OHM = 5.9 * 0.023, 5.9 * 0.023, 0.71
 
 
 def _cart(push=10.0, start_xy=(0.0, 0.0), duration_s=0.3, **effects):
-    """y (n,) of a cart under a constant force, and the rows' times."""
+    """Return times, y and dy/dt (n,) of a cart under a constant force."""
     rig = Rig(constant_force=(0.0, push, 0.0, 0.0), **LOOSE, **effects)
     time_s = np.linspace(0.0, duration_s, 61)
     q, v = simulate(rig, time_s, np.zeros((61, 2)), start_xy)
@@ -24,9 +26,9 @@ def _cart(push=10.0, start_xy=(0.0, 0.0), duration_s=0.3, **effects):
 
 
 def _solve(rhs, start, time_s):
-    answer = solve_ivp(rhs, time_s[[0, -1]], start, "DOP853", time_s, rtol=1e-11, atol=1e-14)
-    assert answer.success
-    return answer.y
+    solution = solve_ivp(rhs, time_s[[0, -1]], start, "DOP853", time_s, rtol=1e-11, atol=1e-14)
+    assert solution.success
+    return solution.y
 
 
 CART = {
@@ -40,7 +42,7 @@ CART = {
     ),
     "friction slope": ({"friction_slope": 5.0}, lambda t, q, v: -5.0 * q),
     "cold": ({"friction_cold": 1.5}, lambda t, q, v: -0.4 * 1.5 * math.exp(-t / 40.0)),
-    "bent rail": ({"friction_cross_place": 6.0}, lambda t, q, v: -6.0 * 0.1),  # x rests at 0.1 m
+    "bent rail": ({"friction_cross_position": 6.0}, lambda t, q, v: -6.0 * 0.1),  # x rests at 0.1 m
     "drag": ({"quadratic_drag": 20.0}, lambda t, q, v: -20.0 * v * v),
     "spring": ({"spring_stiffness": 60.0, "spring_rest": 0.03}, lambda t, q, v: -60.0 * (q - 0.03)),
     "asymmetry": ({"viscous_asymmetry": 0.3}, lambda t, q, v: -0.3 * B * v),
@@ -49,7 +51,7 @@ CART = {
         lambda t, q, v: 2.5 * math.sin(196.0 * q + 0.4),
     ),
     "catch": (
-        {"catch_force": 6.0, "catch_place": 0.04, "catch_width": 0.01},
+        {"catch_force": 6.0, "catch_position": 0.04, "catch_width": 0.01},
         lambda t, q, v: -6.0 * math.sqrt(math.e) * (q - 0.04) / 0.01 * math.exp(-(((q - 0.04) / 0.01) ** 2) / 2),
     ),
 }
@@ -58,11 +60,11 @@ CART = {
 @pytest.mark.parametrize("name", CART)
 def test_force_on_the_cart(name):
     fields, force = CART[name]
-    whole = {key: (0.0, value, 0.0, 0.0) for key, value in fields.items()}
+    per_coordinate = {key: (0.0, value, 0.0, 0.0) for key, value in fields.items()}
     for key in ("stribeck_velocity", "friction_wavelength", "catch_width"):
-        if key in whole:
-            whole[key] = (fields[key],) * 4
-    time_s, y, v = _cart(start_xy=(0.1, 0.0), **whole)
+        if key in per_coordinate:
+            per_coordinate[key] = (fields[key],) * 4
+    time_s, y, v = _cart(start_xy=(0.1, 0.0), **per_coordinate)
 
     def rhs(t, z):
         return [z[1], (10.0 - B * z[1] - FC + force(t, *z)) / M]
@@ -71,12 +73,12 @@ def test_force_on_the_cart(name):
     plain = _solve(lambda t, z: [z[1], (10.0 - B * z[1] - FC) / M], [0.0, 0.0], time_s)
     assert np.abs(y - expected[0]).max() < 1e-9
     assert np.abs(v - expected[1]).max() < 1e-8
-    assert np.abs(plain[0] - expected[0]).max() > 2e-5  # and it does something
+    assert np.abs(plain[0] - expected[0]).max() > 2e-5  # the effect is visible
 
 
 @pytest.mark.parametrize(("damping", "stribeck"), [(0.0, 0.0), (20.0, 0.3)])
 def test_presliding(damping, stribeck):
-    """Dahl, and LuGre: from rest through presliding to sliding."""
+    """Dahl's and the LuGre model move the cart from rest through presliding to sliding."""
     stiffness = 2e4
     time_s, y, _ = _cart(
         2.0,
@@ -95,10 +97,10 @@ def test_presliding(damping, stribeck):
 
 
 def test_presliding_springs_back_below_the_level():
-    """Dahl's bristle under half its level: a spring, at F/s0 (-ln(1 - f/F)) where it comes to rest."""
+    """Under half the friction level F a Dahl bristle comes to rest at -F/s0 ln(1 - f/F)."""
     rig = Rig(
         constant_force=(0.0, 0.2, 0.0, 0.0),
-        viscous=(32.5, 100.0, 0.0036, 0.0036),  # creeps there without overshoot
+        viscous=(32.5, 100.0, 0.0036, 0.0036),  # approaches without overshoot
         bristle_stiffness=(0.0, 2e3, 0.0, 0.0),
         **LOOSE,
     )
@@ -116,7 +118,7 @@ def test_cable_chain_hysteresis():
     assert np.abs(y - _solve(rhs, [0.0, 0.0, 0.0], time_s)[0]).max() < 1e-9
 
 
-def test_friction_that_follows_the_other_axis_speed():
+def test_friction_that_depends_on_the_speed_of_the_other_axis():
     rig = Rig(constant_force=(20.0, 10.0, 0.0, 0.0), friction_cross_speed=(0.0, 4.0, 0.0, 0.0), **LOOSE)
     time_s = np.linspace(0.0, 0.3, 31)
     q, _ = simulate(rig, time_s, np.zeros((31, 2)))
@@ -127,7 +129,7 @@ def test_friction_that_follows_the_other_axis_speed():
     assert np.abs(q[:, :2] - _solve(rhs, [0.0] * 4, time_s)[[0, 2]].T).max() < 1e-9
 
 
-# Motor 1 alone, 6 V: its current as a function of the motor's speed, angle and states; rates of the states.
+# Motor 1 alone at 6 V: effects, current (t, angle, speed, state), rate of the state (speed, state, current).
 MOTOR = {
     "plain": ({}, lambda t, a, w, z: (6.0 - EMF * w) / OHM, None),
     "gain and offset": (
@@ -174,12 +176,12 @@ def test_drive(name):
     assert v[-1, 2] == pytest.approx(expected[1, -1], rel=1e-7)
 
 
-def test_dead_band_holds_still_inside():
+def test_voltages_inside_the_dead_band_move_nothing():
     q, _ = simulate(Rig(dead_band_V=(1.0, 1.0), coulomb=(0.0,) * 4), np.array([0.0, 0.1]), np.full((2, 2), 0.99))
     assert np.abs(q[-1]).max() < 1e-12
 
 
-def test_friction_grows_by_run():
+def test_friction_increases_from_run_to_run():
     rig = Rig(friction_per_run=0.1)
     assert rig.at_run(0) == rig
     assert rig.at_run(3).coulomb == pytest.approx([1.3 * c for c in rig.coulomb])

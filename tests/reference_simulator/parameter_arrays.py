@@ -1,4 +1,4 @@
-"""A rig as the arrays that the compiled equations read."""
+"""Convert a rig to the arrays that the compiled equations read."""
 
 from __future__ import annotations
 
@@ -10,21 +10,22 @@ from numpy.typing import NDArray
 
 from tests.reference_simulator.rig import Array, Rig
 
-# By the names of Rig's fields; bodies beyond the four coordinates get zeros but for what they are made of.
+# Fields of Rig by what they describe. Bodies beyond the four coordinates get zeros except for what they are made of.
 _OF_COORDINATE = [f.name for f in dataclasses.fields(Rig) if isinstance(f.default, tuple) and len(f.default) == 4]
 _OF_DRIVE = ["drive_gain", "voltage_offset_V", "dead_band_V", "current_limit_A", "electrical_lag_s"]
 _OF_DRIVE += ["heating_loss", "heating_s", "current_ripple", "current_ripple_order"]
 _OF_BELTS = ["belt_play_m", "belt_damping_s", "belt_pretension_N", "belt_hardening"]
 _OF_STAGE = ["warm_up_s", *_OF_BELTS, "frame_w", "frame_zeta", "frame_ratio"]
-_ONES = dict.fromkeys(("stribeck_velocity", "friction_wavelength", "hysteresis_travel", "catch_width"), 1.0)  # divisors
+_DIVISORS = dict.fromkeys(("stribeck_velocity", "friction_wavelength", "hysteresis_travel", "catch_width"), 1.0)
 COORDINATE = np.dtype([(name, "f8") for name in [*_OF_COORDINATE, "radius", "eccentricity_m", "eccentricity_phase"]])
 DRIVE = np.dtype([("coordinate", "i8"), ("gain", "f8"), ("emf", "f8"), ("ohm", "f8"), *((n, "f8") for n in _OF_DRIVE)])
 LINK = np.dtype([("first", "i8"), ("second", "i8"), ("stiffness", "f8"), ("viscous", "f8"), ("half_gap", "f8")])
 STAGE = np.dtype([(name, "f8") for name in _OF_STAGE])
-# Lengths of the nine sections at x = y = 0 (the paper's Table 4), their growth with x and y, and their extension rows
-# over x, y and the travel of eight pulleys (eq. 25-34 with signs that make K symmetric).
+# The nine belt sections of the 20th-order stage: lengths at x = y = 0, m (the paper's Table 4), the gradient of the
+# lengths with respect to x and y, and the extension rows over x, y and the travel of eight pulleys (eq. 25-34, with
+# signs that make K symmetric).
 _SECTIONS = (0.781, 0.781, 0.3334, 0.3334, 0.3334, 0.3334, 0.281, 0.281, 0.6159)
-_SECTION_GROWTH = ((0, 0), (0, 0), (-1, 0), (-1, 0), (1, 0), (1, 0), (0, 1), (0, -1), (0, 0))
+_SECTION_GRADIENT = ((0, 0), (0, 0), (-1, 0), (-1, 0), (1, 0), (1, 0), (0, 1), (0, -1), (0, 0))
 _SECTION_ROWS = (
     (0, 0, 1, 0, -1, 0, 0, 0, 0, 0),
     (0, 0, 0, 1, 0, -1, 0, 0, 0, 0),
@@ -38,27 +39,37 @@ _SECTION_ROWS = (
 )
 
 
-class Tables(NamedTuple):
-    """n coordinates: x, y, phi1, phi2, the idlers, and whatever else the rig has."""
+class ParameterArrays(NamedTuple):
+    """Parameters of a stage with n coordinates: x, y, phi1, phi2, the idlers, and the rig's other bodies."""
 
     coordinates: NDArray[Any]  # (n,) of COORDINATE
     drives: NDArray[Any]  # (2,) of DRIVE
-    links: NDArray[Any]  # (m,) of LINK: springs between two coordinates
+    links: NDArray[Any]  # (links,) of LINK: springs between two coordinates
     stage: NDArray[Any]  # (1,) of STAGE
-    belts: Array  # (b, 2): EA, length at x = y = 0
-    growth: Array  # (b, 2): of the length with x and y
-    rows: Array  # (b, n): extension over the coordinates' travel
+    belts: Array  # (belts, 2): EA, N; length at x = y = 0, m
+    length_gradient: Array  # (belts, 2): of the length with respect to x and y
+    rows: Array  # (belts, n): extension over the coordinates' travel
 
 
-class OperatingPointGrid(NamedTuple):
-    """Which coordinates the sensors see: of the encoders, and of the bridge's yaw (-1: it has none)."""
+class MeasuredCoordinates(NamedTuple):
+    """Indices of the coordinates that the sensors measure: of the encoders, and of the bridge's yaw (-1: none)."""
 
     encoders: tuple[int, int]
     yaw: int
 
 
-def tables(rig: Rig) -> tuple[Tables, OperatingPointGrid]:
-    """The arrays of a rig. Raises ValueError for combinations the equations do not cover."""
+def parameter_arrays(rig: Rig) -> tuple[ParameterArrays, MeasuredCoordinates]:
+    """Convert a rig to arrays.
+
+    Args:
+        rig: Parameters of the stage.
+
+    Returns:
+        The arrays, and the indices of the measured coordinates.
+
+    Raises:
+        ValueError: If the equations do not cover the rig's combination of effects.
+    """
     _check(rig)
     four = np.zeros(4, COORDINATE)
     for name in _OF_COORDINATE:
@@ -68,61 +79,62 @@ def tables(rig: Rig) -> tuple[Tables, OperatingPointGrid]:
     coordinates, links = list(four), []
 
     def add(**values: float) -> int:
-        """One more coordinate; its index."""
+        """Append a coordinate and return its index."""
         new = np.zeros(1, COORDINATE)[0]
-        for name, value in ({"radius": 1.0} | _ONES | values).items():
+        for name, value in ({"radius": 1.0} | _DIVISORS | values).items():
             new[name] = value
         coordinates.append(new)
         return len(coordinates) - 1
 
     if rig.idlers:
-        _unlump(rig, coordinates)
-        for near in (2, 3, 2, 3, 2, 3):
-            pulley = coordinates[near]
+        _separate_idlers(rig, coordinates)
+        for driven in (2, 3, 2, 3, 2, 3):
+            pulley = coordinates[driven]
             add(mass=pulley["mass"], viscous=pulley["viscous"], radius=rig.pulley_radius_m)
     encoders = [2, 3]
-    for j, gap in enumerate(rig.backlash_rad):
-        if gap:
-            pulley, share = coordinates[2 + j], rig.backlash_motor_share
-            rotor = add(**{name: pulley[name] * share for name in ("mass", "viscous", "coulomb")})
+    for j, half_gap in enumerate(rig.backlash_rad):
+        if half_gap:
+            pulley, fraction = coordinates[2 + j], rig.backlash_motor_fraction
+            rotor = add(**{name: pulley[name] * fraction for name in ("mass", "viscous", "coulomb")})
             for name in ("mass", "viscous", "coulomb"):
-                pulley[name] *= 1.0 - share
-            links.append((2 + j, rotor, rig.backlash_stiffness, 0.0, gap))
+                pulley[name] *= 1.0 - fraction
+            links.append((2 + j, rotor, rig.backlash_stiffness, 0.0, half_gap))
             encoders[j] = rotor
     if rig.payload:
-        hung = add(mass=rig.payload.mass_kg)
-        links.append((1, hung, rig.payload.stiffness, rig.payload.viscous, 0.0))
+        payload = add(mass=rig.payload.mass_kg)
+        links.append((1, payload, rig.payload.stiffness, rig.payload.viscous, 0.0))
     yaw = -1
     if rig.yaw:
         yaw = add(mass=rig.yaw.inertia, viscous=rig.yaw.viscous, spring_stiffness=rig.yaw.stiffness)
 
-    belts, growth, rows = _belts(rig, len(coordinates))
+    belts, length_gradient, rows = _belts(rig, len(coordinates))
     if rig.yaw:
-        rows[:2, yaw] = rig.yaw.half_width_m, -rig.yaw.half_width_m  # left and right belt; the bottom one sees neither
-    made = Tables(
+        rows[:2, yaw] = rig.yaw.half_width_m, -rig.yaw.half_width_m  # left and right; the bottom belt does not see yaw
+    arrays = ParameterArrays(
         np.array(coordinates, COORDINATE),
         _drives(rig, encoders),
         np.array(links, LINK),
         _stage(rig),
         belts,
-        growth,
+        length_gradient,
         rows,
     )
-    return made, OperatingPointGrid((encoders[0], encoders[1]), yaw)
+    return arrays, MeasuredCoordinates((encoders[0], encoders[1]), yaw)
 
 
 def _check(rig: Rig) -> None:
+    """Raise ValueError for combinations that the equations do not cover."""
     if rig.idlers and rig.yaw:
-        raise ValueError("the yaw of a 20th-order stage is not modelled")
+        raise ValueError("the yaw of a 20th-order stage is not modeled")
     if np.isfinite(rig.belt_pretension_N) and (rig.belt_damping_s or rig.belt_hardening or rig.belt_play_m):
-        raise ValueError("belts that go slack have no damping, hardening or play here")
+        raise ValueError("belts that go slack cannot have damping, hardening or play here")
     level, breakaway = np.array(rig.coulomb), np.array(rig.coulomb) + np.array(rig.stribeck_force)
     if np.any(level < 0.0) or np.any((breakaway <= 0.0) & (breakaway < level)):
         raise ValueError("dry friction needs a Coulomb level >= 0 and a breakaway level > 0")
 
 
-def _unlump(rig: Rig, coordinates: list[Any]) -> None:
-    """Take what eq. 4-8 lump into motors and cart out again: half a motor's inertia and friction is its idler's."""
+def _separate_idlers(rig: Rig, coordinates: list[Any]) -> None:
+    """Undo the lumping of eq. 4-8, which adds idlers to motors and cart: half of a motor's values is its idler's."""
     for name in ("mass", "viscous"):
         for i in (2, 3):
             coordinates[i][name] *= 0.5
@@ -131,6 +143,7 @@ def _unlump(rig: Rig, coordinates: list[Any]) -> None:
 
 
 def _drives(rig: Rig, encoders: list[int]) -> NDArray[Any]:
+    """Return the drives' parameters, shape (2,); a motor acts on the coordinate that its encoder measures."""
     drives = np.zeros(2, DRIVE)
     for name in _OF_DRIVE:
         drives[name] = getattr(rig, name)
@@ -142,6 +155,7 @@ def _drives(rig: Rig, encoders: list[int]) -> NDArray[Any]:
 
 
 def _stage(rig: Rig) -> NDArray[Any]:
+    """Return the parameters that belong to no single coordinate, shape (1,)."""
     stage = np.zeros(1, STAGE)
     for name in ("warm_up_s", *_OF_BELTS):
         stage[name] = getattr(rig, name)
@@ -152,17 +166,17 @@ def _stage(rig: Rig) -> NDArray[Any]:
 
 
 def _belts(rig: Rig, count: int) -> tuple[Array, Array, Array]:
-    """EA and length (b, 2), growth (b, 2), rows (b, count) over travel."""
+    """Return EA and length (belts, 2), gradient of the length (belts, 2), and rows (belts, count) over travel."""
     if rig.idlers:
-        lengths, grow = np.array(_SECTIONS), np.array(_SECTION_GROWTH, float)
-        few = np.array(_SECTION_ROWS, float)
+        lengths, gradient = np.array(_SECTIONS), np.array(_SECTION_GRADIENT, float)
+        section_rows = np.array(_SECTION_ROWS, float)
         if len(set(rig.belt_EA_N)) > 1:
-            raise ValueError("a 20th-order stage has one belt: one EA")
-        strength = np.full(len(few), rig.belt_EA_N[0])
+            raise ValueError("a 20th-order stage has one belt, hence one EA")
+        strength = np.full(len(section_rows), rig.belt_EA_N[0])
     else:
         strength, lengths = np.array(rig.belt_EA_N), np.array(rig.belt_length_m)
-        grow = np.array([[1.0, 1.0], [1.0, -1.0], [-2.0, 0.0]])
-        few = np.array([[1.0, 1.0, 1.0, 0.0], [1.0, -1.0, 0.0, -1.0], [-2.0, 0.0, -1.0, 1.0]])
-    rows = np.zeros((len(few), count))
-    rows[:, : few.shape[1]] = few
-    return np.stack([strength, lengths], axis=1), grow * float(rig.length_follows), rows
+        gradient = np.array([[1.0, 1.0], [1.0, -1.0], [-2.0, 0.0]])
+        section_rows = np.array([[1.0, 1.0, 1.0, 0.0], [1.0, -1.0, 0.0, -1.0], [-2.0, 0.0, -1.0, 1.0]])
+    rows = np.zeros((len(section_rows), count))
+    rows[:, : section_rows.shape[1]] = section_rows
+    return np.stack([strength, lengths], axis=1), gradient * float(rig.length_follows), rows

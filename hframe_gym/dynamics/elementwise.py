@@ -1,0 +1,207 @@
+"""Elementary functions for values of any algebra.
+
+The equations of motion and the formulas of effects are written once with these functions. What a function does follows
+from the type of its operands:
+
+    NumPy arrays and plain numbers   NumPy's function
+    traced expressions               a node of the kernel's expression graph (`tracing`)
+    CasADi SX and MX                 CasADi's function
+    SIMD registers in a kernel       vector instructions, which `simd` registers with Numba
+
+CasADi is imported only when an operand is a CasADi value.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+_PLAIN = (float, int, np.ndarray, np.generic)
+
+
+def exp(x: Any) -> Any:
+    """Return e**x; in a kernel, x below -700 gives zero and x above 700 is clipped."""
+    return _apply("exp", x)
+
+
+def sin(x: Any) -> Any:
+    """Return the sine of an angle in rad; in a kernel for |x| up to 1e6."""
+    return _apply("sin", x)
+
+
+def cos(x: Any) -> Any:
+    """Return the cosine of an angle in rad; in a kernel for |x| up to 1e6."""
+    return _apply("cos", x)
+
+
+def tanh(x: Any) -> Any:
+    """Return the hyperbolic tangent (not available in a kernel)."""
+    return _apply("tanh", x)
+
+
+def sqrt(x: Any) -> Any:
+    """Return the square root."""
+    return _apply("sqrt", x)
+
+
+def absolute(x: Any) -> Any:
+    """Return |x|."""
+    return _apply("absolute", x)
+
+
+def sign(x: Any) -> Any:
+    """Return -1, 0 or 1 (not available in a kernel; there see `copysign`)."""
+    return _apply("sign", x)
+
+
+def minimum(a: Any, b: Any) -> Any:
+    """Return the smaller of two values."""
+    return _apply("minimum", a, b)
+
+
+def maximum(a: Any, b: Any) -> Any:
+    """Return the larger of two values."""
+    return _apply("maximum", a, b)
+
+
+def copysign(size: Any, sign_of: Any) -> Any:
+    """Return |size| with the sign of `sign_of`."""
+    return _apply("copysign", size, sign_of)
+
+
+def where(condition: Any, yes: Any, no: Any) -> Any:
+    """Return `yes` where the condition holds and `no` elsewhere, element by element."""
+    return _apply("where", condition, yes, no)
+
+
+def fma(a: Any, b: Any, c: Any) -> Any:
+    """Return a * b + c, rounded once in a kernel and twice elsewhere."""
+    return _apply("fma", a, b, c)
+
+
+def rint(x: Any) -> Any:
+    """Return the nearest integer, ties to even."""
+    return _apply("rint", x)
+
+
+def floor(x: Any) -> Any:
+    """Return the largest integer that does not exceed x."""
+    return _apply("floor", x)
+
+
+def pow2(n: Any) -> Any:
+    """Return 2**n for integers n in [-1022, 1023], exactly."""
+    return _apply("pow2", n)
+
+
+def any_of(condition: Any) -> Any:
+    """Return whether the condition holds in any element."""
+    return _apply("any_of", condition)
+
+
+def named(role: str, index: int, value: Any) -> Any:
+    """Return the value; in a generated kernel it becomes the variable `role_index`."""
+    return value.name_as(role, index) if hasattr(value, "name_as") else value
+
+
+def reciprocals(values: Sequence[Any]) -> list[Any]:
+    """Return 1/value of each value.
+
+    Traced values share one division in groups of up to three, because a division costs as much as ten products.
+    """
+    if not any(hasattr(v, "traced_function") for v in values):
+        return [1.0 / v for v in values]
+    results: list[Any] = []
+    for group in (values[i : i + 3] for i in range(0, len(values), 3)):
+        if len(group) == 1:
+            results.append(1.0 / group[0])
+            continue
+        first, second, *third = group
+        pair = first * second
+        if third:
+            reciprocal = 1.0 / (pair * third[0])
+            reciprocal_pair = reciprocal * third[0]
+            results += [reciprocal_pair * second, reciprocal_pair * first, reciprocal * pair]
+        else:
+            reciprocal_pair = 1.0 / pair
+            results += [reciprocal_pair * second, reciprocal_pair * first]
+    return results
+
+
+def update_if_any(
+    condition: Callable[[], Any], values: Sequence[Any], update: Callable[[Sequence[Any]], Sequence[Any]]
+) -> list[Any]:
+    """Return `update(values)`; a generated kernel evaluates it only if the condition holds in any lane.
+
+    Args:
+        condition: Function that gives the condition. It is called only where it can save work.
+        values: Values to update.
+        update: Function of the values. Where the condition does not hold it must change nothing.
+
+    Returns:
+        The updated values.
+    """
+    traced = next((v for v in values if hasattr(v, "trace")), None)
+    if traced is not None:
+        return list(traced.trace.update_if_any(condition(), values, update))
+    return list(update(values))
+
+
+def _apply(name: str, *operands: Any) -> Any:
+    """Call the function of that name in the algebra of the operands."""
+    for operand in operands:
+        if isinstance(operand, _PLAIN):
+            continue
+        if hasattr(operand, "traced_function"):
+            return operand.traced_function(name, operands)
+        if type(operand).__module__.partition(".")[0] == "casadi":
+            return _casadi_functions()[name](*operands)
+    return _NUMPY[name](*operands)
+
+
+def _numpy_where(condition: Any, yes: Any, no: Any) -> Any:
+    """Return a scalar for scalar operands, where `np.where` gives an array without dimensions."""
+    return np.where(condition, yes, no)[()]
+
+
+_NUMPY: Mapping[str, Callable[..., Any]] = {
+    "exp": np.exp,
+    "sin": np.sin,
+    "cos": np.cos,
+    "tanh": np.tanh,
+    "sqrt": np.sqrt,
+    "absolute": np.abs,
+    "sign": np.sign,
+    "minimum": np.minimum,
+    "maximum": np.maximum,
+    "copysign": np.copysign,
+    "where": _numpy_where,
+    "fma": lambda a, b, c: a * b + c,
+    "rint": np.rint,
+    "floor": np.floor,
+    "pow2": np.exp2,
+    "any_of": np.any,
+}
+
+
+def _casadi_functions() -> Mapping[str, Callable[..., Any]]:
+    """Return CasADi's functions; the import costs 0.1 s, hence only on use."""
+    import casadi
+
+    return {
+        "exp": casadi.exp,
+        "sin": casadi.sin,
+        "cos": casadi.cos,
+        "tanh": casadi.tanh,
+        "sqrt": casadi.sqrt,
+        "absolute": casadi.fabs,
+        "sign": casadi.sign,
+        "minimum": casadi.fmin,
+        "maximum": casadi.fmax,
+        "copysign": casadi.copysign,
+        "where": casadi.if_else,
+        "fma": lambda a, b, c: a * b + c,
+        "floor": casadi.floor,
+    }

@@ -1,0 +1,205 @@
+"""Forces along a known motion: belts, and what effects add.
+
+The motion is given as arrays over samples; parameters may be arrays (variants, 1), so that many variants of an effect
+are evaluated at once.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..machine.effect import AppliedEffect
+from ..machine.machine import Machine
+from .equations import BeltState, Equations, MotionPoint
+
+Array = NDArray[np.float64]
+# The flow of a bristle state over a distance without turning point is exact, so few steps suffice.
+_FRICTION_STATE_STRIDE = 5
+
+
+def belt_states(machine: Machine, positions: ArrayLike, velocities: ArrayLike | None = None) -> list[BeltState]:
+    """Return the state of each belt along a motion, effects on belts included.
+
+    Args:
+        machine: Machine.
+        positions: Positions (..., coordinates) in the coordinates' units.
+        velocities: Velocities of the same shape; None: at rest.
+
+    Returns:
+        One `BeltState` per belt with arrays (...).
+    """
+    equations = Equations(machine)
+    return equations.belt_states(equations.point(positions, velocities))
+
+
+def belt_forces(machine: Machine, positions: ArrayLike, velocities: ArrayLike | None = None) -> Array:
+    """Return the force of the belts on each coordinate (..., coordinates), in the coordinates' units (N or Nm)."""
+    equations = Equations(machine)
+    point = equations.point(positions, velocities)
+    return np.asarray(equations.in_units(equations.belt_forces(point, equations.belt_states(point))))
+
+
+def net_forces(
+    machine: Machine,
+    time_s: Array,
+    positions: Array,
+    velocities: Array,
+    inputs: Array,
+    values: Mapping[str, Array] | None = None,
+) -> Array:
+    """Return the sum of all forces on each coordinate along a motion, with friction and effects.
+
+    Args:
+        machine: Machine.
+        time_s: Sample times (n,), s.
+        positions: Positions (n, coordinates) in the coordinates' units.
+        velocities: Velocities (n, coordinates).
+        inputs: Commanded voltages (n, drives), V, held from each sample until the next.
+        values: Parameter values by full name, floats or arrays (variants, 1), in place of the machine's.
+
+    Returns:
+        Array (n, coordinates) or (variants, n, coordinates) in the coordinates' units (N or Nm).
+    """
+    equations = Equations(machine, values)
+    voltages = delayed_voltages(equations, time_s, inputs)
+    states = effect_states(equations, time_s, positions, velocities, voltages)
+    point = equations.point(positions, velocities, time_s, states)
+    return np.asarray(equations.in_units(equations.net_forces(point, voltages)))
+
+
+def effect_forces(
+    machine: Machine,
+    time_s: Array,
+    positions: Array,
+    velocities: Array,
+    inputs: Array,
+    effects: Sequence[AppliedEffect] | None = None,
+) -> Array:
+    """Return the force that effects add along a motion.
+
+    The result is the difference of the net forces with and without the effects: whatever an effect changes (a force,
+    friction, a voltage, a current, a belt) counts.
+
+    Args:
+        machine: Machine without the effects of `effects`; its other effects act in both evaluations.
+        time_s: Sample times (n,), s.
+        positions: Positions (n, coordinates) in the coordinates' units.
+        velocities: Velocities (n, coordinates).
+        inputs: Commanded voltages (n, drives), V.
+        effects: Effects to evaluate, with parameters that are floats or arrays (variants, 1); None: all effects of the
+            machine.
+
+    Returns:
+        Array (n, coordinates), or (variants, n, coordinates) where a parameter is an array, in the coordinates' units.
+    """
+    motion = (time_s, positions, velocities, inputs)
+    if effects is None:
+        effects, machine = machine.effects, dataclasses.replace(machine, effects=())
+        # The coordinate of a structural effect stays; its parameters are those of the effect, which no longer exists.
+        machine = dataclasses.replace(machine, ties={})
+    complete = dataclasses.replace(machine, effects=(*machine.effects, *effects))
+    return net_forces(complete, *motion) - net_forces(machine, *motion)
+
+
+def sensor_readings(machine: Machine, positions: ArrayLike) -> Array:
+    """Return the readings of all sensors (..., sensors) at positions (..., coordinates), without delay and noise."""
+    q = np.asarray(positions, float)
+    readings = Equations(machine).sensor_readings([q[..., i] for i in range(q.shape[-1])])
+    return np.stack(np.broadcast_arrays(*readings), axis=-1)
+
+
+def delayed_voltages(equations: Equations, time_s: Array, inputs: Array) -> list[Array]:
+    """Return the mean voltage of each drive between a sample and the next, after its delay.
+
+    Args:
+        equations: Equations with the delays.
+        time_s: Sample times (n,), s.
+        inputs: Commanded voltages (n, drives), V, held from each sample until the next.
+
+    Returns:
+        One array (n,) or (variants, n) per drive, V.
+    """
+    steps = np.diff(time_s, append=2.0 * time_s[-1] - time_s[-2] if len(time_s) > 1 else time_s[-1] + 1.0)
+    ends = np.append(time_s, time_s[-1] + steps[-1])
+    voltages = []
+    for j, delay in enumerate(equations.voltage_delays()):
+        if np.all(np.asarray(delay) == 0.0):
+            voltages.append(inputs[:, j])
+            continue
+        integral = np.concatenate([[0.0], np.cumsum(inputs[:, j] * steps)])
+        late = ends - np.asarray(delay)
+        # Before the first sample its value acts.
+        at = np.interp(late, ends, integral) + inputs[0, j] * np.minimum(late - ends[0], 0.0)
+        voltages.append(np.diff(at, axis=-1) / steps)
+    return voltages
+
+
+def effect_states(
+    equations: Equations, time_s: Array, positions: Array, velocities: Array, voltages: Sequence[Array]
+) -> dict[int, Array]:
+    """Return the state of each effect that has one along a motion.
+
+    Args:
+        equations: Equations of the machine with the effects.
+        time_s: Sample times (n,), s.
+        positions: Positions (n, coordinates) in the coordinates' units.
+        velocities: Velocities (n, coordinates).
+        voltages: Voltage of each drive, arrays (n,) or (variants, n), V.
+
+    Returns:
+        Arrays (n,) or (variants, n) by effect index. The state of an effect on a current is its mean between a
+        sample and the next, because the voltage is held that long.
+    """
+    states: dict[int, Array] = {}
+    for k in equations.states:
+        effect = equations.machine.effects[k]
+        known = equations.point(positions, velocities, time_s, states)
+        motor_voltages = equations.motor_voltages(voltages)
+        arguments = equations.force_balance(known, motor_voltages, [0.0] * len(known.travel)).arguments.get(k, {})
+        rows = np.arange(len(time_s))
+        if effect.definition.friction:
+            rows = np.unique(np.append(rows[::_FRICTION_STATE_STRIDE], rows[-1]))
+        states[k] = _integrated(equations, k, known, arguments, time_s, rows)
+    return states
+
+
+def _integrated(
+    equations: Equations,
+    k: int,
+    point: MotionPoint,
+    arguments: Mapping[str, Array],
+    time_s: Array,
+    rows: NDArray[np.intp],
+) -> Array:
+    """Return the state of effect k at every sample, stepped from row to row of `rows`."""
+    series = {name: np.asarray(value, float) for name, value in arguments.items()}
+
+    def at(values: Array, row: int) -> Array:
+        return values[..., row : row + 1] if values.ndim and values.shape[-1] == len(time_s) else values
+
+    averaged = bool(equations.machine.effects[k].definition.current)
+    state: Array = np.zeros(1)
+    samples = []
+    step = 0.0
+    for start, end in itertools.pairwise([*rows, rows[-1]]):
+        step = time_s[end] - time_s[start] if end > start else step
+        traveled = [at(p, end) - at(p, start) for p in point.travel]
+        speed = [at(v, start) for v in point.speed]
+        held = {name: at(values, start) for name, values in series.items()}
+        following = np.asarray(equations.next_state(k, state, held, traveled, speed, step))
+        if averaged:  # Simpson's rule
+            middle = equations.next_state(k, state, held, [0.5 * d for d in traveled], speed, 0.5 * step)
+            samples.append((state + 4.0 * middle + following) / 6.0)
+        else:
+            samples.append(state)
+        state = following
+    table = np.concatenate(np.broadcast_arrays(*samples), axis=-1)
+    if len(rows) == len(time_s):
+        return table
+    lines = [np.interp(np.arange(len(time_s)), rows, line) for line in np.atleast_2d(table)]
+    return np.array(lines) if table.ndim > 1 else lines[0]

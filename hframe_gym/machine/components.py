@@ -1,0 +1,279 @@
+"""Components of a machine: coordinates, belts, drives and sensors, with the units of their parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import ClassVar, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..registry import Registry
+
+Array = NDArray[np.float64]
+Row = Mapping[str, float]
+CoordinateKind = Literal["linear", "rotary"]
+
+# Units of the quantities of a coordinate. The unit of an effect's parameter may be one of these keys; it then follows
+# the kind of the coordinate at the effect's site.
+UNITS: dict[CoordinateKind, dict[str, str]] = {
+    "linear": {
+        "position": "m",
+        "speed": "m/s",
+        "mass": "kg",
+        "force": "N",
+        "viscous": "Ns/m",
+        "stiffness": "N/m",
+        "drag": "Ns^2/m^2",
+        "rad/position": "rad/m",
+    },
+    "rotary": {
+        "position": "rad",
+        "speed": "rad/s",
+        "mass": "kg m^2",
+        "force": "Nm",
+        "viscous": "Nms",
+        "stiffness": "Nm/rad",
+        "drag": "Nms^2",
+        "rad/position": "1",
+    },
+}
+# Units of parameters that do not depend on the kind of a coordinate.
+FIXED_UNITS = {
+    "radius": "m",
+    "EA": "N",
+    "rest_length": "m",
+    "Kt": "Nm/A",
+    "Ke": "Vs/rad",
+    "resistance": "ohm",
+    "gear_ratio": "1",
+    "rated_voltage": "V",
+    "converter_bits": "1",
+    "voltage_range": "V",
+}
+
+
+@dataclass(frozen=True)
+class Coordinate:
+    """One degree of freedom of the machine.
+
+    Attributes:
+        name: Name by which belts, drives, sensors and effects refer to the coordinate.
+        mass: Moving mass, kg, or moment of inertia, kg m^2.
+        viscous: Viscous friction coefficient, Ns/m or Nms.
+        coulomb: Coulomb friction level, N or Nm.
+        kind: "linear" (a carriage) or "rotary" (a pulley).
+        radius: Radius of the pulley, m. A linear coordinate ignores it.
+        range: Lowest and highest position, m or rad. None if the coordinate is not limited.
+    """
+
+    PARAMETERS: ClassVar[tuple[str, ...]] = ("mass", "viscous", "coulomb", "radius")
+
+    name: str
+    mass: float
+    viscous: float = 0.0
+    coulomb: float = 0.0
+    kind: CoordinateKind = "linear"
+    radius: float = 1.0
+    range: tuple[float, float] | None = None
+
+    @property
+    def travel_per_unit(self) -> float:
+        """Belt travel per unit of position: the radius, m/rad, of a pulley, and 1 for a linear coordinate."""
+        return self.radius if self.kind == "rotary" else 1.0
+
+    def unit(self, quantity: str) -> str:
+        """Return the unit of a quantity of this coordinate.
+
+        Args:
+            quantity: Name of a parameter, or a key of `UNITS`: "position", "speed", "force", "stiffness", ...
+
+        Returns:
+            The unit, for example "kg m^2" for the mass of a rotary coordinate.
+        """
+        if quantity in FIXED_UNITS:
+            return FIXED_UNITS[quantity]
+        return UNITS[self.kind]["force" if quantity == "coulomb" else quantity]
+
+
+@dataclass(frozen=True)
+class Belt:
+    """One elastic belt section.
+
+    With the travel p (m) of every coordinate (see `Coordinate.travel_per_unit`), the extension of the section is
+    s = sum(extension[c] * p[c]) and its stiffness is k = EA / (rest_length + sum(length[c] * p[c])), eq. 38-44.
+
+    Attributes:
+        name: Name of the section.
+        EA: Axial stiffness, Young's modulus times cross section, N.
+        rest_length: Length at zero travel, m.
+        extension: Change of the extension per travel of each coordinate.
+        length: Change of the length per travel of each coordinate. Empty for a section of constant stiffness.
+    """
+
+    PARAMETERS: ClassVar[tuple[str, ...]] = ("EA", "rest_length")
+
+    name: str
+    EA: float
+    rest_length: float
+    extension: Row
+    length: Row = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A DC motor behind a gear, on one coordinate.
+
+    At speed w (rad/s or m/s) and voltage V the torque or force is gear_ratio * Kt/R * (V - Ke * gear_ratio * w), eq. 17
+    with its erratum.
+
+    Attributes:
+        name: Name of the drive.
+        channel: Column of the recordings that holds its voltage, for example v1_V.
+        coordinate: Name of the coordinate that it moves.
+        Kt: Torque constant, Nm/A.
+        Ke: Back-EMF constant, Vs/rad.
+        resistance: Resistance of the armature, ohm.
+        gear_ratio: Motor angle per unit of the coordinate, rad/rad or rad/m.
+        rated_voltage: Rated voltage, V.
+        converter_bits: Resolution of the digital-to-analog converter; 0 for a continuous voltage.
+        voltage_range: Largest voltage of the converter in either direction, V. None for the rated voltage.
+    """
+
+    PARAMETERS: ClassVar[tuple[str, ...]] = ("Kt", "Ke", "resistance", "gear_ratio")
+
+    name: str
+    channel: str
+    coordinate: str
+    Kt: float
+    Ke: float
+    resistance: float
+    gear_ratio: float
+    rated_voltage: float
+    converter_bits: int = 0
+    voltage_range: float | None = None
+
+    @property
+    def gain(self) -> float:
+        """Force or torque per volt at standstill, N/V or Nm/V."""
+        return self.gear_ratio * self.Kt / self.resistance
+
+    @property
+    def back_emf(self) -> float:
+        """Viscous friction that the back-EMF adds to the coordinate, Ns/m or Nms."""
+        return self.gear_ratio**2 * self.Kt * self.Ke / self.resistance
+
+    @property
+    def device_parameters(self) -> dict[str, float]:
+        """Parameters of the converter by name; the voltage range is the rated voltage if none is declared."""
+        limit = self.rated_voltage if self.voltage_range is None else self.voltage_range
+        return {"converter_bits": self.converter_bits, "voltage_range": limit}
+
+
+class SensorKind:
+    """Base class of sensor kinds: what a sensor outputs for an ideal reading.
+
+    A kind is a subclass that registers itself with `@SENSOR_KINDS.register("name")`. Kinds are never instantiated.
+
+    Attributes:
+        incremental: Whether the sensor counts from where it was switched on. Its zero is then unknown, and elastic
+            belts may lie between it and the tool.
+    """
+
+    incremental: ClassVar[bool] = False
+
+    @staticmethod
+    def measure(reading: Array, noise: ArrayLike, resolution: ArrayLike, normal: ArrayLike) -> Array:
+        """Add noise to ideal readings and round them to the resolution.
+
+        All arguments broadcast against each other; the unit is the channel's.
+
+        Args:
+            reading: Ideal readings, m or rad, any shape.
+            noise: Standard deviation of the noise, m or rad.
+            resolution: Quantum of the sensor, m or rad; 0 for a continuous sensor.
+            normal: Samples of the standard normal distribution.
+
+        Returns:
+            Measured values, m or rad, in the broadcast shape.
+        """
+        value = np.asarray(reading + np.asarray(noise) * normal)
+        quantum = np.broadcast_to(np.asarray(resolution, float), value.shape)
+        return np.where(quantum > 0.0, np.rint(value / np.where(quantum > 0.0, quantum, 1.0)) * quantum, value)
+
+
+SENSOR_KINDS: Registry[type[SensorKind]] = Registry("sensor kind")
+
+
+@SENSOR_KINDS.register("encoder")
+class Encoder(SensorKind):
+    """An incremental encoder: it counts from where it was switched on."""
+
+    incremental = True
+
+
+@SENSOR_KINDS.register("laser")
+class Laser(SensorKind):
+    """A distance sensor with a fixed zero."""
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """One measured channel; its ideal reading is sum(row[c] * q[c]) over the positions q (m or rad).
+
+    Attributes:
+        channel: Column of the recordings that holds the measurement, for example x_m or phi1_rad.
+        row: Coefficient of each coordinate. A key may be a product, "y*yaw": its coefficient multiplies both positions.
+        noise: Standard deviation of the noise, in the channel's unit.
+        resolution: Quantum, in the channel's unit; 0 for a continuous sensor.
+        kind: Name in `SENSOR_KINDS`: "encoder" (incremental), "laser" (fixed zero) or a kind that a user registered.
+    """
+
+    channel: str
+    row: Row
+    noise: float = 0.0
+    resolution: float = 0.0
+    kind: str = "laser"
+
+    @property
+    def incremental(self) -> bool:
+        """Whether the sensor counts from where it was switched on, so that its zero is unknown."""
+        return SENSOR_KINDS.get(self.kind).incremental
+
+    @property
+    def coordinate(self) -> str:
+        """Name of the coordinate with the largest coefficient."""
+        return max((c for c in self.row if "*" not in c), key=lambda c: abs(self.row[c]))
+
+    @property
+    def device_parameters(self) -> dict[str, float]:
+        """Noise and resolution by name, in the channel's unit."""
+        return {"noise": self.noise, "resolution": self.resolution}
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """Covariance of the identified parameters of a machine.
+
+    Attributes:
+        names: Full names of the parameters, for example x.mass.
+        covariance: Covariance matrix, shape (names, names), in the units of the parameters.
+    """
+
+    names: tuple[str, ...]
+    covariance: Array
+
+    def std(self, name: str) -> float | None:
+        """Return the standard deviation of a parameter.
+
+        Args:
+            name: Full name of the parameter.
+
+        Returns:
+            The standard deviation in the parameter's unit, or None if the parameter was not identified.
+        """
+        if name not in self.names:
+            return None
+        i = self.names.index(name)
+        return float(np.sqrt(self.covariance[i, i]))

@@ -1,0 +1,97 @@
+"""Hold the limits on language, module size, function size and docstring sections."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+from tools import house
+from tools.house import Function, House, measure
+from tools.sample_functions import draw
+
+
+@pytest.fixture(scope="module")
+def repository() -> House:
+    return measure()
+
+
+def test_words_of_the_private_dialect_are_rare(repository: House) -> None:
+    assert repository.words_per_1000_lines <= house.MAX_WORDS_PER_1000_LINES, repository.words
+
+
+def test_number_of_modules(repository: House) -> None:
+    assert 30 <= len(repository.modules) <= house.MAX_MODULES
+
+
+def test_no_module_is_too_long(repository: House) -> None:
+    assert repository.long_modules == []
+
+
+def test_no_function_is_too_long(repository: House) -> None:
+    assert repository.long_functions == []
+
+
+def test_public_functions_have_all_docstring_sections(repository: House) -> None:
+    assert repository.undocumented == []
+
+
+def _function(source: str) -> Function:
+    node = ast.parse(source).body[0]
+    assert isinstance(node, ast.FunctionDef)
+    return Function(Path("module.py"), node.name, node)
+
+
+@pytest.mark.parametrize(
+    ("source", "missing"),
+    [
+        ("def f(x: int) -> int:\n    return x", ["docstring"]),
+        ("def f(x: int) -> int:\n    '''Return x.'''", ["Args", "Returns"]),
+        ("def f(x: int) -> None:\n    '''Take x.\n\n    Args:\n        x: Value.\n    '''", []),
+        ("def f(self) -> int:\n    '''Return one.\n\n    Returns:\n        One.\n    '''", []),
+        ("@property\ndef f(self) -> int:\n    '''Return one.'''", []),
+    ],
+)
+def test_missing_sections(source: str, missing: list[str]) -> None:
+    assert _function(source).missing_sections() == missing
+
+
+def test_measures_of_a_small_tree(tmp_path: Path) -> None:
+    for folder in ("hframe_gym/effects", "agents"):
+        (tmp_path / folder).mkdir(parents=True)
+    body = "\n".join("    x = 1" for _ in range(house.MAX_FUNCTION_LINES))
+    (tmp_path / "hframe_gym" / "long.py").write_text(f"def f() -> None:\n    '''Do it its own way.'''\n{body}\n")
+    (tmp_path / "hframe_gym" / "effects" / "spring.py").write_text("x = 1\n")
+    (tmp_path / "agents" / "big.py").write_text("x = 'owner'\n" * (house.MAX_MODULE_LINES + 1))
+    found = measure(tmp_path)
+    assert found.words == ["hframe_gym/long.py:2: own"]
+    assert [str(path) for path in found.modules] == ["hframe_gym/long.py"]
+    assert found.long_modules == [f"agents/big.py: {house.MAX_MODULE_LINES + 1}"]
+    assert found.long_functions == [f"hframe_gym/long.py:1: f ({house.MAX_FUNCTION_LINES + 2})"]
+
+
+def test_a_method_inherits_the_sections_of_its_base_class(tmp_path: Path) -> None:
+    for folder in ("hframe_gym", "agents"):
+        (tmp_path / folder).mkdir()
+    (tmp_path / "hframe_gym" / "base.py").write_text(
+        "class Base:\n"
+        "    def act(self, x: int) -> None:\n        '''Act.\n\n        Args:\n            x: Value.\n        '''\n"
+        "    def stop(self, x: int) -> None:\n        '''Stop.'''\n"
+    )
+    (tmp_path / "agents" / "derived.py").write_text(
+        "class Derived(base.Base[int]):\n"
+        "    def act(self, x: int) -> None:\n        '''Act otherwise.'''\n"
+        "    def stop(self, x: int) -> None:\n        '''Stop otherwise.'''\n"
+        "class Silent(Derived):\n    def act(self, x: int) -> None:\n        return None\n"
+    )
+    assert sorted(entry.partition(": ")[2] for entry in measure(tmp_path).undocumented) == [
+        "Base.stop lacks Args",
+        "Derived.stop lacks Args",
+        "Silent.act lacks docstring",
+    ]
+
+
+def test_the_sample_depends_on_the_seed_only() -> None:
+    first, again, other = (draw(house.ROOT, seed, 30) for seed in (12, 12, 13))
+    assert [f.name for f in first] == [f.name for f in again]
+    assert [f.name for f in first] != [f.name for f in other]
+    assert len({(f.path, f.name) for f in first}) >= 29

@@ -1,0 +1,231 @@
+"""Measure how readable and how well cut the package is: words, module and function sizes, docstring sections.
+
+    python -m tools.house [--list]
+
+`--list` also prints every word that counts, every long module or function and every docstring that lacks a section.
+tests/test_house.py holds the limits.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import re
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+# Words of the private dialect that docs and code no longer use; see CONTRIBUTING.md.
+WORDS = ("own", "told", "stands", "asked", "badly", "whole", "share", "shown", "missed", "judged")
+MAX_WORDS_PER_1000_LINES = 5.0
+MAX_MODULES = 75  # in hframe_gym, without effects/
+MAX_MODULE_LINES = 350
+MAX_FUNCTION_LINES = 60  # docstring included
+
+_WORD = re.compile(rf"\b({'|'.join(WORDS)})\b", re.IGNORECASE)
+_Function = ast.FunctionDef | ast.AsyncFunctionDef
+# Decorated functions that read as attributes, or whose documentation is elsewhere.
+_EXEMPT_DECORATORS = ("property", "cached_property", "overload", "setter", "override")
+
+
+@dataclass(frozen=True)
+class Function:
+    """Function or method of a module.
+
+    Attributes:
+        path: Source file, relative to the repository.
+        name: Qualified name within the module, for example "Machine.simulate".
+        node: Its syntax tree.
+    """
+
+    path: Path
+    name: str
+    node: _Function
+
+    @property
+    def lines(self) -> int:
+        """Return the number of lines from the signature to the end, without decorators."""
+        return (self.node.end_lineno or self.node.lineno) - self.node.lineno + 1
+
+    @property
+    def public(self) -> bool:
+        """Return whether neither the function, nor its class, nor its module has a leading underscore."""
+        return not any(
+            part.startswith("_") for part in (*self.name.split("."), self.path.stem.removeprefix("__init__"))
+        )
+
+    def missing_sections(self) -> list[str]:
+        """Return the docstring sections that the signature calls for and the docstring lacks.
+
+        Returns:
+            Some of "docstring", "Args" and "Returns".
+        """
+        if any(_last_name(decorator) in _EXEMPT_DECORATORS for decorator in self.node.decorator_list):
+            return []
+        docstring = ast.get_docstring(self.node)
+        if docstring is None:
+            return ["docstring"]
+        missing = []
+        if self._parameters() and not re.search(r"^Args:$", docstring, re.MULTILINE):
+            missing.append("Args")
+        if self._returns_value() and not re.search(r"^(Returns|Yields):$", docstring, re.MULTILINE):
+            missing.append("Returns")
+        return missing
+
+    def _parameters(self) -> list[str]:
+        """Return the names of the documented parameters: all but self, cls and those with a leading underscore."""
+        a = self.node.args
+        every = [*a.posonlyargs, *a.args, *a.kwonlyargs, *(x for x in (a.vararg, a.kwarg) if x)]
+        return [x.arg for x in every if x.arg not in ("self", "cls") and not x.arg.startswith("_")]
+
+    def _returns_value(self) -> bool:
+        """Return whether the annotation promises a value."""
+        returns = self.node.returns
+        return returns is not None and ast.unparse(returns) not in ("None", "NoReturn", "Never")
+
+
+@dataclass
+class House:
+    """Measures of a source tree.
+
+    Attributes:
+        lines: Number of lines of all modules.
+        words: Occurrences of `WORDS` as "path:line: word".
+        modules: Number of lines by module of hframe_gym without effects/ and agents.
+        module_lines: Number of lines by module, all of them.
+        functions: All functions and methods that are not nested in a function.
+        bases: Names of the base classes by the name of a class.
+    """
+
+    lines: int = 0
+    words: list[str] = field(default_factory=list)
+    modules: dict[Path, int] = field(default_factory=dict)
+    module_lines: dict[Path, int] = field(default_factory=dict)
+    functions: list[Function] = field(default_factory=list)
+    bases: dict[str, list[str]] = field(default_factory=dict)
+
+    @property
+    def words_per_1000_lines(self) -> float:
+        """Return the occurrences of `WORDS` per 1000 lines."""
+        return 1000.0 * len(self.words) / max(self.lines, 1)
+
+    @property
+    def long_modules(self) -> list[str]:
+        """Return the modules above `MAX_MODULE_LINES` as "path: lines"."""
+        return [f"{path}: {count}" for path, count in self.module_lines.items() if count > MAX_MODULE_LINES]
+
+    @property
+    def long_functions(self) -> list[str]:
+        """Return the functions above `MAX_FUNCTION_LINES` as "path:line: name (lines)"."""
+        return [f"{_where(f)} ({f.lines})" for f in self.functions if f.lines > MAX_FUNCTION_LINES]
+
+    @property
+    def public_functions(self) -> list[Function]:
+        """Return the public functions; effects document their formulas in one line each and do not count."""
+        return [f for f in self.functions if f.public and "effects" not in f.path.parts]
+
+    @property
+    def undocumented(self) -> list[str]:
+        """Return the public functions whose docstring lacks a section as "path:line: name lacks ...".
+
+        A method with a docstring inherits the sections of the base class's method.
+        """
+        complete = {f.name for f in self.public_functions if not f.missing_sections()}
+        return [
+            f"{_where(f)} lacks {', '.join(missing)}"
+            for f in self.public_functions
+            if (missing := f.missing_sections()) and (missing == ["docstring"] or not self._inherits(f.name, complete))
+        ]
+
+    def _inherits(self, name: str, complete: set[str]) -> bool:
+        """Return whether a base class of this repository has a completely documented method of the same name."""
+        class_name, _, method = name.rpartition(".")
+        return any(
+            f"{base}.{method}" in complete or self._inherits(f"{base}.{method}", complete)
+            for base in self.bases.get(class_name, ())
+        )
+
+
+def measure(root: Path = ROOT) -> House:
+    """Measure hframe_gym and agents.
+
+    Args:
+        root: Repository with the folders hframe_gym/ and agents/.
+
+    Returns:
+        The measures.
+    """
+    house = House()
+    for path in source_files(root):
+        text, relative = path.read_text("utf-8"), path.relative_to(root)
+        count = len(text.splitlines())
+        house.lines += count
+        house.module_lines[relative] = count
+        if relative.parts[0] == "hframe_gym" and relative.parts[1] != "effects":
+            house.modules[relative] = count
+        for number, line in enumerate(text.splitlines(), start=1):
+            house.words += [f"{relative}:{number}: {word}" for word in _WORD.findall(line)]
+        tree = ast.parse(text)
+        house.functions += [Function(relative, name, node) for name, node in _functions(tree)]
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ClassDef):
+                house.bases[node.name] = [_last_name(base) for base in node.bases]
+    return house
+
+
+def source_files(root: Path) -> list[Path]:
+    """List the modules of hframe_gym and agents.
+
+    Args:
+        root: Repository with the folders hframe_gym/ and agents/.
+
+    Returns:
+        Paths in alphabetical order, each module once although hframe_gym/agents may be a link.
+    """
+    package = (p for p in (root / "hframe_gym").rglob("*.py") if p.relative_to(root).parts[1] != "agents")
+    return sorted([*package, *(root / "agents").rglob("*.py")])
+
+
+def _functions(tree: ast.Module | ast.ClassDef, prefix: str = "") -> Iterator[tuple[str, _Function]]:
+    """Yield the qualified names and syntax trees of functions and methods, not of nested functions."""
+    for node in tree.body:
+        if isinstance(node, ast.ClassDef):
+            yield from _functions(node, f"{prefix}{node.name}.")
+        elif isinstance(node, _Function):
+            yield prefix + node.name, node
+
+
+def _last_name(expression: ast.expr) -> str:
+    """Return the last part of a dotted name, without arguments or subscripts: "Base" of `module.Base[int]`."""
+    return re.split(r"[(\[]", ast.unparse(expression))[0].rpartition(".")[2]
+
+
+def _where(function: Function) -> str:
+    return f"{function.path}:{function.node.lineno}: {function.name}"
+
+
+def main() -> None:
+    """Print the measures beside their limits."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--list", action="store_true", help="print every finding")
+    parser.add_argument("--root", type=Path, default=ROOT, help="repository to measure (default: this one)")
+    arguments = parser.parse_args()
+    house = measure(arguments.root.resolve())
+    counts = Counter(entry.rsplit(" ", 1)[1].lower() for entry in house.words)
+    listed = ", ".join(f"{word} {count}" for word, count in counts.most_common())
+    longest = sorted(house.module_lines.items(), key=lambda item: -item[1])[:5]
+    print(f"words per 1000 lines: {house.words_per_1000_lines:.1f} (limit {MAX_WORDS_PER_1000_LINES:g}): {listed}")
+    print(f"lines of hframe_gym and agents: {house.lines}")
+    print(f"modules in hframe_gym without effects/: {len(house.modules)} (limit {MAX_MODULES})")
+    print(f"longest modules (limit {MAX_MODULE_LINES}): {', '.join(f'{path} {count}' for path, count in longest)}")
+    print(f"functions above {MAX_FUNCTION_LINES} lines: {len(house.long_functions)} of {len(house.functions)}")
+    print(f"public functions that lack a section: {len(house.undocumented)} of {len(house.public_functions)}")
+    if arguments.list:
+        for entry in (*house.words, *house.long_modules, *house.long_functions, *house.undocumented):
+            print(entry)
+
+
+if __name__ == "__main__":
+    main()
