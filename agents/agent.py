@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..atomic_files import whole_file, write_text
+from ..atomic_files import atomic_file, write_text
 from ..envs.spaces import action_space, observation_space
 from ..errors import InputError
 from ..machine import Machine
@@ -151,7 +151,7 @@ class Agent:
         safetensors = import_optional("safetensors.torch")
         state = self.policy.state_dict()
         weights = {name: value.contiguous() for name, value in state.items() if not name.startswith(CRITIC_PREFIXES)}
-        with whole_file(Path(folder) / "policy.safetensors") as temporary:
+        with atomic_file(Path(folder) / "policy.safetensors") as temporary:
             safetensors.save_file(weights, temporary)
         save_machine(self.machine, Path(folder) / "machine.json")
         contents = {key: self.card[key] for key in AGENT_KEYS}

@@ -66,8 +66,8 @@ def feature_parameters(machine: Machine) -> dict[str, Any]:
     # Rest states for a displacement of 1 m along x and along y.
     unit_states = [rest_state(machine, [float(name == axis) for name in linear_names]) for axis in ("x", "y")]
     return {
-        "radii": [float(machine.radii[i]) for i in driven],
-        "rest": [[float(state[i] * machine.radii[i]) for state in unit_states] for i in driven],
+        "radii": [float(machine.travel_per_unit[i]) for i in driven],
+        "rest": [[float(state[i] * machine.travel_per_unit[i]) for state in unit_states] for i in driven],
     }
 
 

@@ -5,7 +5,7 @@
 
 With the tool at rest at the goal, 0.1 V moves it by 0.1 mm in one control period. A policy explores with the same noise
 everywhere; the authority makes that noise small at the goal and large far from it. The previous observation and action
-let the policy infer masses and friction, which it cannot observe; an adaptive base adds its own estimates of them.
+let the policy infer masses and friction, which it cannot observe; an adaptive base adds its estimates of them.
 Training and the finished agent use this one implementation.
 """
 

@@ -1,8 +1,9 @@
 """Training with stable-baselines3 on the native vector environment, by a recipe.
 
 A run writes to its folder: the best agent so far by its evaluations (agent.json, machine.json, policy.safetensors), its
-card (card.json, README.md), tensorboard/, and for `resume` checkpoint.zip with replay.pkl. The last two are pickles:
-load only your own. Each file but the logs is replaced atomically, so a run may be killed at any time.
+card (card.json, README.md), tensorboard/, and for `resume` checkpoint.zip with replay.pkl. The last two are pickles,
+which execute code when they are loaded: load only files that you trust. Each file but the logs is replaced
+atomically, so a run may be killed at any time.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ..atomic_files import whole_file
+from ..atomic_files import atomic_file
 from ..envs.tasks import TASKS, Task
 from ..errors import InputError
 from ..evaluation import Scenario
@@ -108,7 +109,7 @@ class _Run:
         self.environment = _build_environment(recipe, machine, built_task)
         self.card = _new_card(recipe, machine, task, seed)
         self.card["previews"] = len(built_task.ahead_s)
-        # The agent under evaluation gets its own mapping: the environment's holds the history of training episodes.
+        # Separate from the environment's mapping, which holds the history of the training episodes.
         self.evaluation_mapping = residual_action(machine, recipe.actuation, recipe.period)
         self.scenario = Scenario(
             machine=machine,
@@ -207,10 +208,10 @@ class _Run:
         if ranking_cost(row) <= min(map(ranking_cost, self.card["curve"])):
             agent.save(self.folder)
             self.card["kept"] = row["steps"]
-        with whole_file(self.folder / "checkpoint.zip") as temporary:
+        with atomic_file(self.folder / "checkpoint.zip") as temporary:
             model.save(temporary)
         if getattr(model, "replay_buffer", None) is not None:
-            with whole_file(self.folder / "replay.pkl") as temporary:
+            with atomic_file(self.folder / "replay.pkl") as temporary:
                 model.save_replay_buffer(temporary)
         write_card(self.folder, self.card)
 
