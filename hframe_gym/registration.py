@@ -8,17 +8,20 @@ from __future__ import annotations
 import gymnasium as gym
 
 EPISODE_STEPS = 150  # 1.5 s at the default period: the longest move takes half of it, a lap of the circle a third
-ENVIRONMENT_TASKS = {"HFrame-v0": "reach", "HFrameTrack-v0": "track"}  # default task by environment id
+# Environment and vector environment by id.
+ENVIRONMENTS = {
+    "HFrame-v0": ("hframe_gym.envs:HFrameEnv", "hframe_gym.envs:HFrameVectorEnv"),
+    "HFrameTrack-v0": ("hframe_gym.envs:HFrameTrackEnv", "hframe_gym.envs:HFrameTrackVectorEnv"),
+}
 
 
 def register_environments() -> None:
     """Register the environments with Gymnasium; an id that is registered already is left unchanged."""
-    for name, task in ENVIRONMENT_TASKS.items():
+    for name, (entry_point, vector_entry_point) in ENVIRONMENTS.items():
         if name not in gym.registry:
             gym.register(
                 name,
-                entry_point="hframe_gym.envs:HFrameEnv",
-                vector_entry_point="hframe_gym.envs:HFrameVectorEnv",
+                entry_point=entry_point,
+                vector_entry_point=vector_entry_point,
                 max_episode_steps=EPISODE_STEPS,
-                kwargs={"task": task},
             )

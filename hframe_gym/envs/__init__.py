@@ -1,37 +1,71 @@
-"""`HFrame-v0`: the stage as a Gymnasium environment, single and native vector, its tasks, randomisation and pictures.
+"""Gymnasium environments of belt-driven stages: single and vector, their tasks, rewards, sensors and randomization.
 
-The stable-baselines3 adapter is `hframe_gym.envs.sb3_vec_env.HFrameVecEnv`; it is imported on its own because it needs an extra.
+The adapter for stable-baselines3 is `hframe_gym.envs.sb3_vec_env.HFrameVecEnv`; it is imported separately because it
+needs an extra.
 """
 
-from .actuator_presets import Actuators
-from .config import EnvConfig
-from .distributions import LogUniform, Normal, Uniform
-from .domain_randomization import RandomizeIdentified, RandomizeParameter
-from .hframe_env import HFrameEnv
-from .registration import register
-from .rewards import Reward
-from .sensors import Encoders, Lasers, Sensors
-from .tasks.base import Task
-from .tasks.reach import Reach
-from .tasks.track import Track
-from .vector_env import HFrameVectorEnv
+from ..registration import register_environments as register
+from .actuators import ACTUATOR_PRESETS, Actuators, ActuatorsLike
+from .batched_simulator import parameter_values
+from .config import EnvConfig, EnvOptions, MachineLike, as_machine
+from .domain_randomization import (
+    DISTRIBUTIONS,
+    RANDOMIZATION_PRESETS,
+    Distribution,
+    LogUniform,
+    Normal,
+    RandomizationLike,
+    RandomizeIdentified,
+    RandomizeParameter,
+    Uniform,
+)
+from .hframe_env import HFrameEnv, HFrameTrackEnv
+from .rewards import REWARDS, Reward, RewardLike
+from .sensors import SENSOR_PRESETS, DeclaredSensors, Encoders, Lasers, Sensors, SensorsLike, observed_machine
+from .spaces import SignalSpec, action_space, observation_space
+from .tasks import TASKS, Reach, Task, TaskLike, Track, as_task
+from .vector_env import HFrameTrackVectorEnv, HFrameVectorEnv
 
 __all__ = [
+    "ACTUATOR_PRESETS",
+    "DISTRIBUTIONS",
+    "RANDOMIZATION_PRESETS",
+    "REWARDS",
+    "SENSOR_PRESETS",
+    "TASKS",
     "Actuators",
+    "ActuatorsLike",
+    "DeclaredSensors",
+    "Distribution",
     "Encoders",
     "EnvConfig",
+    "EnvOptions",
     "HFrameEnv",
+    "HFrameTrackEnv",
+    "HFrameTrackVectorEnv",
     "HFrameVectorEnv",
     "Lasers",
     "LogUniform",
+    "MachineLike",
     "Normal",
+    "RandomizationLike",
     "RandomizeIdentified",
     "RandomizeParameter",
     "Reach",
     "Reward",
+    "RewardLike",
     "Sensors",
+    "SensorsLike",
+    "SignalSpec",
     "Task",
+    "TaskLike",
     "Track",
     "Uniform",
+    "action_space",
+    "as_machine",
+    "as_task",
+    "observation_space",
+    "observed_machine",
+    "parameter_values",
     "register",
 ]

@@ -1,177 +1,256 @@
-"""From actions to the voltage of each integration step: converter, dead time, current limit, for a batch of stages."""
+"""Actuators: what an action becomes at the motors, as declared by the machine or as a rig has it.
+
+The machine declares the converter of each drive (bits, voltage range); dead time and current limit are its effects
+`input_delay` and `current_limit`, which the kernel simulates.
+"""
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from typing import Any
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..dynamics.kernel import Kernel
 from ..dynamics.simd import LANES
+from ..effects import EFFECTS
+from ..errors import InputError
 from ..machine import Machine
-from ..machine.effect import AppliedEffect
-from . import simd_layout as blocks
-from .actuator_presets import Actuators
 from .counter_rng import compiled
-from .parameter_index import column, numbers
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 
+@dataclass(frozen=True)
+class Actuators:
+    """Converter, current limit and dead time of all drives, in place of the declared converters.
+
+    Args:
+        bits: Resolution of the D/A converter, which has 2**bits levels from -range_V to range_V; None: continuous.
+        range_V: Voltage range of the converter, V; None: the rated voltage.
+        current_limit: Largest current in either direction, A; None: the machine's limits alone. The amplifier lowers
+            the voltage so that |V - Ke N w| / R stays within it; the machine gets the effect `current_limit` at every
+            drive. A smaller limit that the machine has already stays.
+        delay: Dead time between action and voltage, s; the machine gets the effect `input_delay`.
+
+    Raises:
+        InputError: If a number is invalid.
+    """
+
+    bits: int | None = None
+    range_V: float | None = None
+    current_limit: float | None = None
+    delay: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.bits is not None and not 1 <= self.bits <= 32:
+            raise InputError(f"drives: bits is {self.bits!r}, it must be from 1 to 32 or None")
+        for name in ("range_V", "current_limit"):
+            value = getattr(self, name)
+            if value is not None and not (math.isfinite(value) and value > 0.0):
+                raise InputError(f"drives: {name} is {value!r}, it must be a positive number or None")
+        if not 0.0 <= self.delay <= 0.1:
+            raise InputError(f"drives: delay is {self.delay!r}, it must be from 0 to 0.1 s")
+
+    def apply(self, machine: Machine) -> Machine:
+        """Return the machine with these actuators.
+
+        Args:
+            machine: The machine.
+
+        Returns:
+            The machine with these converters, and with effects for current limit and dead time.
+
+        Raises:
+            InputError: If the machine has a dead time already and `delay` is not 0.
+        """
+        drives = [
+            dataclasses.replace(d, converter_bits=self.bits or 0, voltage_range=self.range_V) for d in machine.drives
+        ]
+        machine = machine.replace(drives=tuple(drives))
+        if self.current_limit is not None:
+            for drive in machine.drives:
+                machine = _with_current_limit(machine, drive.name, self.current_limit)
+        if self.delay == 0.0:
+            return machine
+        present = [e.label for e in machine.effects if e.definition.delay]
+        if present:
+            raise InputError(
+                f"drives: machine {machine.name!r} has a dead time already ({', '.join(present)}); leave delay at 0"
+            )
+        return machine.with_effects(EFFECTS["input_delay"].at("drives", d=self.delay))
+
+
+def _with_current_limit(machine: Machine, drive: str, limit: float) -> Machine:
+    """Return the machine with a current limit of a drive, A, or the smaller one that it has already."""
+    effect = EFFECTS["current_limit"].at(drive, I=limit)
+    name = f"{effect.label}.I"
+    if name in machine.parameters:
+        return machine.replace({name: min(limit, machine.parameters[name])})
+    return machine.with_effects(effect)
+
+
+# Section II of the paper: a 12-bit converter and amplifiers of type A12. The paper gives no current limit; 12 A is the
+# peak current of amplifiers of this name. At standstill 12 V would drive 17 A.
+ACTUATOR_PRESETS: dict[str, Actuators | None] = {
+    "ideal": Actuators(),
+    "rig": Actuators(bits=12, current_limit=12.0),
+    "machine": None,
+}
+ActuatorsLike: TypeAlias = Literal["ideal", "rig", "machine"] | Actuators
+
+
+def with_actuators(machine: Machine, drives: ActuatorsLike) -> Machine:
+    """Return the machine with the actuators of the option `drives`.
+
+    Args:
+        machine: The machine.
+        drives: Name of a preset, or actuators.
+
+    Returns:
+        The machine; unchanged for "machine".
+
+    Raises:
+        InputError: If the name is unknown, the object is of another type, or the actuators do not fit the machine.
+    """
+    if isinstance(drives, Actuators):
+        return drives.apply(machine)
+    if not isinstance(drives, str) or drives not in ACTUATOR_PRESETS:
+        raise InputError(f"drives is {drives!r}; choose one of {', '.join(ACTUATOR_PRESETS)}, or give Actuators(...)")
+    preset = ACTUATOR_PRESETS[drives]
+    return machine if preset is None else preset.apply(machine)
+
+
 class ActuatorModel:
-    """The drives of a batch.
+    """Converters and dead times of a batch: from actions to the input voltages of the kernel.
 
-    count, period, steps: of stages, of control (s), of the integrator in a period.  delayed: whether the machine's
-    effects make drives late.
+    Args:
+        machine: The machine.
+        count: Environments.
+        column: Maps the full name of a parameter to its column in the parameters that `begin` is given.
+        period: Control period, s.
+        steps: Steps of the integrator per period.
+        delayed: Whether a drive has a dead time.
 
-    inputs: volts (blocks, inputs, LANES) of this period, or one such set a step where a drive is late.
+    Attributes:
+        inputs: Input voltages of the kernel, V, shape (blocks, drives, LANES), or (blocks, steps * drives, LANES) with
+            one set for each step where a drive has a dead time.
+        delays: Dead times, s, shape (blocks, drives, LANES); to be written at reset.
     """
 
     def __init__(
-        self, machine: Machine, drives: Actuators, count: int, *, period: float, steps: int, delayed: bool
+        self, machine: Machine, count: int, column: Callable[[str], int], *, period: float, steps: int, delayed: bool
     ) -> None:
-        self._machine, self._drives = machine, drives
-        self._period, self._steps, self._delayed = period, steps, delayed
-        self._width = len(machine.drives)
-        size = -(-count // LANES)
-        self._ranges = self._converter()
-        self.inputs = np.zeros((size, (steps if delayed else 1) * self._width, LANES))
-        periods = 2 + int(np.ceil(max(self._longest_delays()) / period)) if delayed else 1
-        self._history = np.zeros((size, periods, self._width, LANES)) if delayed else self.inputs[:, None]
-        self.delays = np.zeros((size, self._width, LANES))
-        n = len(machine.coordinates)
-        self._speeds = np.array([n + machine.coordinate_names.index(d.coordinate) for d in machine.drives])
-        self._motors = np.zeros((size, 2 * self._width, LANES))  # back e.m.f., Vs/m; voltage of the most current, V
-
-    def _converter(self) -> Array:
-        """Rated voltage, the converter's quantum, lowest and highest voltage (4, inputs), V."""
-        rated = np.array([d.rated_voltage for d in self._machine.drives])
-        range_V, bits = self._drives.range_V, self._drives.bits
-        most = rated if range_V is None else np.full(self._width, range_V)
-        quantum = np.zeros(self._width) if bits is None else 2.0 * most / 2.0**bits
-        return np.stack([rated, quantum, -most, most - quantum])  # two's complement: one level less above
-
-    def _late(self, drive: str) -> list[tuple[AppliedEffect, list[int]]]:
-        """Effects that make a drive late, each with the columns of its parameters."""
-        return [
-            (e, [column(self._machine, f"{e.label}.{key}")[0] for key in e.parameters])
-            for e in self._machine.effects
-            if e.definition.delay and e.site in (drive, "drives")
+        self._period, self._steps = period, steps
+        drives, blocks = len(machine.drives), -(-count // LANES)
+        self._rated = np.array([d.rated_voltage for d in machine.drives])
+        self._columns = [
+            [column(f"{d.name}.{key}") for key in ("converter_bits", "voltage_range")] for d in machine.drives
         ]
+        # Quantum (0: continuous), lowest and highest voltage of the converters, V.
+        self._converters = np.zeros((blocks, 3 * drives, LANES))
+        self._quantized = False
+        self.inputs = np.zeros((blocks, (steps if delayed else 1) * drives, LANES))
+        self.delays = np.zeros((blocks, drives, LANES))
+        # Voltages commanded in this period (0) and in those before, V.
+        periods = 2 + math.ceil(_longest_delay(machine) / period) if delayed else 0
+        self._history = np.zeros((blocks, periods, drives, LANES))
+        self._commanded = np.zeros((blocks, drives, LANES)) if delayed else None
 
-    def _longest_delays(self) -> list[float]:
-        """The latest that each drive can ever be, by its effects' bounds, s."""
-        longest = []
-        for drive in self._machine.drives:
-            definitions = [effect.definition for effect, _ in self._late(drive.name)]
-            longest.append(sum(float(d.delay(*(p.upper for p in d.parameters))) for d in definitions if d.delay))
-        return longest
+    def begin(self, index: Index, values: Array) -> None:
+        """Begin episodes without any voltage under way.
 
-    def place(self, index: Index, values: Array, units: Array) -> None:
-        """Stages index (k,) begin with parameters values (k, P); no voltage is under way.
-
-        units (k, coordinates): own unit per metre of travel.
+        Args:
+            index: Environments, with the spare lanes of the last block, shape (k,).
+            values: Parameters, shape (k, N).
         """
-        if self._drives.current_limit is not None:
-            motors = np.empty((len(index), 2 * self._width))
-            for k, d in enumerate(self._machine.drives):
-                Ke, gear, R = (
-                    numbers(self._machine, f"{d.name}.{key}", values) for key in ("Ke", "gear_ratio", "resistance")
-                )
-                motors[:, k] = Ke * gear * units[:, self._machine.coordinate_names.index(d.coordinate)]
-                motors[:, self._width + k] = self._drives.current_limit * R
-            blocks.put(index, motors, self._motors)
-        if self._delayed:
-            block, lane = np.divmod(index, LANES)
-            self._history[block, :, :, lane] = 0.0
-            for k, drive in enumerate(self._machine.drives):
-                late = [e.definition.delay(*values[:, columns].T) for e, columns in self._late(drive.name)]  # type: ignore[misc]
-                self.delays[block, k, lane] = sum(late)
+        block, lane = np.divmod(index, LANES)
+        for k, (bits_column, range_column) in enumerate(self._columns):
+            bits, largest = values[:, bits_column], values[:, range_column]
+            quantum = np.where(bits > 0.0, 2.0 * largest / 2.0**bits, 0.0)
+            self._quantized = self._quantized or bool(np.any(bits > 0.0))
+            # Two's complement: there is one level less above zero.
+            for row, edge in enumerate((quantum, -largest, largest - quantum)):
+                self._converters[block, 3 * k + row, lane] = edge
+        self._history[block, :, :, lane] = 0.0
 
-    def begin(self) -> None:
-        """A control period begins."""
-        if self._delayed:
-            self._history[:, 1:] = self._history[:, :-1]
+    def begin_period(self) -> None:
+        """Begin a control period of all environments."""
+        self._history[:, 1:] = self._history[:, :-1]
 
     def command(self, actions: NDArray[Any], first: int, last: int, clipped: NDArray[np.int64]) -> None:
-        """Set the inputs of blocks first..last-1 for a period from actions (count, inputs); clipped (count,) grows."""
-        command(actions, self._ranges, first, last, self._history, clipped)
-        if self._delayed:
-            late(self._history, self.delays, self._period, self._period / self._steps, first, last, self.inputs)
+        """Set the input voltages of blocks first..last-1 for a control period.
 
-    def advance(
-        self, kernel: Kernel, state: Array, parameters: Array, derived: Array, h: float, first: int, last: int
-    ) -> None:
-        """One control period of blocks first..last-1 by the kernel, voltages limited where the current would be."""
-        if self._drives.current_limit is None:
-            kernel.advance_blocks(state, parameters, derived, self.inputs, h, self._steps, first, last)
+        Args:
+            actions: Fractions of the rated voltage, shape (count, drives).
+            first: First block.
+            last: Block after the last one.
+            clipped: Entries outside [-1, 1] in this episode, shape (count,); increased.
+        """
+        converters = self._rated, self._converters, self._quantized
+        if self._commanded is None:
+            _convert(actions, *converters, first, last, self.inputs, clipped)
             return
-        volts = np.empty((len(state), self._width, LANES))
-        for step in range(self._steps):
-            row = step * self._width if self._delayed else 0
-            limit_current(state, self._speeds, self._motors, self.inputs, row, first, last, volts)
-            kernel.advance_blocks(state, parameters, derived, volts, h, 1, first, last)
+        _convert(actions, *converters, first, last, self._commanded, clipped)
+        self._history[first:last, 0] = self._commanded[first:last]
+        _delay(self._history, self.delays, self._period, self._period / self._steps, first, last, self.inputs)
+
+
+def _longest_delay(machine: Machine) -> float:
+    """Return the longest dead time that a drive can have within the bounds of its effects, s."""
+    longest = [0.0]
+    for drive in machine.drives:
+        definitions = [e.definition for e in machine.effects if e.definition.delay and e.site in (drive.name, "drives")]
+        longest.append(sum(float(d.delay(*(p.upper for p in d.parameters))) for d in definitions if d.delay))
+    return max(longest)
 
 
 @compiled
-def command(actions: Any, ranges: Any, first: int, last: int, history: Any, clipped: Any) -> None:
-    """Volts history[:, 0] (blocks, inputs, LANES) from actions (B, inputs), shares of the rated voltage.
+def _convert(
+    actions: Any, rated: Any, converters: Any, quantized: bool, first: int, last: int, volts: Any, clipped: Any
+) -> None:
+    """Write volts (blocks, drives, LANES) of actions (B, drives), and count entries outside [-1, 1] in clipped (B,).
 
-    Actions end at -1 and 1; clipped (B,) grows by the number of entries that were out of range.  ranges (4, inputs):
-    rated voltage, quantum of the D/A converter (0: none), and where it ends, V.
+    rated (drives,) V; converters (blocks, 3 drives, LANES): quantum, lowest and highest voltage, V.
     """
     count = actions.shape[0]
     for k in range(actions.shape[1]):
-        rated, quantum, lowest, highest = ranges[0, k], ranges[1, k], ranges[2, k], ranges[3, k]
         for block in range(first, last):
             for lane in range(LANES):
-                share = np.float64(actions[min(block * LANES + lane, count - 1), k])
-                value = min(1.0, max(-1.0, share)) * rated
-                if quantum > 0.0:
-                    value = np.rint(value / quantum) * quantum
-                history[block, 0, k, lane] = min(highest, max(lowest, value))
+                fraction = np.float64(actions[min(block * LANES + lane, count - 1), k])
+                value = min(1.0, max(-1.0, fraction)) * rated[k]
+                if quantized:
+                    quantum = converters[block, 3 * k, lane]
+                    if quantum > 0.0:
+                        value = np.rint(value / quantum) * quantum
+                value = max(converters[block, 3 * k + 1, lane], value)
+                volts[block, k, lane] = min(converters[block, 3 * k + 2, lane], value)
         for b in range(first * LANES, min(last * LANES, count)):
             clipped[b] += abs(actions[b, k]) > 1.0
 
 
 @compiled
-def limit_current(state: Any, speeds: Any, motors: Any, asked: Any, row: int, first: int, last: int, out: Any) -> None:
-    """Volts out (blocks, inputs, LANES) nearest to those asked for with which the current stays within its limit.
+def _delay(history: Any, delays: Any, period: float, h: float, first: int, last: int, inputs: Any) -> None:
+    """Write the mean voltage that arrives in each step of a control period to inputs (blocks, steps * drives, LANES).
 
-    speeds (inputs,): rows of the state; motors (blocks, 2 inputs, LANES): back e.m.f. per speed, Vs/m, then the voltage
-    of the most current, V; asked (blocks, rows, LANES) V from row on.
+    history (blocks, periods, drives, LANES): volts of this period (0), the one before (1), ...; delays (blocks, drives,
+    LANES) s. A step h is not longer than the period, so that it sees two of the held voltages at most.
     """
-    width = speeds.shape[0]
-    for block in range(first, last):
-        for k in range(width):
-            for lane in range(LANES):
-                back = motors[block, k, lane] * state[block, speeds[k], lane]
-                room = motors[block, width + k, lane]
-                out[block, k, lane] = min(back + room, max(back - room, asked[block, row + k, lane]))
-
-
-@compiled
-def late(history: Any, delays: Any, period: float, h: float, first: int, last: int, inputs: Any) -> None:
-    """Mean voltage that arrives in each step of one control period, where drives are late.
-
-    history (blocks, periods, inputs, LANES): volts held in this period (0), the one before (1), ...; delays
-    (blocks, inputs, LANES) s; inputs (blocks, steps * inputs, LANES) is written.  h is not longer than the period, so
-    a step's window touches two held values at most.
-    """
-    width = history.shape[2]
+    drives = history.shape[2]
     oldest = history.shape[1] - 1
     for block in range(first, last):
         for row in range(inputs.shape[1]):
-            k = row % width
+            k = row % drives
             for lane in range(LANES):
-                begin = (row // width) * h - delays[block, k, lane]
+                begin = (row // drives) * h - delays[block, k, lane]
                 older = min(oldest, max(0, math.ceil(-begin / period)))
                 newer = min(oldest, max(0, math.ceil(-(begin + h) / period)))
                 value = history[block, older, k, lane]
                 if newer != older:
-                    share = min(1.0, max(0.0, (begin + h + newer * period) / h))
-                    value = (1.0 - share) * value + share * history[block, newer, k, lane]
+                    fraction = min(1.0, max(0.0, (begin + h + newer * period) / h))
+                    value = (1.0 - fraction) * value + fraction * history[block, newer, k, lane]
                 inputs[block, row, lane] = value

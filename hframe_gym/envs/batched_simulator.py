@@ -1,91 +1,156 @@
-"""A batch of stages: their state, their own parameters, and one control period of them all.  No tasks, no gym.
+"""A batch of machines of one shape: their state, their parameters, and one control period of all of them.
 
-Stages share a machine's shape and differ in numbers.  State and parameters live in the kernel's blocks of lanes
-(blocks, rows, LANES) from one step to the next, positions and velocities as belt travel, m and m/s.
+State and parameters stay in the kernel's SIMD layout, arrays (blocks, rows, LANES), from one step to the next: machine
+b is lane b % LANES of block b // LANES. Spare lanes of the last block repeat the last machine. Positions and velocities
+are belt travel, m and m/s. Compiled functions work on blocks first..last-1, run without the interpreter lock and use
+only arithmetic that rounds alike everywhere, so that a machine gets the same bits in any batch, lane or thread.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..dynamics import NotFiniteError
-from ..dynamics.kernel import in_blocks, kernel_for
+from ..dynamics import Equations, MotionPoint, NotFiniteError, in_blocks, in_parallel, kernel_for
 from ..dynamics.simd import LANES
-from ..dynamics.simulation import in_parallel
+from ..errors import InputError
 from ..machine import Machine, rest_state
-from . import simd_layout as blocks
-from .actuator_presets import IDEAL, Actuators
 from .actuators import ActuatorModel
+from .counter_rng import compiled
 from .end_stops import with_end_stops
-from .parameter_index import column, per_travel
+from .machine_sampler import ParameterSpace
+from .measurements import DelayLine
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
-# Fewer blocks than this finish before a second thread has started.
+# Fewer blocks are done before a second thread would have started.
 BLOCKS_FOR_THREADS = 64
 
 
-class View(NamedTuple):
-    """What `BatchedSimulator.observe` reads.  entries (n, 4) as for `blocks.observe`; box (2, n): low, high, own units."""
+def parameter_values(machine: Machine, name: str, values: Array) -> Array:
+    """Return one parameter of a batch, which may be tied to another one.
 
-    entries: Index
-    box: Array
+    Args:
+        machine: The machine.
+        name: Full name of the parameter.
+        values: Parameters in the order of `Machine.parameters`, shape (k, P or more).
+
+    Returns:
+        Values, SI, shape (k,).
+    """
+    if name in machine.ties:
+        free, factor = machine.ties[name]
+        return factor * parameter_values(machine, free, values)
+    return values[:, list(machine.parameters).index(name)]
+
+
+def units_per_travel(machine: Machine, values: Array) -> Array:
+    """Return the coordinates' units per metre of belt travel.
+
+    Args:
+        machine: The machine.
+        values: Parameters in the order of `Machine.parameters`, shape (k, P or more).
+
+    Returns:
+        1 for a linear coordinate, 1 / radius, rad/m, for a rotary one; shape (k, coordinates).
+    """
+    units = np.ones((len(values), len(machine.coordinates)))
+    for i, c in enumerate(machine.coordinates):
+        if c.kind == "rotary":
+            units[:, i] = 1.0 / parameter_values(machine, f"{c.name}.radius", values)
+    return units
+
+
+def block_ranges(index: Index) -> Iterator[tuple[int, int]]:
+    """Yield ranges of blocks that together hold all machines of an index.
+
+    Args:
+        index: Machines, ascending, shape (k,).
+
+    Yields:
+        First block, and block after the last one.
+    """
+    if len(index) == (index[-1] - index[0] + 1):
+        yield int(index[0]) // LANES, int(index[-1]) // LANES + 1
+        return
+    blocks = np.unique(index // LANES)
+    for part in np.split(blocks, np.flatnonzero(np.diff(blocks) > 1) + 1):
+        yield int(part[0]), int(part[-1]) + 1
 
 
 class BatchedSimulator:
-    """`count` stages of one machine.
+    """A batch of machines.
 
-    period: of control, s; voltages are held that long.  longest_step: of the integrator, s.  drives: converter and
-    current limit (their dead time is an effect of the machine).  end_stops: whether x and y end at buffers where their
-    range does.
+    Args:
+        machine: The machine.
+        count: Number of machines.
+        space: Parameters that `reset` is given; those of the machine come first.
+        period: Control period, s; voltages are held that long.
+        longest_step: Longest step of the integrator, s.
+        end_stops: Whether x and y end at buffers.
+        sensors: Whether to evaluate the machine's sensors.
 
-    Raises ValueError for a period or step that is not positive.
+    Attributes:
+        state: Travel and velocity of each coordinate, time and effect states, shape (blocks, rows, LANES).
+        parameters: Parameters of the machines, shape (blocks, P or more, LANES).
+        units_per_travel: The coordinates' units per metre of travel, shape (blocks, coordinates, LANES).
+        readings: Ideal readings of the sensors with their effects and delays, shape (blocks, sensors, LANES).
+
+    Raises:
+        InputError: If the period or the step is not positive.
     """
 
     def __init__(
         self,
         machine: Machine,
         count: int,
+        space: ParameterSpace,
         *,
         period: float,
         longest_step: float,
-        drives: Actuators = IDEAL,
         end_stops: bool = False,
+        sensors: bool = False,
     ) -> None:
         for name, value in (("period", period), ("longest_step", longest_step)):
             if not (np.isfinite(value) and value > 0.0):
-                raise ValueError(f"{name} is {value!r}, it must be a positive number of seconds")
-        self.machine = machine
-        self.count = count
-        self.period = period
+                raise InputError(f"{name} is {value!r}, it must be a positive number of seconds")
+        self.machine, self.count, self.period = machine, count, period
         self.steps = max(1, int(np.ceil(period / longest_step - 1e-6)))
         self.h = period / self.steps
         self.blocks = -(-count // LANES)
         self._n = len(machine.coordinates)
         self._tool = [machine.coordinate_names.index(name) for name in ("x", "y")]
-        # Travel of every coordinate at rest, unstretched, per metre of x and of y.
+        # Travel of every coordinate at rest with unstretched belts per metre of x and of y, (n, 2).
         self._rest = np.stack([self._rest_travel(name) for name in ("x", "y")], axis=1)
-        # What is stepped: the machine, perhaps with end stops; their numbers come last and never change.
+        # The stepped machine may have end stops; their parameters come last and are constant.
         self._stepped = with_end_stops(machine) if end_stops else machine
         self._kernel = kernel_for(self._stepped)
         self.state = np.zeros((self.blocks, self._kernel.states, LANES))
         nominal = np.array(list(self._stepped.parameters.values()))
         self.parameters = in_blocks(np.tile(nominal, (count, 1)))
-        self._units = in_blocks(per_travel(machine, np.tile(nominal, (count, 1))))
-        self.derived = np.zeros((self.blocks, len(self._kernel.layout.derived), LANES))
-        self._kernel.prepare_blocks(self.parameters, self.h, 0, self.blocks, self.derived)
-        self.supply = ActuatorModel(
-            machine, drives, count, period=period, steps=self.steps, delayed=self._kernel.delayed
-        )  # fmt: skip
+        self.units_per_travel = in_blocks(units_per_travel(machine, np.tile(nominal, (count, 1))))
+        self._derived = np.zeros((self.blocks, len(self._kernel.layout.derived), LANES))
+        self._kernel.prepare_blocks(self.parameters, self.h, 0, self.blocks, self._derived)
+        delayed = self._kernel.delayed
+        self.actuators = ActuatorModel(
+            machine, count, space.names.index, period=period, steps=self.steps, delayed=delayed
+        )
+        self._sensors = sensors
+        self.readings = np.zeros((self.blocks, len(machine.sensors), LANES))
+        self._undelayed = np.zeros_like(self.readings)
+        self._delay_line: DelayLine | None = None
+        if sensors and self._kernel.lagged:
+            self._delay_line = DelayLine(self.blocks, len(machine.sensors), _longest_sensor_delay(machine), self.h)
+        self._steps_done = 0
 
     def _rest_travel(self, name: str) -> Array:
+        """Return the travel of every coordinate at rest, m, for a position of 1 m along x or y."""
         linear = [c.name for c in self.machine.coordinates if c.kind == "linear"]
         unit = rest_state(self.machine, [float(c == name) for c in linear])
-        return unit[: self._n] * self.machine.radii
+        return unit[: self._n] * self.machine.travel_per_unit
 
     def __getstate__(self) -> dict[str, Any]:
         return {k: v for k, v in self.__dict__.items() if k != "_kernel"}
@@ -94,12 +159,13 @@ class BatchedSimulator:
         self.__dict__.update(state)
         self._kernel = kernel_for(self._stepped)
 
-    # -- setting ---------------------------------------------------------------------------------------------------
+    def reset(self, index: Index, position: Array, values: Array) -> None:
+        """Put machines at rest with unstretched belts; time and effect states are zero and no voltage is under way.
 
-    def place(self, index: Index, position: Array, values: Array) -> None:
-        """Put stages index (k,), ascending, at rest at position (k, 2), m, with parameters values (k, P).
-
-        Belts are unstretched, the clock and effects' own states are at 0 and no voltage is under way.
+        Args:
+            index: Machines, ascending, shape (k,).
+            position: Tool positions, m, shape (k, 2).
+            values: Parameters, shape (k, N), those of the machine first.
         """
         if index[-1] == self.count - 1:
             spare = np.arange(self.count, self.blocks * LANES)
@@ -107,30 +173,48 @@ class BatchedSimulator:
             position, values = (np.concatenate([a, np.repeat(a[-1:], len(spare), 0)]) for a in (position, values))
         state = np.zeros((len(index), self.state.shape[1]))
         state[:, : self._n] = position[:, :1] * self._rest[:, 0] + position[:, 1:] * self._rest[:, 1]
-        units = per_travel(self.machine, values)
-        blocks.put(index, state, self.state)
-        blocks.put(index, values, self.parameters)
-        blocks.put(index, units, self._units)
-        self.supply.place(index, values, units)
-        for first, last in blocks.runs(index):
-            self._kernel.prepare_blocks(self.parameters, self.h, first, last, self.derived)
-
-    # -- stepping --------------------------------------------------------------------------------------------------
+        _put(index, state, self.state)
+        _put(index, np.ascontiguousarray(values[:, : len(self.machine.parameters)]), self.parameters)
+        _put(index, units_per_travel(self.machine, values), self.units_per_travel)
+        self.actuators.begin(index, values)
+        kernel, delay_line = self._kernel, self._delay_line
+        for first, last in block_ranges(index):
+            kernel.prepare_blocks(self.parameters, self.h, first, last, self._derived)
+            if kernel.delayed:
+                kernel.drive_delay_blocks(self.parameters, first, last, self.actuators.delays)
+            if self._sensors:
+                kernel.read_blocks(self.state, self.parameters, first, last, self._undelayed)
+            if delay_line is not None:
+                kernel.sensor_delay_blocks(self.parameters, first, last, delay_line.delays)
+        if self._sensors:
+            block, lane = np.divmod(index, LANES)
+            self.readings[block, :, lane] = self._undelayed[block, :, lane]
+        if delay_line is not None:
+            delay_line.fill(index, self._undelayed)
 
     def advance(self, actions: NDArray[Any], clipped: NDArray[np.int64], finish: Callable[[int, int], int]) -> None:
-        """One control period under actions (count, inputs), finite shares of the rated voltage, clipped to [-1, 1].
+        """Advance all machines by one control period.
 
-        clipped (count,) grows by what was clipped.  finish(first, last) is called, in any thread, for blocks first to
-        last - 1 once they are there; it returns a stage that is not finite, or -1.
+        Args:
+            actions: Finite fractions of the rated voltage, clipped to [-1, 1], shape (count, drives).
+            clipped: Clipped entries in this episode, shape (count,); increased.
+            finish: Called, in any thread, for ranges of blocks (first, last) once they are done; returns a machine
+                whose state is not finite, or -1.
 
-        Raises NotFiniteError naming the stage when a motion does not stay finite.
+        Raises:
+            NotFiniteError: If a state is not finite; the message names the environment.
         """
         broken: list[int] = []
-        self.supply.begin()
+        self.actuators.begin_period()
 
         def run(first: int, last: int) -> None:
-            self.supply.command(actions, first, last, clipped)
-            self.supply.advance(self._kernel, self.state, self.parameters, self.derived, self.h, first, last)
+            self.actuators.command(actions, first, last, clipped)
+            if self._delay_line is None:
+                self._advance_blocks(self.actuators.inputs, self.steps, first, last)
+                if self._sensors:
+                    self._kernel.read_blocks(self.state, self.parameters, first, last, self.readings)
+            else:
+                self._advance_with_delay_line(self._delay_line, first, last)
             b = finish(first, last)
             if b >= 0:
                 broken.append(b)
@@ -139,28 +223,42 @@ class BatchedSimulator:
             run(0, self.blocks)
         else:
             in_parallel(run, self.blocks)
+        self._steps_done += self.steps
         if broken:
             raise NotFiniteError(
-                f"environment {min(broken)}: the motion of machine {self.machine.name!r} is not finite"
+                f"environment {min(broken)}: the motion of machine {self.machine.name!r} is not finite; its parameters "
+                "are impossible, or it needs a smaller longest_step"
             )
+
+    def _advance_blocks(self, inputs: Array, steps: int, first: int, last: int) -> None:
+        """Advance blocks first..last-1 by steps of the integrator."""
+        self._kernel.advance_blocks(
+            self.state, self.parameters, self._derived, inputs, self.h, steps, first, last
+        )  # fmt: skip
+
+    def _advance_with_delay_line(self, delay_line: DelayLine, first: int, last: int) -> None:
+        """Advance blocks first..last-1 by one control period and record their readings after every step."""
+        inputs = self.actuators.inputs
+        drives = len(self.machine.drives)
+        for step in range(self.steps):
+            row = step * drives if self._kernel.delayed else 0
+            voltages = np.ascontiguousarray(inputs[:, row : row + drives])
+            self._advance_blocks(voltages, 1, first, last)
+            self._kernel.read_blocks(self.state, self.parameters, first, last, self._undelayed)
+            delay_line.record(self._undelayed, self._steps_done + step + 1, first, last)
+        delay_line.read(self._steps_done + self.steps, first, last, self.readings)
 
     # -- reading ---------------------------------------------------------------------------------------------------
 
-    def view(self, entries: Sequence[tuple[str, bool]], low: NDArray[Any], high: NDArray[Any]) -> View:
-        """What `observe` reads: for each entry (coordinate, whether its velocity), clipped to [low, high] (n,).
+    def tool_product(self, name: str) -> tuple[int, int]:
+        """Return the coordinates whose product a yawing bridge adds to the tool position.
 
-        The positions of x and y are the tool's; they are the first two entries.
+        Args:
+            name: "x" or "y".
+
+        Returns:
+            Indices of two coordinates, or -1 twice.
         """
-        rows = np.full((len(entries), 4), -1)
-        for row, (name, velocity) in zip(rows, entries, strict=True):
-            i = self.machine.coordinate_names.index(name)
-            row[:2] = i + self._n * velocity, i
-            if not velocity:
-                row[2:] = self._product(name)
-        return View(rows, np.stack([low, high]).astype(np.float64))
-
-    def _product(self, name: str) -> tuple[int, int]:
-        """The coordinates whose product a yawing bridge adds to the tool's x, or -1."""
         for sensor in self.machine.sensors:
             for key, factor in sensor.row.items():
                 if "*" in key and factor == sensor.row.get(name):
@@ -168,49 +266,51 @@ class BatchedSimulator:
                     return first, second
         return -1, -1
 
-    def observe(self, first: int, last: int, view: View, out: NDArray[np.float32], tool: NDArray[np.float32]) -> int:
-        """Write what `view` sees of the stages in blocks first..last-1 into out (count, n or more), x, y into tool too.
-
-        Returns a stage that is not finite, or -1.
-        """
-        broken: int = blocks.observe(self.state, self._units, *view, first, last, out, tool)
-        return broken
-
-    @property
-    def tables(self) -> tuple[Array, Array]:
-        """State (blocks, rows, LANES) and own unit per metre of travel (blocks, coordinates, LANES)."""
-        return self.state, self._units
-
     def values(self, index: Index, column: int) -> Array:
-        """One parameter of stages index (k,), by its place in `Machine.parameters`."""
+        """Return one parameter of machines index (k,), by its column in `Machine.parameters`, shape (k,)."""
         block, lane = np.divmod(index, LANES)
         return self.parameters[block, column, lane]
 
     def tools(self, first: int = 0, last: int | None = None) -> Array:
-        """Where the tools of blocks first..last-1 (default: all) are, (k, 2) m, in full precision."""
+        """Return the tool positions of blocks first..last-1 (default: all), m, in full precision, shape (k, 2)."""
         last = self.blocks if last is None else last
-        own, units = self.state[first:last], self._units[first:last]
-        places = own[:, self._tool]
+        state, units = self.state[first:last], self.units_per_travel[first:last]
+        positions = state[:, self._tool]
         for axis, name in enumerate(("x", "y")):
-            a, b = self._product(name)
+            a, b = self.tool_product(name)
             if a >= 0:
-                places[:, axis] += own[:, a] * units[:, a] * (own[:, b] * units[:, b])
-        return places.transpose(0, 2, 1).reshape(-1, 2)[: self.count - first * LANES]
+                positions[:, axis] += state[:, a] * units[:, a] * (state[:, b] * units[:, b])
+        return positions.transpose(0, 2, 1).reshape(-1, 2)[: self.count - first * LANES].copy()
 
     def positions(self, b: int) -> dict[str, float]:
-        """Positions of one stage's coordinates, m or rad."""
+        """Return the positions of machine b by coordinate, m or rad."""
         block, lane = divmod(b, LANES)
-        values = self.state[block, : self._n, lane] * self._units[block, :, lane]
+        values = self.state[block, : self._n, lane] * self.units_per_travel[block, :, lane]
         return dict(zip(self.machine.coordinate_names, values.tolist(), strict=True))
 
     def tensions(self, b: int) -> dict[str, float]:
-        """Tension of one stage's belts beyond their pretension by Hooke's law, N."""
+        """Return the tensions of the belts of machine b beyond their pretension, N, by belt."""
         block, lane = divmod(b, LANES)
-        travel, own = self.state[block, : self._n, lane], self.parameters[block, :, lane]
-        tensions = {}
-        for belt in self.machine.belts:
-            places = (column(self.machine, f"{belt.name}.{key}") for key in ("EA", "rest_length"))
-            EA, rest = (factor * own[place] for place, factor in places)
-            length = rest + self.machine.row(belt.length) @ travel
-            tensions[belt.name] = float(EA / length * (self.machine.row(belt.extension) @ travel))
-        return tensions
+        state, parameters = self.state[block, :, lane], self.parameters[block, :, lane]
+        equations = Equations(self.machine, dict(zip(self.machine.parameters, parameters.tolist(), strict=False)))
+        point = MotionPoint(state[: self._n].tolist(), state[self._n : 2 * self._n].tolist())
+        belts = zip(self.machine.belts, equations.belt_states(point), strict=True)
+        return {belt.name: float(belt_state.tension) for belt, belt_state in belts}
+
+
+def _longest_sensor_delay(machine: Machine) -> float:
+    """Return the longest delay that a sensor can have within the bounds of its effects, s."""
+    longest = [0.0]
+    for sensor in machine.sensors:
+        definitions = [e.definition for e in machine.effects if e.site == sensor.channel]
+        delays = (d.measurement_delay(*(p.upper for p in d.parameters)) for d in definitions if d.measurement_delay)
+        longest.append(sum(map(float, delays)))
+    return max(longest)
+
+
+@compiled
+def _put(index: Any, rows: Any, table: Any) -> None:
+    """Write rows (k, n) into the lanes of machines index (k,) of table (blocks, n or more, LANES)."""
+    for i in range(index.shape[0]):
+        for j in range(rows.shape[1]):
+            table[index[i] // LANES, j, index[i] % LANES] = rows[i, j]

@@ -1,15 +1,18 @@
-"""What an environment is made of."""
+"""Options of the environments: the keywords of `gym.make("HFrame-v0", ...)`."""
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
+from difflib import get_close_matches
 from pathlib import Path
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias, TypedDict
 
 import numpy as np
 
+from ..errors import InputError
 from ..machine import Machine
-from .actuator_presets import ActuatorsLike
+from .actuators import ActuatorsLike
 from .domain_randomization import RandomizationLike
 from .rewards import RewardLike
 from .sensors import SensorsLike
@@ -18,30 +21,55 @@ from .tasks import TaskLike
 MachineLike: TypeAlias = Machine | str | Path
 Ends = Literal["stops", "terminate"]
 
-# Taken from the reward when an episode ends at the workspace's edge: as much as a hundred steps can lose, so that
+# Subtracted from the reward when an episode ends at the workspace's edge: as much as a hundred steps can lose, so that
 # leaving does not pay.
 PENALTY = 100.0
-# s.  After 0.4 s of random voltages up to 12 V the tool is off by 1.1 um (median; 3 um at most), with 0.25 ms by 0.2 um
-# (0.8 um) (benchmarks/accuracy.py): a twentieth of a laser's noise, for half the time.
+# s. After 0.4 s of random voltages up to 12 V the tool is off by 1.1 um (median; 3 um at most), with 0.25 ms by 0.2 um
+# (0.8 um) (benchmarks/accuracy.py). That is a twentieth of a laser's noise, for half the time.
 LONGEST_STEP = 0.5e-3
+
+
+class EnvOptions(TypedDict, total=False):
+    """Keywords of the environments, all optional; `EnvConfig` documents them and holds their defaults."""
+
+    machine: MachineLike
+    task: TaskLike
+    reward: RewardLike
+    randomize: RandomizationLike
+    sensors: SensorsLike
+    drives: ActuatorsLike
+    privileged: bool
+    ends: Ends
+    penalty: float
+    period: float
+    longest_step: float
 
 
 @dataclass(frozen=True)
 class EnvConfig:
-    """Every keyword of `gym.make("HFrame-v0", ...)` but the rendering.
+    """Options of an environment.
 
-    machine: a `Machine`, a built-in name or the path of a machine.json.
-    task: "reach", "track" or a `Task`.
-    reward: "dense", "sparse" (0 within the task's band, else -1) or a function of (achieved, desired), (n, 2) -> (n,).
-    randomize: "none" (the machine as it is), "default", "wide", "identified" or a list of rules.
-    sensors: what is observed: "state", the full true state, "rig", the paper's encoders and lasers, or `Sensors`.
-    drives: what applies the voltages: "ideal", "rig", a 12-bit converter and 12 A, or `Actuators`.
-    privileged: whether the observation has the true state and the drawn parameters as well, for a critic in training.
-    ends: what the edge of the workspace is: "stops", rubber buffers, or "terminate", the end of the episode with
-        `penalty`.  Buffers learn better: with an episode's end, giving up becomes a choice that has to be priced out.
-    period: of control, s.  longest_step: of the integrator, s.
+    Args:
+        machine: A `Machine`, a preset name or the path of a machine.json.
+        task: Registered name ("reach", "track"), `package.module:name`, or a `Task`.
+        reward: Registered name ("dense", "sparse"), `package.module:name`, or a function of achieved and desired
+            positions, (n, 2) -> (n,).
+        randomize: "none", "default", "wide", "identified" (from the covariance of a machine.json that `hframe identify`
+            wrote), or a list of rules.
+        sensors: What is observed: "state" (the full true state), "rig" (the paper's encoders and lasers), "machine"
+            (the sensors that the machine declares), or `Sensors(...)`.
+        drives: What applies the voltages: "ideal" (continuous converters), "rig" (12 bits, 12 A), "machine" (the
+            converters that the machine declares), or `Actuators(...)`. Dead times and current limits that the machine
+            has as effects act in any case.
+        privileged: Whether the observation also has the true state and the randomized parameters, for a critic.
+        ends: What happens at the workspace's edge: "stops" (rubber buffers) or "terminate" (the episode ends with
+            `penalty`). With "terminate" an agent can learn to give up, so the penalty must outweigh that.
+        penalty: Subtracted from the reward outside the workspace where `ends` is "terminate".
+        period: Control period, s.
+        longest_step: Longest step of the integrator, s.
 
-    Raises ValueError for values that none of these are.
+    Raises:
+        InputError: If a value is invalid.
     """
 
     machine: MachineLike = "hframe"
@@ -58,17 +86,49 @@ class EnvConfig:
 
     def __post_init__(self) -> None:
         if self.ends not in ("stops", "terminate"):
-            raise ValueError(f"ends is {self.ends!r}, choose 'stops' or 'terminate'")
+            raise InputError(f"ends is {self.ends!r}; choose 'stops' or 'terminate'")
         if not isinstance(self.privileged, bool):
-            raise ValueError(f"privileged is {self.privileged!r}, it must be True or False")
+            raise InputError(f"privileged is {self.privileged!r}, it must be True or False")
         if not (np.isfinite(self.penalty) and self.penalty >= 0.0):
-            raise ValueError(f"penalty is {self.penalty!r}, it must be a number that is not negative")
+            raise InputError(f"penalty is {self.penalty!r}, it must be a number that is not negative")
+
+
+def check_keywords(constructor: str, options: dict[str, Any], others: tuple[str, ...] = ("render_mode",)) -> None:
+    """Check that all keywords of a constructor exist.
+
+    Args:
+        constructor: Name of the class, for the message.
+        options: The keywords that are meant for `EnvConfig`.
+        others: Keywords that the constructor takes itself.
+
+    Raises:
+        TypeError: If a keyword is unknown; the message lists those there are.
+    """
+    names = [field.name for field in dataclasses.fields(EnvConfig)]
+    for keyword in options:
+        if keyword not in names:
+            similar = get_close_matches(keyword, (*names, *others), n=1)
+            suggestion = f" Did you mean {similar[0]!r}?" if similar else ""
+            raise TypeError(
+                f"{constructor} got an unexpected keyword argument {keyword!r}.{suggestion} "
+                f"Its keywords are {', '.join((*names, *others))}"
+            )
 
 
 def as_machine(machine: MachineLike) -> Machine:
-    """The machine itself, or the one of a built-in name or file."""
+    """Return the machine of the option `machine`.
+
+    Args:
+        machine: A `Machine`, a preset name or the path of a machine.json.
+
+    Returns:
+        The machine.
+
+    Raises:
+        InputError: If there is no such preset or file, or the file is faulty.
+    """
     if isinstance(machine, Machine):
         return machine
-    from ..recordings import load_machine
+    from ..recordings import load_machine  # pydantic takes long to import and a Machine does not need it
 
     return load_machine(machine)

@@ -1,9 +1,13 @@
-"""Random numbers by counting: number `channel` of step `step` is a hash of (key, step, channel), whoever asks.
+"""Counter-based random numbers: each number is a hash of (key, step, channel).
 
-An episode's key is made of one 64-bit draw of its environment's own generator and of the episode's number; all else
-that is random in the episode follows from it, in any order, batch, lane or thread.  The hash is the finaliser of
-SplitMix64 (Steele, Lea and Flood 2014), applied after each of the three; normals are Box and Muller's (1958).
-Logarithm, sine and cosine are polynomials, for the system's own would differ between systems.
+The key of an episode is derived from one 64-bit number of its environment's generator and the number of the episode.
+Everything else that is random in the episode follows from the key, independently of evaluation order, batch size, SIMD
+lane and thread. Logarithm, sine and cosine are polynomials, because those of the C library differ between systems.
+
+References:
+    Steele, Lea and Flood, "Fast splittable pseudorandom number generators" (2014): the hash is the finalizer of
+    SplitMix64, applied after each of the three inputs.
+    Box and Muller, "A note on the generation of random normal deviates" (1958).
 """
 
 from __future__ import annotations
@@ -22,18 +26,26 @@ _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _FIRST, _SECOND = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
 _S11, _S27, _S30, _S31 = (np.uint64(n) for n in (11, 27, 30, 31))
 _ONE = np.uint64(1)
-# The draws of a reset stand at a step that no episode reaches.
+# The numbers that a reset uses are counted at a step that no episode reaches.
 RESET_STEP = 2**62
 
 
 def compiled(function: Function) -> Function:
-    """The function compiled by Numba, without the interpreter lock, kept on disk."""
+    """Compile a function with Numba, without the interpreter lock, and cache it on disk.
+
+    Args:
+        function: Function in the subset of Python that Numba supports.
+
+    Returns:
+        The compiled function.
+    """
     result: Any = njit(nogil=True, cache=True, error_model="numpy")(function)
     return result
 
 
 @compiled
 def _mix(z: Any) -> Any:
+    """Return the finalizer of SplitMix64 of a 64-bit number."""
     z = (z ^ (z >> _S30)) * _FIRST
     z = (z ^ (z >> _S27)) * _SECOND
     return z ^ (z >> _S31)
@@ -41,7 +53,16 @@ def _mix(z: Any) -> Any:
 
 @compiled
 def uniform(key: Any, step: Any, channel: Any) -> float:
-    """A number in (0, 1), uniform, never 0 or 1.  key: uint64."""
+    """Return a uniform number in the open interval (0, 1).
+
+    Args:
+        key: Key of the episode, uint64.
+        step: Control period of the episode, or `RESET_STEP`.
+        channel: Number within the step.
+
+    Returns:
+        The number, never exactly 0 or 1.
+    """
     z = _mix(np.uint64(key) + _GOLDEN)
     z = _mix(z + _GOLDEN * (np.uint64(step) + _ONE))
     z = _mix(z + _GOLDEN * (np.uint64(channel) + _ONE))
@@ -50,11 +71,11 @@ def uniform(key: Any, step: Any, channel: Any) -> float:
 
 @compiled
 def _log(x: float) -> float:
-    """Natural logarithm of a positive number, to 1e-13."""
+    """Return the natural logarithm of a positive number with a relative error below 1e-13."""
     fraction, exponent = math.frexp(x)
     if fraction < 0.7071067811865476:
         fraction, exponent = 2.0 * fraction, exponent - 1
-    # atanh's series: |s| <= 0.172
+    # Series of the inverse hyperbolic tangent, |s| <= 0.172.
     s = (fraction - 1.0) / (fraction + 1.0)
     square = s * s
     series = 1.0 / 15.0
@@ -64,44 +85,77 @@ def _log(x: float) -> float:
 
 
 @compiled
-def turn(u: float) -> tuple[float, float]:
-    """Cosine and sine of u turns, to 1e-15."""
+def cos_sin_of_turns(u: float) -> tuple[float, float]:
+    """Return cosine and sine of an angle of u turns, each with an error below 1e-15.
+
+    Args:
+        u: Angle in turns (1 turn is 2 pi rad).
+
+    Returns:
+        Cosine and sine.
+    """
     quarter = math.floor(4.0 * u + 0.5)
     r = (4.0 * u - quarter) * 1.5707963267948966
     s = r * r
-    # Taylor to r**14 and r**15: |r| <= pi/4, remainders 1e-15 and 5e-17.
+    # Taylor series to r**14 and r**15; for |r| <= pi/4 the remainders are 1e-15 and 5e-17.
     cosine = 1.0 / 479001600 - s * (1.0 / 87178291200)
     sine = 1.0 / 6227020800 - s * (1.0 / 1307674368000)
     cosine = 1.0 - s * (0.5 - s * (1.0 / 24 - s * (1.0 / 720 - s * (1.0 / 40320 - s * (1.0 / 3628800 - s * cosine)))))
     sine = 1.0 / 120 - s * (1.0 / 5040 - s * (1.0 / 362880 - s * (1.0 / 39916800 - s * sine)))
     sine = r * (1.0 - s * (1.0 / 6 - s * sine))
     odd, back = (quarter & 1) == 1, (quarter & 2) == 2
-    along, across = (-sine, cosine) if odd else (cosine, sine)
-    return (-along, -across) if back else (along, across)
+    first, second = (-sine, cosine) if odd else (cosine, sine)
+    return (-first, -second) if back else (first, second)
 
 
 @compiled
 def normal_pair(key: Any, step: Any, channel: Any) -> tuple[float, float]:
-    """Two independent standard normal numbers; takes the uniform numbers channel and channel + 1."""
+    """Return two independent standard normal numbers (Box-Muller).
+
+    Args:
+        key: Key of the episode, uint64.
+        step: Control period of the episode.
+        channel: First of the two uniform numbers that the pair is made from.
+
+    Returns:
+        The two numbers.
+    """
     radius = math.sqrt(-2.0 * _log(uniform(key, step, channel)))
-    cosine, sine = turn(uniform(key, step, channel + 1))
+    cosine, sine = cos_sin_of_turns(uniform(key, step, channel + 1))
     return radius * cosine, radius * sine
 
 
 @compiled
 def _fill(keys: Any, out: Any) -> None:
+    """Write the uniform numbers of the resets with keys (k,) to out (k, n)."""
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
             out[i, j] = uniform(keys[i], RESET_STEP, j)
 
 
 def reset_uniforms(keys: NDArray[np.uint64], count: int) -> NDArray[np.float64]:
-    """`count` uniform numbers (k, count) in (0, 1) for the resets with keys (k,)."""
+    """Return the uniform numbers of resets.
+
+    Args:
+        keys: Keys of the episodes that begin, shape (k,).
+        count: Numbers per episode.
+
+    Returns:
+        Numbers in (0, 1), shape (k, count).
+    """
     out = np.empty((len(keys), count))
     _fill(keys, out)
     return out
 
 
 def episode_keys(keys: NDArray[np.uint64], episodes: NDArray[np.int64]) -> NDArray[np.uint64]:
-    """Keys (k,) of episodes number `episodes` (k,) of environments with keys (k,): SplitMix64's sequence of seeds."""
+    """Return the keys of episodes: SplitMix64's sequence of seeds.
+
+    Args:
+        keys: Keys of the environments, shape (k,).
+        episodes: Number of the episode in each environment, shape (k,).
+
+    Returns:
+        Keys of the episodes, shape (k,).
+    """
     return keys + _GOLDEN * episodes.astype(np.uint64)

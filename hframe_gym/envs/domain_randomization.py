@@ -1,56 +1,218 @@
-"""Randomised machines: a field of the machine x a distribution x scale, add or set x reset or startup.
+"""Domain randomization: rules that say which parameters an episode changes, and by which distribution.
 
-    Vary("*.coulomb", Uniform(0.5, 2.0))                          each Coulomb level on its own, every episode
-    Vary("*.EA", Uniform(0.7, 1.3), shared=True)                  one draw for all belts
-    Vary("x.mass", Normal(0.0, 0.1), how="add", when="startup")   once a seed
+A rule combines a parameter (or a pattern of names), a distribution, how the sampled number changes the parameter
+(`scale`, `add` or `set`) and when it is sampled (`reset` or `startup`):
 
-Random numbers come from the environment's own generator (`draws`), so a seed fixes them; what they made is in the
-reset's info.  `sampler` draws by these rules.
+    RandomizeParameter("*.coulomb", Uniform(0.5, 2.0))                         each Coulomb level, every episode
+    RandomizeParameter("*.EA", Uniform(0.7, 1.3), shared=True)                 one number for all belts
+    RandomizeParameter("x.mass", Normal(0.0, 0.1), how="add", when="startup")  once per seed
+    RandomizeParameter("x_m.noise", ("log_uniform", 0.5, 2.0))                 a distribution by its registered name
+
+`machine_sampler` samples by these rules.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from typing import Literal, TypeAlias
+from typing import Any, Literal, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import exp10, ndtri
 
-from ..machine import Machine
-from .distributions import Distribution, LogUniform, Uniform
+from ..errors import InputError
+from ..registry import Registry
 
 Array = NDArray[np.float64]
 How = Literal["scale", "add", "set"]
 When = Literal["reset", "startup"]
 
 
+@runtime_checkable
+class Distribution(Protocol):
+    """A distribution, given by its quantile function.
+
+    Register a new one with `@DISTRIBUTIONS.register("name")`; rules can then name it.
+    """
+
+    @property
+    def bounded(self) -> bool:
+        """Whether all values lie between the quantiles of 0 and 1.
+
+        A rule with a bounded distribution is checked when the environment is made, others at every sample.
+        """
+
+    def quantile(self, u: Array) -> Array:
+        """Map uniform numbers to values of the distribution.
+
+        Args:
+            u: Uniform numbers in (0, 1), shape (k,).
+
+        Returns:
+            Values, shape (k,). Each must depend on its uniform number alone, to the bit.
+        """
+
+
+DISTRIBUTIONS: Registry[Callable[..., Distribution]] = Registry("distribution")
+
+
+@DISTRIBUTIONS.register("uniform")
+@dataclass(frozen=True)
+class Uniform:
+    """Uniform distribution on [low, high].
+
+    Args:
+        low: Lower end, finite.
+        high: Upper end, finite, not below `low`.
+
+    Raises:
+        InputError: If the ends are not finite or not in order.
+    """
+
+    low: float
+    high: float
+    bounded = True
+
+    def __post_init__(self) -> None:
+        _check(self, math.isfinite(self.low) and math.isfinite(self.high) and self.low <= self.high)
+
+    def quantile(self, u: Array) -> Array:
+        """Map uniform numbers u, shape (k,), to values, shape (k,)."""
+        return self.low + (self.high - self.low) * u
+
+
+@DISTRIBUTIONS.register("log_uniform")
+@dataclass(frozen=True)
+class LogUniform:
+    """Distribution whose logarithm is uniform on [log low, log high].
+
+    Args:
+        low: Lower end, positive.
+        high: Upper end, finite, not below `low`.
+
+    Raises:
+        InputError: If the ends are not positive, not finite or not in order.
+    """
+
+    low: float
+    high: float
+    bounded = True
+
+    def __post_init__(self) -> None:
+        _check(self, 0.0 < self.low <= self.high < math.inf)
+
+    def quantile(self, u: Array) -> Array:
+        """Map uniform numbers u, shape (k,), to values, shape (k,)."""
+        # SciPy's exponential: that of NumPy may round differently for arrays of another size.
+        values: Array = self.low * exp10(math.log10(self.high / self.low) * u)
+        return values
+
+
+@DISTRIBUTIONS.register("normal")
+@dataclass(frozen=True)
+class Normal:
+    """Normal distribution.
+
+    Args:
+        mean: Mean, finite.
+        std: Standard deviation, finite, not negative.
+
+    Raises:
+        InputError: If a number is not finite or `std` is negative.
+    """
+
+    mean: float
+    std: float
+    bounded = False
+
+    def __post_init__(self) -> None:
+        _check(self, math.isfinite(self.mean) and 0.0 <= self.std < math.inf)
+
+    def quantile(self, u: Array) -> Array:
+        """Map uniform numbers u, shape (k,), to values, shape (k,)."""
+        return self.mean + self.std * np.asarray(ndtri(u))
+
+
+def _check(distribution: object, valid: bool) -> None:
+    """Raise InputError unless the numbers of a distribution are valid."""
+    if not valid:
+        raise InputError(f"randomize: the distribution {distribution} is empty or not finite")
+
+
 @dataclass(frozen=True)
 class RandomizeParameter:
-    """One rule.  parameter: a name of `Machine.parameters`, or a pattern of such with * and ?.
+    """Randomize the parameters whose name matches a pattern.
 
-    shared: one draw for all that match, instead of one each.
+    Args:
+        parameter: Full name, or a pattern with * and ?. Names are those of `Machine.parameters` (`x.mass`,
+            `sensor_delay@x_m.d`), `Machine.device_parameters` (`x_m.noise`, `motor1.converter_bits`) and of the task
+            (`task.speed`).
+        distribution: A `Distribution`, or the registered name of one with its arguments, e.g. ("uniform", 0.9, 1.1).
+        how: Whether the sampled number scales the parameter, is added to it or replaces it.
+        when: Sample at every reset, or once per seed ("startup").
+        shared: Sample one number for all matching parameters instead of one for each.
     """
 
     parameter: str
-    distribution: Distribution
+    distribution: Distribution | Sequence[Any]
     how: How = "scale"
     when: When = "reset"
     shared: bool = False
 
-    def apply(self, value: Array, drawn: Array) -> Array:
-        """The parameter's values from what they were and what was drawn, (k,) each."""
+    def __post_init__(self) -> None:
+        if isinstance(self.distribution, Sequence) and self.distribution:
+            name, *arguments = self.distribution
+            try:
+                distribution = DISTRIBUTIONS.get(str(name))(*arguments)
+            except TypeError as error:
+                raise InputError(f"randomize: distribution {list(self.distribution)}: {error}") from None
+            object.__setattr__(self, "distribution", distribution)
+        if not isinstance(self.distribution, Distribution):
+            names = ", ".join(DISTRIBUTIONS)
+            raise InputError(
+                f"randomize: the distribution of {self.parameter!r} is {self.distribution!r}; give a Distribution, or "
+                f"a list of a name and its arguments, with a name of {names}"
+            )
+
+    def quantile(self, u: Array) -> Array:
+        """Map uniform numbers u, shape (k,), to values of the distribution, shape (k,)."""
+        assert isinstance(self.distribution, Distribution)
+        return self.distribution.quantile(u)
+
+    @property
+    def bounded(self) -> bool:
+        """Whether the distribution is bounded."""
+        assert isinstance(self.distribution, Distribution)
+        return self.distribution.bounded
+
+    def apply(self, value: Array, sample: Array) -> Array:
+        """Change a parameter by sampled numbers.
+
+        Args:
+            value: Values before, shape (k,).
+            sample: Sampled numbers, shape (k,).
+
+        Returns:
+            Values after, shape (k,).
+        """
         if self.how == "scale":
-            return value * drawn
-        return value + drawn if self.how == "add" else drawn
+            return value * sample
+        return value + sample if self.how == "add" else sample
 
 
 @dataclass(frozen=True)
 class RandomizeIdentified:
-    """Joint normal draws around the machine's own values from its identified covariance, times `widen` (in std).
+    """Sample the identified parameters from their joint normal distribution around the machine's values.
 
-    A draw ends at the parameter's limits: what is known badly may have a tail that no machine has.
+    Samples are clipped to the limits of each parameter: the normal approximation of a poorly identified parameter has
+    a tail that no machine has.
+
+    Args:
+        widen: Factor on the identified standard deviations.
+        when: Sample at every reset, or once per seed ("startup").
     """
 
     widen: float = 1.0
@@ -59,6 +221,7 @@ class RandomizeIdentified:
 
 Rule: TypeAlias = RandomizeParameter | RandomizeIdentified
 
+# What the paper determines least accurately.
 DEFAULT: tuple[Rule, ...] = (
     RandomizeParameter("*.EA", Uniform(0.7, 1.3), shared=True),  # one belt, one material
     RandomizeParameter("*.rest_length", Uniform(0.85, 1.2)),
@@ -74,35 +237,67 @@ WIDE: tuple[Rule, ...] = (
     RandomizeParameter("*.K[te]", Uniform(0.85, 1.15)),
     RandomizeParameter("*.resistance", Uniform(0.9, 1.2)),
 )
-PRESETS: dict[str, tuple[Rule, ...]] = {
+RANDOMIZATION_PRESETS: dict[str, tuple[Rule, ...]] = {
     "none": (),
     "default": DEFAULT,
     "wide": WIDE,
     "identified": (RandomizeIdentified(),),
 }
-RandomizationLike: TypeAlias = Literal["none", "default", "wide", "identified"] | Sequence[Rule]
+RandomizationLike: TypeAlias = Literal["none", "default", "wide", "identified"] | Sequence[Rule | Mapping[str, Any]]
 
 
-def as_rules(randomize: RandomizationLike, machine: Machine) -> tuple[Rule, ...]:
-    """The rules of a preset, as far as the machine has what they speak of, or the rules themselves.
+def as_rules(randomize: RandomizationLike, names: Sequence[str]) -> tuple[Rule, ...]:
+    """Return the rules of the option `randomize`.
 
-    Raises ValueError for an unknown preset or what is no rule.
+    Args:
+        randomize: Name of a preset, or a list of rules. A rule may be a mapping of the arguments of
+            `RandomizeParameter`, as a TOML or JSON file gives it.
+        names: Full names of the parameters that can be randomized.
+
+    Returns:
+        The rules; those of a preset as far as parameters match them.
+
+    Raises:
+        InputError: If the preset is unknown or an entry is not a rule.
     """
     if isinstance(randomize, str):
-        if randomize not in PRESETS:
-            raise ValueError(f"randomize is {randomize!r}, choose one of {', '.join(PRESETS)} or a list of Vary")
-        return tuple(r for r in PRESETS[randomize] if isinstance(r, RandomizeIdentified) or matching(machine, r))
-    rules = tuple(randomize)
-    for rule in rules:
-        if not isinstance(rule, RandomizeParameter | RandomizeIdentified):
-            raise ValueError(f"randomize: {rule!r} is neither a Vary nor Identified")
-        if rule.when not in ("reset", "startup"):
-            raise ValueError(f"randomize: {rule!r} has when = {rule.when!r}, choose reset or startup")
-        if isinstance(rule, RandomizeParameter) and rule.how not in ("scale", "add", "set"):
-            raise ValueError(f"randomize: {rule!r} has how = {rule.how!r}, choose scale, add or set")
-    return rules
+        if randomize not in RANDOMIZATION_PRESETS:
+            presets = ", ".join(RANDOMIZATION_PRESETS)
+            raise InputError(f"randomize is {randomize!r}; choose one of {presets}, or a list of RandomizeParameter")
+        preset = RANDOMIZATION_PRESETS[randomize]
+        return tuple(r for r in preset if isinstance(r, RandomizeIdentified) or matching(names, r))
+    return tuple(map(_as_rule, randomize))
 
 
-def matching(machine: Machine, rule: RandomizeParameter) -> list[int]:
-    """Places in `Machine.parameters` that a rule speaks of."""
-    return [i for i, name in enumerate(machine.parameters) if fnmatchcase(name, rule.parameter)]
+def _as_rule(entry: object) -> Rule:
+    """Return a rule, made from a mapping where it is one; raises InputError for anything else."""
+    if isinstance(entry, Mapping):
+        arguments = dict(entry)
+        try:
+            entry = RandomizeParameter(**arguments)
+        except TypeError as error:
+            raise InputError(f"randomize: {arguments}: {error}") from None
+    if not isinstance(entry, RandomizeParameter | RandomizeIdentified):
+        raise InputError(f"randomize: {entry!r} is neither a RandomizeParameter nor a RandomizeIdentified")
+    if entry.when not in ("reset", "startup"):
+        raise InputError(f"randomize: {entry!r} has when = {entry.when!r}; choose 'reset' or 'startup'")
+    if isinstance(entry, RandomizeParameter) and entry.how not in ("scale", "add", "set"):
+        raise InputError(f"randomize: {entry!r} has how = {entry.how!r}; choose 'scale', 'add' or 'set'")
+    return entry
+
+
+def matching(names: Sequence[str], rule: RandomizeParameter) -> list[int]:
+    """Return the indices of the names that a rule matches.
+
+    Args:
+        names: Full names of parameters.
+        rule: The rule.
+
+    Returns:
+        Indices into `names`, ascending.
+    """
+    return [i for i, name in enumerate(names) if fnmatchcase(name, rule.parameter)]
+
+
+# Aliases until all packages use the new names.
+PRESETS = RANDOMIZATION_PRESETS

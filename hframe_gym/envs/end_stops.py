@@ -1,26 +1,30 @@
-"""End stops: rubber buffers where a coordinate's range ends.
+"""End stops: rubber buffers at both ends of the ranges of x and y.
 
-A buffer pushes back with k d (1 + c v), never pulls (Hunt and Crossley 1975, exponent 1): stiff in, soft out, so an
-impact loses its energy.  It is an effect like any other, with a guard: away from the ends a step pays two comparisons a
-coordinate for it.
+A buffer pushes back with k d (1 + c v) and never pulls: it is stiff in compression and soft in release, so that an
+impact loses energy. It is an effect with an active region: away from the ends it costs two comparisons per coordinate
+and step.
+
+References:
+    Hunt and Crossley, "Coefficient of restitution interpreted as damping in vibroimpact" (1975), with exponent 1.
 """
 
 from __future__ import annotations
 
-from ..dynamics.simd import copysign
-from ..dynamics.simd_math import maximum
+from ..dynamics.elementwise import copysign, maximum
 from ..machine import Effect, EffectParameter, Machine
 
-STIFFNESS = 2e5  # N/m: both motors at full voltage press 1.2 mm into it; the light cart still swings slower than 2 kHz
-DAMPING = 1.5  # s/m: an impact at 0.5 m/s comes back with less than half its speed
+STIFFNESS = 2e5  # N/m: both motors at full voltage compress it by 1.2 mm; the light cart oscillates on it below 2 kHz
+DAMPING = 1.5  # s/m: an impact at 0.5 m/s rebounds with less than half its speed
 
 
 def force(q, v, t, low, high, stiffness, damping):  # type: ignore[no-untyped-def]
+    """Return f = -k d max(0, 1 + c v sign d), N, with the depth d beyond [low, high], m."""
     depth = maximum(q - high, 0.0) - maximum(low - q, 0.0)
     return -stiffness * depth * maximum(1.0 + damping * copysign(1.0, depth) * v, 0.0)
 
 
-def guard(q, low, high):  # type: ignore[no-untyped-def]
+def active_region(q, low, high):  # type: ignore[no-untyped-def]
+    """Return whether the coordinate is beyond [low, high]."""
     return (q < low) | (q > high)
 
 
@@ -31,7 +35,7 @@ END_STOP = Effect(
     formula="f = -k d max(0, 1 + c v sign d), d the depth beyond [low, high]",
     source="Hunt and Crossley 1975",
     force=force,
-    guard=guard,
+    active_region=active_region,
     parameters=(
         EffectParameter("low", "position", -1e3, 1e3, scale=1e-3, grid=(0.0,)),
         EffectParameter("high", "position", -1e3, 1e3, scale=1e-3, grid=(0.0,)),
@@ -42,7 +46,14 @@ END_STOP = Effect(
 
 
 def with_end_stops(machine: Machine) -> Machine:
-    """The machine with a buffer at both ends of x and y.  Its own parameters keep their order and come first."""
+    """Return the machine with a buffer at both ends of x and y.
+
+    Args:
+        machine: A machine whose coordinates x and y have ranges.
+
+    Returns:
+        The machine with two more effects; its parameters keep their order and come first.
+    """
     stops = []
     for name in ("x", "y"):
         low, high = machine.coordinate(name).range  # type: ignore[misc]
@@ -51,9 +62,12 @@ def with_end_stops(machine: Machine) -> Machine:
 
 
 def rated_belt_force(machine: Machine) -> float:
-    """Force of all drives together at rated voltage and standstill, N of belt."""
-    total = 0.0
-    for d in machine.drives:
-        c = machine.coordinate(d.coordinate)
-        total += d.gain * d.rated_voltage / (c.radius if c.kind == "rotary" else 1.0)
-    return total
+    """Return the force of all drives together at rated voltage and standstill.
+
+    Args:
+        machine: The machine.
+
+    Returns:
+        Force on the belt, N.
+    """
+    return sum(d.gain * d.rated_voltage / machine.coordinate(d.coordinate).travel_per_unit for d in machine.drives)

@@ -1,29 +1,40 @@
-"""A batch of environments without gymnasium's interface: the one code behind `HFrameEnv` and its vector twin.
+"""A batch of environments without Gymnasium's interface: the code behind `HFrameEnv` and the vector environments.
 
-An episode of environment b: `reset` draws its machine, start and plan from its own generator and puts the stage
-at rest; each `step` advances all stages by one control period.  Ending episodes is left to the caller.
+`reset` samples the machine, the start and the plan of an episode and puts the machine at rest; each `step` advances all
+machines by one control period. The caller decides when an episode ends.
 """
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
+from gymnasium import error
 from numpy.typing import ArrayLike, NDArray
 
 from ..dynamics.simd import LANES
-from . import simd_layout as blocks
-from .actuator_presets import as_actuators
-from .batched_simulator import BatchedSimulator
+from ..errors import InputError
+from .actuators import with_actuators
+from .batched_simulator import BatchedSimulator, block_ranges
 from .config import EnvConfig, as_machine
-from .config import MachineLike as MachineLike
+from .config import MachineLike as MachineLike  # alias until all packages use the new name
+from .counter_rng import compiled
 from .machine_sampler import MachineSampler
 from .observations import Observation, ObservationBuilder
-from .reference_trajectories import ReferenceTrajectories
-from .rewards import Builtin, Reward, WithPenalty, as_reward, distances, judge, outside_of
+from .rewards import (
+    BuiltinReward,
+    PenalizedReward,
+    Reward,
+    as_reward,
+    distances,
+    evaluate_rows,
+    outside_workspace,
+)
 from .sensors import as_sensors
-from .spaces import observation_space, workspace
+from .spaces import observation_space, workspace_of
 from .tasks import as_task, check_point
+from .tasks.base import ReferenceTrajectories
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -31,9 +42,15 @@ Flags = NDArray[np.bool_]
 
 
 class StepResult(NamedTuple):
-    """One control period of all environments, first axis B, fresh arrays.
+    """One control period of all environments; new arrays, first axis count.
 
-    distance, contour: of the tools themselves to their goals and to their paths (None: no path), m.
+    Attributes:
+        observation: Observations.
+        reward: Rewards, shape (count,).
+        terminated: Whether the tool left the workspace and episodes end there, shape (count,).
+        truncated: Whether the episode reached the limit, shape (count,).
+        distance: Distance of the true tool position to the goal, m, shape (count,).
+        contour: Distance of the true tool position to the path, m, shape (count,); None for a task without a path.
     """
 
     observation: Observation
@@ -45,175 +62,258 @@ class StepResult(NamedTuple):
 
 
 class EnvironmentBatch:
-    """`count` environments.
+    """A batch of environments.
 
-    Raises ValueError for settings that do not fit together.
+    Args:
+        config: Options.
+        count: Number of environments.
+
+    Attributes:
+        machine: The machine without randomization, with the chosen sensors and actuators.
+        workspace: Rows x and y, columns low and high, m, shape (2, 2).
+        simulator: The machines.
+        sampler: Samples their parameters.
+        references: The goals.
+        observations: Builds observations.
+        clipped: Action entries outside [-1, 1] in this episode, shape (count,).
+
+    Raises:
+        InputError: If an option is invalid or options do not fit together.
     """
 
-    def __init__(self, settings: EnvConfig, count: int) -> None:
-        s = settings
+    def __init__(self, config: EnvConfig, count: int) -> None:
         if count < 1:
-            raise ValueError(f"num_envs is {count}, it must be at least 1")
-        self.settings = settings
-        self.count = count
-        drives = as_actuators(s.drives)
-        self.machine = drives.on(as_machine(s.machine))
-        self.workspace = workspace(self.machine)
-        self.task = as_task(s.task)
+            raise InputError(f"num_envs is {count}, it must be at least 1")
+        self.config, self.count = config, count
+        sensors = as_sensors(config.sensors)
+        machine = as_machine(config.machine)
+        self.workspace = workspace_of(machine)
+        machine = with_actuators(machine, config.drives)
+        self.machine = machine if sensors is None else sensors.apply(machine)
+        self.task = as_task(config.task)
         self.task.check(self.workspace)
-        reward = as_reward(s.reward, self.task.band)
-        self.reward: Reward = WithPenalty(reward, self.workspace, s.penalty) if s.ends == "terminate" else reward
-        self.population = MachineSampler(self.machine, s.randomize, count)
-        self.stages = BatchedSimulator(
+        reward = as_reward(config.reward, self.task.band)
+        penalized = config.ends == "terminate"
+        self.reward: Reward = PenalizedReward(reward, self.workspace, config.penalty) if penalized else reward
+        self.sampler = MachineSampler(self.machine, config.randomize, count, self.task.parameters)
+        self.simulator = BatchedSimulator(
             self.machine,
             count,
-            period=s.period,
-            longest_step=s.longest_step,
-            drives=drives,
-            end_stops=s.ends == "stops",
+            self.sampler.space,
+            period=config.period,
+            longest_step=config.longest_step,
+            end_stops=config.ends == "stops",
+            sensors=sensors is not None,
         )
-        drawn = self.population.bounds() if s.privileged else None
-        self.observer = ObservationBuilder(self.stages, as_sensors(s.sensors), drawn)
+        observed = None if sensors is None else sensors.observed(self.machine)
+        self.observations = ObservationBuilder(self.simulator, observed, self.sampler, privileged=config.privileged)
         self.observation_space = observation_space(
             self.machine,
             len(self.task.ahead_s),
-            observed=self.observer.entries,
-            privileged=self.observer.privileged,
+            observed=self.observations.entries,
+            privileged=self.observations.privileged,
         )
         self._edges = self.workspace.astype(np.float32)
-        self.goals = ReferenceTrajectories(self.task, count, s.period)
+        self.references = ReferenceTrajectories(self.task, count, config.period)
         self.clipped = np.zeros(count, np.int64)
+        self._values = np.tile(self.sampler.space.nominal, (count, 1))
+        self._was_reset = False
 
     @property
     def elapsed(self) -> NDArray[np.int64]:
-        """Control periods (count,) since each episode began."""
-        return self.goals.elapsed
+        """Control periods since the reset of each environment, shape (count,)."""
+        return self.references.elapsed
 
     # -- reset -----------------------------------------------------------------------------------------------------
 
     def reset(self, index: Index, start: ArrayLike | None = None, target: ArrayLike | None = None) -> None:
-        """Begin new episodes in environments index (k,), ascending.
+        """Begin new episodes.
 
-        start, target: (2,) or (k, 2) m in place of what the task draws.
+        Args:
+            index: Environments, ascending, shape (k,).
+            start: Start positions in place of the task's, m, shape (2,) or (k, 2).
+            target: Targets in place of the task's, m, shape (2,) or (k, 2).
 
-        Raises ValueError for a start or target outside the workspace.
+        Raises:
+            InputError: If a position is outside the workspace, or the task has no target.
         """
-        given = [self._points(name, points, len(index)) for name, points in (("start", start), ("target", target))]
-        keys, uniforms, values = self.population.draw(index, self.task.draws)
-        position, plan = self.task.begin(self.workspace, uniforms)
+        starts, targets = self._points("start", start, len(index)), self._points("target", target, len(index))
+        keys, uniforms, values = self.sampler.sample(index, self.task.draws)
+        names = self.sampler.space.names
+        parameters = {name: values[:, names.index(f"task.{name}")] for name in self.task.parameters}
+        position, plan = self.task.begin(self.workspace, uniforms, parameters)
         self.clipped[index] = 0
-        self.goals.begin(index, plan if given[1] is None else self.task.aim(given[1]))
-        self.stages.place(index, position if given[0] is None else given[0], values)
-        self.observer.begin(index, keys, values, self.population, self.elapsed)
+        self._values[index] = values
+        self.references.begin(index, plan if targets is None else self.task.aim(targets))
+        self.simulator.reset(index, position if starts is None else starts, values)
+        self.observations.begin(index, keys, values, self.sampler, self.elapsed)
+        self._was_reset = True
 
     def _points(self, name: str, points: ArrayLike | None, k: int) -> Array | None:
+        """Return positions of an option of reset, m, shape (k, 2), or None without the option."""
         if points is None:
             return None
         values = np.asarray(points, np.float64)
         check_point(f"options[{name!r}]", values, self.workspace)
         return np.array(np.broadcast_to(values, (k, 2)))
 
-    def drawn(self, index: Index) -> dict[str, Array]:
-        """The randomised parameters of environments index (k,), each (k,), by full name."""
-        return {
-            name: self.stages.values(index, column)
-            for name, column in zip(self.population.drawn, self.population.columns, strict=True)
-        }
+    def randomized(self, index: Index) -> dict[str, Array]:
+        """Return the randomized parameters of environments index (k,), SI, (k,) each, by full name."""
+        columns = zip(self.sampler.names, self.sampler.columns, strict=True)
+        return {name: self._values[index, column] for name, column in columns}
 
     # -- step ------------------------------------------------------------------------------------------------------
 
     def check_actions(self, actions: Any) -> NDArray[Any]:
-        """Actions as (count, drives), float32 or float64.
+        """Check actions.
 
-        Raises ValueError for another shape, and for a number that is not finite, naming environment and motor.
+        Args:
+            actions: Fractions of the rated voltage, shape (count, drives).
+
+        Returns:
+            The actions as float32 or float64.
+
+        Raises:
+            ValueError: If the shape is another one or a number is not finite; the message names environment and motor.
+            gymnasium.error.ResetNeeded: If no episode was begun.
         """
+        if not self._was_reset:
+            raise error.ResetNeeded("call reset before step")
         values = np.ascontiguousarray(actions)
         if values.dtype != np.float32:
             values = values.astype(np.float64, copy=False)
-        wanted = (self.count, len(self.machine.drives))
-        if values.shape != wanted:
-            raise ValueError(f"actions have shape {values.shape}, they must have {wanted}")
-        if not blocks.all_finite(values):
+        expected = (self.count, len(self.machine.drives))
+        if values.shape != expected:
+            raise ValueError(f"actions have shape {values.shape}, they must have {expected}")
+        if not _all_finite(values):
             b, k = np.argwhere(~np.isfinite(values))[0].tolist()
             drive = self.machine.drives[k].name
             raise ValueError(f"action of environment {b}, {drive}: {values[b, k]} is not finite")
         return values
 
     def step(self, actions: NDArray[Any], limit: int | None = None) -> StepResult:
-        """One control period under checked actions (count, drives); truncated after limit periods of an episode.
+        """Advance all environments by one control period.
 
-        Raises NotFiniteError when a motion does not stay finite.
+        Args:
+            actions: Actions from `check_actions`.
+            limit: Control periods after which an episode is truncated.
+
+        Returns:
+            Observations, rewards and ends.
+
+        Raises:
+            NotFiniteError: If a state is not finite.
         """
-        self.goals.elapsed += 1
+        self.references.elapsed += 1
         observation, tool = self._blank()
         achieved, desired = observation["achieved_goal"], observation["desired_goal"]
-        sensed = self.observer.sensors is not None
+        measured = self.observations.measured
         reward, distance = np.empty(self.count), np.empty(self.count)
-        contour = np.empty(self.count) if self.goals.moving else None
-        builtin = self.reward if isinstance(self.reward, Builtin) else None
+        contour = np.empty(self.count) if self.task.metrics == "track" else None
+        builtin = self.reward if isinstance(self.reward, BuiltinReward) else None
 
         def finish(first: int, last: int) -> int:
             begin, end = first * LANES, min(last * LANES, self.count)
-            self.observer.read(first, last, self.goals.elapsed)
-            broken = self.observer.see(first, last, observation, tool)
-            if contour is not None:
-                rows = slice(begin, end)
-                self.goals.show(rows, observation)
-                if broken < 0:
-                    contour[rows] = self.goals.contour(rows, self.stages.tools(first, last))
+            self.observations.measure(first, last, self.elapsed)
+            broken = self.observations.write(first, last, observation, tool)
+            rows = slice(begin, end)
+            if self.references.moving:
+                self.references.write(rows, observation)
+            if contour is not None and broken < 0:
+                contour[rows] = self.references.contour(rows, self.simulator.tools(first, last))
             if builtin is not None:
-                judge(tool, achieved, sensed, desired, builtin.kind, builtin.band, begin, end, distance, reward)
+                evaluate_rows(
+                    tool, achieved, measured, desired, builtin.kind, builtin.band, begin, end, distance, reward
+                )
             return broken
 
-        self.stages.advance(actions, self.clipped, finish)
+        self.simulator.advance(actions, self.clipped, finish)
         if builtin is None:
             distance, reward = distances(tool, desired), np.asarray(self.reward(achieved, desired), np.float64)
-        ends = self.settings.ends == "terminate"
-        terminated = outside_of(tool, self._edges) if ends else np.zeros(self.count, np.bool_)
-        truncated = np.zeros(self.count, np.bool_) if limit is None else self.goals.elapsed >= limit
+        ends = self.config.ends == "terminate"
+        terminated = outside_workspace(tool, self._edges) if ends else np.zeros(self.count, np.bool_)
+        truncated = np.zeros(self.count, np.bool_) if limit is None else self.elapsed >= limit
         return StepResult(observation, reward, terminated, truncated, distance, contour)
 
-    def restart(self, index: Index, outcome: StepResult) -> None:
-        """Begin new episodes in environments index (k,), ascending, and write how they look into their rows."""
+    def restart(self, index: Index, result: StepResult) -> None:
+        """Begin new episodes and write their first observations.
+
+        Args:
+            index: Environments, ascending, shape (k,).
+            result: Output; observation, distance and contour of these environments are replaced.
+        """
         self.reset(index)
-        observation = outcome.observation
-        tool = self.observer.tool(observation)
-        self.goals.show(index, observation)
-        for first, last in blocks.runs(index):
-            self.observer.see(first, last, observation, tool)
-        outcome.distance[index] = distances(tool[index], observation["desired_goal"][index])
-        if outcome.contour is not None:
-            outcome.contour[index] = self.contour(index)
+        observation = result.observation
+        tool = self.observations.tool_array(observation)
+        self.references.write(index, observation)
+        for first, last in block_ranges(index):
+            self.observations.write(first, last, observation, tool)
+        result.distance[index] = distances(tool[index], observation["desired_goal"][index])
+        if result.contour is not None:
+            result.contour[index] = self.contour(index)
 
     def observe(self) -> Observation:
-        """The observation of all environments as they are, fresh arrays."""
+        """Return the present observations of all environments as new arrays, first axis count."""
         observation, tool = self._blank()
-        self.goals.show(slice(None), observation)
-        self.observer.see(0, self.stages.blocks, observation, tool)
+        self.references.write(slice(None), observation)
+        self.observations.write(0, self.simulator.blocks, observation, tool)
         return observation
 
     def _blank(self) -> tuple[Observation, NDArray[np.float32]]:
-        """Arrays for an observation of all environments, and for where their tools are (count, 2)."""
-        observation, tool = self.observer.blank()
-        observation |= self.goals.blank()
+        """Allocate an observation of all environments, and true tool positions, shape (count, 2)."""
+        observation, tool = self.observations.blank()
+        observation |= self.references.blank()
         return observation, tool
 
     def contour(self, index: Index | slice) -> Array | None:
-        """Distance (k,) of the tools themselves to their paths, m; None for a task without a path."""
-        return self.goals.contour(index, self.stages.tools()[index]) if self.goals.moving else None
+        """Return the distances of the true tool positions to their paths, m, shape (k,); None without a path."""
+        return self.references.contour(index, self.simulator.tools()[index])
 
     def distance(self, index: Index) -> Array:
-        """Distance (k,) of the tools themselves to their goals, m."""
+        """Return the distances of the true tool positions of environments index (k,) to their goals, m, shape (k,)."""
         tool = np.empty((self.count, 2), np.float32)
-        for first, last in blocks.runs(index):
-            self.observer.see_tools(first, last, tool)
-        return distances(tool[index], self.goals.now(index))
-
-    # -- rewards again ---------------------------------------------------------------------------------------------
+        for first, last in block_ranges(index):
+            self.observations.write_tool(first, last, tool)
+        return distances(tool[index], self.references.goals(index))
 
     def compute_reward(self, achieved: ArrayLike, desired: ArrayLike) -> Any:
-        """Rewards of goals (2,) as a float, or of (n, 2) as (n,), exactly those that `step` gives."""
+        """Compute rewards, exactly those that `step` returns.
+
+        Args:
+            achieved: Achieved positions, m, shape (2,) or (n, 2).
+            desired: Desired positions, m, the same shape.
+
+        Returns:
+            A float, or an array of shape (n,).
+        """
         a, d = np.asarray(achieved, np.float32), np.asarray(desired, np.float32)
         if a.ndim == 1:
             return float(self.reward(a[None], d[None])[0])
         return np.asarray(self.reward(a, d), np.float64)
+
+    # Aliases until all packages use the new names.
+    @property
+    def settings(self) -> EnvConfig:
+        """Return `config`."""
+        return self.config
+
+    @property
+    def stages(self) -> BatchedSimulator:
+        """Return `simulator`."""
+        return self.simulator
+
+    @property
+    def population(self) -> MachineSampler:
+        """Return `sampler`."""
+        return self.sampler
+
+
+@compiled
+def _all_finite(actions: Any) -> bool:
+    """Return whether all entries of actions (B, drives) are finite."""
+    bad = 0
+    for b in range(actions.shape[0]):
+        for k in range(actions.shape[1]):
+            # The loop has no early exit, so that the compiler can vectorize it.
+            bad |= not abs(actions[b, k]) < math.inf
+    return bad == 0

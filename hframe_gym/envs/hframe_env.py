@@ -1,125 +1,223 @@
-"""`HFrameEnv`: one stage as a `gymnasium.Env`, a batch of one through the batch's own code."""
+"""`HFrameEnv` and `HFrameTrackEnv`: one machine as a `gymnasium.Env`."""
 
 from __future__ import annotations
 
 from collections import deque
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Unpack
 
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from .config import EnvConfig
+from ..errors import InputError
+from .config import EnvConfig, EnvOptions, check_keywords
 from .environment_batch import EnvironmentBatch
 from .observations import Observation
-from .rendering import TRAIL, Renderer, check_mode, scene
+from .rendering import TRAIL_LENGTH, Renderer, Scene, check_render_mode
 from .spaces import SignalSpec, action_space
 
 _ONLY = np.zeros(1, np.intp)
 
 
 class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
-    """An H-frame belt stage that is to bring its tool to a goal.
+    """An H-frame belt stage that moves a tool in the plane.
 
-    Action: (2,) in [-1, 1], share of each motor's rated voltage, held for one control period.  Observation: a dict of
-    float32 arrays in SI units: `observation` (see `entries`), `achieved_goal`, `desired_goal` (x, y of tool and goal).
-    Episodes do not end by themselves unless ends="terminate"; `gym.make` cuts them at 150 steps (1.5 s).
+    Two fixed motors move a carriage in x and y by one belt. The belt stretches, every moving part has friction, and the
+    motors are controlled by their voltages.
 
-    Info: `distance_m` and `is_success` (distance within the task's band now), both of the tool itself and not of what
-    sensors say, `clipped_actions` (entries beyond [-1, 1] in this episode), for a task with a path `contour_m` (the
-    tool's distance to it, whatever the time), and after a reset `parameters`, the machine's randomised numbers by name.
+    ## Action Space
 
-    Keywords are those of `EnvConfig`, and render_mode: None, "rgb_array" or "human".
+    `Box(-1, 1, (2,), float32)`, held for one control period (10 ms). Entries outside the range are clipped and counted.
 
-    Raises ValueError for settings that do not fit together.
+    | index | action | unit | range |
+    |---|---|---|---|
+    | 0 | voltage of motor 1 | fraction of the rated voltage (12 V) | -1 to 1 |
+    | 1 | voltage of motor 2 | fraction of the rated voltage (12 V) | -1 to 1 |
+
+    With equal fractions the tool moves along y, with opposite ones along x.
+
+    ## Observation Space
+
+    A `Dict` of bounded float32 arrays. `env.unwrapped.entries` describes `observation` with its bounds for any machine;
+    the table is that of `hframe`.
+
+    | key | index | name | unit | range |
+    |---|---|---|---|---|
+    | `observation` | 0 | x of the tool | m | -0.33 to 0.33 |
+    | | 1 | y of the tool | m | -0.24 to 0.24 |
+    | | 2, 3 | angles phi1, phi2 of the motor pulleys | rad | -36.3 to 36.3 |
+    | | 4, 5 | velocities of x and y | m/s | -5.15 to 5.15 |
+    | | 6, 7 | velocities of phi1 and phi2 | rad/s | -265.3 to 265.3 |
+    | `achieved_goal` | 0, 1 | x, y of the tool | m | -0.33 to 0.33, -0.24 to 0.24 |
+    | `desired_goal` | 0, 1 | x, y of the goal | m | -0.33 to 0.33, -0.24 to 0.24 |
+    | `preview` | 2 i, 2 i + 1 | x, y of future goal i (tasks with a path) | m | -0.33 to 0.33, -0.24 to 0.24 |
+    | `privileged` | | state of all coordinates, randomized parameters (with `privileged=True`) | | |
+
+    With `sensors="rig"` or `"machine"`, positions are measurements and velocities their differences over the control
+    period, unfiltered. `achieved_goal` is then the measured tool position: that of a sensor of x or y inside its range,
+    else the position that the encoders' angles give on unstretched belts.
+
+    ## Rewards
+
+    With d the distance from `achieved_goal` to `desired_goal`:
+
+    - `"dense"`: minus the mean of d / (d + scale) over scales from 0.2 m to 20 um; 0 at the goal, near -1 far from it.
+    - `"sparse"`: 0 within the task's band (1 mm), else -1.
+    - a function of (achieved, desired), or a registered name.
+
+    With `ends="terminate"`, `penalty` is subtracted outside the workspace. `compute_reward` returns the same bits.
+
+    ## Starting State
+
+    At rest with unstretched belts. Task `reach` starts at a uniform random position at least 20 mm inside the
+    workspace, with a target of the same distribution; task `track` starts at the beginning of its path. `randomize`
+    changes the machine's parameters. `reset(options={"start": (x, y), "target": (x, y)})` sets both positions.
+
+    ## Episode End
+
+    - Termination: the tool leaves the workspace, with `ends="terminate"`; else never. By default rubber buffers end it.
+    - Truncation: by `gym.make` after 150 steps (1.5 s).
+
+    `info` holds the truth about the tool whatever the sensors show: `distance_m` to the goal, `is_success` (within the
+    task's band now), `contour_m` (distance to the path, for tasks with one), `clipped_actions` (entries outside [-1, 1]
+    in this episode), and `parameters` by full name if anything is randomized.
+
+    ## Arguments
+
+    | keyword | default | choices |
+    |---|---|---|
+    | `machine` | `"hframe"` | preset name, path of a machine.json, `Machine` |
+    | `task` | `"reach"` | `"reach"`, `"track"`, `Reach(...)`, `Track(...)`, another registered task, `Task` |
+    | `reward` | `"dense"` | `"dense"`, `"sparse"`, another registered reward, a function |
+    | `randomize` | `"none"` | `"none"`, `"default"`, `"wide"`, `"identified"`, a list of rules |
+    | `sensors` | `"state"` | `"state"`, `"rig"`, `"machine"`, `Sensors(...)` |
+    | `drives` | `"ideal"` | `"ideal"`, `"rig"`, `"machine"`, `Actuators(...)` |
+    | `privileged` | `False` | whether the observation has `privileged` |
+    | `ends` | `"stops"` | `"stops"`, `"terminate"` |
+    | `penalty` | 100 | see Rewards |
+    | `period` | 0.01 | control period, s |
+    | `longest_step` | 0.0005 | longest step of the integrator, s |
+    | `render_mode` | `None` | `None`, `"rgb_array"`, `"human"` |
+
+    Raises:
+        InputError: If an option is invalid or options do not fit together.
+        TypeError: If a keyword is unknown; the message lists the keywords.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["human", "rgb_array"], "render_fps": 100}  # type: ignore[misc]
 
-    def __init__(self, *, render_mode: str | None = None, **settings: Any) -> None:
-        self.batch = EnvironmentBatch(EnvConfig(**settings), 1)
-        self.render_mode = check_mode(render_mode, self.metadata["render_modes"])
-        self.metadata = {**self.metadata, "render_fps": round(1.0 / self.batch.settings.period)}  # type: ignore[misc]
+    def __init__(self, *, render_mode: str | None = None, **options: Unpack[EnvOptions]) -> None:
+        check_keywords(type(self).__name__, dict(options))
+        self.batch = EnvironmentBatch(EnvConfig(**options), 1)
+        self.render_mode = check_render_mode(render_mode, self.metadata["render_modes"])
+        self.metadata = {**self.metadata, "render_fps": round(1.0 / self.batch.config.period)}  # type: ignore[misc]
         self.observation_space = self.batch.observation_space  # type: ignore[assignment]
         self.action_space = action_space(self.batch.machine)  # type: ignore[assignment]
-        self._generator: np.random.Generator | None = None  # the one that the batch was seeded by
+        self._seeded_by: np.random.Generator | None = None
         self._renderer: Renderer | None = None
-        self._trail: deque[tuple[float, float]] = deque(maxlen=TRAIL)
+        self._trail: deque[tuple[float, float]] = deque(maxlen=TRAIL_LENGTH)
 
     @property
     def entries(self) -> tuple[SignalSpec, ...]:
-        """What each number of `observation` is: name, unit, bounds."""
-        return self.batch.observer.entries
+        """Name, unit and bounds of every entry of `observation`."""
+        return self.batch.observations.entries
 
     @property
     def privileged_entries(self) -> tuple[SignalSpec, ...]:
-        """What each number of `privileged` is; empty without privileged=True."""
-        return self.batch.observer.privileged
+        """Name, unit and bounds of every entry of `privileged`; empty without `privileged=True`."""
+        return self.batch.observations.privileged
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begin an episode at rest.
+        """Begin an episode.
 
-        options: `start`, `target`, each (x, y) m, in place of what the task draws.
+        Args:
+            seed: Seed of the environment's generator; None continues it.
+            options: `start` and `target`, each (x, y) in m, in place of what the task chooses.
 
-        Raises ValueError for options it does not know or that are outside the workspace.
+        Returns:
+            Observation and info.
+
+        Raises:
+            InputError: If an option is unknown or a position is outside the workspace.
         """
         super().reset(seed=seed)
-        if self._generator is not self.np_random or seed is not None:
-            self._generator = self.np_random
-            self.batch.population.seed(0, self.np_random)
-        self.batch.reset(_ONLY, **check_options(options))
+        if self._seeded_by is not self.np_random or seed is not None:
+            self._seeded_by = self.np_random
+            self.batch.sampler.seed(0, self.np_random)
+        self.batch.reset(_ONLY, **check_reset_options(options))
         observation = {k: v[0] for k, v in self.batch.observe().items()}
         info = self._info(self.batch.distance(_ONLY).item(), self.batch.contour(_ONLY))
-        drawn = self.batch.drawn(_ONLY)
-        if drawn:
-            info["parameters"] = {name: float(value[0]) for name, value in drawn.items()}
         self._trail.clear()
-        self._show()
+        self._update_picture()
         return observation, info
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """One control period.
+        """Advance by one control period.
 
-        Raises ValueError for an action of another shape or with a number that is not finite.
+        Args:
+            action: Fractions of the rated voltages, shape (2,).
+
+        Returns:
+            Observation, reward, terminated, truncated (always False) and info.
+
+        Raises:
+            ValueError: If the action has another shape or a number is not finite.
+            gymnasium.error.ResetNeeded: If `reset` was not called.
+            NotFiniteError: If the motion is not finite.
         """
-        outcome = self.batch.step(self.batch.check_actions(np.asarray(action)[None]))
-        observation = {k: v[0] for k, v in outcome.observation.items()}
-        self._show()
-        return (
-            observation,
-            outcome.reward.item(),
-            outcome.terminated.item(),
-            False,
-            self._info(outcome.distance.item(), outcome.contour),
-        )
+        result = self.batch.step(self.batch.check_actions(np.asarray(action)[None]))
+        observation = {k: v[0] for k, v in result.observation.items()}
+        self._update_picture()
+        info = self._info(result.distance.item(), result.contour)
+        return observation, result.reward.item(), result.terminated.item(), False, info
 
     def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
-        """Reward of goals (2,) or (n, 2), m; `info` is not looked at.  Exactly what `step` gave for the same goals."""
+        """Compute the reward that `step` returns.
+
+        Args:
+            achieved_goal: Achieved positions, m, shape (2,) or (n, 2).
+            desired_goal: Desired positions, m, the same shape.
+            info: Not used.
+
+        Returns:
+            A float, or an array of shape (n,).
+        """
         return self.batch.compute_reward(achieved_goal, desired_goal)
 
     def _info(self, distance: float, contour: NDArray[np.float64] | None) -> dict[str, Any]:
+        """Return the info of a step or reset."""
         info: dict[str, Any] = {
             "distance_m": distance,
             "is_success": distance <= self.batch.task.band,
             "clipped_actions": self.batch.clipped.item(),
         }
-        return info if contour is None else info | {"contour_m": contour.item()}
+        if contour is not None:
+            info["contour_m"] = contour.item()
+        randomized = self.batch.randomized(_ONLY)
+        if randomized:
+            info["parameters"] = {name: value.item() for name, value in randomized.items()}
+        return info
 
     # -- rendering -------------------------------------------------------------------------------------------------
 
-    def _show(self) -> None:
+    def _update_picture(self) -> None:
+        """Extend the trail of the picture, and update the window in mode "human"."""
         if self.render_mode is not None:
-            position = self.batch.stages.positions(0)
+            position = self.batch.simulator.positions(0)
             self._trail.append((position["x"], position["y"]))
         if self.render_mode == "human":
             self.render()
 
     def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
-        """The picture (height, width, 3) in mode rgb_array; draws the window in mode human.
+        """Draw the stage.
 
-        Raises ImportError naming the extra where pygame is not installed.
+        Returns:
+            The picture, shape (height, width, 3), in mode "rgb_array"; None in mode "human", which updates the window.
+
+        Raises:
+            ImportError: If pygame is missing; the message names the extra.
         """
         if self.render_mode is None:
             gym.logger.warn(
@@ -128,7 +226,7 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
             return None
         if self._renderer is None:
             self._renderer = Renderer(self.batch.machine, self.render_mode, self.metadata["render_fps"])
-        return self._renderer.draw(scene(self.batch, 0, self._trail))
+        return self._renderer.draw(Scene.of(self.batch, 0, self._trail))
 
     def close(self) -> None:
         """Close the window, if there is one."""
@@ -137,17 +235,57 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
             self._renderer = None
 
     def __getstate__(self) -> dict[str, Any]:
-        # A window belongs to its process; a copy opens its own.
+        # A window belongs to its process. A copy opens another one.
         return {**self.__dict__, "_renderer": None}
 
 
-def check_options(options: dict[str, Any] | None) -> dict[str, Any]:
-    """Options of a reset as keywords of `EnvironmentBatch.reset`.
+class HFrameTrackEnv(HFrameEnv):
+    """`HFrameEnv` with a goal that moves along a path (`HFrameTrack-v0`).
 
-    Raises ValueError for a name that is none of them.
+    The action space, observation space, rewards and arguments are those of `HFrameEnv`; the observation has `preview`
+    and the info `contour_m`.
+
+    Args:
+        render_mode: As for `HFrameEnv`.
+        **options: As for `HFrameEnv`; `task` is "track" by default and must have metrics "track".
+
+    Raises:
+        InputError: If the task has no path.
+    """
+
+    def __init__(self, *, render_mode: str | None = None, **options: Unpack[EnvOptions]) -> None:
+        options.setdefault("task", "track")
+        super().__init__(render_mode=render_mode, **options)
+        require_path(self.batch)
+
+
+def require_path(batch: EnvironmentBatch) -> None:
+    """Check that the task of HFrameTrack-v0 has a path.
+
+    Args:
+        batch: The environments.
+
+    Raises:
+        InputError: If it has none.
+    """
+    if batch.task.metrics != "track":
+        raise InputError(f"HFrameTrack-v0 needs a task with a path, not {batch.task.name!r}; use HFrame-v0 for it")
+
+
+def check_reset_options(options: dict[str, Any] | None) -> dict[str, Any]:
+    """Return the options of a reset as keywords of `EnvironmentBatch.reset`.
+
+    Args:
+        options: Options by name, or None.
+
+    Returns:
+        The options.
+
+    Raises:
+        InputError: If a name is unknown.
     """
     options = options or {}
     unknown = sorted(set(options) - {"start", "target"})
     if unknown:
-        raise ValueError(f"reset does not know the option {', '.join(map(repr, unknown))}; it takes 'start', 'target'")
+        raise InputError(f"reset: unknown option {', '.join(map(repr, unknown))}; it takes 'start' and 'target'")
     return options

@@ -1,74 +1,365 @@
-"""The machines of a batch: what randomisation makes of one machine, at startup and at every reset."""
+"""Samples the parameters of a batch of environments by randomization rules, at startup and at every reset."""
 
 from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from typing import NamedTuple
 
 import numpy as np
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
+from ..errors import InputError
 from ..machine import Machine
 from .counter_rng import episode_keys, reset_uniforms
-from .domain_randomization import RandomizationLike, as_rules
-from .rule_sampler import RuleSampler
+from .domain_randomization import (
+    RandomizationLike,
+    RandomizeIdentified,
+    RandomizeParameter,
+    Rule,
+    When,
+    as_rules,
+    matching,
+)
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Keys = NDArray[np.uint64]
+# Smallest fraction of its nominal value to which a parameter that must stay positive can be randomized.
+SMALLEST_FRACTION = 0.05
+MAXIMUM_CONVERTER_BITS = 32.0
+# Smallest and largest uniform number that `counter_rng` generates.
+_EXTREME_UNIFORMS = np.array([0.5 * 2.0**-53, 1.0 - 0.5 * 2.0**-53])
+
+
+@dataclass(frozen=True)
+class ParameterSpace:
+    """All N parameters of an environment that can be randomized: of the machine, its devices and the task.
+
+    Attributes:
+        machine_name: Name of the machine, for messages.
+        names: Full names, shape (N,): first `Machine.parameters`, then `Machine.device_parameters`, then `task.*`.
+        nominal: Values without randomization, shape (N,).
+        lower: Smallest value that each can be randomized to, shape (N,).
+        upper: Largest value that each can be randomized to, shape (N,).
+        machine_count: How many of them are `Machine.parameters`.
+        clipped: Indices of parameters whose samples are clipped to the limits without a message.
+    """
+
+    machine_name: str
+    names: tuple[str, ...]
+    nominal: Array
+    lower: Array
+    upper: Array
+    machine_count: int
+    clipped: frozenset[int]
+
+    @classmethod
+    def of(cls, machine: Machine, task_parameters: Mapping[str, float] | None = None) -> ParameterSpace:
+        """Collect the parameters of a machine and a task.
+
+        Friction, noise and converter resolution may vanish. A belt keeps `SMALLEST_FRACTION` of its length wherever
+        the carriage can be. Parameters of effects have the bounds of their definition. Any other positive parameter
+        keeps `SMALLEST_FRACTION` of its nominal value.
+
+        Args:
+            machine: The machine.
+            task_parameters: Nominal values of the task's parameters by their short names.
+
+        Returns:
+            The parameter space.
+        """
+        task = {f"task.{name}": value for name, value in (task_parameters or {}).items()}
+        values = {**machine.parameters, **machine.device_parameters, **task}
+        bounds = _effect_and_belt_bounds(machine)
+        bounds |= {name: (0.0, MAXIMUM_CONVERTER_BITS) for name in values if name.endswith(".converter_bits")}
+        lower, upper = [], []
+        for name, value in values.items():
+            may_vanish = name.endswith((".viscous", ".coulomb", ".noise", ".resolution"))
+            smallest = 0.0 if may_vanish else min(SMALLEST_FRACTION * value, value)
+            low, high = bounds.get(name, (smallest, math.inf))
+            lower.append(low)
+            upper.append(high)
+        # Idler pulleys divide a belt into sections of tied lengths. The shortest section leaves less room than a rule
+        # for all belt lengths can know, so these samples are clipped.
+        names = tuple(values)
+        clipped = {names.index(free) for tied, (free, _) in machine.ties.items() if tied.endswith(".rest_length")}
+        return cls(
+            machine.name,
+            names,
+            np.array(list(values.values()), np.float64),
+            np.array(lower),
+            np.array(upper),
+            len(machine.parameters),
+            frozenset(clipped),
+        )
+
+
+def _effect_and_belt_bounds(machine: Machine) -> dict[str, tuple[float, float]]:
+    """Return the bounds of effect parameters, and of belt lengths wherever the carriage can be, by full name."""
+    bounds = {f"{e.label}.{p.name}": (p.lower, p.upper) for e in machine.effects for p in e.definition.parameters}
+    for belt in machine.belts:
+        ranges = {c: machine.coordinate(c).range or (0.0, 0.0) for c in belt.length}
+        shortest = sum(min(factor * end for end in ranges[c]) for c, factor in belt.length.items())
+        free, factor = machine.ties.get(f"{belt.name}.rest_length", (f"{belt.name}.rest_length", 1.0))
+        smallest = (SMALLEST_FRACTION * belt.rest_length - shortest) / factor
+        bounds[free] = (max(smallest, bounds.get(free, (0.0, 0.0))[0]), math.inf)
+    return bounds
+
+
+class RuleSampler:
+    """Samples parameters by the rules of one occasion.
+
+    Args:
+        space: The parameters.
+        rules: Rules of all occasions.
+        machine: The machine, whose covariance `RandomizeIdentified` uses.
+        when: The occasion, "reset" or "startup"; rules of the other one are ignored.
+        before: Lower and upper values, (N,) each, that an earlier occasion leaves (default: the nominal values).
+
+    Attributes:
+        names: Full names of the parameters that change.
+        draws: Uniform numbers per sample.
+        low: Smallest value of every parameter after this occasion, shape (N,).
+        high: Largest value of every parameter after this occasion, shape (N,).
+
+    Raises:
+        InputError: If a rule matches no parameter, or can leave the limits of one.
+    """
+
+    def __init__(
+        self,
+        space: ParameterSpace,
+        rules: Sequence[Rule],
+        machine: Machine,
+        when: When,
+        before: tuple[Array, Array] | None = None,
+    ) -> None:
+        self._space = space
+        self.low, self.high = (edge.copy() for edge in (before or (space.nominal, space.nominal)))
+        self.draws = 0
+        # Index of the parameter, column of its uniform number, rule.
+        self._single: list[tuple[int, int, RandomizeParameter]] = []
+        # Indices of the parameters, column of the first uniform number, factor of the covariance.
+        self._joint: list[tuple[list[int], int, Array]] = []
+        for rule in rules:
+            if rule.when != when:
+                continue
+            if isinstance(rule, RandomizeParameter):
+                self._add_parameter_rule(rule)
+            else:
+                self._add_identified_rule(rule, machine)
+        changed = {i for i, _, _ in self._single} | {i for indices, _, _ in self._joint for i in indices}
+        self.names = tuple(space.names[i] for i in sorted(changed))
+
+    def _reserve(self, count: int) -> int:
+        """Reserve columns of uniform numbers and return the first."""
+        first = self.draws
+        self.draws += count
+        return first
+
+    def _add_parameter_rule(self, rule: RandomizeParameter) -> None:
+        """Add a rule, after a check that it matches a parameter and keeps within limits."""
+        indices = matching(self._space.names, rule)
+        if not indices:
+            similar = get_close_matches(rule.parameter, self._space.names, cutoff=0.4) or self._space.names[:3]
+            raise InputError(
+                f"randomize: machine {self._space.machine_name!r} and its task have no parameter {rule.parameter!r}; "
+                f"names are, for example, {', '.join(similar)}"
+            )
+        first = self._reserve(1 if rule.shared else len(indices))
+        for position, i in enumerate(indices):
+            self._single.append((i, first if rule.shared else first + position, rule))
+            self._widen(i, rule)
+
+    def _widen(self, i: int, rule: RandomizeParameter) -> None:
+        """Extend the range of parameter i by a rule; all four corners count, because a scale may be negative."""
+        extremes = rule.quantile(_EXTREME_UNIFORMS)
+        before = np.array([self.low[i], self.high[i]])
+        corners = np.concatenate([rule.apply(before, np.full(2, extreme)) for extreme in extremes])
+        if rule.bounded and i not in self._space.clipped:
+            for value in (corners.min(), corners.max()):
+                self._check_limits(rule, i, value, "can yield")
+        lower, upper = self._space.lower[i], self._space.upper[i]
+        self.low[i], self.high[i] = np.clip([corners.min(), corners.max()], lower, upper)
+
+    def _check_limits(self, rule: RandomizeParameter, i: int, value: float, verb: str) -> None:
+        """Raise InputError for a value of parameter i outside its limits (with room for two roundings)."""
+        lower, upper = self._space.lower[i], self._space.upper[i]
+        tolerance = 1e-12 * max(abs(lower), abs(value))
+        if not lower - tolerance <= value <= upper + tolerance:
+            advice = "" if rule.bounded else "; choose a bounded distribution"
+            raise InputError(
+                f"randomize: the rule {rule} {verb} {self._space.names[i]} = {value:g}, outside [{lower:g}, {upper:g}]"
+                + advice
+            )
+
+    def _add_identified_rule(self, rule: RandomizeIdentified, machine: Machine) -> None:
+        """Add joint samples of the identified parameters."""
+        uncertainty = machine.uncertainty
+        if uncertainty is None or not uncertainty.names:
+            raise InputError(
+                f"randomize: machine {machine.name!r} has no covariance; 'identified' needs a machine.json written by "
+                "`hframe identify`"
+            )
+        indices = [self._space.names.index(name) for name in uncertainty.names]
+        # Eigenvectors, because a covariance that is almost singular has no Cholesky factor.
+        variances, vectors = np.linalg.eigh(uncertainty.covariance)
+        factor = vectors * np.sqrt(np.maximum(variances, 0.0)) * rule.widen
+        self._joint.append((indices, self._reserve(len(indices)), factor))
+        reach = np.abs(factor).sum(axis=1) * float(ndtri(_EXTREME_UNIFORMS[1]))
+        self.low[indices] = np.maximum(self.low[indices] - reach, self._space.lower[indices])
+        self.high[indices] = np.minimum(self.high[indices] + reach, self._space.upper[indices])
+
+    def sample(self, base: Array, uniforms: Array) -> Array:
+        """Sample parameters.
+
+        Args:
+            base: Values before, shape (k, N).
+            uniforms: Uniform numbers in (0, 1), shape (k, draws).
+
+        Returns:
+            Values after, shape (k, N). Friction and noise that would be negative are zero.
+
+        Raises:
+            InputError: If an unbounded distribution yields a value outside the limits of a parameter.
+        """
+        values = base.copy()
+        samples: dict[int, Array] = {}  # by column of the uniform number, because a shared one is used several times
+        for i, column, rule in self._single:
+            if column not in samples:
+                samples[column] = rule.quantile(uniforms[:, column])
+            values[:, i] = self._limited(rule, i, rule.apply(values[:, i], samples[column]))
+        for indices, first, factor in self._joint:
+            normals = np.asarray(ndtri(uniforms[:, first : first + len(indices)]))
+            for row, i in enumerate(indices):
+                # Term by term: a matrix product may add in another order for another batch size.
+                for j in range(len(indices)):
+                    values[:, i] += factor[row, j] * normals[:, j]
+            values[:, indices] = np.clip(values[:, indices], self._space.lower[indices], self._space.upper[indices])
+        return values
+
+    def _limited(self, rule: RandomizeParameter, i: int, values: Array) -> Array:
+        """Return values (k,) of parameter i, clipped where that is allowed; raises InputError outside the limits."""
+        if i in self._space.clipped:
+            return np.clip(values, self._space.lower[i], self._space.upper[i])
+        if not rule.bounded and len(values):
+            if self._space.lower[i] == 0.0:
+                values = np.maximum(values, 0.0)
+            for value in (values.min(), values.max()):
+                self._check_limits(rule, i, float(value), "yielded")
+        return values
+
+
+class EpisodeSamples(NamedTuple):
+    """What k new episodes sample.
+
+    Attributes:
+        keys: Keys of the episodes' random numbers, shape (k,).
+        uniforms: Uniform numbers for the task, shape (k, n).
+        values: All parameters, shape (k, N).
+    """
+
+    keys: Keys
+    uniforms: Array
+    values: Array
 
 
 class MachineSampler:
-    """`count` machines drawn by rules, and the random numbers of their episodes.
+    """Samples the parameters of `count` environments, and the keys of their episodes' random numbers.
 
-    Each environment takes one number from its own generator when it is seeded; every episode's key is made of that
-    number and of how many episodes came before.
+    Each environment takes one number from its generator when it is seeded. The key of every episode is derived from
+    that number and the number of episodes before.
 
-    drawn: the randomised parameters by full name; columns: their places in `Machine.parameters`; low, high (P,):
-    between which values all parameters lie.
+    Args:
+        machine: The machine without randomization.
+        randomize: Preset or rules.
+        count: Number of environments.
+        task_parameters: Nominal values of the task's parameters by their short names.
+
+    Attributes:
+        space: The parameters, of number N.
+        names: Full names of the randomized ones, sorted.
+        columns: Their indices in `space.names`.
+        low: Smallest value of every parameter, shape (N,).
+        high: Largest value of every parameter, shape (N,).
     """
 
-    def __init__(self, machine: Machine, randomize: RandomizationLike, count: int) -> None:
-        rules = as_rules(randomize, machine)
-        self._startup = RuleSampler(machine, rules, "startup")
-        self._at_reset = RuleSampler(machine, rules, "reset", before=(self._startup.low, self._startup.high))
-        self.low, self.high = self._at_reset.low, self._at_reset.high
-        self.drawn = sorted({*self._startup.names, *self._at_reset.names})
-        self.columns = [list(machine.parameters).index(name) for name in self.drawn]
-        self._nominal = np.array(list(machine.parameters.values()))
-        self._base = np.tile(self._nominal, (count if self._startup.names else 1, 1))
-        self._to_start = np.ones(count, np.bool_)  # not seeded, or its startup draws not made yet
+    def __init__(
+        self,
+        machine: Machine,
+        randomize: RandomizationLike,
+        count: int,
+        task_parameters: Mapping[str, float] | None = None,
+    ) -> None:
+        self.space = ParameterSpace.of(machine, task_parameters)
+        rules = as_rules(randomize, self.space.names)
+        self._startup = RuleSampler(self.space, rules, machine, "startup")
+        self._reset = RuleSampler(self.space, rules, machine, "reset", (self._startup.low, self._startup.high))
+        self.low, self.high = self._reset.low, self._reset.high
+        self.names = sorted({*self._startup.names, *self._reset.names})
+        self.columns = [self.space.names.index(name) for name in self.names]
+        self._integers = [i for i in self.columns if self.space.names[i].endswith(".converter_bits")]
+        self._base = np.tile(self.space.nominal, (count if self._startup.names else 1, 1))
+        self._needs_startup = np.ones(count, np.bool_)  # not seeded, or not sampled since
         self._seeded = np.zeros(count, np.bool_)
         self._keys = np.zeros(count, np.uint64)
         self._episodes = np.zeros(count, np.int64)
 
     def seed(self, b: int, generator: np.random.Generator) -> None:
-        """Let environment b draw from a generator; its startup draws are made anew at the next reset."""
+        """Seed one environment; it samples its startup rules again at the next reset.
+
+        Args:
+            b: Index of the environment.
+            generator: Generator from which it takes one number.
+        """
         self._keys[b] = generator.bit_generator.random_raw()
         self._episodes[b] = 0
-        self._seeded[b] = self._to_start[b] = True
+        self._seeded[b] = self._needs_startup[b] = True
 
-    def shares(self, values: Array) -> Array:
-        """The drawn parameters of values (k, P) as shares (k, drawn) of their nominal values; as they are where those
-        are zero."""
-        nominal = self._nominal[self.columns]
+    def normalized(self, values: Array) -> Array:
+        """Divide the randomized parameters by their nominal values; those of nominal value zero stay as they are.
+
+        Args:
+            values: All parameters, shape (k, N).
+
+        Returns:
+            Randomized parameters, dimensionless, shape (k, len(names)).
+        """
+        nominal = self.space.nominal[self.columns]
         return values[:, self.columns] / np.where(nominal == 0.0, 1.0, nominal)
 
-    def bounds(self) -> dict[str, tuple[float, float]]:
-        """Between which shares each drawn parameter lies, by name."""
-        edges = np.sort(self.shares(np.stack([self.low, self.high])), axis=0)
-        return {name: (low, high) for name, (low, high) in zip(self.drawn, edges.T.tolist(), strict=True)}
+    def normalized_bounds(self) -> dict[str, tuple[float, float]]:
+        """Return the smallest and the largest normalized value of each randomized parameter, by full name."""
+        edges = np.sort(self.normalized(np.stack([self.low, self.high])), axis=0)
+        return {name: (low, high) for name, (low, high) in zip(self.names, edges.T.tolist(), strict=True)}
 
-    def draw(self, index: Index, more: int) -> tuple[Keys, Array, Array]:
-        """Keys (k,) of new episodes of environments index (k,), `more` uniform numbers (k, more), parameters (k, P)."""
+    def sample(self, index: Index, task_numbers: int) -> EpisodeSamples:
+        """Sample new episodes.
+
+        Args:
+            index: Environments whose episodes begin, shape (k,).
+            task_numbers: Uniform numbers per episode that the task needs.
+
+        Returns:
+            Keys, uniform numbers and parameters of the episodes.
+        """
         for b in index[~self._seeded[index]].tolist():
             self.seed(b, seeding.np_random()[0])
         if self._startup.names:
-            fresh = index[self._to_start[index]]
+            fresh = index[self._needs_startup[index]]
             keys = episode_keys(self._keys[fresh], np.full(len(fresh), -1))
-            nominal = np.tile(self._nominal, (len(fresh), 1))
-            self._base[fresh] = self._startup.draw(nominal, reset_uniforms(keys, self._startup.draws))
-            self._to_start[fresh] = False
+            nominal = np.tile(self.space.nominal, (len(fresh), 1))
+            self._base[fresh] = self._startup.sample(nominal, reset_uniforms(keys, self._startup.draws))
+            self._needs_startup[fresh] = False
         keys = episode_keys(self._keys[index], self._episodes[index])
         self._episodes[index] += 1
-        uniforms = reset_uniforms(keys, more + self._at_reset.draws)
+        uniforms = reset_uniforms(keys, task_numbers + self._reset.draws)
         base = self._base[index] if self._startup.names else np.repeat(self._base, len(index), axis=0)
-        return keys, uniforms[:, :more], self._at_reset.draw(base, uniforms[:, more:])
+        values = self._reset.sample(base, uniforms[:, task_numbers:])
+        values[:, self._integers] = np.rint(values[:, self._integers])
+        return EpisodeSamples(keys, uniforms[:, :task_numbers], values)

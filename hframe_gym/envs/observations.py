@@ -1,123 +1,277 @@
-"""What environments of a batch observe of their stages: the full state or sensors' readings, and what is privileged."""
+"""Builds the observations of a batch, from the full state or from measurements."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..dynamics.simd import LANES
-from .batched_simulator import BatchedSimulator, View
+from ..dynamics.simd import LANES, any_of, load, store, where
+from ..dynamics.simd_math import maximum, minimum
+from ..machine import Sensor
+from .batched_simulator import BatchedSimulator
+from .counter_rng import compiled
 from .machine_sampler import MachineSampler
-from .sensor_readings import read, report
-from .sensors import Sensors, channels, sensed_entries
-from .spaces import BEYOND, SignalSpec, privileged_entries, workspace
+from .measurements import SensorArray
+from .sensors import PositionFromSensors
+from .spaces import MARGIN, SignalSpec, bounds_of, privileged_signals, sensor_signals, state_signals, workspace_of
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Observation = dict[str, NDArray[np.float32]]
 
 
+class StateView(NamedTuple):
+    """Entries of a state that are observed, n of them; the first two are the tool position.
+
+    Attributes:
+        rows: Row of the state, its coordinate, and two coordinates whose product is added or -1, shape (n, 4).
+        box: Lower and upper bound in the coordinates' units, shape (2, n).
+    """
+
+    rows: Index
+    box: Array
+
+    @classmethod
+    def of(cls, simulator: BatchedSimulator, signals: Sequence[SignalSpec]) -> StateView:
+        """Return the view of state signals, clipped to float32 bounds as the space has them.
+
+        Args:
+            simulator: The batch of machines.
+            signals: Positions and velocities; x and y first.
+
+        Returns:
+            The view.
+        """
+        names = simulator.machine.coordinate_names
+        rows = np.full((len(signals), 4), -1)
+        for row, signal in zip(rows, signals, strict=True):
+            i = names.index(signal.coordinate)
+            row[:2] = i + len(names) * signal.velocity, i
+            if not signal.velocity:
+                row[2:] = simulator.tool_product(signal.coordinate)
+        box = np.stack(bounds_of(signals)).astype(np.float32)
+        return cls(rows, box.astype(np.float64))
+
+
 class ObservationBuilder:
-    """Looks at all stages of a batch.
+    """Builds the observations of a batch.
 
-    sensors: None for the full state.  drawn: for privileged observations, the bounds of each drawn parameter by name,
-    as shares of its nominal value (or as it is where that is zero); None for none.
+    Args:
+        simulator: The batch of machines.
+        sensors: The observed sensors; None for the full state.
+        sampler: Samples the parameters.
+        privileged: Whether observations have `privileged`.
 
-    entries, privileged: what each number of `observation` and of `privileged` is.
+    Attributes:
+        entries: Signals of `observation`.
+        privileged: Signals of `privileged`; empty without it.
+        measured: Whether sensors are observed instead of the state.
     """
 
     def __init__(
         self,
-        stages: BatchedSimulator,
-        sensors: Sensors | None,
-        drawn: Mapping[str, tuple[float, float]] | None,
+        simulator: BatchedSimulator,
+        sensors: tuple[Sensor, ...] | None,
+        sampler: MachineSampler,
+        *,
+        privileged: bool,
     ) -> None:
-        self._stages = stages
-        self.sensors = sensors
-        machine, count = stages.machine, stages.count
-        self.entries = sensed_entries(machine, sensors)
-        goals = workspace(machine) + np.array([-BEYOND, BEYOND])
-        self._tool = stages.view([("x", False), ("y", False)], goals[:, 0], goals[:, 1])
-        wanted = [e for e in self.entries if sensors is None or not e.velocity]
-        self._view = self._view_of(wanted)
-        self._readings = np.zeros((count, 2, len(wanted)))
-        self._keys = np.zeros(count, np.uint64)  # of each environment's episode, for its noise
-        if sensors is not None:
-            self._channels = channels(machine, sensors)
-            low, high = (np.array([getattr(e, edge) for e in self.entries]) for edge in ("low", "high"))
-            self._report = (stages.period, *self._channels[2:], low, high, goals)
-        self.privileged = () if drawn is None else privileged_entries(machine, drawn)
-        self._all_state = self._view_of([e for e in self.privileged if e.coordinate])
-        self._shares = np.zeros((count, len(drawn or {})), np.float32)
+        self._simulator = simulator
+        machine, count = simulator.machine, simulator.count
+        self.measured = sensors is not None
+        self.entries = state_signals(machine) if sensors is None else sensor_signals(machine, sensors)
+        goals = workspace_of(machine) + np.array([-MARGIN, MARGIN])
+        self._tool = StateView.of(simulator, state_signals(machine, ("x", "y"))[:2])
+        self._sensors: SensorArray | None = None
+        if sensors is None:
+            self._state = StateView.of(simulator, self.entries)
+        else:
+            self._sensors = SensorArray(machine, sensors, count, sampler.space.names.index)
+            self._position = PositionFromSensors.of(machine, sensors)
+            self._box = np.stack(bounds_of(self.entries))
+            self._goal_box = goals
+        self.privileged = privileged_signals(machine, sampler.normalized_bounds()) if privileged else ()
+        self._all_state = StateView.of(simulator, [s for s in self.privileged if s.coordinate])
+        self._parameters = np.zeros((count, len(sampler.names) if privileged else 0), np.float32)
 
-    def _view_of(self, wanted: Sequence[SignalSpec]) -> View:
-        # The box is float32; its edges may lie inside those of the entries.
-        low, high = (np.array([getattr(e, edge) for e in wanted], np.float32) for edge in ("low", "high"))
-        return self._stages.view([(e.coordinate, e.velocity) for e in wanted], low, high)
+    def _observe(
+        self, first: int, last: int, view: StateView, out: NDArray[np.float32], tool: NDArray[np.float32]
+    ) -> int:
+        """Write the entries of a view to out, and the tool position to tool; returns a broken environment or -1."""
+        simulator = self._simulator
+        broken: int = _observe(simulator.state, simulator.units_per_travel, *view, first, last, out, tool)
+        return broken
 
     def begin(
         self,
         index: Index,
         keys: NDArray[np.uint64],
         values: Array,
-        population: MachineSampler,
+        sampler: MachineSampler,
         elapsed: NDArray[np.int64],
     ) -> None:
-        """Episodes of environments index (k,) begin, with keys (k,) and parameters values (k, P)."""
-        self._keys[index] = keys
-        if self.privileged:
-            self._shares[index] = population.shares(values)
-        if self.sensors is not None:
-            self._read(index, elapsed, fresh=True)
+        """Begin episodes, after the simulator has placed them.
 
-    def read(self, first: int, last: int, elapsed: NDArray[np.int64]) -> None:
-        """Take the sensors' readings of blocks first..last-1 after elapsed (count,) periods of their episodes."""
-        if self.sensors is not None:
-            self._read(self._rows(first, last), elapsed, fresh=False)
+        Args:
+            index: Environments, shape (k,).
+            keys: Keys of the episodes, shape (k,).
+            values: Parameters, shape (k, N).
+            sampler: Sampled the parameters.
+            elapsed: Control periods since the reset of each environment, shape (count,).
+        """
+        if self.privileged:
+            self._parameters[index] = sampler.normalized(values)
+        if self._sensors is not None:
+            self._sensors.begin(index, keys, values)
+            self._sensors.measure(self._simulator.readings, index, elapsed, fresh=True)
+
+    def measure(self, first: int, last: int, elapsed: NDArray[np.int64]) -> None:
+        """Take the measurements of one control period.
+
+        Args:
+            first: First block.
+            last: Block after the last one.
+            elapsed: Control periods since the reset of each environment, shape (count,).
+        """
+        if self._sensors is not None:
+            self._sensors.measure(self._simulator.readings, self._rows(first, last), elapsed, fresh=False)
 
     def _rows(self, first: int, last: int) -> Index:
-        return np.arange(first * LANES, min(last * LANES, self._stages.count))
-
-    def _read(self, index: Index, elapsed: NDArray[np.int64], *, fresh: bool) -> None:
-        own = self._view.entries, *self._channels[:4]
-        read(*self._stages.tables, *own, self._keys, elapsed, index, fresh, self._readings)
+        """Return the environments of blocks first..last-1."""
+        return np.arange(first * LANES, min(last * LANES, self._simulator.count))
 
     def blank(self) -> tuple[Observation, NDArray[np.float32]]:
-        """Arrays for the observations of all environments, without goals, and for where the tools are (count, 2)."""
-        count = self._stages.count
-        achieved = np.empty((count, 2), np.float32)
+        """Allocate an observation.
+
+        Returns:
+            Arrays of the observation without goals, first axis count, and of the true tool positions, (count, 2).
+        """
+        count = self._simulator.count
         observation = {
             "observation": np.empty((count, len(self.entries)), np.float32),
-            "achieved_goal": achieved,
+            "achieved_goal": np.empty((count, 2), np.float32),
         }
         if self.privileged:
             observation["privileged"] = np.empty((count, len(self.privileged)), np.float32)
-        return observation, self.tool(observation)
+        return observation, self.tool_array(observation)
 
-    def tool(self, observation: Observation) -> NDArray[np.float32]:
-        """An array (count, 2) for where the tools are: with the full state, that is what is achieved."""
+    def tool_array(self, observation: Observation) -> NDArray[np.float32]:
+        """Return the array for the true tool positions, (count, 2): `achieved_goal` where the state is observed."""
         achieved = observation["achieved_goal"]
-        return achieved if self.sensors is None else np.empty_like(achieved)
+        return np.empty_like(achieved) if self.measured else achieved
 
-    def see(self, first: int, last: int, observation: Observation, tool: NDArray[np.float32]) -> int:
-        """Write what environments of blocks first..last-1 observe; returns one that is not finite, or -1."""
-        look = self._stages.observe
-        if self.sensors is None:
-            broken = look(first, last, self._view, observation["observation"], tool)
+    def write(self, first: int, last: int, observation: Observation, tool: NDArray[np.float32]) -> int:
+        """Write the observations of blocks first..last-1.
+
+        Args:
+            first: First block.
+            last: Block after the last one.
+            observation: Output, from `blank`.
+            tool: Output, true tool positions, m, shape (count, 2).
+
+        Returns:
+            Index of an environment whose state is not finite, or -1.
+        """
+        observe = self._observe
+        if self._sensors is None:
+            broken = observe(first, last, self._state, observation["observation"], tool)
         else:
-            broken = look(first, last, self._tool, tool, tool)
-            index = self._rows(first, last)
-            out = observation["observation"], observation["achieved_goal"]
-            report(self._readings, *self._report, index, *out)
+            broken = observe(first, last, self._tool, tool, tool)
+            self._write_measurements(self._sensors, first, last, observation)
         if self.privileged:
             rows = observation["privileged"]
-            broken = max(broken, look(first, last, self._all_state, rows, tool))
-            own = slice(first * LANES, last * LANES)
-            rows[own, len(self._all_state.entries) :] = self._shares[own]
+            broken = max(broken, observe(first, last, self._all_state, rows, tool))
+            block_rows = slice(first * LANES, last * LANES)
+            rows[block_rows, len(self._all_state.rows) :] = self._parameters[block_rows]
         return broken
 
-    def see_tools(self, first: int, last: int, tool: NDArray[np.float32]) -> None:
-        """Write where the tools of blocks first..last-1 are into tool (count, 2)."""
-        self._stages.observe(first, last, self._tool, tool, tool)
+    def _write_measurements(self, sensors: SensorArray, first: int, last: int, observation: Observation) -> None:
+        """Write `observation` and `achieved_goal` of blocks first..last-1 from measurements."""
+        limits, boxes = (sensors.low, sensors.high), (self._box, self._goal_box)
+        position = self._position.belts, self._position.direct, self._position.scale
+        out = observation["observation"], observation["achieved_goal"]
+        index = self._rows(first, last)
+        _write_measurements(sensors.measurements, self._simulator.period, *limits, *position, *boxes, index, *out)
+
+    def write_tool(self, first: int, last: int, tool: NDArray[np.float32]) -> None:
+        """Write the true tool positions of blocks first..last-1, m, to tool, shape (count, 2)."""
+        self._observe(first, last, self._tool, tool, tool)
+
+
+@compiled
+def _write_measurements(
+    measurements: Any,
+    period: float,
+    range_low: Any,
+    range_high: Any,
+    belts: Any,
+    direct: Any,
+    scale: Any,
+    box: Any,
+    goal_box: Any,
+    index: Any,
+    out: Any,
+    achieved: Any,
+) -> None:
+    """Write observations out (B, 2 n) and achieved (B, 2) of environments index (k,) from measurements (B, 2, n).
+
+    achieved is the measurement of x and y itself where that is strictly inside its range (B, n), else the position that
+    the other sensors give on unstretched belts. All are clipped to box (2, 2 n) and goal_box (2, 2).
+    """
+    n = measurements.shape[2]
+    for i in range(index.shape[0]):
+        b = index[i]
+        for j in range(n):
+            now = measurements[b, 0, j]
+            out[b, j] = np.float32(min(box[1, j], max(box[0, j], now)))
+            rate = (now - measurements[b, 1, j]) / period
+            out[b, n + j] = np.float32(min(box[1, n + j], max(box[0, n + j], rate)))
+        for axis in range(2):
+            position = 0.0
+            undetermined = True
+            for j in range(n):
+                position += belts[axis, j] * measurements[b, 0, j]
+                undetermined = undetermined and belts[axis, j] == 0.0
+            j = direct[axis]
+            if j >= 0 and (undetermined or range_low[b, j] < measurements[b, 0, j] < range_high[b, j]):
+                position = scale[axis] * measurements[b, 0, j]
+            achieved[b, axis] = np.float32(min(goal_box[axis, 1], max(goal_box[axis, 0], position)))
+
+
+@compiled
+def _observe(state: Any, units: Any, entries: Any, box: Any, first: int, last: int, out: Any, tool: Any) -> int:
+    """Write entries (n, 4) of the state as float32 to out (B, n or more), the first two also to tool (B, 2).
+
+    units (blocks, coordinates, LANES): units per metre of travel; box (2, n). Returns a machine whose state is not
+    finite, or -1.
+    """
+    count = entries.shape[0]
+    values = np.empty((count + 1, LANES))
+    broken = -1
+    for block in range(first, last):
+        begin = block * LANES
+        block_state, block_units = state[block], units[block]
+        residue = load(block_state, 0) * 0.0  # stays zero until a value is not finite
+        for j in range(count):
+            value = load(block_state, entries[j, 0]) * load(block_units, entries[j, 1])
+            a, b = entries[j, 2], entries[j, 3]
+            if a >= 0:
+                across = load(block_state, b) * load(block_units, b)
+                value = value + load(block_state, a) * load(block_units, a) * across
+            residue = residue + (value - value)
+            store(values, j, minimum(maximum(value, box[0, j]), box[1, j]))
+        for lane in range(min(LANES, out.shape[0] - begin)):
+            for j in range(count):
+                out[begin + lane, j] = values[j, lane]
+            for j in range(2):
+                tool[begin + lane, j] = values[j, lane]
+        if any_of(where(residue == 0.0, 0.0, 1.0) > 0.0):
+            store(values, count, residue)
+            for lane in range(LANES):
+                if broken < 0 and not math.isfinite(values[count, lane]):
+                    broken = begin + lane
+    return broken

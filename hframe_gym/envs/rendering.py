@@ -1,6 +1,6 @@
-"""Pictures of a stage: frame, bridge, cart, the belt along its path coloured by tension, target and trail.
+"""Pictures of a stage from above: frame, bridge, cart, the belt colored by tension, goal and trail.
 
-Drawn with pygame, the extra `render`, from above: x to the right, y up.
+Drawn with pygame, the extra `render`; x points to the right and y upward.
 """
 
 from __future__ import annotations
@@ -13,25 +13,46 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import InputError
 from ..machine import Machine
-from .belt_path import RADIUS, BeltGeometry, Point, section_tension
 
 if TYPE_CHECKING:
     from .environment_batch import EnvironmentBatch
 
-TRAIL = 300  # points of the trail that are kept
+Point = tuple[float, float]
+Color = tuple[int, int, int]
+
+TRAIL_LENGTH = 300  # points
 PATH_S = 3.0  # s of an episode for which the path of a moving goal is drawn
 WIDTH, HEIGHT = 880, 660  # pixels
-FULL_COLOUR = 40.0  # N of tension beyond (or below) pretension for the full colour
+FULL_COLOR_TENSION = 40.0  # N above or below the pretension for the full color
+PULLEY_RADIUS = 0.0194  # m
+HALF_BRIDGE = 0.045  # m, from the bridge's middle to the belts at its sides
+CLEARANCE = 0.075  # m, from the workspace to the frame
 
 PAPER, RAIL, BODY, CART, INK = (250, 250, 248), (214, 217, 222), (176, 183, 193), (92, 103, 120), (44, 50, 60)
 SLACK, NEUTRAL, TAUT, UNKNOWN = (43, 108, 196), (146, 146, 150), (214, 48, 39), (120, 120, 124)
 TARGET, PATH, TRACE = (22, 140, 92), (150, 206, 178), (238, 140, 20)
 
+# The lumped belts of the 8th-order model and the belt sections of the 20th-order model that each consists of.
+LUMPED_SECTIONS = {"left": ("s1", "s5", "s7"), "right": ("s2", "s6", "s8"), "bottom": ("s3", "s4", "s9")}
+
 
 @dataclass(frozen=True)
 class Scene:
-    """What a picture shows.  position, target, trail, path: m.  angles: of the motors, rad.  tensions: by belt, N."""
+    """What a picture shows.
+
+    Attributes:
+        position: Tool position, m.
+        target: Goal, m.
+        band: Tolerance around the goal, m.
+        angles: Angles of the motors, rad.
+        tensions: Tensions beyond the pretension by belt, N.
+        trail: Past tool positions, m.
+        path: Path of a moving goal, m.
+        time_s: Time since the reset, s.
+        distance: Distance from tool to goal, m.
+    """
 
     position: Point
     target: Point
@@ -43,70 +64,171 @@ class Scene:
     time_s: float
     distance: float
 
+    @classmethod
+    def of(cls, batch: EnvironmentBatch, b: int, trail: Sequence[Point]) -> Scene:
+        """Return the scene of one environment.
 
-def scene(batch: EnvironmentBatch, b: int, trail: Sequence[Point]) -> Scene:
-    """The scene of environment b of a batch."""
-    index = np.array([b])
-    position = batch.stages.positions(b)
-    # A drive that turns no pulley is drawn at rest.
-    turning = [d.coordinate for d in batch.machine.drives if batch.machine.coordinate(d.coordinate).kind == "rotary"]
-    angles = [position[c] for c in turning[:2]] + [0.0, 0.0]
-    x, y = batch.goals.now(index)[0].tolist()
-    return Scene(
-        position=(position["x"], position["y"]),
-        target=(x, y),
-        band=batch.task.band,
-        angles=(angles[0], angles[1]),
-        tensions=batch.stages.tensions(b),
-        trail=list(trail),
-        path=batch.goals.path(b, np.arange(0.0, PATH_S, batch.settings.period)).tolist(),
-        time_s=float(batch.elapsed[b] * batch.settings.period),
-        distance=float(batch.distance(index)[0]),
-    )
+        Args:
+            batch: The batch.
+            b: Index of the environment.
+            trail: Past tool positions, m.
+
+        Returns:
+            The scene.
+        """
+        index = np.array([b])
+        position = batch.simulator.positions(b)
+        # A drive without a pulley is drawn at rest.
+        drives = [d.coordinate for d in batch.machine.drives if batch.machine.coordinate(d.coordinate).kind == "rotary"]
+        angles = [position[c] for c in drives[:2]] + [0.0, 0.0]
+        x, y = batch.references.goals(index)[0].tolist()
+        period = batch.config.period
+        return cls(
+            position=(position["x"], position["y"]),
+            target=(x, y),
+            band=batch.task.band,
+            angles=(angles[0], angles[1]),
+            tensions=batch.simulator.tensions(b),
+            trail=list(trail),
+            path=batch.references.path(b, np.arange(0.0, PATH_S, period)).tolist(),
+            time_s=float(batch.elapsed[b] * period),
+            distance=float(batch.distance(index)[0]),
+        )
 
 
-def check_mode(mode: str | None, known: Sequence[str]) -> str | None:
-    """The render mode, if it is one.
+class BeltGeometry:
+    """Positions of the pulleys, and the path of the belt around them.
 
-    Raises ValueError for an unknown mode.
+    The path follows the sections of the 20th-order model (eq. 25-34): from the cart down the left side of the bridge,
+    out along the frame, around two corner pulleys (the right one is the motor), back to the right side of the bridge,
+    up, and the same above.
+
+    Args:
+        workspace: Rows x and y, columns low and high, m, shape (2, 2).
     """
-    if mode is not None and mode not in known:
-        raise ValueError(f"render_mode is {mode!r}, choose one of {', '.join(known)} or None")
+
+    def __init__(self, workspace: NDArray[np.float64]) -> None:
+        (self.left, self.right), (self.low, self.high) = workspace.tolist()
+        out = CLEARANCE + HALF_BRIDGE
+        self.x0, self.x1 = self.left - out, self.right + out
+        self.y0, self.y1 = self.low - CLEARANCE, self.high + CLEARANCE
+        # phi3 and phi1 (motor) below, phi4 and phi2 (motor) above.
+        self.corners = [(self.x0, self.y0), (self.x1, self.y0), (self.x0, self.y1), (self.x1, self.y1)]
+
+    def bridge_pulleys(self, x: float) -> list[Point]:
+        """Return the centers of phi7, phi5 (below), phi8 and phi6 (above), m, for a bridge at x, m."""
+        d, rise = HALF_BRIDGE + PULLEY_RADIUS, 2 * PULLEY_RADIUS
+        return [(x - d, self.y0 + rise), (x + d, self.y0 + rise), (x - d, self.y1 - rise), (x + d, self.y1 - rise)]
+
+    def sections(self, x: float, y: float) -> dict[str, list[Point]]:
+        """Return the lines of the belt sections.
+
+        Args:
+            x: Tool position, m.
+            y: Tool position, m.
+
+        Returns:
+            Points of sections s1 to s9, m.
+        """
+        phi7, phi5, phi8, phi6 = self.bridge_pulleys(x)
+        phi3, phi1, phi4, phi2 = self.corners
+        half = math.pi / 2
+        side, r = HALF_BRIDGE, PULLEY_RADIUS
+        return {
+            "s7": [(x - side, y), (x - side, phi7[1]), *_arc(phi7, 0.0, -half)],
+            "s5": [(phi7[0], phi7[1] - r), (phi3[0], phi3[1] + r), *_arc(phi3, half, 3 * half)],
+            "s1": [(phi3[0], phi3[1] - r), (phi1[0], phi1[1] - r), *_arc(phi1, -half, half)],
+            "s3": [(phi1[0], phi1[1] + r), (phi5[0], phi5[1] - r), *_arc(phi5, -half, -2 * half)],
+            "s9": [(x + side, phi5[1]), (x + side, phi6[1]), *_arc(phi6, 2 * half, half)],
+            "s4": [(phi6[0], phi6[1] + r), (phi2[0], phi2[1] - r), *_arc(phi2, -half, half)],
+            "s2": [(phi2[0], phi2[1] + r), (phi4[0], phi4[1] + r), *_arc(phi4, half, 3 * half)],
+            "s6": [(phi4[0], phi4[1] - r), (phi8[0], phi8[1] + r), *_arc(phi8, half, 0.0)],
+            "s8": [(x - side, phi8[1]), (x - side, y)],
+        }
+
+
+def _arc(center: Point, start: float, end: float) -> list[Point]:
+    """Return points on a pulley from one angle to another, rad."""
+    angles = np.linspace(start, end, max(2, int(abs(end - start) / 0.2) + 1)).tolist()
+    return [(center[0] + PULLEY_RADIUS * math.cos(a), center[1] + PULLEY_RADIUS * math.sin(a)) for a in angles]
+
+
+def section_tension(tensions: dict[str, float], section: str) -> float | None:
+    """Return the tension of a section.
+
+    Args:
+        tensions: Tensions by belt, N.
+        section: "s1" to "s9".
+
+    Returns:
+        The tension of the section's belt or of the lumped belt that it is part of, N; None if the machine has neither.
+    """
+    lumped = next(name for name, sections in LUMPED_SECTIONS.items() if section in sections)
+    return tensions.get(section, tensions.get(lumped))
+
+
+def check_render_mode(mode: str | None, modes: Sequence[str]) -> str | None:
+    """Check a render mode.
+
+    Args:
+        mode: The render mode.
+        modes: Those there are.
+
+    Returns:
+        The render mode.
+
+    Raises:
+        InputError: If it is unknown.
+    """
+    if mode is not None and mode not in modes:
+        raise InputError(f"render_mode is {mode!r}; choose one of {', '.join(modes)} or None")
     return mode
 
 
-def load_pygame() -> Any:
-    """pygame, imported where it is needed.
+def tension_color(tension: float | None) -> Color:
+    """Return the color of a belt: blue below its pretension, red above it.
 
-    Raises ImportError naming the extra that installs it.
+    Args:
+        tension: Tension beyond the pretension, N; None if it is not known.
+
+    Returns:
+        Red, green and blue, 0 to 255.
     """
-    try:
-        import pygame
-    except ImportError as error:
-        raise ImportError("rendering needs pygame: pip install 'hframe-gym[render]'") from error
-    return pygame
-
-
-def tension_colour(tension: float | None) -> tuple[int, int, int]:
-    """Blue where a belt is slacker than its pretension, red where it is tighter, by N."""
     if tension is None or not math.isfinite(tension):
         return UNKNOWN
-    share = min(1.0, abs(tension) / FULL_COLOUR)
+    fraction = min(1.0, abs(tension) / FULL_COLOR_TENSION)
     end = TAUT if tension > 0 else SLACK
-    r, g, b = (round(a + share * (e - a)) for a, e in zip(NEUTRAL, end, strict=True))
+    r, g, b = (round(a + fraction * (e - a)) for a, e in zip(NEUTRAL, end, strict=True))
     return r, g, b
 
 
+def _load_pygame() -> Any:
+    """Import pygame; raises ImportError with the extra that installs it."""
+    try:
+        import pygame
+    except ImportError as error:
+        raise ImportError("rendering needs pygame: pip install 'hframe_gym[render]'") from error
+    return pygame
+
+
 class Renderer:
-    """Draws scenes of one machine, into a window (mode human) or an array (rgb_array)."""
+    """Draws scenes of one machine into a window or an array.
+
+    Args:
+        machine: The machine.
+        mode: "human" (a window) or "rgb_array".
+        fps: Pictures per second of the window.
+
+    Raises:
+        ImportError: If pygame is missing; the message names the extra.
+    """
 
     def __init__(self, machine: Machine, mode: str, fps: int) -> None:
-        self._pygame = load_pygame()
-        self.mode = mode
-        self.fps = fps
+        self._pygame = _load_pygame()
+        self._mode, self._fps = mode, fps
         self._geometry = BeltGeometry(np.array([machine.coordinate(name).range for name in ("x", "y")]))
         g = self._geometry
-        margin = 0.06
+        margin = 0.06  # m
         self._scale = min(WIDTH / (g.x1 - g.x0 + 2 * margin), (HEIGHT - 40) / (g.y1 - g.y0 + 2 * margin))
         self._middle = ((g.x0 + g.x1) / 2, (g.y0 + g.y1) / 2)
         self._surface = self._pygame.Surface((WIDTH, HEIGHT))
@@ -116,20 +238,23 @@ class Renderer:
         self._window: Any = None
         self._clock: Any = None
 
-    def _at(self, point: Point) -> tuple[int, int]:
+    def _pixel(self, point: Point) -> tuple[int, int]:
+        """Return the pixel of a point, m."""
         x = WIDTH / 2 + (point[0] - self._middle[0]) * self._scale
         y = (HEIGHT + 30) / 2 - (point[1] - self._middle[1]) * self._scale
         return round(x), round(y)
 
-    def _length(self, metres: float) -> int:
-        return max(1, round(metres * self._scale))
+    def _pixels(self, length: float) -> int:
+        """Return a length, m, in pixels."""
+        return max(1, round(length * self._scale))
 
     def _box(self, x0: float, y0: float, x1: float, y1: float) -> Any:
-        (left, bottom), (right, top) = self._at((x0, y0)), self._at((x1, y1))
+        """Return the rectangle between two corners, m."""
+        (left, bottom), (right, top) = self._pixel((x0, y0)), self._pixel((x1, y1))
         return self._pygame.Rect(left, top, right - left, bottom - top)
 
     def _draw_frame(self) -> Any:
-        """What does not move: the frame's rails, the workspace's edge."""
+        """Draw what does not move: the rails of the frame and the edge of the workspace."""
         surface, draw, g = self._pygame.Surface((WIDTH, HEIGHT)), self._pygame.draw, self._geometry
         surface.fill(PAPER)
         for y in (g.y0, g.y1):
@@ -138,70 +263,74 @@ class Renderer:
         return surface
 
     def draw(self, scene: Scene) -> NDArray[np.uint8] | None:
-        """The picture (HEIGHT, WIDTH, 3) in mode rgb_array; shows it and returns None in mode human."""
+        """Draw a scene.
+
+        Args:
+            scene: The scene.
+
+        Returns:
+            The picture, shape (HEIGHT, WIDTH, 3), in mode "rgb_array"; None in mode "human", which shows it.
+        """
         surface, draw = self._surface, self._pygame.draw
         surface.blit(self._background, (0, 0))
         self._draw_bridge(scene.position[0])
-        self._draw_belt(scene)
+        for name, points in self._geometry.sections(*scene.position).items():
+            color = tension_color(section_tension(scene.tensions, name))
+            draw.lines(surface, color, False, [self._pixel(p) for p in points], 4)
         self._draw_pulleys(scene)
         x, y = scene.position
         draw.rect(surface, CART, self._box(x - 0.055, y - 0.028, x + 0.055, y + 0.028), border_radius=6)
         self._draw_line(scene.path, PATH, 3)
         self._draw_line(scene.trail, TRACE, 2)
         self._draw_target(scene)
-        draw.circle(surface, PAPER, self._at(scene.position), 5)
-        draw.circle(surface, INK, self._at(scene.position), 2)
+        draw.circle(surface, PAPER, self._pixel(scene.position), 5)
+        draw.circle(surface, INK, self._pixel(scene.position), 2)
         text = f"t = {scene.time_s:.2f} s    distance = {1e3 * scene.distance:.3f} mm    belts: "
-        self._write(text + "    ".join(f"{k} {v:+.0f} N" for k, v in list(scene.tensions.items())[:3]))
-        return self._show()
+        text += "    ".join(f"{k} {v:+.0f} N" for k, v in list(scene.tensions.items())[:3])
+        surface.blit(self._font.render(text, True, INK), (16, 12))
+        return self._output()
 
     def _draw_bridge(self, x: float) -> None:
+        """Draw the bridge at x, m."""
         g, draw = self._geometry, self._pygame.draw
         for y, inward in ((g.y0, 1.0), (g.y1, -1.0)):
             low, high = sorted((y - 0.012 * inward, y + 0.062 * inward))
             draw.rect(self._surface, BODY, self._box(x - 0.092, low, x + 0.092, high), border_radius=8)
         draw.rect(self._surface, BODY, self._box(x - 0.025, g.y0, x + 0.025, g.y1), border_radius=4)
 
-    def _draw_line(self, points: Sequence[Point], colour: tuple[int, int, int], width: int) -> None:
-        pixels = [self._at(p) for p in points]
+    def _draw_line(self, points: Sequence[Point], color: Color, width: int) -> None:
+        """Draw a line through points, m, of a width in pixels."""
+        pixels = [self._pixel(p) for p in points]
         if len(pixels) > 1:
-            self._pygame.draw.lines(self._surface, colour, False, pixels, width)
+            self._pygame.draw.lines(self._surface, color, False, pixels, width)
 
     def _draw_target(self, scene: Scene) -> None:
-        draw, (x, y) = self._pygame.draw, self._at(scene.target)
+        """Draw the goal and its tolerance."""
+        draw, (x, y) = self._pygame.draw, self._pixel(scene.target)
         for dx, dy in ((1, 0), (0, 1)):
             draw.line(self._surface, TARGET, (x - 14 * dx, y - 14 * dy), (x + 14 * dx, y + 14 * dy), 2)
-        draw.circle(self._surface, TARGET, (x, y), max(9, self._length(scene.band)), 2)
-
-    def _draw_belt(self, scene: Scene) -> None:
-        for name, points in self._geometry.sections(*scene.position).items():
-            colour = tension_colour(section_tension(scene.tensions, name))
-            pixels = [self._at(p) for p in points]
-            self._pygame.draw.lines(self._surface, colour, False, pixels, 4)
+        draw.circle(self._surface, TARGET, (x, y), max(9, self._pixels(scene.band)), 2)
 
     def _draw_pulleys(self, scene: Scene) -> None:
+        """Draw the pulleys, those of the motors with spokes."""
         draw, g = self._pygame.draw, self._geometry
-        inner = self._length(RADIUS) - 2
-        # Seen from above with the belt's sections as drawn, a positive angle turns motor 1 and 2 against the clock.
+        inner = self._pixels(PULLEY_RADIUS) - 2
+        # From above, with the belt as drawn, a positive angle turns both motors counterclockwise.
         spokes = {1: scene.angles[0], 3: scene.angles[1]}
-        for i, centre in enumerate([*g.corners, *g.bridge_pulleys(scene.position[0])]):
-            at = self._at(centre)
-            draw.circle(self._surface, INK if i in spokes else CART, at, inner)
-            draw.circle(self._surface, PAPER, at, inner - 2)
-            if i in spokes:
-                a = spokes[i]
-                for turn in range(3):
-                    angle = a + turn * 2 * math.pi / 3
-                    end = (at[0] + (inner - 2) * math.cos(angle), at[1] - (inner - 2) * math.sin(angle))
-                    draw.line(self._surface, INK, at, end, 3)
-            draw.circle(self._surface, INK, at, 3)
+        for i, center in enumerate([*g.corners, *g.bridge_pulleys(scene.position[0])]):
+            pixel = self._pixel(center)
+            draw.circle(self._surface, INK if i in spokes else CART, pixel, inner)
+            draw.circle(self._surface, PAPER, pixel, inner - 2)
+            for turn in range(3 if i in spokes else 0):
+                angle = spokes[i] + turn * 2 * math.pi / 3
+                end = (pixel[0] + (inner - 2) * math.cos(angle), pixel[1] - (inner - 2) * math.sin(angle))
+                draw.line(self._surface, INK, pixel, end, 3)
+            draw.circle(self._surface, INK, pixel, 3)
 
-    def _write(self, text: str) -> None:
-        self._surface.blit(self._font.render(text, True, INK), (16, 12))
-
-    def _show(self) -> NDArray[np.uint8] | None:
+    def _output(self) -> NDArray[np.uint8] | None:
+        """Return the picture in mode "rgb_array", or show it in the window."""
         pygame = self._pygame
-        if self.mode == "rgb_array":
+        if self._mode == "rgb_array":
             pixels: NDArray[np.uint8] = np.ascontiguousarray(pygame.surfarray.array3d(self._surface).swapaxes(0, 1))
             return pixels
         if self._window is None:
@@ -212,7 +341,7 @@ class Renderer:
         self._window.blit(self._surface, (0, 0))
         pygame.event.pump()
         pygame.display.flip()
-        self._clock.tick(self.fps)
+        self._clock.tick(self._fps)
         return None
 
     def close(self) -> None:

@@ -1,20 +1,22 @@
-"""What the observation is read by: the full state, or the sensors of a rig.
+"""Sensors of an environment: the machine's, as declared or changed to those of a rig.
 
-The paper's rig (section II) has incremental encoders on the motors' shafts, 512 lines read in quadrature before a gear
-of 5.9:1, and two lasers of 100 mm range on x and y that keep their last valid reading beyond it.
+The machine declares its sensors (channel, kind, noise, resolution; their range, delay, skew and scale are effects). The
+option `sensors` uses them as they are, or first changes them to those of a rig. `measurements` simulates them.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..machine import Machine, rest_state
-from .spaces import SignalSpec, entries
+from ..effects import EFFECTS
+from ..errors import InputError
+from ..machine import Machine, Sensor, rest_state
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -22,25 +24,38 @@ Index = NDArray[np.intp]
 
 @dataclass(frozen=True)
 class Encoders:
-    """Counters on the shafts of the driven coordinates, homed where x = y = 0.  lines: a turn of the motor."""
+    """Incremental encoders on the shafts of the motors, homed where x = y = 0.
+
+    Args:
+        lines: Lines per motor turn; read in quadrature, four counts per line.
+    """
 
     lines: int = 512
 
     def __post_init__(self) -> None:
         if not self.lines >= 1:
-            raise ValueError(f"sensors: lines is {self.lines!r}, it must be at least 1")
+            raise InputError(f"sensors: lines is {self.lines!r}, it must be at least 1")
 
     def quantum(self, gear_ratio: float) -> float:
-        """Angle of one count behind the gear, rad; a line has four edges."""
+        """Return the angle of one count behind a gear.
+
+        Args:
+            gear_ratio: Turns of the motor per turn of the pulley.
+
+        Returns:
+            Angle, rad.
+        """
         return 2.0 * math.pi / (4.0 * self.lines * gear_ratio)
 
 
 @dataclass(frozen=True)
 class Lasers:
-    """Distance sensors on x and y.
+    """Laser distance sensors on x and y. Beyond its range a laser shows the end of the range.
 
-    span: length of the range, m (inf: everywhere).  centre: (x, y) of its middle, m.  noise: standard deviation, m, of
-    independent normal noise on each reading.  A reading sticks at the end of the range.
+    Args:
+        span: Length of the range, m; inf for an unlimited one.
+        centre: Middle (x, y) of the range, m.
+        noise: Standard deviation of the noise of each measurement, m.
     """
 
     span: float = 0.1
@@ -49,24 +64,25 @@ class Lasers:
 
     def __post_init__(self) -> None:
         if not self.span > 0.0:
-            raise ValueError(f"sensors: span is {self.span!r}, it must be a positive number of metres")
+            raise InputError(f"sensors: span is {self.span!r}, it must be a positive number of metres")
         if not (math.isfinite(self.noise) and self.noise >= 0.0):
-            raise ValueError(f"sensors: noise is {self.noise!r}, it must be a number of metres that is not negative")
+            raise InputError(f"sensors: noise is {self.noise!r}, it must be a number of metres that is not negative")
         if len(self.centre) != 2 or not all(map(math.isfinite, self.centre)):
-            raise ValueError(f"sensors: centre is {self.centre!r}, it must be (x, y) in m")
+            raise InputError(f"sensors: centre is {self.centre!r}, it must be (x, y) in m")
 
 
 @dataclass(frozen=True)
 class Sensors:
-    """Encoders and lasers of a rig, None for those it lacks.
+    """Encoders and lasers of a rig, in place of what the machine declares for x, y and the driven coordinates.
 
-    Entries of the observation are those of the full state, as far as there is a sensor: positions are readings, and
-    velocities the difference of the last two over the control period, unfiltered.  `achieved_goal` is what these
-    sensors know of the tool: the laser's reading strictly inside its range, else the position that the encoders' angles
-    mean on unstretched belts.  Effects of the machine's own sensors (skew, scale, range, delay) are about its
-    recordings; they do not act on these.
+    Effects at these channels that identification found (delay, skew, scale) stay; the range is that of `lasers`.
 
-    Raises ValueError without any sensor.
+    Args:
+        encoders: The encoders, or None for none.
+        lasers: The lasers, or None for none.
+
+    Raises:
+        InputError: If there is neither.
     """
 
     encoders: Encoders | None = Encoders()
@@ -74,71 +90,234 @@ class Sensors:
 
     def __post_init__(self) -> None:
         if self.encoders is None and self.lasers is None:
-            raise ValueError("sensors: neither encoders nor lasers; choose sensors='state' for the full state")
+            raise InputError("sensors: neither encoders nor lasers; choose sensors='state' for the full state")
+
+    def apply(self, machine: Machine) -> Machine:
+        """Return the machine with these sensors declared.
+
+        Args:
+            machine: The machine.
+
+        Returns:
+            A machine whose sensors of x, y and the driven coordinates have this noise, resolution and range.
+        """
+        if self.encoders is not None:
+            for drive in machine.drives:
+                quantum = self.encoders.quantum(drive.gear_ratio)
+                machine = _with_sensor(machine, drive.coordinate, noise=0.0, resolution=quantum, kind="encoder")
+        if self.lasers is not None:
+            for axis, middle in zip(("x", "y"), self.lasers.centre, strict=True):
+                machine = _with_sensor(machine, axis, noise=self.lasers.noise, resolution=0.0, kind="laser")
+                low, high = middle - self.lasers.span / 2, middle + self.lasers.span / 2
+                machine = _with_range(machine, _sensor_of(machine, axis), low, high)
+        return machine
+
+    def observed(self, machine: Machine) -> tuple[Sensor, ...]:
+        """Return the sensors that an environment observes.
+
+        Args:
+            machine: A machine from `apply`.
+
+        Returns:
+            Sensors in the order of the observation.
+        """
+        lasers = ("x", "y") if self.lasers is not None else ()
+        encoders = tuple(d.coordinate for d in machine.drives) if self.encoders is not None else ()
+        return tuple(machine.sensor(_sensor_of(machine, name)) for name in dict.fromkeys((*lasers, *encoders)))
 
 
-RIG = Sensors()
-SensorsLike: TypeAlias = Literal["state", "rig"] | Sensors
+@dataclass(frozen=True)
+class DeclaredSensors:
+    """The sensors that the machine declares, as they are."""
+
+    def apply(self, machine: Machine) -> Machine:
+        """Return the machine unchanged."""
+        return machine
+
+    def observed(self, machine: Machine) -> tuple[Sensor, ...]:
+        """Return the sensors that an environment observes.
+
+        Args:
+            machine: The machine.
+
+        Returns:
+            All sensors: those of x, of y, of the driven coordinates, and the others.
+        """
+        first = ["x", "y", *(d.coordinate for d in machine.drives)]
+        order = [*first, *(c for c in machine.coordinate_names if c not in first)]
+        return tuple(sorted(machine.sensors, key=lambda sensor: order.index(sensor.coordinate)))
 
 
-def as_sensors(sensors: SensorsLike) -> Sensors | None:
-    """Sensors by the name of a preset or themselves; None for the full state.
+SensorSuite: TypeAlias = Sensors | DeclaredSensors
+SensorsLike: TypeAlias = Literal["state", "rig", "machine"] | SensorSuite
+# The paper's rig (section II): 512 lines before a gear of 5.9:1 and lasers with a range of 100 mm. The paper gives
+# neither their noise nor their position.
+SENSOR_PRESETS: dict[str, SensorSuite | None] = {"state": None, "rig": Sensors(), "machine": DeclaredSensors()}
 
-    Raises ValueError for an unknown name or another type.
+
+def as_sensors(sensors: SensorsLike) -> SensorSuite | None:
+    """Return the sensors of the option `sensors`.
+
+    Args:
+        sensors: Name of a preset, or sensors.
+
+    Returns:
+        The sensors; None for the full state.
+
+    Raises:
+        InputError: If the name is unknown or the object is of another type.
     """
-    if isinstance(sensors, Sensors):
+    if isinstance(sensors, Sensors | DeclaredSensors):
         return sensors
-    presets = {"state": None, "rig": RIG}
-    if not isinstance(sensors, str) or sensors not in presets:
-        raise ValueError(f"sensors is {sensors!r}, choose one of {', '.join(presets)} or a Sensors")
-    return presets[sensors]
+    if not isinstance(sensors, str) or sensors not in SENSOR_PRESETS:
+        raise InputError(f"sensors is {sensors!r}; choose one of {', '.join(SENSOR_PRESETS)}, or give Sensors(...)")
+    return SENSOR_PRESETS[sensors]
 
 
-def sensed_entries(machine: Machine, sensors: Sensors | None) -> tuple[SignalSpec, ...]:
-    """The entries of `observation` that there are sensors for."""
-    known: set[str] = set()
-    if sensors is None or sensors.lasers is not None:
-        known |= {"x", "y"}
-    if sensors is None or sensors.encoders is not None:
-        known |= {d.coordinate for d in machine.drives}
-    return tuple(e for e in entries(machine) if e.coordinate in known)
+def observed_machine(machine: Machine, sensors: SensorsLike) -> Machine | None:
+    """Return the machine whose declared sensors are those that an environment observes.
+
+    Args:
+        machine: The machine.
+        sensors: The option `sensors`.
+
+    Returns:
+        A machine with these sensors in the order of the observation, with their ranges and delays as effects; None for
+        the full state.
+
+    Raises:
+        InputError: If the option is invalid.
+    """
+    suite = as_sensors(sensors)
+    if suite is None:
+        return None
+    changed = suite.apply(machine)
+    observed = suite.observed(changed)
+    others = set(changed.output_channels) - {sensor.channel for sensor in observed}
+    return changed.replace(sensors=observed, effects=tuple(e for e in changed.effects if e.site not in others))
 
 
+def _sensor_of(machine: Machine, coordinate: str) -> str:
+    """Return the channel of the first sensor of a coordinate, or "" if there is none."""
+    return next((s.channel for s in machine.sensors if s.coordinate == coordinate), "")
+
+
+def _with_sensor(machine: Machine, coordinate: str, **fields: Any) -> Machine:
+    """Return the machine with other fields of a coordinate's sensor, which is added if it has none."""
+    channel = _sensor_of(machine, coordinate)
+    if not channel:
+        unit = machine.coordinate(coordinate).unit("position")
+        added = Sensor(f"{coordinate}_{unit}", {coordinate: 1.0}, **fields)
+        return machine.replace(sensors=(*machine.sensors, added))
+    changed = [dataclasses.replace(s, **fields) if s.channel == channel else s for s in machine.sensors]
+    return machine.replace(sensors=tuple(changed))
+
+
+def _with_range(machine: Machine, channel: str, low: float, high: float) -> Machine:
+    """Return the machine with a range of a sensor, in place of one that it has."""
+    definition = EFFECTS["sensor_range"]
+    bounds = {p.name: (p.lower, p.upper) for p in definition.parameters}
+    limits = {"low": max(low, bounds["low"][0]), "high": min(high, bounds["high"][1])}
+    effect = definition.at(channel, **limits)
+    if f"{effect.label}.low" in machine.parameters:
+        return machine.replace({f"{effect.label}.{name}": value for name, value in limits.items()})
+    return machine if math.isinf(high - low) else machine.with_effects(effect)
+
+
+def sensor_range_names(sensor: Sensor) -> tuple[str, str]:
+    """Return the full names of the lower and upper end of a sensor's range."""
+    return f"sensor_range@{sensor.channel}.low", f"sensor_range@{sensor.channel}.high"
+
+
+@dataclass(frozen=True)
+class PositionFromSensors:
+    """How the tool position follows from the measurements of n sensors.
+
+    Attributes:
+        belts: x and y per measurement on unstretched belts, shape (2, n); zero where the sensors do not determine it.
+        direct: Index of a sensor that measures x, and of one that measures y; -1 for none. Shape (2,).
+        scale: Tool position per measurement of these sensors, shape (2,).
+    """
+
+    belts: Array
+    direct: Index
+    scale: Array
+
+    @classmethod
+    def of(cls, machine: Machine, sensors: tuple[Sensor, ...]) -> PositionFromSensors:
+        """Derive the map from the machine's nominal kinematics.
+
+        Args:
+            machine: The machine.
+            sensors: The observed sensors.
+
+        Returns:
+            The map.
+
+        Raises:
+            InputError: If the sensors do not determine x or y.
+        """
+        direct, scale = np.full(2, -1, np.intp), np.ones(2)
+        for axis, name in enumerate(("x", "y")):
+            for j, sensor in enumerate(sensors):
+                if sensor.coordinate == name and direct[axis] < 0:
+                    direct[axis], scale[axis] = j, 1.0 / sensor.row[name]
+        belts = np.zeros((2, len(sensors)))
+        others = [j for j, sensor in enumerate(sensors) if sensor.coordinate not in ("x", "y")]
+        if others:
+            rows = np.array([machine.sensor_matrix[machine.output_channels.index(sensors[j].channel)] for j in others])
+            linear = [c.name for c in machine.coordinates if c.kind == "linear"]
+            count = len(machine.coordinates)
+            unit = [rest_state(machine, [float(c == axis) for c in linear])[:count] for axis in ("x", "y")]
+            per_position = rows @ np.stack(unit, axis=1)  # measurements per metre of x and of y, (others, 2)
+            if len(others) == 2 and np.linalg.matrix_rank(per_position) == 2:
+                belts[:, others] = np.linalg.inv(per_position)
+            elif np.linalg.matrix_rank(per_position) == 2:
+                belts[:, others] = np.linalg.pinv(per_position)
+        for axis, name in enumerate(("x", "y")):
+            if direct[axis] < 0 and not belts[axis].any():
+                channels = ", ".join(sensor.channel for sensor in sensors) or "none"
+                raise InputError(
+                    f"sensors: the measurements of machine {machine.name!r} ({channels}) do not determine {name}; "
+                    "declare a sensor of it, or choose sensors='state'"
+                )
+        return cls(belts, direct, scale)
+
+
+# Aliases until all packages use the new names.
 class Channels(NamedTuple):
-    """The sensors as arrays for `blocks.sense`, one number a position that is read, in the order of the entries."""
+    """Properties of the observed sensors, one number per sensor, in the order of the observation."""
 
     quanta: Array
     noise: Array
     least: Array
     most: Array
-    tool: Array  # (2, channels), x and y on unstretched belts from the readings
-    lasers: Index  # channels of the lasers on x and y, or -1
+    tool: Array
+    lasers: Index
 
 
-def channels(machine: Machine, sensors: Sensors) -> Channels:
-    """The channels of sensors on a machine."""
-    names = [e.coordinate for e in sensed_entries(machine, sensors) if not e.velocity]
-    quanta, noise = np.zeros(len(names)), np.zeros(len(names))
-    least, most = np.full(len(names), -np.inf), np.full(len(names), np.inf)
-    lasers = np.full(2, -1, np.intp)
-    if sensors.lasers is not None:
-        for axis, name in enumerate(("x", "y")):
-            i = lasers[axis] = names.index(name)
-            middle = sensors.lasers.centre[axis]
-            noise[i] = sensors.lasers.noise
-            least[i], most[i] = middle - sensors.lasers.span / 2, middle + sensors.lasers.span / 2
-    tool = np.zeros((2, len(names)))
-    if sensors.encoders is not None:
-        driven = [d.coordinate for d in machine.drives]
-        columns = [names.index(name) for name in driven]
-        quanta[columns] = [sensors.encoders.quantum(d.gear_ratio) for d in machine.drives]
-        tool[:, columns] = np.linalg.inv(_angles(machine, driven))
-    return Channels(quanta, noise, least, most, tool, lasers)
+def channels(machine: Machine, sensors: SensorSuite) -> Channels:
+    """Return the nominal properties of the observed sensors."""
+    machine = sensors.apply(machine)
+    observed = sensors.observed(machine)
+    position = PositionFromSensors.of(machine, observed)
+    limits = [[machine.parameters.get(name, np.nan) for name in sensor_range_names(s)] for s in observed]
+    low, high = np.array(limits).T
+    return Channels(
+        np.array([s.resolution for s in observed]),
+        np.array([s.noise for s in observed]),
+        np.where(np.isnan(low), -np.inf, low),
+        np.where(np.isnan(high), np.inf, high),
+        position.belts,
+        position.direct,
+    )
 
 
-def _angles(machine: Machine, driven: list[str]) -> Array:
-    """Positions of the driven coordinates per metre of x and of y on unstretched belts, (2, 2)."""
-    linear = [c.name for c in machine.coordinates if c.kind == "linear"]
-    rows = [machine.coordinate_names.index(name) for name in driven]
-    columns = [rest_state(machine, [float(c == axis) for c in linear])[rows] for axis in ("x", "y")]
-    return np.stack(columns, axis=1)
+def sensed_entries(machine: Machine, sensors: SensorSuite | None) -> tuple[Any, ...]:
+    """Return the signals of `observation`."""
+    from .spaces import sensor_signals, state_signals
+
+    if sensors is None:
+        return state_signals(machine)
+    machine = sensors.apply(machine)
+    return sensor_signals(machine, sensors.observed(machine))

@@ -1,12 +1,4 @@
-"""The spaces of the environment, and what each entry of `observation` is.
-
-observation      positions of x, y and the driven coordinates, then their velocities     m, rad, m/s, rad/s
-achieved_goal    x, y of the tool                                                        m
-desired_goal     x, y of the goal                                                        m
-preview          x, y of the goal at each of the task's times ahead, nearest first       m (tasks whose goal moves)
-privileged       the full true state and what was randomised, for a critic in training   (with privileged=True)
-action           one number a drive, share of its rated voltage                          [-1, 1]
-"""
+"""Action and observation spaces, and the meaning and bounds of every entry of an observation."""
 
 from __future__ import annotations
 
@@ -17,15 +9,27 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from ..machine import Machine, rest_state
+from ..errors import InputError
+from ..machine import Machine, Sensor, rest_state
 
-BEYOND = 0.05  # m: how far beyond its range a position is still reported
-SPEED_FACTOR = 3.0  # of the drives' no-load speed: far more than any motion that a drive can cause
+Array = NDArray[np.float64]
+
+MARGIN = 0.05  # m: a position is reported up to this distance outside its range
+SPEED_FACTOR = 3.0  # of the drives' no-load speed: more than any motion that a drive can cause
 
 
 @dataclass(frozen=True)
 class SignalSpec:
-    """One number of `observation` (or `privileged`).  coordinate: whose position or velocity it is, or ""."""
+    """One entry of `observation` or `privileged`.
+
+    Attributes:
+        name: Coordinate, "<coordinate> velocity", channel, or full name of a parameter.
+        unit: Unit.
+        coordinate: Coordinate whose position or velocity it is; "" for a parameter.
+        velocity: Whether it is a velocity.
+        low: Lower bound.
+        high: Upper bound.
+    """
 
     name: str
     unit: str
@@ -35,74 +39,114 @@ class SignalSpec:
     high: float
 
 
-def workspace(machine: Machine) -> NDArray[np.float64]:
-    """Where the tool can go, (2, 2) m: rows x and y, columns low and high.
+def workspace_of(machine: Machine) -> Array:
+    """Return the workspace of the tool.
 
-    Raises ValueError when the machine is not a stage with x, y, their ranges and two drives.
+    Args:
+        machine: The machine.
+
+    Returns:
+        Rows x and y, columns low and high, m, shape (2, 2).
+
+    Raises:
+        InputError: If the machine does not have coordinates x and y with ranges, and two drives.
     """
     for name in ("x", "y"):
         if name not in machine.coordinate_names:
-            raise ValueError(f"machine {machine.name!r} has no coordinate {name!r}; HFrame needs a stage with x and y")
+            raise InputError(
+                f"machine {machine.name!r} has no coordinate {name!r}; the environment moves a tool in x and y. "
+                "Use a machine with both, for example a copy of 'hframe'; `hframe simulate` takes any machine"
+            )
         if machine.coordinate(name).range is None:
-            raise ValueError(f"machine {machine.name!r}: coordinate {name!r} has no range; HFrame needs one")
+            raise InputError(
+                f"machine {machine.name!r}: coordinate {name!r} has no range; the environment needs one as its "
+                f'workspace. Add "range": [low, high] in m to this coordinate in the machine.json'
+            )
     if len(machine.drives) != 2:
-        raise ValueError(f"machine {machine.name!r} has {len(machine.drives)} drives; HFrame needs two")
+        raise InputError(
+            f"machine {machine.name!r} has {len(machine.drives)} drives; the environment needs two, one for each motor"
+        )
     return np.array([machine.coordinate(name).range for name in ("x", "y")], dtype=np.float64)
 
 
-def entries(machine: Machine) -> tuple[SignalSpec, ...]:
-    """The full state of x, y and the driven coordinates: positions, then velocities."""
-    ranges = workspace(machine)
-    speed = 0.0  # m/s of belt, with no load at rated voltage
-    for d in machine.drives:
-        c = machine.coordinate(d.coordinate)
-        radius = c.radius if c.kind == "rotary" else 1.0
-        speed = max(speed, SPEED_FACTOR * d.rated_voltage / (d.Ke * d.gear_ratio) * radius)
-    names = ["x", "y"] + [d.coordinate for d in machine.drives if d.coordinate not in ("x", "y")]
+def state_signals(machine: Machine, names: Sequence[str] | None = None) -> tuple[SignalSpec, ...]:
+    """Return the signals of a state: positions, then velocities.
+
+    Args:
+        machine: The machine.
+        names: Coordinates; default: x, y and the driven ones.
+
+    Returns:
+        The signals.
+    """
+    workspace = workspace_of(machine)
+    # m/s of belt: without load at rated voltage, times a margin
+    fastest = max(
+        SPEED_FACTOR * d.rated_voltage / (d.Ke * d.gear_ratio) * machine.coordinate(d.coordinate).travel_per_unit
+        for d in machine.drives
+    )
     positions, velocities = [], []
-    for name in names:
+    for name in tuple(dict.fromkeys(("x", "y", *(d.coordinate for d in machine.drives)))) if names is None else names:
         c = machine.coordinate(name)
         if name in ("x", "y"):
-            low, high = ranges[("x", "y").index(name)] + np.array([-BEYOND, BEYOND])
-            fastest = speed
+            low, high = (workspace[("x", "y").index(name)] + np.array([-MARGIN, MARGIN])).tolist()
         else:
-            high = _furthest(machine, name, ranges)
-            low, fastest = -high, speed / c.radius
-        positions.append(SignalSpec(name, c.unit("position"), name, False, float(low), float(high)))
-        velocities.append(SignalSpec(f"{name} velocity", c.unit("speed"), name, True, -fastest, fastest))
+            high = _largest_position(machine, name, workspace)
+            low = -high
+        speed = fastest / c.travel_per_unit
+        positions.append(SignalSpec(name, c.unit("position"), name, False, low, high))
+        velocities.append(SignalSpec(f"{name} velocity", c.unit("speed"), name, True, -speed, speed))
     return (*positions, *velocities)
 
 
-def _furthest(machine: Machine, name: str, ranges: NDArray[np.float64]) -> float:
-    """Half as much again as a coordinate's angle at the furthest corner, at least `BEYOND` of travel, rad."""
+def _largest_position(machine: Machine, name: str, workspace: Array) -> float:
+    """Return 1.5 times a coordinate's position at the furthest corner, at least `MARGIN` of travel, m or rad."""
     linear = [c.name for c in machine.coordinates if c.kind == "linear"]
     index = machine.coordinate_names.index(name)
     total = 0.0
-    for axis, edges in zip(("x", "y"), ranges, strict=True):
+    for axis, edges in zip(("x", "y"), workspace, strict=True):
         unit = rest_state(machine, [float(c == axis) for c in linear])[index]
         total += abs(unit) * float(np.abs(edges).max())
-    c = machine.coordinate(name)
-    return max(1.5 * total, BEYOND / (c.radius if c.kind == "rotary" else 1.0))
+    return max(1.5 * total, MARGIN / machine.coordinate(name).travel_per_unit)
 
 
-def privileged_entries(machine: Machine, drawn: Mapping[str, tuple[float, float]]) -> tuple[SignalSpec, ...]:
-    """Positions of all coordinates, their velocities, and the drawn parameters as shares of their nominal values.
+def sensor_signals(machine: Machine, sensors: Sequence[Sensor]) -> tuple[SignalSpec, ...]:
+    """Return the signals of measurements: positions, then their differences over the control period.
 
-    drawn: by name, the bounds of each as such a share.
+    Args:
+        machine: The machine.
+        sensors: The observed sensors.
+
+    Returns:
+        The signals; named by the coordinate, or by the channel where two sensors measure one coordinate.
     """
-    ranges = workspace(machine)
-    known = {e.coordinate for e in entries(machine)}
-    others = [name for name in machine.coordinate_names if name not in known]
-    state = list(entries(machine))
-    fastest = max(e.high for e in state if e.velocity and e.unit == "m/s")
-    for name in others:
-        c = machine.coordinate(name)
-        radius = c.radius if c.kind == "rotary" else 1.0
-        furthest = _furthest(machine, name, ranges)
-        state.append(SignalSpec(name, c.unit("position"), name, False, -furthest, furthest))
-        state.append(SignalSpec(f"{name} velocity", c.unit("speed"), name, True, -fastest / radius, fastest / radius))
-    state.sort(key=lambda e: e.velocity)
-    return (*state, *(SignalSpec(name, "1", "", False, *bounds) for name, bounds in drawn.items()))
+    coordinates = [sensor.coordinate for sensor in sensors]
+    specs = state_signals(machine, coordinates)
+    signals = []
+    for spec, sensor in zip(specs, (*sensors, *sensors), strict=True):
+        factor = sensor.row[sensor.coordinate]
+        low, high = sorted((factor * spec.low, factor * spec.high))
+        name = spec.name
+        if coordinates.count(sensor.coordinate) > 1:
+            name = f"{sensor.channel} rate" if spec.velocity else sensor.channel
+        signals.append(SignalSpec(name, spec.unit, spec.coordinate, spec.velocity, low, high))
+    return tuple(signals)
+
+
+def privileged_signals(machine: Machine, bounds: Mapping[str, tuple[float, float]]) -> tuple[SignalSpec, ...]:
+    """Return the signals of `privileged`: the state of all coordinates and the normalized randomized parameters.
+
+    Args:
+        machine: The machine.
+        bounds: Smallest and largest normalized value of each parameter, by full name.
+
+    Returns:
+        The signals.
+    """
+    observed = [spec.coordinate for spec in state_signals(machine) if not spec.velocity]
+    others = [name for name in machine.coordinate_names if name not in observed]
+    parameters = (SignalSpec(name, "1", "", False, *edges) for name, edges in bounds.items())
+    return (*state_signals(machine, [*observed, *others]), *parameters)
 
 
 def observation_space(
@@ -112,19 +156,29 @@ def observation_space(
     observed: Sequence[SignalSpec] | None = None,
     privileged: Sequence[SignalSpec] = (),
 ) -> spaces.Dict:
-    """Dict of bounded float32 boxes: observation (those observed, or the full state), achieved_goal, desired_goal and,
-    where there are any, preview (2 * previews,) and privileged."""
-    ranges = workspace(machine)
-    goal = (ranges[:, 0] - BEYOND, ranges[:, 1] + BEYOND)
+    """Return the observation space.
+
+    Args:
+        machine: The machine.
+        previews: Future goals in the observation.
+        observed: Signals of `observation`; default: the full state.
+        privileged: Signals of `privileged`.
+
+    Returns:
+        Bounded float32 boxes: `observation`, `achieved_goal`, `desired_goal`, and where there are any `preview`
+        (2 * previews,) and `privileged`.
+    """
+    workspace = workspace_of(machine)
+    goal = (workspace[:, 0] - MARGIN, workspace[:, 1] + MARGIN)
     boxes = {
-        "observation": _edges(entries(machine) if observed is None else observed),
+        "observation": bounds_of(state_signals(machine) if observed is None else observed),
         "achieved_goal": goal,
         "desired_goal": goal,
     }
     if previews:
         boxes["preview"] = (np.tile(goal[0], previews), np.tile(goal[1], previews))
     if privileged:
-        boxes["privileged"] = _edges(privileged)
+        boxes["privileged"] = bounds_of(privileged)
     return spaces.Dict(
         {
             key: spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
@@ -133,10 +187,18 @@ def observation_space(
     )
 
 
-def _edges(listed: Sequence[SignalSpec]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    return np.array([e.low for e in listed]), np.array([e.high for e in listed])
+def bounds_of(signals: Sequence[SignalSpec]) -> tuple[Array, Array]:
+    """Return the lower and the upper bounds of n signals, shape (n,) each."""
+    return np.array([s.low for s in signals]), np.array([s.high for s in signals])
 
 
 def action_space(machine: Machine) -> spaces.Box:
-    """Box(-1, 1) of float32, one number a drive: share of its rated voltage."""
+    """Return the action space: one fraction of the rated voltage for each drive, float32 in [-1, 1].
+
+    Args:
+        machine: The machine.
+
+    Returns:
+        The box, shape (drives,).
+    """
     return spaces.Box(-1.0, 1.0, (len(machine.drives),), np.float32)

@@ -1,10 +1,10 @@
-"""`HFrameVectorEnv`: many stages as a native `gymnasium.vector.VectorEnv`, each step one pass of the batch."""
+"""`HFrameVectorEnv` and `HFrameTrackVectorEnv`: many machines as one `gymnasium.vector.VectorEnv`."""
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Unpack
 
 import numpy as np
 from gymnasium.utils import seeding
@@ -12,26 +12,46 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from .config import EnvConfig
+from ..errors import InputError
+from .config import EnvConfig, EnvOptions, check_keywords
 from .environment_batch import EnvironmentBatch, Flags, Index, StepResult
-from .hframe_env import check_options
+from .hframe_env import check_reset_options, require_path
 from .observations import Observation
-from .rendering import TRAIL, Renderer, check_mode, scene
+from .rendering import TRAIL_LENGTH, Renderer, Scene, check_render_mode
 from .spaces import SignalSpec, action_space
 
-Numbers = NDArray[np.float64]
+Array = NDArray[np.float64]
+_KEYWORDS = ("num_envs", "max_episode_steps", "autoreset_mode", "render_mode")
 
 
 class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]):
-    """`num_envs` independent `HFrameEnv`s: the same settings, spaces and bits, env i seeded with seed + i.
+    """Many independent `HFrameEnv`s with the same options, stepped in one pass.
 
-    Episodes are cut at max_episode_steps.  autoreset_mode: "NextStep" (default; the step after an episode's end resets
-    and ignores its action), "SameStep" (the end's step resets; `final_obs` and `final_info` hold the end) or "Disabled"
-    (reset with options={"reset_mask": (num_envs,) bool}).  Returned arrays are fresh.
+    Environment i of a vector seeded with s is the single environment seeded with s + i, to the bit.
 
-    Other keywords are those of `EnvConfig`, and render_mode: None or "rgb_array".
+    ## Action Space, Observation Space, Rewards, Starting State
 
-    Raises ValueError for settings that do not fit together.
+    Those of `HFrameEnv` with a first axis of num_envs. Returned arrays are new ones at every step.
+
+    ## Episode End
+
+    As for `HFrameEnv`, with truncation after `max_episode_steps`. The autoreset modes are Gymnasium's: "NextStep"
+    (the step after an episode's end resets and ignores its action), "SameStep" (the last step resets; `final_obs` and
+    `final_info` hold the end of the episode) and "Disabled" (reset with options={"reset_mask": (num_envs,) bool}).
+
+    ## Arguments
+
+    | keyword | default | meaning |
+    |---|---|---|
+    | `num_envs` | 1 | number of environments |
+    | `max_episode_steps` | 150 | control periods until truncation, or `None` |
+    | `autoreset_mode` | `"NextStep"` | see Episode End |
+    | `render_mode` | `None` | `None` or `"rgb_array"` |
+    | others | | as for `HFrameEnv` |
+
+    Raises:
+        InputError: If an option is invalid or options do not fit together.
+        TypeError: If a keyword is unknown; the message lists the keywords.
     """
 
     metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]
@@ -47,61 +67,77 @@ class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]])
         max_episode_steps: int | None = 150,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
-        **settings: Any,
+        **options: Unpack[EnvOptions],
     ) -> None:
+        check_keywords(type(self).__name__, dict(options), _KEYWORDS)
         if max_episode_steps is not None and max_episode_steps < 1:
-            raise ValueError(f"max_episode_steps is {max_episode_steps}, it must be at least 1 or None")
-        self.batch = EnvironmentBatch(EnvConfig(**settings), num_envs)
+            raise InputError(f"max_episode_steps is {max_episode_steps}, it must be at least 1 or None")
+        self.batch = EnvironmentBatch(EnvConfig(**options), num_envs)
         self.num_envs = num_envs
         self.max_episode_steps = max_episode_steps
         self.autoreset_mode = AutoresetMode(autoreset_mode)
-        self.render_mode = check_mode(render_mode, self.metadata["render_modes"])
-        fps = round(1.0 / self.batch.settings.period)
+        self.render_mode = check_render_mode(render_mode, self.metadata["render_modes"])
+        fps = round(1.0 / self.batch.config.period)
         self.metadata = {**self.metadata, "render_fps": fps, "autoreset_mode": self.autoreset_mode}  # type: ignore[misc]
         self.single_observation_space = self.batch.observation_space
         self.single_action_space = action_space(self.batch.machine)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._over: Flags = np.zeros(num_envs, np.bool_)
+        self._parameters: dict[str, Any] = {}  # of the running episodes, as info has them
         self._renderer: Renderer | None = None
         self._trails: list[deque[tuple[float, float]]] = [
-            deque(maxlen=TRAIL) for _ in range(num_envs if render_mode else 0)
+            deque(maxlen=TRAIL_LENGTH) for _ in range(num_envs if render_mode else 0)
         ]
 
     @property
     def entries(self) -> tuple[SignalSpec, ...]:
-        """What each number of `observation` is: name, unit, bounds."""
-        return self.batch.observer.entries
+        """Name, unit and bounds of every entry of `observation`."""
+        return self.batch.observations.entries
 
     @property
     def privileged_entries(self) -> tuple[SignalSpec, ...]:
-        """What each number of `privileged` is; empty without privileged=True."""
-        return self.batch.observer.privileged
+        """Name, unit and bounds of every entry of `privileged`; empty without `privileged=True`."""
+        return self.batch.observations.privileged
 
     # -- reset -----------------------------------------------------------------------------------------------------
 
     def reset(  # type: ignore[override]
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begin episodes in all environments, or in those of options["reset_mask"] (num_envs,) bool.
+        """Begin episodes in all environments, or in those of a mask.
 
-        seed: of env 0, the others' following, or one each.  options: `start`, `target` as (2,) or one row for each
-        environment that is reset, m.
+        Args:
+            seed: Seed of environment 0, the others following, or one for each. None continues the generators.
+            options: `start` and `target`, m, shape (2,) or one row for each environment that is reset; `reset_mask`,
+                bool, shape (num_envs,).
 
-        Raises ValueError or TypeError for seeds and options that do not fit.
+        Returns:
+            Observations and info.
+
+        Raises:
+            InputError: If an option is unknown or a position is outside the workspace.
+            TypeError: If the mask is not an array of bool.
+            ValueError: If the mask has another shape or selects nothing.
         """
         options = dict(options or {})
-        index = self._which(options.pop("reset_mask", None))
+        index = self._selected(options.pop("reset_mask", None))
         for b in index.tolist():
-            own = seed[b] if isinstance(seed, Sequence) else None if seed is None else seed + b
-            if own is not None:
-                self.batch.population.seed(b, seeding.np_random(own)[0])
-        self.batch.reset(index, **check_options(options))
+            env_seed = seed[b] if isinstance(seed, Sequence) else None if seed is None else seed + b
+            if env_seed is not None:
+                self.batch.sampler.seed(b, seeding.np_random(env_seed)[0])
+        self.batch.reset(index, **check_reset_options(options))
         self._over[index] = False
-        self._follow(index)
-        return self.batch.observe(), self._reset_info(index, {})
+        self._collect_parameters()
+        self._update_trails(index)
+        distance = np.zeros(self.num_envs)
+        distance[index] = self.batch.distance(index)
+        info: dict[str, Any] = {}
+        self._describe(info, self._mask(index), distance, self.batch.contour(slice(None)))
+        return self.batch.observe(), info
 
-    def _which(self, mask: Any) -> Index:
+    def _selected(self, mask: Any) -> Index:
+        """Return the environments of a mask, all without one; raises TypeError or ValueError for an invalid mask."""
         if mask is None:
             return np.arange(self.num_envs)
         if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_:
@@ -112,13 +148,20 @@ class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]])
 
     # -- step ------------------------------------------------------------------------------------------------------
 
-    def step(
-        self, actions: Any
-    ) -> tuple[Observation, NDArray[np.float64], Flags, Flags, dict[str, Any]]:  # fmt: skip
-        """One control period of all environments under actions (num_envs, 2).
+    def step(self, actions: Any) -> tuple[Observation, Array, Flags, Flags, dict[str, Any]]:
+        """Advance all environments by one control period.
 
-        Raises ValueError for actions of another shape or not finite, RuntimeError in mode "Disabled" when an episode
-        that is over was not reset.
+        Args:
+            actions: Fractions of the rated voltages, shape (num_envs, 2).
+
+        Returns:
+            Observations, rewards, terminated, truncated, first axis num_envs each, and info.
+
+        Raises:
+            ValueError: If the actions have another shape or a number is not finite.
+            RuntimeError: In mode "Disabled", if an episode is over and was not reset.
+            gymnasium.error.ResetNeeded: If `reset` was not called.
+            NotFiniteError: If a motion is not finite.
         """
         checked = self.batch.check_actions(actions)
         resetting = np.flatnonzero(self._over)
@@ -126,106 +169,164 @@ class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]])
             raise RuntimeError(
                 f"the episode of environment {resetting[0]} is over; reset it with options['reset_mask']"
             )
-        outcome = self.batch.step(checked, self.max_episode_steps)
-        terminated, truncated = outcome.terminated, outcome.truncated
+        result = self.batch.step(checked, self.max_episode_steps)
+        terminated, truncated = result.terminated, result.truncated
         info: dict[str, Any] = {}
         if self.autoreset_mode is AutoresetMode.NEXT_STEP:
             if len(resetting):
-                self.batch.restart(resetting, outcome)
-                outcome.reward[resetting] = 0.0
+                self._restart(resetting, result)
+                result.reward[resetting] = 0.0
                 terminated[resetting] = truncated[resetting] = False
             self._over = terminated | truncated
         elif self.autoreset_mode is AutoresetMode.SAME_STEP:
             resetting = np.flatnonzero(terminated | truncated)
             if len(resetting):
-                info = self._final(resetting, outcome)
-                self.batch.restart(resetting, outcome)
+                info = self._final_info(resetting, result)
+                self._restart(resetting, result)
         else:
             self._over = terminated | truncated
-        self._add(info, None, outcome.distance, outcome.contour)
-        if len(resetting):
-            self._add_drawn(info, resetting)
-        self._follow(resetting)
-        return outcome.observation, outcome.reward, terminated, truncated, info
+        self._describe(info, None, result.distance, result.contour)
+        self._update_trails(resetting)
+        return result.observation, result.reward, terminated, truncated, info
+
+    def _restart(self, index: Index, result: StepResult) -> None:
+        """Begin new episodes of environments index (k,) within a step."""
+        self.batch.restart(index, result)
+        self._collect_parameters()
 
     def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
-        """Reward of goals (2,) or (n, 2), m; `info` is not looked at.  Exactly what `step` gave for the same goals."""
+        """Compute the reward that `step` returns.
+
+        Args:
+            achieved_goal: Achieved positions, m, shape (2,) or (n, 2).
+            desired_goal: Desired positions, m, the same shape.
+            info: Not used.
+
+        Returns:
+            A float, or an array of shape (n,).
+        """
         return self.batch.compute_reward(achieved_goal, desired_goal)
 
-    # -- info, each key with its mask _key -------------------------------------------------------------------------
+    # -- info: each key with its mask "_key" -----------------------------------------------------------------------
 
-    def _add(self, info: dict[str, Any], mask: Flags | None, distance: Numbers, contour: Numbers | None) -> None:
-        """Add what info always has; mask: of the environments it is about, None for all."""
+    def _describe(self, info: dict[str, Any], mask: Flags | None, distance: Array, contour: Array | None) -> None:
+        """Add what every info has; mask: the environments that it describes, None for all."""
         columns = {"distance_m": distance, "is_success": distance <= self.batch.task.band}
         columns["clipped_actions"] = self.batch.clipped.copy()
         if contour is not None:
             columns["contour_m"] = contour
-        for key, values in columns.items():
-            info[key] = values if mask is None else np.where(mask, values, np.zeros((), values.dtype))
-            info[f"_{key}"] = np.ones(self.num_envs, np.bool_) if mask is None else mask.copy()
+        _add_columns(info, columns, mask, self.num_envs)
+        if self._parameters and mask is None:
+            info["parameters"] = dict(self._parameters)
+            info["_parameters"] = np.ones(self.num_envs, np.bool_)
+        elif self._parameters:
+            info["parameters"] = {}
+            values = {name: column for name, column in self._parameters.items() if not name.startswith("_")}
+            _add_columns(info["parameters"], values, mask, self.num_envs)
+            info["_parameters"] = np.array(mask)
 
-    def _add_drawn(self, info: dict[str, Any], index: Index) -> None:
-        drawn = self.batch.drawn(index)
-        if not drawn:
-            return
-        mask = self._mask(index)
-        parameters: dict[str, Any] = {}
-        for name, values in drawn.items():
-            column = np.zeros(self.num_envs)
-            column[index] = values
-            parameters[name], parameters[f"_{name}"] = column, mask
-        info["parameters"], info["_parameters"] = parameters, mask
+    def _collect_parameters(self) -> None:
+        """Collect the randomized parameters of all environments after a reset; the arrays are read-only."""
+        self._parameters = {}
+        _add_columns(self._parameters, self.batch.randomized(np.arange(self.num_envs)), None, self.num_envs)
+        for column in self._parameters.values():
+            column.setflags(write=False)
 
-    def _reset_info(self, index: Index, info: dict[str, Any]) -> dict[str, Any]:
-        distance = np.zeros(self.num_envs)
-        distance[index] = self.batch.distance(index)
-        self._add(info, self._mask(index), distance, self.batch.contour(slice(None)))
-        self._add_drawn(info, index)
-        return info
-
-    def _final(self, index: Index, outcome: StepResult) -> dict[str, Any]:
+    def _final_info(self, index: Index, result: StepResult) -> dict[str, Any]:
+        """Return `final_obs` and `final_info` of environments index (k,), whose episodes end in this step."""
         mask = self._mask(index)
         final_obs = np.full(self.num_envs, None, dtype=object)
-        copies = {key: values[index] for key, values in outcome.observation.items()}
+        copies = {key: values[index] for key, values in result.observation.items()}
         for i, b in enumerate(index.tolist()):
             final_obs[b] = {key: values[i] for key, values in copies.items()}
         final_info: dict[str, Any] = {}
-        self._add(final_info, mask, outcome.distance, outcome.contour)
+        self._describe(final_info, mask, result.distance, result.contour)
         return {"final_obs": final_obs, "_final_obs": mask, "final_info": final_info, "_final_info": mask.copy()}
 
     def _mask(self, index: Index) -> Flags:
+        """Return the mask (num_envs,) of environments index (k,)."""
         mask = np.zeros(self.num_envs, np.bool_)
         mask[index] = True
         return mask
 
     # -- rendering -------------------------------------------------------------------------------------------------
 
-    def _follow(self, fresh: Index) -> None:
+    def _update_trails(self, fresh: Index) -> None:
+        """Extend the trails of the pictures; those of environments fresh (k,) begin anew."""
         if self.render_mode is None:
             return
         for b in fresh.tolist():
             self._trails[b].clear()
         for b, trail in enumerate(self._trails):
-            position = self.batch.stages.positions(b)
+            position = self.batch.simulator.positions(b)
             trail.append((position["x"], position["y"]))
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:  # type: ignore[override]
-        """One picture (height, width, 3) for each environment.
+        """Draw all stages.
 
-        Raises ImportError naming the extra where pygame is not installed.
+        Returns:
+            One picture, shape (height, width, 3), for each environment; None without a render mode.
+
+        Raises:
+            ImportError: If pygame is missing; the message names the extra.
         """
         if self.render_mode is None:
             return None
         if self._renderer is None:
             self._renderer = Renderer(self.batch.machine, self.render_mode, self.metadata["render_fps"])
-        frames = (self._renderer.draw(scene(self.batch, b, trail)) for b, trail in enumerate(self._trails))
+        frames = (self._renderer.draw(Scene.of(self.batch, b, trail)) for b, trail in enumerate(self._trails))
         return tuple(frame for frame in frames if frame is not None)
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Let go of the renderer."""
+        """Close the renderer.
+
+        Args:
+            **kwargs: Not used.
+        """
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_renderer": None}
+
+
+def _add_columns(info: dict[str, Any], columns: dict[str, Any], mask: Flags | None, count: int) -> None:
+    """Add columns (count,) and their masks to an info, zero where the mask is False; mask None: all True."""
+    for key, values in columns.items():
+        info[key] = values if mask is None else np.where(mask, values, np.zeros((), values.dtype))
+        info[f"_{key}"] = np.ones(count, np.bool_) if mask is None else mask.copy()
+
+
+class HFrameTrackVectorEnv(HFrameVectorEnv):
+    """`HFrameVectorEnv` with goals that move along paths (`HFrameTrack-v0`).
+
+    Args:
+        num_envs: Number of environments.
+        max_episode_steps: As for `HFrameVectorEnv`.
+        autoreset_mode: As for `HFrameVectorEnv`.
+        render_mode: As for `HFrameVectorEnv`.
+        **options: As for `HFrameEnv`; `task` is "track" by default and must have metrics "track".
+
+    Raises:
+        InputError: If the task has no path.
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        *,
+        max_episode_steps: int | None = 150,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        render_mode: str | None = None,
+        **options: Unpack[EnvOptions],
+    ) -> None:
+        options.setdefault("task", "track")
+        super().__init__(
+            num_envs,
+            max_episode_steps=max_episode_steps,
+            autoreset_mode=autoreset_mode,
+            render_mode=render_mode,
+            **options,
+        )
+        require_path(self.batch)

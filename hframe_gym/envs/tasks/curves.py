@@ -1,7 +1,7 @@
-"""Curves in the plane by their arc length: a circle in closed form, everything else as straight pieces.
+"""Plane curves by arc length: a circle in closed form, every other curve as straight segments.
 
-A curve lies around the origin; the task moves it to its centre.  s: arc length, m, running on over the laps of a
-closed curve and held at the ends of an open one.
+A curve is centered on the origin; the task moves it. The arc length s, m, continues over the laps of a closed curve and
+stops at the ends of an open one.
 """
 
 from __future__ import annotations
@@ -15,183 +15,232 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from ..counter_rng import compiled, turn
+from ..counter_rng import compiled, cos_sin_of_turns
 
 Array = NDArray[np.float64]
-# Pieces of a Lissajous figure: 50 mm across, the tightest chord is 0.05 um off the curve.
-PIECES = 8192
-COARSE = 128  # vertices that a wide search tries first
+# Segments of a quarter of a Lissajous figure. At 50 mm across, the curve bulges at most 0.05 um from a segment.
+SEGMENTS = 8192
+COARSE_VERTICES = 128  # vertices that a wide search for the nearest point tries first
 
 
 class Curve(Protocol):
-    """A curve of a finite length."""
+    """A curve of finite length."""
 
     @property
     def length(self) -> float:
-        """m, of a lap or from end to end."""
+        """Length of a lap, or from end to end, m."""
 
     @property
     def closed(self) -> bool:
-        """Whether it ends where it begins."""
+        """Whether the curve ends where it begins."""
 
     @property
     def extent(self) -> Array:
-        """(2, 2) m: rows x and y, columns lowest and highest."""
+        """Lowest and highest coordinate, rows x and y, m, shape (2, 2)."""
 
     def point(self, s: Array) -> Array:
-        """Points (n, 2) at arc length s (n,), m."""
+        """Return the points at arc lengths s.
+
+        Args:
+            s: Arc lengths, m, shape (n,).
+
+        Returns:
+            Points, m, shape (n, 2).
+        """
 
     def distance(self, points: Array, s: Array) -> Array:
-        """Distance (n,) of points (n, 2) to the curve, m; s (n,): about where on it."""
+        """Return the distance of points to the curve.
+
+        Args:
+            points: Points, m, shape (n, 2).
+            s: Approximate arc lengths of the nearest points, m, shape (n,).
+
+        Returns:
+            Distances, m, shape (n,).
+        """
 
 
 @dataclass(frozen=True)
 class Circle:
-    """Anticlockwise from (radius, 0).  radius: m."""
+    """A circle, counterclockwise from (radius, 0).
+
+    Args:
+        radius: Radius, m.
+    """
 
     radius: float
     closed: bool = True
 
     @property
     def length(self) -> float:
+        """Circumference, m."""
         return 2.0 * math.pi * self.radius
 
     @property
     def extent(self) -> Array:
+        """Lowest and highest coordinate, rows x and y, m, shape (2, 2)."""
         return np.array([[-self.radius, self.radius]] * 2)
 
     def point(self, s: Array) -> Array:
-        points: Array = _on_circle(s, self.radius, self.length)
+        """Return the points, m, shape (n, 2), at arc lengths s, m, shape (n,)."""
+        points: Array = _points_on_circle(s, self.radius, self.length)
         return points
 
     def distance(self, points: Array, s: Array) -> Array:
+        """Return the distances, m, shape (n,), of points, m, shape (n, 2); s is not needed."""
         x, y = points.T
         return np.asarray(np.abs(np.sqrt(x * x + y * y) - self.radius))
 
 
 class Polyline:
-    """Straight pieces between vertices (n, 2), m; closed where the last is the first.
+    """Straight segments between vertices; closed if the last vertex equals the first.
 
-    Vertices that repeat the one before are left out; `vertex_s` (n,) has the arc length of all.
+    Args:
+        vertices: Vertices, m, shape (n, 2). A vertex that repeats the one before adds no segment.
 
-    Raises ValueError for fewer than two different vertices.
+    Attributes:
+        vertex_s: Arc length of every vertex, repeated ones included, m, shape (n,).
+        length: Total length, m.
+        closed: Whether the last vertex equals the first.
+        extent: Lowest and highest coordinate, rows x and y, m, shape (2, 2).
+
+    Raises:
+        ValueError: If there are fewer than two different vertices.
     """
 
     def __init__(self, vertices: Array) -> None:
         steps = np.hypot(*np.diff(vertices, axis=0).T)
         self.vertex_s: Array = np.concatenate([[0.0], np.cumsum(steps)])
-        own = np.concatenate([[True], steps > 0.0])
-        if own.sum() < 2:
+        distinct = np.concatenate([[True], steps > 0.0])
+        if distinct.sum() < 2:
             raise ValueError("a path needs at least two different points")
-        self._s, self._vertices = self.vertex_s[own], np.ascontiguousarray(vertices[own])
+        self._s, self._vertices = self.vertex_s[distinct], np.ascontiguousarray(vertices[distinct])
         self.length = float(self._s[-1])
         self.closed = bool(np.all(vertices[0] == vertices[-1]))
         self.extent = np.stack([vertices.min(axis=0), vertices.max(axis=0)], axis=1)
 
-    def _on(self, s: Array) -> Array:
+    def _wrapped(self, s: Array) -> Array:
+        """Return arc lengths within [0, length]: modulo the length if closed, else clipped."""
         return np.mod(s, self.length) if self.closed else np.clip(s, 0.0, self.length)
 
     def point(self, s: Array) -> Array:
-        points: Array = _on_pieces(self._vertices, self._s, self._on(s))
+        """Return the points, m, shape (n, 2), at arc lengths s, m, shape (n,)."""
+        points: Array = _points_on_segments(self._vertices, self._s, self._wrapped(s))
         return points
 
     def distance(self, points: Array, s: Array) -> Array:
-        """No further along than the curve can turn back to the point: for one that crosses itself the other branch
-        does not count."""
-        on = self._on(s)
-        off = np.linalg.norm(points - self.point(s), axis=1)
-        # Half a circle through the goal and the point's mirror image is pi/2 of its chord, which is twice `off`.
-        window = np.minimum(math.pi * off, self.length / 2 if self.closed else self.length)
-        found: Array = _nearest(self._vertices, self._s, self.closed, points, on, window)
-        return found
+        """Return the distances of points to the part of the curve near s.
+
+        The search is limited to the arc on which the curve can turn back to the point. Where a curve crosses itself,
+        the other branch is therefore not taken for the path.
+
+        Args:
+            points: Points, m, shape (n, 2).
+            s: Approximate arc lengths of the nearest points, m, shape (n,).
+
+        Returns:
+            Distances, m, shape (n,).
+        """
+        wrapped = self._wrapped(s)
+        offset = np.linalg.norm(points - self.point(s), axis=1)
+        # Half a circle through the goal and the mirror image of the point is pi/2 of its chord, which is 2 * offset.
+        window = np.minimum(math.pi * offset, self.length / 2 if self.closed else self.length)
+        result: Array = _nearest_distances(self._vertices, self._s, self.closed, points, wrapped, window)
+        return result
 
 
 @compiled
-def _on_circle(s: Any, radius: float, length: float) -> Any:
-    """Points (n, 2) at arc length s (n,) on a circle."""
+def _points_on_circle(s: Any, radius: float, length: float) -> Any:
+    """Return the points (n, 2) at arc lengths s (n,) on a circle."""
     out = np.empty((len(s), 2))
-    turns = 1.0 / length
+    turns_per_metre = 1.0 / length
     for i in range(len(s)):
-        cosine, sine = turn(s[i] * turns)
+        cosine, sine = cos_sin_of_turns(s[i] * turns_per_metre)
         out[i, 0], out[i, 1] = radius * cosine, radius * sine
     return out
 
 
 @compiled
-def _piece(vertex_s: Any, s: float) -> int:
-    """The piece with arc length s on it."""
-    pieces = len(vertex_s) - 1
-    # Where pieces are alike, it is where its share of the length says.
-    k = min(pieces - 1, max(0, int(s / vertex_s[pieces] * pieces)))
+def _segment(vertex_s: Any, s: float) -> int:
+    """Return the segment that holds arc length s."""
+    segments = len(vertex_s) - 1
+    # Segments of equal length: the fraction of the length gives the answer.
+    k = min(segments - 1, max(0, int(s / vertex_s[segments] * segments)))
     if vertex_s[k] <= s < vertex_s[k + 1]:
         return k
     after: Any = np.searchsorted(vertex_s, s, "right")
-    return int(min(pieces - 1, max(0, after - 1)))
+    return int(min(segments - 1, max(0, after - 1)))
 
 
 @compiled
-def _on_pieces(vertices: Any, vertex_s: Any, s: Any) -> Any:
-    """Points (n, 2) at arc length s (n,), within [0, length], on straight pieces."""
+def _points_on_segments(vertices: Any, vertex_s: Any, s: Any) -> Any:
+    """Return the points (n, 2) at arc lengths s (n,), within [0, length], on straight segments."""
     out = np.empty((len(s), 2))
     for i in range(len(s)):
-        k = _piece(vertex_s, s[i])
-        share = (s[i] - vertex_s[k]) / (vertex_s[k + 1] - vertex_s[k])
+        k = _segment(vertex_s, s[i])
+        fraction = (s[i] - vertex_s[k]) / (vertex_s[k + 1] - vertex_s[k])
         for axis in range(2):
-            out[i, axis] = vertices[k, axis] + share * (vertices[k + 1, axis] - vertices[k, axis])
+            out[i, axis] = vertices[k, axis] + fraction * (vertices[k + 1, axis] - vertices[k, axis])
     return out
 
 
 @compiled
-def _nearest(vertices: Any, vertex_s: Any, closed: bool, points: Any, s: Any, window: Any) -> Any:
-    """Distance (n,) of points (n, 2) to the pieces that touch [s - window, s + window]."""
-    pieces = len(vertex_s) - 1
+def _squared_distance_to_segment(point: Any, begin: Any, end: Any) -> float:
+    """Return the squared distance, m^2, of a point to the segment between two points, (2,) each."""
+    x, y = end[0] - begin[0], end[1] - begin[1]
+    u, v = point[0] - begin[0], point[1] - begin[1]
+    fraction = min(1.0, max(0.0, (u * x + v * y) / (x * x + y * y)))
+    return (u - fraction * x) ** 2 + (v - fraction * y) ** 2
+
+
+@compiled
+def _nearest_distances(vertices: Any, vertex_s: Any, closed: bool, points: Any, s: Any, window: Any) -> Any:
+    """Return the distances (n,) of points (n, 2) to the segments that touch [s - window, s + window]."""
+    segments = len(vertex_s) - 1
     length = vertex_s[-1]
     out = np.empty(len(points))
     for b in range(len(points)):
         low, high = s[b] - window[b], s[b] + window[b]
         lap = math.floor(low / length) if closed else 0
-        first = lap * pieces + _piece(vertex_s, low - lap * length)
+        first = lap * segments + _segment(vertex_s, low - lap * length)
         lap = math.floor(high / length) if closed else 0
-        last = lap * pieces + _piece(vertex_s, high - lap * length)
-        # Far off, the nearest of every so many vertices says where to look: the window is wide only there.
-        stride = (last - first) // COARSE
+        last = lap * segments + _segment(vertex_s, high - lap * length)
+        # The window is wide only for a distant point. Then the nearest of a few vertices narrows the search.
+        stride = (last - first) // COARSE_VERTICES
         if stride > 1:
-            best, near = np.inf, first
+            best, nearest = np.inf, first
             for k in range(first, last + 1, stride):
-                a = vertices[k % pieces]
-                apart = (points[b, 0] - a[0]) ** 2 + (points[b, 1] - a[1]) ** 2
-                if apart < best:
-                    best, near = apart, k
-            first, last = max(first, near - stride), min(last, near + stride)
-        least = np.inf
+                vertex = vertices[k % segments]
+                squared = (points[b, 0] - vertex[0]) ** 2 + (points[b, 1] - vertex[1]) ** 2
+                if squared < best:
+                    best, nearest = squared, k
+            first, last = max(first, nearest - stride), min(last, nearest + stride)
+        smallest = np.inf
         for k in range(first, last + 1):
-            a, c = vertices[k % pieces], vertices[k % pieces + 1]
-            x, y = c[0] - a[0], c[1] - a[1]
-            u, v = points[b, 0] - a[0], points[b, 1] - a[1]
-            along = min(1.0, max(0.0, (u * x + v * y) / (x * x + y * y)))
-            least = min(least, (u - along * x) ** 2 + (v - along * y) ** 2)
-        out[b] = math.sqrt(least)
+            begin, end = vertices[k % segments], vertices[k % segments + 1]
+            smallest = min(smallest, _squared_distance_to_segment(points[b], begin, end))
+        out[b] = math.sqrt(smallest)
     return out
 
 
 def circle(size: float) -> Circle:
-    """A circle of diameter size, m."""
+    """Return a circle of diameter `size`, m."""
     return Circle(size / 2)
 
 
 def square(size: float) -> Polyline:
-    """A square with sharp corners and sides of size, m, from the middle of its right side anticlockwise."""
+    """Return a square with sides of `size`, m, counterclockwise from the middle of its right side."""
     corners = [(1, 0), (1, 1), (-1, 1), (-1, -1), (1, -1), (1, 0)]
     return Polyline(0.5 * size * np.array(corners, float))
 
 
 def lissajous(size: float) -> Polyline:
-    """The figure of eight x = sin a, y = sin 2a, size (m) across both ways, in pieces of equal length."""
-    angle = np.linspace(0.0, 2.0 * np.pi, 4 * PIECES + 1)
+    """Return the figure of eight x = sin a, y = sin 2a, `size` (m) across in both axes, in segments of equal length."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 4 * SEGMENTS + 1)
     fine = 0.5 * size * np.stack([np.sin(angle), np.sin(2.0 * angle)], axis=1)
     s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(fine, axis=0).T))])
-    even = CubicSpline(s, angle)(np.linspace(0.0, s[-1], PIECES + 1))
-    even[[0, -1]] = 0.0  # the last point is the first, to the bit
+    even = CubicSpline(s, angle)(np.linspace(0.0, s[-1], SEGMENTS + 1))
+    even[[0, -1]] = 0.0  # the last point equals the first to the bit
     return Polyline(0.5 * size * np.stack([np.sin(even), np.sin(2.0 * even)], axis=1))
 
 

@@ -1,21 +1,27 @@
-"""`reach`: go to a point and stay there."""
+"""Task `reach`: move the tool to a point and keep it there."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
-from .base import Array, check_point
+from ...errors import InputError
+from .base import TASKS, Array, Task, check_point
 
 
+@TASKS.register("reach")
 @dataclass(frozen=True)
-class Reach:
-    """Go to a point and stay there.
+class Reach(Task):
+    """Move the tool to a point and keep it there.
 
-    start, target: (x, y), m, or None for one drawn uniformly from the workspace less `margin` (m) all round.
-    band: m, for success and the sparse reward.
+    Args:
+        start: Start position (x, y), m; default: uniform in the workspace without the margin.
+        target: Target position (x, y), m; default: uniform in the workspace without the margin.
+        margin: Distance that random positions keep from the workspace's edge, m.
+        band: Distance to the target that counts as a success, m.
     """
 
     start: tuple[float, float] | None = None
@@ -24,20 +30,39 @@ class Reach:
     band: float = 1e-3
 
     draws: ClassVar[int] = 4
-    plan_size: ClassVar[int] = 2
-    ahead_s: ClassVar[tuple[float, ...]] = ()
+    plan_size: ClassVar[int] = 2  # the target
 
     def check(self, workspace: Array) -> None:
+        """Check that band and margin are valid and that start and target lie in the workspace.
+
+        Args:
+            workspace: Rows x and y, columns low and high, m, shape (2, 2).
+
+        Raises:
+            InputError: If they do not.
+        """
         if not self.band > 0.0:
-            raise ValueError(f"task reach: band is {self.band!r}, it must be a positive number of metres")
+            raise InputError(f"task reach: band is {self.band!r}, it must be a positive number of metres")
         room = workspace[:, 1] - workspace[:, 0] - 2.0 * self.margin
         if not (self.margin >= 0.0 and np.all(room > 0.0)):
-            raise ValueError(f"task reach: margin is {self.margin!r} m, it must leave room in the workspace")
+            raise InputError(f"task reach: margin is {self.margin!r} m, it must leave room in the workspace")
         for name, point in (("start", self.start), ("target", self.target)):
             if point is not None:
                 check_point(f"task reach: {name}", np.asarray(point, float), workspace)
 
-    def begin(self, workspace: Array, uniforms: Array) -> tuple[Array, Array]:
+    def begin(
+        self, workspace: Array, uniforms: Array, parameters: Mapping[str, Array] | None = None
+    ) -> tuple[Array, Array]:
+        """Choose start and target positions.
+
+        Args:
+            workspace: Rows x and y, columns low and high, m, shape (2, 2).
+            uniforms: Uniform random numbers, shape (k, 4).
+            parameters: Unused; the task has no parameters to randomize.
+
+        Returns:
+            Start positions and plans (the targets), m, shape (k, 2) each.
+        """
         low, high = workspace[:, 0] + self.margin, workspace[:, 1] - self.margin
         points = [low + (high - low) * uniforms[:, i : i + 2] for i in (0, 2)]
         for i, point in enumerate((self.start, self.target)):
@@ -46,10 +71,9 @@ class Reach:
         return points[0], points[1]
 
     def aim(self, target: Array) -> Array:
+        """Return targets, m, shape (k, 2), which are the plans."""
         return target
 
     def goal(self, plan: Array, elapsed_s: Array) -> Array:
+        """Return the targets, m, shape (n, 2), or (n, m, 2) for times elapsed_s of shape (n, m), s."""
         return plan if elapsed_s.ndim == 1 else np.repeat(plan[:, None], elapsed_s.shape[1], axis=1)
-
-    def contour(self, plan: Array, points: Array, elapsed_s: Array) -> None:
-        """A target is no path."""

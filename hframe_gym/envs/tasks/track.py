@@ -1,7 +1,8 @@
-"""`track`: follow a goal that moves along a path."""
+"""Task `track`: follow a goal that moves along a path."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -12,29 +13,38 @@ import numpy as np
 from ...errors import InputError
 from ...recordings.path_file import read_path
 from ..counter_rng import compiled
-from .base import Array
+from .base import TASKS, Array, Metrics, Task
 from .curves import SHAPES, Curve, Polyline
 
-# Columns of a plan: which path, its centre (m), +1 or -1 for the direction, arc length where it begins (m).
-PATH, CENTRE, DIRECTION, BEGIN = 0, slice(1, 3), 3, 4
+# Columns of a plan: index of the path, its center (m), direction (+1 or -1), arc length at the start (m), speed (m/s).
+PATH, CENTER, DIRECTION, START, SPEED = 0, slice(1, 3), 3, 4, 5
 
 
+@TASKS.register("track")
 @dataclass(frozen=True)
-class Track:
+class Track(Task):
     """Follow a goal along a path, from rest at its beginning.
 
-    path: "circle", "square", "lissajous", several of them (one is drawn each episode), or a file of points
-        (`hframe_gym.recordings.path_file`), which is where it says and is run through in its own order.
-    size: of a shape, m, across.  speed: m/s along the path, reached `lead_s` after the reset: the goal speeds up by
-        3 u^2 - 2 u^3 of it, u = t / lead_s, so its acceleration has no step (at 0.3 m/s and 0.2 s: 2.3 m/s^2 at
-        most, a twentieth of what full voltage gives).  An open path ends at rest likewise.  Points with times keep to
-        their own, and to straight lines between them.
-    centre: (x, y), m, or None for one drawn so that the shape keeps `margin` (m) from the workspace's edge.
-    direction: 1 (anticlockwise), -1, or None for either.  phase: share of a lap where it begins, or None for any.
-    previews: how many future goals the observation has, `preview_s` (s) apart.
-    band: m, for success and the sparse reward: the distance to the goal itself, so to be late is to be off.
+    The goal speeds up over `lead_s` by v = speed (3 u^2 - 2 u^3), u = t / lead_s, so that its acceleration has no step
+    (at 0.3 m/s and 0.2 s it is at most 2.3 m/s^2, a twentieth of what full voltage gives). At the end of an open path
+    it slows down in the same way. A file with times keeps its times, with straight lines between the points.
 
-    Raises InputError for a path that cannot be read, ValueError for a shape that is not known.
+    Args:
+        path: "circle", "square", "lissajous", a tuple of these (one is chosen per episode), or a CSV file of points
+            (see `hframe_gym.recordings`), which keeps its position and direction.
+        size: Width of a shape, m.
+        speed: Speed along the path, m/s; randomized as `task.speed`.
+        centre: Center (x, y) of a shape, m; default: uniform where the shape keeps `margin` from the workspace's edge.
+        direction: 1 (counterclockwise), -1, or None for a random one.
+        phase: Fraction of a lap at which the goal starts, or None for a random one.
+        lead_s: Duration of the speed-up, s.
+        previews: Number of future goals in the observation.
+        preview_s: Time between them, s.
+        margin: Distance that random shapes keep from the workspace's edge, m.
+        band: Distance to the moving goal that counts as a success, m; being late therefore counts as an error.
+
+    Raises:
+        InputError: If a number is invalid, a shape is unknown or a path cannot be read.
     """
 
     path: str | Path | tuple[str, ...] = "circle"
@@ -49,40 +59,50 @@ class Track:
     margin: float = 0.02
     band: float = 1e-3
 
+    metrics: ClassVar[Metrics] = "track"
     draws: ClassVar[int] = 5
-    plan_size: ClassVar[int] = 5
+    plan_size: ClassVar[int] = 6
 
     def __post_init__(self) -> None:
         for name in ("size", "speed", "lead_s", "preview_s", "band"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0.0):
-                raise ValueError(f"task track: {name} is {value!r}, it must be a positive number")
+                raise InputError(f"task track: {name} is {value!r}, it must be a positive number")
         if self.direction not in (None, 1, -1):
-            raise ValueError(f"task track: direction is {self.direction!r}, choose 1, -1 or None")
+            raise InputError(f"task track: direction is {self.direction!r}, choose 1, -1 or None")
         if self.phase is not None and not 0.0 <= self.phase <= 1.0:
-            raise ValueError(f"task track: phase is {self.phase!r}, it must be a share of a lap, 0 to 1")
+            raise InputError(f"task track: phase is {self.phase!r}, it must be a fraction of a lap, 0 to 1")
         if self.previews < 1:
-            raise ValueError(f"task track: previews is {self.previews!r}, it must be at least 1")
-        _ = self._curves  # a path that cannot be read is refused here and not at the first reset
+            raise InputError(f"task track: previews is {self.previews!r}, it must be at least 1")
+        _ = self._curves  # refuses a path that cannot be read when the task is made, not at the first reset
 
-    @cached_property
+    @property
     def ahead_s(self) -> tuple[float, ...]:
+        """Times ahead of now for which `preview` shows the goal, s."""
         return tuple(self.preview_s * (i + 1) for i in range(self.previews))
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Nominal value of what randomization may vary: the speed, m/s."""
+        return {"speed": self.speed}
 
     @cached_property
     def _curves(self) -> tuple[Curve, ...]:
+        """The curves of which an episode follows one."""
         names = self.path if isinstance(self.path, tuple) else (self.path,)
         if not isinstance(self.path, tuple) and str(self.path).endswith(".csv"):
             return (self._from_file[0],)
         unknown = [str(name) for name in names if name not in SHAPES]
         if unknown or not names:
-            raise ValueError(
-                f"task track: path is {', '.join(unknown) or 'empty'}, choose from {', '.join(SHAPES)}, or a .csv file"
+            shapes = ", ".join(SHAPES)
+            raise InputError(
+                f"task track: path is {', '.join(unknown) or 'empty'}; choose from {shapes}, or give a .csv file"
             )
         return tuple(SHAPES[str(name)](self.size) for name in names)
 
     @cached_property
     def _from_file(self) -> tuple[Polyline, Array | None]:
+        """The curve of a path file, and the times of its points, s, where it has any."""
         points, time_s = read_path(str(self.path))
         try:
             return Polyline(points), time_s
@@ -94,20 +114,29 @@ class Track:
         return not isinstance(self.path, tuple) and self.path not in SHAPES
 
     def check(self, workspace: Array) -> None:
+        """Check that the path fits into the workspace.
+
+        Args:
+            workspace: Rows x and y, columns low and high, m, shape (2, 2).
+
+        Raises:
+            InputError: If it does not fit; for a file the message names row and column.
+        """
         if self._is_file:
             self._check_file(workspace)
             return
         room = workspace[:, 1] - workspace[:, 0] - 2.0 * self.margin - self.size
         if not (self.margin >= 0.0 and np.all(room >= 0.0)):
-            raise ValueError(
+            raise InputError(
                 f"task track: a path {self.size:g} m across with a margin of {self.margin!r} m does not fit"
             )
         if self.centre is not None:
             edges = np.asarray(self.centre, float)[:, None] + 0.5 * self.size * np.array([-1.0, 1.0])
             if edges.shape != (2, 2) or np.any(edges[:, 0] < workspace[:, 0]) or np.any(edges[:, 1] > workspace[:, 1]):
-                raise ValueError(f"task track: centre is {self.centre!r} m, there the path leaves the workspace")
+                raise InputError(f"task track: centre is {self.centre!r} m; the path would leave the workspace")
 
     def _check_file(self, workspace: Array) -> None:
+        """Check the points of a path file; raises InputError with row and column of the first one outside."""
         points, _ = read_path(str(self.path))
         for j, column in enumerate(("x_m", "y_m")):
             low, high = workspace[j]
@@ -119,87 +148,141 @@ class Track:
                     f"[{low:g}, {high:g}] m"
                 )
 
-    def begin(self, workspace: Array, uniforms: Array) -> tuple[Array, Array]:
+    def begin(
+        self, workspace: Array, uniforms: Array, parameters: Mapping[str, Array] | None = None
+    ) -> tuple[Array, Array]:
+        """Choose path, center, direction and phase.
+
+        Args:
+            workspace: Rows x and y, columns low and high, m, shape (2, 2).
+            uniforms: Uniform random numbers, shape (k, 5).
+            parameters: `speed` of each episode, m/s, shape (k,); default: `speed` for all.
+
+        Returns:
+            Start positions, m, shape (k, 2), and plans, shape (k, 6).
+        """
         plan = np.zeros((len(uniforms), self.plan_size))
         plan[:, DIRECTION] = 1.0
+        plan[:, SPEED] = self.speed if parameters is None else parameters["speed"]
         if not self._is_file:
             plan[:, PATH] = np.floor(uniforms[:, 0] * len(self._curves))
             edge = self.margin + 0.5 * self.size
             low, high = workspace[:, 0] + edge, workspace[:, 1] - edge
-            drawn = low + (high - low) * uniforms[:, 1:3]
-            plan[:, CENTRE] = drawn if self.centre is None else np.asarray(self.centre, float)
-            either = np.where(uniforms[:, 3] < 0.5, 1.0, -1.0)
-            plan[:, DIRECTION] = either if self.direction is None else self.direction
+            random_center = low + (high - low) * uniforms[:, 1:3]
+            plan[:, CENTER] = random_center if self.centre is None else np.asarray(self.centre, float)
+            random_direction = np.where(uniforms[:, 3] < 0.5, 1.0, -1.0)
+            plan[:, DIRECTION] = random_direction if self.direction is None else self.direction
             lengths = np.array([curve.length for curve in self._curves])[plan[:, PATH].astype(np.intp)]
-            plan[:, BEGIN] = lengths * (uniforms[:, 4] if self.phase is None else self.phase)
+            plan[:, START] = lengths * (uniforms[:, 4] if self.phase is None else self.phase)
         return self.goal(plan, np.zeros(len(plan))), plan
 
     def aim(self, target: Array) -> Array:
-        raise ValueError("task track has no target; choose where its path is with Track(centre=...)")
+        """Refuse a target: a path has none.
+
+        Args:
+            target: Targets, m, shape (k, 2).
+
+        Returns:
+            Nothing.
+
+        Raises:
+            InputError: Always.
+        """
+        raise InputError("task track has no target; choose where its path lies with Track(centre=(x, y))")
 
     def goal(self, plan: Array, elapsed_s: Array) -> Array:
+        """Compute the goals on the paths.
+
+        Args:
+            plan: Plans, shape (n, 6).
+            elapsed_s: Times since the reset, s, shape (n,) or (n, m).
+
+        Returns:
+            Goals, m, shape (n, 2) or (n, m, 2).
+        """
         times = elapsed_s.reshape(len(plan), -1)
         out = np.empty((*times.shape, 2))
-        for curve, rows in self._split(plan):
-            s = self._arc(curve, plan[rows], times[rows])
+        for curve, rows in self._rows_of_curves(plan):
+            s = self._arc_length(curve, plan[rows], times[rows])
             out[rows] = curve.point(s.ravel()).reshape(*s.shape, 2)
-        _shift(out, plan[:, CENTRE])
+        _translate(out, plan[:, CENTER])
         return out.reshape(*elapsed_s.shape, 2)
 
     def contour(self, plan: Array, points: Array, elapsed_s: Array) -> Array:
+        """Compute the distance of points to their paths.
+
+        Args:
+            plan: Plans, shape (n, 6).
+            points: Points, m, shape (n, 2).
+            elapsed_s: Times since the reset, s, shape (n,).
+
+        Returns:
+            Distances, m, shape (n,).
+        """
         out = np.empty(len(plan))
-        for curve, rows in self._split(plan):
-            s = self._arc(curve, plan[rows], elapsed_s[rows, None])[:, 0]
-            out[rows] = curve.distance(points[rows] - plan[rows, CENTRE], s)
+        for curve, rows in self._rows_of_curves(plan):
+            s = self._arc_length(curve, plan[rows], elapsed_s[rows, None])[:, 0]
+            out[rows] = curve.distance(points[rows] - plan[rows, CENTER], s)
         return out
 
-    def _split(self, plan: Array) -> list[tuple[Curve, slice | Array]]:
-        """Each curve with the rows of the plans that follow it."""
+    def _rows_of_curves(self, plan: Array) -> list[tuple[Curve, slice | Array]]:
+        """Return each curve with the rows of the plans that follow it."""
         if len(self._curves) == 1:
             return [(self._curves[0], slice(None))]
         return [(curve, plan[:, PATH] == i) for i, curve in enumerate(self._curves)]
 
-    def _arc(self, curve: Curve, plan: Array, elapsed_s: Array) -> Array:
-        """Arc length (n, m) where the goal is, m."""
+    def _arc_length(self, curve: Curve, plan: Array, elapsed_s: Array) -> Array:
+        """Return the arc lengths (n, m) of the goals, m, at times elapsed_s (n, m), s."""
         timed = self._from_file if self._is_file else None
         if timed is not None and timed[1] is not None:
             return np.interp(elapsed_s, timed[1], timed[0].vertex_s)
-        way = travelled(elapsed_s.ravel(), self.speed, self.lead_s, np.inf if curve.closed else curve.length)
-        s: Array = way.reshape(elapsed_s.shape)
-        s *= plan[:, DIRECTION, None]
-        s += plan[:, BEGIN, None]
+        length = np.inf if curve.closed else curve.length
+        s: Array = _arc_lengths(plan, elapsed_s, self.lead_s, length)
         return s
 
 
 @compiled
-def _shift(points: Any, centres: Any) -> None:
-    """Move points (n, m, 2) by centres (n, 2), in place."""
+def _translate(points: Any, centers: Any) -> None:
+    """Add centers (n, 2) to points (n, m, 2), in place."""
     for i in range(points.shape[0]):
         for j in range(points.shape[1]):
-            points[i, j, 0] += centres[i, 0]
-            points[i, j, 1] += centres[i, 1]
+            points[i, j, 0] += centers[i, 0]
+            points[i, j, 1] += centers[i, 1]
 
 
 @compiled
-def travelled(elapsed_s: Any, speed: float, lead_s: float, length: float) -> Any:
-    """Way (n,), m, after elapsed_s (n,) from rest: up to speed in lead_s, and at a finite length (m) down again.
+def _speed_up(t: float, speed: float, lead_s: float) -> float:
+    """Return the distance, m, after time t, s, from rest to speed."""
+    u = min(1.0, t / lead_s)
+    return speed * (lead_s * u * u * u * (1.0 - 0.5 * u) + max(t - lead_s, 0.0))
 
-    Where the length is too short for that the speed is what it allows.
+
+@compiled
+def distance_traveled(t: float, speed: float, lead_s: float, length: float) -> float:
+    """Compute the distance traveled along a path from rest.
+
+    Args:
+        t: Time, s.
+        speed: Speed, m/s; reduced where the length is too short to reach it.
+        lead_s: Duration of the speed-up, and of the slow-down at the end of an open path, s.
+        length: Length of the path, m; infinite for a closed one.
+
+    Returns:
+        Distance, m.
     """
     speed = min(speed, length / lead_s)
     duration = length / speed + lead_s
-    way = np.empty(len(elapsed_s))
-    for i in range(len(elapsed_s)):
-        t = elapsed_s[i]
-        if t < 0.5 * duration:
-            way[i] = _up(t, speed, lead_s)
-        else:
-            way[i] = length - _up(max(duration - t, 0.0), speed, lead_s)
-    return way
+    if t < 0.5 * duration:
+        return _speed_up(t, speed, lead_s)
+    return length - _speed_up(max(duration - t, 0.0), speed, lead_s)
 
 
 @compiled
-def _up(t: float, speed: float, lead_s: float) -> float:
-    """Way after t from rest to speed, m."""
-    u = min(1.0, t / lead_s)
-    return speed * (lead_s * u * u * u * (1.0 - 0.5 * u) + max(t - lead_s, 0.0))
+def _arc_lengths(plan: Any, elapsed_s: Any, lead_s: float, length: float) -> Any:
+    """Return the arc lengths (n, m), m, of goals with plans (n, 6) at times elapsed_s (n, m), s."""
+    out = np.empty(elapsed_s.shape)
+    for i in range(elapsed_s.shape[0]):
+        for j in range(elapsed_s.shape[1]):
+            s = distance_traveled(elapsed_s[i, j], plan[i, SPEED], lead_s, length)
+            out[i, j] = s * plan[i, DIRECTION] + plan[i, START]
+    return out

@@ -1,0 +1,205 @@
+"""Simulation of sensors for a batch: delay, noise, quantization and range of the kernel's ideal readings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..dynamics.simd import LANES
+from ..machine import SENSOR_KINDS, Machine, Sensor, SensorKind
+from .counter_rng import compiled, normal_pair
+from .sensors import sensor_range_names
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+# First channel of the random numbers of sensor kinds whose formula is not the default one.
+_FIRST_CUSTOM_CHANNEL = 1 << 20
+
+
+class SensorArray:
+    """Measurements of a batch: noise and quantization of ideal readings, and the one before for differences.
+
+    Args:
+        machine: The machine, with its sensors declared.
+        sensors: The observed sensors, n.
+        count: Environments.
+        column: Maps the full name of a parameter to its column in the parameters that `begin` is given.
+
+    Attributes:
+        measurements: The last and the one before, in the channels' units, shape (count, 2, n).
+    """
+
+    def __init__(self, machine: Machine, sensors: tuple[Sensor, ...], count: int, column: Callable[[str], int]) -> None:
+        channels = list(machine.output_channels)
+        self._rows = np.array([channels.index(s.channel) for s in sensors], np.intp)
+        self._device_columns = [[column(f"{s.channel}.{key}") for key in ("noise", "resolution")] for s in sensors]
+        names = [sensor_range_names(s) for s in sensors]
+        limited = [low in machine.parameters for low, _ in names]
+        self._range_columns = [
+            [column(name) for name in pair] if has else None for pair, has in zip(names, limited, strict=True)
+        ]
+        kinds = [SENSOR_KINDS.get(s.kind) for s in sensors]
+        self._custom = {j: kind for j, kind in enumerate(kinds) if kind.measure is not SensorKind.measure}
+        size = (count, len(sensors))
+        self._noise, self._resolution = np.zeros(size), np.zeros(size)
+        self.low, self.high = np.full(size, -np.inf), np.full(size, np.inf)
+        self._keys = np.zeros(count, np.uint64)
+        self.measurements = np.zeros((count, 2, len(sensors)))
+
+    def begin(self, index: Index, keys: NDArray[np.uint64], values: Array) -> None:
+        """Begin episodes.
+
+        Args:
+            index: Environments, shape (k,).
+            keys: Keys of the episodes, shape (k,).
+            values: Parameters, shape (k, N).
+        """
+        self._keys[index] = keys
+        for j, (noise, resolution) in enumerate(self._device_columns):
+            self._noise[index, j], self._resolution[index, j] = values[:, noise], values[:, resolution]
+            limits = self._range_columns[j]
+            if limits is not None:
+                self.low[index, j], self.high[index, j] = values[:, limits[0]], values[:, limits[1]]
+
+    def measure(self, readings: Array, index: Index, elapsed: NDArray[np.int64], *, fresh: bool) -> None:
+        """Measure.
+
+        Args:
+            readings: Ideal readings of all sensors of the machine, delayed, shape (blocks, sensors, LANES).
+            index: Environments, shape (k,).
+            elapsed: Control periods since the reset of each environment, shape (count,).
+            fresh: Whether an episode begins, so that there is no measurement before.
+        """
+        devices = self._noise, self._resolution, self.low, self.high
+        _measure(readings, self._rows, *devices, self._keys, elapsed, index, fresh, self.measurements)
+        for j, kind in self._custom.items():
+            ideal, normals = np.empty(len(index)), np.empty(len(index))
+            channel = _FIRST_CUSTOM_CHANNEL + 2 * j
+            _ideal_and_normal(readings, self._rows[j], self._keys, elapsed, index, channel, ideal, normals)
+            value = kind.measure(ideal, self._noise[index, j], self._resolution[index, j], normals)
+            self.measurements[index, 0, j] = np.clip(value, self.low[index, j], self.high[index, j])
+            if fresh:
+                self.measurements[index, 1, j] = self.measurements[index, 0, j]
+
+
+@compiled
+def _measure(
+    readings: Any,
+    rows: Any,
+    noise: Any,
+    resolution: Any,
+    low: Any,
+    high: Any,
+    keys: Any,
+    elapsed: Any,
+    index: Any,
+    fresh: bool,
+    measurements: Any,
+) -> None:
+    """Write measurements (B, 2, n) of environments index (k,) from readings (blocks, sensors, LANES).
+
+    A measurement is the reading plus noise, rounded to the resolution (0: not), each (B, n). A reading at an end of the
+    range low, high (B, n) is shown without noise, and noise does not lead out of the range.
+    """
+    for i in range(index.shape[0]):
+        b = index[i]
+        block, lane = b // LANES, b % LANES
+        spare, has_spare = 0.0, False
+        for j in range(rows.shape[0]):
+            value = readings[block, rows[j], lane]
+            if noise[b, j] > 0.0:
+                if has_spare:
+                    normal = spare
+                else:
+                    normal, spare = normal_pair(keys[b], elapsed[b], j)
+                has_spare = not has_spare
+                if low[b, j] < value < high[b, j]:
+                    value += noise[b, j] * normal
+            if resolution[b, j] > 0.0:
+                value = np.rint(value / resolution[b, j]) * resolution[b, j]
+            value = min(high[b, j], max(low[b, j], value))
+            measurements[b, 1, j] = value if fresh else measurements[b, 0, j]
+            measurements[b, 0, j] = value
+
+
+@compiled
+def _ideal_and_normal(
+    readings: Any, row: int, keys: Any, elapsed: Any, index: Any, channel: int, ideal: Any, normals: Any
+) -> None:
+    """Write the ideal readings (k,) of one sensor and a normal number (k,) for each of environments index (k,)."""
+    for i in range(index.shape[0]):
+        b = index[i]
+        ideal[i] = readings[b // LANES, row, b % LANES]
+        normals[i], _ = normal_pair(keys[b], elapsed[b], channel)
+
+
+class DelayLine:
+    """History of ideal readings at the steps of the integrator, for sensors with a delay.
+
+    Args:
+        blocks: SIMD blocks.
+        sensors: Sensors of the machine.
+        longest_delay: Largest delay that a sensor can have, s.
+        h: Step of the integrator, s.
+    """
+
+    def __init__(self, blocks: int, sensors: int, longest_delay: float, h: float) -> None:
+        self._h = h
+        self._depth = math.ceil(longest_delay / h) + 3
+        self._history = np.zeros((blocks, self._depth, sensors, LANES))
+        self.delays = np.zeros((blocks, sensors, LANES))
+
+    def fill(self, index: Index, readings: Array) -> None:
+        """Begin episodes of machines that were at rest before.
+
+        Args:
+            index: Environments, ascending, shape (k,).
+            readings: Ideal readings, shape (blocks, sensors, LANES).
+        """
+        block, lane = np.divmod(index, LANES)
+        self._history[block, :, :, lane] = readings[block, :, lane][:, None]
+
+    def record(self, readings: Array, step: int, first: int, last: int) -> None:
+        """Record the readings after one step of the integrator.
+
+        Args:
+            readings: Ideal readings, shape (blocks, sensors, LANES).
+            step: Steps since the environments were made; the same for all.
+            first: First block.
+            last: Block after the last one.
+        """
+        self._history[first:last, step % self._depth] = readings[first:last]
+
+    def read(self, step: int, first: int, last: int, out: Array) -> None:
+        """Write the delayed readings.
+
+        Args:
+            step: Step that was recorded last.
+            first: First block.
+            last: Block after the last one.
+            out: Output, shape (blocks, sensors, LANES).
+        """
+        _interpolate(self._history, self.delays, self._h, step, first, last, out)
+
+
+@compiled
+def _interpolate(history: Any, delays: Any, h: float, step: int, first: int, last: int, out: Any) -> None:
+    """Write readings at time step * h - delay by a parabola through the three nearest records, to out."""
+    depth = history.shape[1]
+    for block in range(first, last):
+        for j in range(out.shape[1]):
+            for lane in range(LANES):
+                back = min(delays[block, j, lane] / h, depth - 2.0)
+                if back <= 0.0:
+                    out[block, j, lane] = history[block, step % depth, j, lane]
+                    continue
+                middle = max(1, int(back + 0.5))
+                u = middle - back  # in steps, towards the present
+                newer = history[block, (step - middle + 1) % depth, j, lane]
+                here = history[block, (step - middle) % depth, j, lane]
+                older = history[block, (step - middle - 1) % depth, j, lane]
+                out[block, j, lane] = here + 0.5 * u * (newer - older) + 0.5 * u * u * (newer - 2.0 * here + older)

@@ -1,0 +1,103 @@
+"""Copies of environments in mid-episode: they respond to new actions and continue bit-equal to the original."""
+
+import copy
+import itertools
+import pickle
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import hframe_gym  # noqa: F401  (registers the environments)
+from hframe_gym.envs import Actuators
+
+IDS = ("HFrame-v0", "HFrameTrack-v0")
+CHOICES = {
+    "sensors": ("state", "rig"),
+    "drives": ("ideal", "rig", Actuators(bits=12, current_limit=5.0, delay=0.004)),
+    "ends": ("stops", "terminate"),
+    "privileged": (False, True),
+}
+PRESETS = [dict(zip(CHOICES, values, strict=True)) for values in itertools.product(*CHOICES.values())]
+
+
+def through_pickle(env):
+    """Copy an environment by pickling it."""
+    return pickle.loads(pickle.dumps(env))
+
+
+def changing_actions(steps, shape, seed):
+    """Return random actions, shape (steps, *shape), different in every step."""
+    return np.random.default_rng(seed).uniform(-0.8, 0.8, (steps, *shape)).astype(np.float32)
+
+
+def assert_equal(first, second):
+    """Compare two results of `step` or `reset` bit by bit, through dictionaries, tuples and object arrays."""
+    assert type(first) is type(second)
+    if isinstance(first, dict):
+        assert first.keys() == second.keys()
+        for key in first:
+            assert_equal(first[key], second[key])
+    elif isinstance(first, tuple) or (isinstance(first, np.ndarray) and first.dtype == object):
+        for a, b in zip(first, second, strict=True):
+            assert_equal(a, b)
+    else:
+        np.testing.assert_array_equal(first, second)
+
+
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, through_pickle], ids=["deepcopy", "pickle"])
+@pytest.mark.parametrize("options", PRESETS, ids=lambda o: "-".join(map(str, o.values())))
+@pytest.mark.parametrize("name", IDS)
+def test_copy_of_a_single_environment_continues_bit_equal(name, options, duplicate):
+    env = gym.make(name, randomize="default", **options).unwrapped
+    env.reset(seed=3)
+    for action in changing_actions(5, (2,), seed=0):
+        env.step(action)
+    twin = duplicate(env)
+    for action in changing_actions(8, (2,), seed=1):
+        assert_equal(env.step(action), twin.step(action))
+    assert_equal(env.reset(), twin.reset())
+    for action in changing_actions(4, (2,), seed=2):
+        assert_equal(env.step(action), twin.step(action))
+
+
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, through_pickle], ids=["deepcopy", "pickle"])
+@pytest.mark.parametrize("options", PRESETS, ids=lambda o: "-".join(map(str, o.values())))
+@pytest.mark.parametrize("name", IDS)
+def test_copy_of_a_vector_environment_continues_bit_equal(name, options, duplicate):
+    count = 9
+    envs = gym.make_vec(name, num_envs=count, randomize="default", **options).unwrapped
+    envs.reset(seed=3)
+    for action in changing_actions(5, (count, 2), seed=0):
+        envs.step(action)
+    twin = duplicate(envs)
+    for action in changing_actions(8, (count, 2), seed=1):
+        assert_equal(envs.step(action), twin.step(action))
+    assert_equal(envs.reset(), twin.reset())
+    for action in changing_actions(4, (count, 2), seed=2):
+        assert_equal(envs.step(action), twin.step(action))
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_copy_responds_to_its_actions(name):
+    env = gym.make(name).unwrapped
+    env.reset(seed=3)
+    env.step(np.zeros(2, np.float32))
+    ends = []
+    for action in changing_actions(5, (2,), seed=0):
+        twin = copy.deepcopy(env)
+        for _ in range(5):
+            observation, *_ = twin.step(action)
+        ends.append(observation["achieved_goal"])
+    assert np.ptp(ends, axis=0).min() > 1e-3
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_original_and_copy_do_not_share_memory(name):
+    env = gym.make(name, sensors="rig", drives="rig", privileged=True, randomize="default").unwrapped
+    env.reset(seed=3)
+    twin = copy.deepcopy(env)
+    before, _, _, _, _ = copy.deepcopy(env).step(np.zeros(2, np.float32))
+    for action in changing_actions(5, (2,), seed=0):
+        twin.step(action)
+    assert_equal(env.step(np.zeros(2, np.float32))[0], before)
