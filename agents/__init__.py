@@ -5,15 +5,15 @@ this package does not; it registers trained agents as controllers for `hframe_gy
 """
 
 from .agent import Agent
-from .controller_source import make_agent_controller, shipped_agent_folder
+from .controller_source import AgentSource, shipped_agent_folder
 from .recipe import Recipe, load_recipe, recipe_names
 from .training import train
 
 __all__ = [
     "Agent",
+    "AgentSource",
     "Recipe",
     "load_recipe",
-    "make_agent_controller",
     "recipe_names",
     "shipped_agent_folder",
     "train",

@@ -9,13 +9,15 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..atomic_files import atomic_file, write_text
-from ..envs.spaces import action_space, observation_space
+from ..controllers import Controller
+from ..controllers.base import Feedback
+from ..envs import action_space, observation_space
 from ..errors import InputError
 from ..machine import Machine
 from ..recordings import load_machine, save_machine
@@ -64,8 +66,8 @@ def policy_keywords(policy: Mapping[str, Any], features: Mapping[str, Any]) -> d
     }
 
 
-class Agent:
-    """Control a batch of machines with the mean action of a trained policy (a `hframe_gym.controllers.Controller`).
+class Agent(Controller):
+    """Controller of a batch of machines that applies the mean action of a trained policy.
 
     Args:
         policy: Policy of stable-baselines3.
@@ -74,10 +76,12 @@ class Agent:
         card: Contents of agent.json; may have more entries, which are not saved.
     """
 
+    feedback: ClassVar[Feedback] = "observation"
+
     def __init__(self, policy: Any, mapping: ResidualAction | None, machine: Machine, card: Mapping[str, Any]) -> None:
+        super().__init__(machine, card["period"])
         self.policy = policy
         self.mapping = mapping
-        self.machine = machine
         self.card = dict(card)
 
     def act(self, observation: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
@@ -103,14 +107,14 @@ class Agent:
             outputs, _ = self.policy.predict(policy_input, deterministic=True)
         return self.mapping.action(outputs) if self.mapping else np.asarray(outputs, np.float64)
 
-    def applied(self, actions: NDArray[np.float64]) -> None:
+    def replace_last_action(self, actions: NDArray[np.float64]) -> None:
         """Record that the drives received other actions than `act` returned last.
 
         Args:
             actions: Actions in [-1, 1], shape (batch, drives).
         """
         if self.mapping:
-            self.mapping.applied(actions)
+            self.mapping.replace_last_action(actions)
 
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
         """Forget the history of environments whose episode begins with the next observation.
@@ -136,8 +140,8 @@ class Agent:
             differences.append(f"trained on machine {self.machine.name!r}, evaluated on {machine.name!r}")
         elif not _same_parameters(machine, self.machine):
             differences.append(f"trained on a machine {machine.name!r} with other parameters")
-        if not np.isclose(period, self.card["period"]):
-            differences.append(f"trained with a control period of {self.card['period']:g} s, evaluated at {period:g} s")
+        if not np.isclose(period, self.period):
+            differences.append(f"trained with a control period of {self.period:g} s, evaluated at {period:g} s")
         if not differences:
             return None
         return f"agent {self.card['name']}: {'; '.join(differences)}. Its scores may be poor."

@@ -1,4 +1,8 @@
-"""Trained agents as controllers: agents in a folder, and the agents that come with the package."""
+"""Trained agents as controllers: agents in a folder, and the agents that come with the package.
+
+Importing this module registers both with `hframe_gym.evaluation.make_controller`; it is the plugin that the package
+declares in the entry-point group `hframe_gym.plugins`.
+"""
 
 from __future__ import annotations
 
@@ -6,34 +10,50 @@ import warnings
 from importlib import resources
 from pathlib import Path
 
-from ..envs.config import as_machine
 from ..errors import InputError
-from ..evaluation import Scenario
+from ..evaluation import CONTROLLER_SOURCES, ControllerSource, Scenario
 from .agent import Agent
 
 
-def make_agent_controller(name: str, scenario: Scenario) -> Agent:
-    """Load a trained agent to be evaluated.
+@CONTROLLER_SOURCES.register("agents")
+class AgentSource(ControllerSource):
+    """Trained agents by folder, shipped agents by name."""
 
-    Warns if the agent was trained on another machine or with another control period.
+    @staticmethod
+    def make(name: str, scenario: Scenario) -> Agent | None:
+        """Load an agent, and warn if it was trained on another machine or with another control period.
 
-    Args:
-        name: Folder of a trained agent, or the name of a shipped agent ("ppo-seed1"), or how it begins ("ppo").
-        scenario: Episodes of the evaluation.
+        Args:
+            name: Folder of an agent, or the name of a shipped agent as in `shipped_agent_folder`.
+            scenario: Conditions under which the agent will run.
 
-    Returns:
-        The agent.
+        Returns:
+            The agent, or None if the name is neither a folder nor that of a shipped agent.
 
-    Raises:
-        InputError: If there is no such agent or its files are damaged.
-        ImportError: If the extra `agents` is not installed.
-    """
-    folder = Path(name) if Path(name).is_dir() else shipped_agent_folder(name, _task_name(scenario))
-    agent = Agent.load(folder)
-    mismatch = agent.mismatch(as_machine(scenario.machine), scenario.period)
-    if mismatch:
-        warnings.warn(mismatch, stacklevel=2)
-    return agent
+        Raises:
+            InputError: If the folder holds no agent or its files are damaged.
+            ImportError: If the extra `agents` is not installed.
+        """
+        folder = Path(name) if Path(name).is_dir() else _find_shipped(name, scenario.task_name)
+        if folder is None:
+            return None
+        agent = Agent.load(folder)
+        mismatch = agent.mismatch(scenario.declared_machine, scenario.period)
+        if mismatch:
+            warnings.warn(mismatch, stacklevel=2)
+        return agent
+
+    @staticmethod
+    def describe(scenario: Scenario) -> str:
+        """Describe the accepted names.
+
+        Args:
+            scenario: Conditions under which the agent will run.
+
+        Returns:
+            A phrase for the message that a controller is unknown.
+        """
+        return f"the folder of a trained agent; or a shipped agent ({_shipped_names(scenario.task_name)})"
 
 
 def shipped_agent_folder(name: str, task: str) -> Path:
@@ -49,22 +69,24 @@ def shipped_agent_folder(name: str, task: str) -> Path:
     Raises:
         InputError: If there is none; the message lists the agents of the task.
     """
+    folder = _find_shipped(name, task)
+    if folder is None:
+        raise InputError(f"no shipped agent {name!r} for the task {task}; choose one of: {_shipped_names(task)}")
+    return folder
+
+
+def _find_shipped(name: str, task: str) -> Path | None:
+    """Return the folder of the first shipped agent that has a name or whose name begins with it and a hyphen."""
     folders = _shipped_folders(task)
-    matches = [folder for label, folder in folders.items() if label == name or label.startswith(f"{name}-")]
-    if not matches:
-        raise InputError(
-            f"{name!r} is neither the folder of a trained agent nor a shipped agent for the task {task} "
-            f"({', '.join(folders) or 'there are none'})"
-        )
-    return matches[0]
+    return next((f for label, f in folders.items() if label == name or label.startswith(f"{name}-")), None)
+
+
+def _shipped_names(task: str) -> str:
+    """List the shipped agents of a task for a message."""
+    return ", ".join(_shipped_folders(task)) or f"none for the task {task}"
 
 
 def _shipped_folders(task: str) -> dict[str, Path]:
     """Return the folders of the shipped agents of a task by name, sorted."""
     shipped = Path(str(resources.files(__package__))) / "shipped"
     return {file.parent.name: file.parent for file in sorted(shipped.glob(f"{task}/*/agent.json"))}
-
-
-def _task_name(scenario: Scenario) -> str:
-    """Return the name under which a scenario's task has shipped agents."""
-    return scenario.task if isinstance(scenario.task, str) else type(scenario.task).__name__.lower()

@@ -46,8 +46,8 @@ OBSERVATION_KEYS = (
     "last_observation",
     "last_action",
     "base_action",
-    "expected",
-    "learnt",
+    "expected_friction",
+    "estimates",
 )
 
 
@@ -104,14 +104,14 @@ def feature_matrix(sizes: Mapping[str, int], radii: Array, rest: Array) -> tuple
     for key in ("last_action", "base_action"):
         if key in selectors:
             blocks.append(_scaled_columns(selectors[key], ACTION_SCALES, 1.0))
-    if "expected" in selectors:
-        upcoming, recent = selectors["expected"][:, :-drives], selectors["expected"][:, -drives:]
+    if "expected_friction" in selectors:
+        upcoming, recent = selectors["expected_friction"][:, :-drives], selectors["expected_friction"][:, -drives:]
         # The change of the friction voltage along the path is what a controller that only integrates cannot anticipate.
         change = upcoming - np.tile(recent, upcoming.shape[1] // drives)
         columns = np.hstack([upcoming[:, :drives], change])
         blocks.append(_scaled_columns(columns, FRICTION_VOLTAGE_SCALES, FRICTION_VOLTAGE_SCALES[0]))
-    if "learnt" in selectors:
-        blocks.append(_scaled_columns(selectors["learnt"], (ESTIMATE_SCALE,), LARGEST_ESTIMATE))
+    if "estimates" in selectors:
+        blocks.append(_scaled_columns(selectors["estimates"], (ESTIMATE_SCALE,), LARGEST_ESTIMATE))
     return np.hstack([matrix for matrix, _ in blocks]), np.concatenate([gain for _, gain in blocks])
 
 

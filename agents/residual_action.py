@@ -19,11 +19,14 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from ..controllers import CONTROLLERS, AdaptivePID
+from ..controllers import CONTROLLERS, AdaptiveController, EpisodeStarts
 from ..machine import Machine
 
 Array = NDArray[np.float64]
 Observation = Mapping[str, NDArray[Any]]
+
+# What an adaptive base adds to the observation: attributes of `AdaptiveController`, in the order of its `feature_sizes`.
+ADAPTIVE_FEATURES = ("expected_friction", "estimates")
 
 
 @dataclass(frozen=True)
@@ -73,12 +76,11 @@ class ResidualAction:
 
     def __init__(self, machine: Machine, period: float, base: str | None = None, **authority: float) -> None:
         self.authority = Authority(**authority)
-        self.base = CONTROLLERS[base](machine, period) if base else None
-        self._adaptive_base = self.base if isinstance(self.base, AdaptivePID) else None
+        self.base = CONTROLLERS.get(base)(machine, period) if base else None
+        self._adaptive_base = self.base if isinstance(self.base, AdaptiveController) else None
         self._drives = len(machine.drives)
         self._tool_speeds = slice(2 + self._drives, 4 + self._drives)
-        # True where the next observation is the first of an episode, shape (batch,); empty before the first call.
-        self._starting = np.zeros(0, np.bool_)
+        self._starts = EpisodeStarts()
         self._state: NDArray[Any] = np.zeros((0, 0))  # `observation` of this period, (batch, entries)
         self._last_state: NDArray[Any] = np.zeros((0, 0))  # and of the previous period
         self._last_action = self._base_action = self._authority = np.zeros((0, 0))  # (batch, drives), (batch, 1)
@@ -100,7 +102,7 @@ class ResidualAction:
         if self.base:
             added["base_action"] = action_box
         if self._adaptive_base:
-            for key, size in self._adaptive_base.told.items():
+            for key, size in zip(ADAPTIVE_FEATURES, self._adaptive_base.feature_sizes.values(), strict=True):
                 added[key] = spaces.Box(-np.inf, np.inf, (size,), np.float32)
         return spaces.Dict({**observation_space.spaces, **added})
 
@@ -112,10 +114,7 @@ class ResidualAction:
         """
         if self.base:
             self.base.reset(mask)
-        if mask is None:
-            self._starting = np.zeros(0, np.bool_)
-        elif len(self._starting):
-            self._starting = self._starting | mask
+        self._starts.reset(mask)
 
     def augment(self, observation: Observation) -> dict[str, NDArray[Any]]:
         """Add the previous observation and action, and the base controller's action and estimates.
@@ -127,13 +126,12 @@ class ResidualAction:
             The observation with the keys of `history`.
         """
         state = observation["observation"]
-        if len(self._starting) != len(state):
-            self._starting = np.ones(len(state), np.bool_)
+        if self._starts.resize(len(state)):
             self._state, self._last_action = state, np.zeros((len(state), self._drives))
-        starting = self._starting[:, None]
+        starting = self._starts.mask[:, None]  # (batch, 1)
         self._last_state = np.where(starting, state, self._state)
         self._last_action = np.where(starting, 0.0, self._last_action)
-        self._starting = np.zeros(len(state), np.bool_)
+        self._starts.clear()
         self._state = state
         self._authority = self.authority(observation, self._tool_speeds)
         if self.base:
@@ -151,7 +149,7 @@ class ResidualAction:
         if self.base:
             added["base_action"] = self._base_action
         if self._adaptive_base:
-            added |= {key: getattr(self._adaptive_base, key) for key in self._adaptive_base.told}
+            added |= {key: getattr(self._adaptive_base, key) for key in ADAPTIVE_FEATURES}
         return {key: values.astype(np.float32) for key, values in added.items()}
 
     def action(self, output: NDArray[Any]) -> Array:
@@ -164,10 +162,10 @@ class ResidualAction:
             Actions in [-1, 1], shape (batch, drives).
         """
         base_action = self._base_action if self.base else 0.0
-        self.applied(np.clip(self._authority * output + base_action, -1.0, 1.0))
+        self.replace_last_action(np.clip(self._authority * output + base_action, -1.0, 1.0))
         return self._last_action
 
-    def applied(self, actions: Array) -> None:
+    def replace_last_action(self, actions: Array) -> None:
         """Record the actions that the drives received, for the next observation and for the base controller.
 
         Args:
@@ -175,7 +173,7 @@ class ResidualAction:
         """
         self._last_action = actions
         if self.base:
-            self.base.applied(actions)
+            self.base.replace_last_action(actions)
 
 
 def residual_action(machine: Machine, settings: Mapping[str, Any], period: float) -> ResidualAction | None:

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..controllers import Controller
-from ..envs.tasks import as_task
-from ..evaluation import BANDS, Episodes, Scenario, rollout
-from ..evaluation.metrics import settling
+from ..envs import as_task
+from ..evaluation import BANDS, Episodes, Scenario, rollout, settling_times
 
 Array = NDArray[np.float64]
 
@@ -34,7 +33,7 @@ def score_agent(controller: Controller, scenario: Scenario) -> dict[str, float]:
         `contour_rms_mm`, `tracking_rms_mm` and `tracking_max_mm`.
     """
     episodes = rollout(controller, scenario)
-    error = np.linalg.norm(episodes.position - episodes.goal, axis=2)  # (episodes, samples)
+    error = episodes.goal_error  # (episodes, samples)
     if episodes.contour is not None:
         return _tracking_scores(error, episodes.contour)
     return _reaching_scores(error, episodes, as_task(scenario.task).band)
@@ -42,9 +41,9 @@ def score_agent(controller: Controller, scenario: Scenario) -> dict[str, float]:
 
 def _reaching_scores(error: Array, episodes: Episodes, task_band: float) -> dict[str, float]:
     """Return the scores of a task with a fixed goal from the distance to it, m, shape (episodes, samples)."""
-    row = {"success": float(settling(error, episodes.time_s, task_band)[1].mean())}
+    row = {"success": float(settling_times(error, episodes.time_s, task_band)[1].mean())}
     for name, band in BANDS.items():
-        times, success = settling(error, episodes.time_s, band)
+        times, success = settling_times(error, episodes.time_s, band)
         row |= {f"success_{name}": float(success.mean()), f"settling_s_{name}": float(times.mean())}
     return {**row, "final_error_mm": float(1e3 * np.median(error[:, -1]))}
 

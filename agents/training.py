@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from ..atomic_files import atomic_file
-from ..envs.tasks import TASKS, Task
+from ..envs import TASKS, Task
 from ..errors import InputError
 from ..evaluation import Scenario
 from ..machine import Machine
@@ -218,7 +218,7 @@ class _Run:
 
 def _build_task(name: str, settings: dict[str, Any]) -> Task:
     """Build a task with a recipe's settings; lists become tuples, which TOML lacks."""
-    task_class: Any = TASKS[name]
+    task_class: Any = TASKS.get(name)
     task: Task = task_class(**{key: tuple(v) if isinstance(v, list) else v for key, v in settings.items()})
     return task
 

@@ -9,7 +9,7 @@ import os
 import sys
 import warnings
 import webbrowser
-from importlib import metadata
+from importlib import import_module, metadata
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -226,7 +226,7 @@ def evaluate(
     ] = None,
     randomize: RandomizeOption = "default",
     sensors: Annotated[
-        str, typer.Option(help="What controllers observe: state (exact) or rig (noisy sensors).")
+        str, typer.Option(help="What controllers observe: {sensors}; state is exact, the others are measurements.")
     ] = "state",
     period: Annotated[float, typer.Option(help="Control period in seconds.")] = 0.01,
     episodes: Annotated[int, typer.Option(min=1, help="Number of episodes; the same for every controller.")] = 512,
@@ -236,19 +236,23 @@ def evaluate(
 
     Example:  hframe evaluate pid textbook-pid --episodes 64 --out out/scores
     """
-    from .cli_tables import score_table
-    from .evaluation import Scenario, make_controller, write_scores
+    from .cli_tables import score_table, unknown_bound_reasons
     from .evaluation import evaluate as run_evaluation
+    from .evaluation import write_scores
     from .recordings import load_machine
 
+    # Registers the agents as controllers, also where the package is used without its installed entry points.
+    import_module("hframe_gym.agents")
     declared = load_machine(machine)
     require_folder(out)
+    options: dict[str, Any] = {"randomize": randomize, "sensors": sensors, "episodes": episodes, "seed": seed}
     with value_errors_as_input_errors():
-        scenario = Scenario(declared, task_with_path(task, path), randomize, sensors, episodes, seed, period)
-        made = {name: make_controller(name, scenario) for name in dict.fromkeys(controllers)}
-        scores, recorded = run_evaluation(made, scenario)
+        built_task = task_with_path(task, path)
+        scores, recorded = run_evaluation(controllers, declared, task=built_task, period=period, **options)
     written = write_scores(out, scores)
     console.print(score_table(scores))
+    for reason in unknown_bound_reasons(scores):
+        _log(reason)
     _log(f"wrote {written}")
     try:
         from .evaluation.plotting import save

@@ -24,11 +24,16 @@ def registered_choices() -> dict[str, str]:
     """
     from .agents import recipe_names
     from .controllers import CONTROLLERS
-    from .envs.domain_randomization import PRESETS
-    from .envs.tasks import TASKS
+    from .envs import RANDOMIZATION_PRESETS, SENSOR_PRESETS, TASKS
 
     algorithms = sorted({name.rpartition("_")[0] for name in recipe_names()})
-    choices = {"algorithms": algorithms, "controllers": CONTROLLERS, "randomizations": PRESETS, "tasks": TASKS}
+    choices = {
+        "algorithms": algorithms,
+        "controllers": CONTROLLERS,
+        "randomizations": RANDOMIZATION_PRESETS,
+        "sensors": SENSOR_PRESETS,
+        "tasks": TASKS,
+    }
     return {placeholder: ", ".join(names) for placeholder, names in choices.items()}
 
 
@@ -83,10 +88,8 @@ def task_with_path(name: str, path: str | None) -> Any:
     Raises:
         InputError: If the task is unknown, or follows no path although one is given.
     """
-    from .envs.tasks import TASKS
+    from .envs import TASKS
 
-    if name not in TASKS and ":" not in name:
-        raise InputError(f"task {name!r} is unknown; choose one of {', '.join(TASKS)}")
     task_class: Any = TASKS.get(name)
     follows_path = is_dataclass(task_class) and "path" in {field.name for field in fields(task_class)}
     if path is not None and not follows_path:

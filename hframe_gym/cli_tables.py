@@ -88,6 +88,19 @@ def _path_cells(score: Mapping[str, Any]) -> list[str]:
     return [f"{score[key][kind]['mean']:.3f}" for key in PATH_ERRORS for kind in ("rms", "max")]
 
 
+def unknown_bound_reasons(scores: Mapping[str, Any]) -> list[str]:
+    """Explain why episodes have no time-optimal bound.
+
+    Args:
+        scores: Contents of scores.json.
+
+    Returns:
+        One sentence per reason, without duplicates.
+    """
+    reasons = (score.get("over_bound_reason") for score in scores["controllers"].values())
+    return list(dict.fromkeys(reason for reason in reasons if reason))
+
+
 def machine_table() -> Table:
     """List the built-in machines.
 

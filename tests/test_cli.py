@@ -130,7 +130,7 @@ def test_identify_refuses_a_faulty_recording_before_it_writes(
         (("pid", "--path", "circle"), ("--path circle", "reach")),
         (("pid", "--task", "track", "--path", "triangle"), ("triangle", "circle")),
         (("pid", "--randomize", "some"), ("some", "default, wide")),
-        (("pid", "--sensors", "some"), ("some", "state, rig")),
+        (("pid", "--sensors", "some"), ("some", "state, rig, machine")),
         (("pid", "--machine", "no_such_file.json"), ("no_such_file.json",)),
     ],
 )

@@ -6,8 +6,7 @@ import torch
 
 from hframe_gym.agents.feature_extractor import LogScaleFeatures
 from hframe_gym.agents.features import feature_parameters
-from hframe_gym.envs import HFrameVectorEnv
-from hframe_gym.envs.spaces import observation_space
+from hframe_gym.envs import HFrameVectorEnv, observation_space
 from hframe_gym.machine import BUILTIN_MACHINES
 from tests.agents.observations import rest_observation
 

@@ -5,8 +5,7 @@ import pytest
 
 from hframe_gym.agents.residual_action import Authority, ResidualAction
 from hframe_gym.controllers import CONTROLLERS
-from hframe_gym.envs import HFrameVectorEnv
-from hframe_gym.envs.spaces import observation_space
+from hframe_gym.envs import HFrameVectorEnv, observation_space
 from hframe_gym.machine import BUILTIN_MACHINES
 from tests.agents.observations import rest_observation
 
