@@ -1,33 +1,50 @@
-"""Controllers built from a machine's tables, for batches of stages; no gym.
+"""Controllers of batches of stages, designed from a machine model; independent of Gymnasium.
 
-model.py, places.py    the machine as controllers see it; where in the workspace gains are worked out
-trajectory.py          transfers to rest         tracking.py    plans along a path
-pid.py                 both as one controller    delay.py       dead time
-amplifiers.py          dead bands and offsets of the drives, undone
-observer.py            the full state from encoders and lasers, and how far the stage is off its machine file
-unknowns.py            what is learnt of a stage      divided_differences.py    a normal distribution through kinks
-adaptive_pid.py        the PID that learns the stage as it goes      momentum_filter.py    how it does
-textbook_pid.py        the baseline
-bound.py, equations.py the least possible times (extra: bound)
+base                    interface, registry
+motion_model            the machine as controllers see it, and the operating points of their gains
+minimum_energy          point-to-point transfers
+preview_control         tracking of a previewed goal
+input_compensation      dead time and static nonlinearities of the drives
+model_based_controller  all of these as one controller (`pid`)
+momentum_filter         online estimation of friction, masses and belt stiffness
+adaptive_controller     gain scheduling on these estimates (`adaptive-pid`)
+state_estimator         full state and parameters from sensors
+textbook_pid            the baseline (`textbook-pid`)
+time_optimal            lower bound of the settling time (extra: bound)
 """
 
-from .adaptive_pid import AdaptivePID
-from .base import CONTROLLERS, Controller
+from .adaptive_controller import AdaptiveController
+from .base import CONTROLLERS, Controller, EpisodeStarts, Estimator, OutputFeedbackController, check_period
+from .input_compensation import DeadTime, InputInversion
 from .minimum_energy import MinimumEnergyTransfers
-from .model_pid import ModelBasedController
-from .motion_model import MotionModel
-from .state_estimator import Channel, OutputFeedbackController, StateEstimator
+from .model_based_controller import ModelBasedController
+from .momentum_filter import MomentumFilter
+from .motion_model import MotionModel, OperatingPointGrid
+from .preview_control import PreviewGains, PreviewTracker
+from .state_estimator import StateEstimator
 from .textbook_pid import TextbookPID
+
+# Aliases until all packages use the new names.
+AdaptivePID = AdaptiveController
 
 __all__ = [
     "CONTROLLERS",
+    "AdaptiveController",
     "AdaptivePID",
-    "Channel",
     "Controller",
+    "DeadTime",
+    "EpisodeStarts",
+    "Estimator",
+    "InputInversion",
     "MinimumEnergyTransfers",
     "ModelBasedController",
+    "MomentumFilter",
     "MotionModel",
+    "OperatingPointGrid",
     "OutputFeedbackController",
+    "PreviewGains",
+    "PreviewTracker",
     "StateEstimator",
     "TextbookPID",
+    "check_period",
 ]

@@ -1,14 +1,17 @@
-"""Point-to-point references: the least-effort transfers to rest in N control periods, belts included.
+"""Minimum-energy transfers to rest: point-to-point references and their feedback gains.
 
-With held voltages the state after N periods is A^N e + sum A^(N-1-j) B u_j.  Of all voltages that bring an error e to
-zero in N periods, those least in square are
+With voltages held over each period, the state error after N periods is A^N e + sum_j A^(N-1-j) B u_j. Of all voltages
+that bring the error to zero in N periods, those with the least sum of squares are
 
-    u_j = -B' A'^(N-1-j) W_N^-1 A^N e,      W_N = sum A^j B B' A'^j            (Kleinman 1970)
+    u_j = -B' A'^(N-1-j) W_N^-1 A^N e,      W_N = sum_j A^j B B' A'^j,
 
-and the first of them, for each time to go, is a feedback gain on the whole state.  The least N whose voltages keep
-within the limit is close to the least possible time because the motors' back-EMF makes the stage viscous: least effort
-is then a constant voltage in cruise and an exponential brake that ends at the same voltage with the other sign.  The
-modes of the belts are in A, so a transfer ends with them at rest.
+and for each number of periods to go the first of them is a feedback gain on the full state. The shortest transfer whose
+voltages stay within the limits comes close to the time optimum because back-EMF makes the stage viscous: minimum energy
+then means constant voltage during the cruise and an exponential brake that ends at the same voltage with opposite sign.
+The belt modes are part of A, so that they are at rest at the end of a transfer.
+
+References:
+    Kleinman (1970), An easy way to stabilize a linear constant system, IEEE Transactions on Automatic Control 15(6).
 """
 
 from __future__ import annotations
@@ -19,107 +22,139 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..machine import mode_frequencies
-from .motion_model import MotionModel
-from .operating_points import AXES, OperatingPointGrid
+from .base import check_period
+from .motion_model import AXES, MotionModel, OperatingPointGrid
 
 Array = NDArray[np.float64]
-SHORTEST = 0.6  # of the slowest belt mode's period: less time relies on more of the mode's frequency than a model knows
-MARGIN = 1.3  # of the longest transfer over the longest way at top speed
-SLOWEST = 10.0  # s, longest transfer of a stage whose friction leaves it no top speed
-LAST = 7  # periods at the end of a transfer that are checked against the limit; its cruise peaks at the first
-SPEED_SCALE = 0.01  # s, of speeds against positions, for the condition of W_N
+# Shortest transfer in periods of the slowest belt mode; a shorter one needs the mode's frequency more accurately than a
+# model has it.
+SHORTEST_MODE_PERIODS = 0.6
+LONGEST_MARGIN = 1.3  # longest transfer over the time that the longest way takes at top speed
+MAX_TRANSFER_S = 10.0  # s, longest transfer of a stage that friction leaves without a top speed
+# Periods at the end of a transfer whose voltages are checked against the limits, beside the first; the voltage of the
+# cruise is largest in the first period.
+CHECKED_FINAL_PERIODS = 7
+VELOCITY_SCALE_S = 0.01  # s, typical position error over velocity error, for the condition of W_N
 
 
-class Choice(NamedTuple):
-    """The transfer chosen for each stage: periods to go (B,) and the voltages (B, 2) of its first period, V."""
+class TransferSelection(NamedTuple):
+    """Transfers selected for a batch.
+
+    Attributes:
+        periods: Periods to go, shape (B,).
+        volts: Voltages of the first period, V, shape (B, 2).
+    """
 
     periods: NDArray[np.intp]
     volts: Array
 
 
 class MinimumEnergyTransfers:
-    """Transfers to rest for every place of the goal and every time to go.
+    """Gains of minimum-energy transfers for every operating point and every time to go.
 
-    period: of control, s.  Attributes: shortest, longest, periods of a transfer; gains (63, longest - shortest + 1, 8,
-    2, 2 n), V per m and m/s: of the first period and the last seven, by place and time to go.
+    Args:
+        model: Model of the machine.
+        period: Control period, s.
 
-    Raises ValueError for a period that is not positive, or a machine whose workspace has no range.
+    Attributes:
+        model: As given.
+        period: As given, s.
+        grid: Operating points of the gains.
+        shortest: Periods of the shortest transfer.
+        longest: Periods of the longest transfer.
+        gains: Gains of the first period and of the last ones, by operating point and time to go, V per m and m/s, shape
+            (points, longest - shortest + 1, 1 + CHECKED_FINAL_PERIODS, 2, 2 n).
+
+    Raises:
+        InputError: If the period is not positive, or the machine's workspace has no range.
     """
 
     def __init__(self, model: MotionModel, period: float) -> None:
-        if not (np.isfinite(period) and period > 0.0):
-            raise ValueError(f"period is {period!r}, it must be a positive number of seconds")
         self.model = model
-        self.period = period
-        self.places = OperatingPointGrid(model.machine)
+        self.period = check_period(period)
+        self.grid = OperatingPointGrid(model.machine)
         states, inputs = 2 * len(model.mass), model.drive.shape[1]
-        modes = [f for f in mode_frequencies(model.machine) if f > 0.0]
+        modes = [frequency for frequency in mode_frequencies(model.machine) if frequency > 0.0]
         mode_period = 1.0 / min(modes) if modes else 0.0
-        # Fewer periods than this cannot zero every state.
-        self.shortest = max(-(-states // inputs), round(SHORTEST * mode_period / period))
-        speed = model.top_speed()
-        longest = MARGIN * np.sum(self.places.span / speed) if speed.min() > 0.0 else SLOWEST
-        self.longest = max(self.shortest + 1, int(np.ceil(min(longest, SLOWEST) / period)))
-        self._matrices = [model.discretize(place, period)[:2] for place in self.places.points]
-        self.gains = self._gains(*(np.stack(matrices) for matrices in zip(*self._matrices, strict=True)))
+        # Fewer than states / inputs periods cannot bring every state to zero.
+        self.shortest = max(-(-states // inputs), round(SHORTEST_MODE_PERIODS * mode_period / period))
+        top_speed = model.top_speed()
+        longest_s = LONGEST_MARGIN * np.sum(self.grid.span / top_speed) if top_speed.min() > 0.0 else MAX_TRANSFER_S
+        self.longest = max(self.shortest + 1, int(np.ceil(min(longest_s, MAX_TRANSFER_S) / period)))
+        self._matrices = [model.discretize(point, period)[:2] for point in self.grid.points]
+        self.gains = self._design(*(np.stack(matrices) for matrices in zip(*self._matrices, strict=True)))
 
-    def _gains(self, A: Array, B: Array) -> Array:
-        """Gains (cells, times, 1 + LAST, inputs, 2 n) from A (cells, 2 n, 2 n) and B (cells, 2 n, inputs)."""
+    def _design(self, A: Array, B: Array) -> Array:
+        """Compute `gains` from A (points, 2 n, 2 n) and B (points, 2 n, inputs)."""
         states = A.shape[1]
-        scale = _scale(states)
+        scale = _state_scale(states)
         A = A / scale[:, None] * scale
-        scaled = B / scale[:, None]
+        scaled_B = B / scale[:, None]
         W = np.zeros_like(A)
-        power = np.broadcast_to(np.eye(states), A.shape)
+        power = np.broadcast_to(np.eye(states), A.shape)  # A^(N-1)
         back: list[Array] = []  # B' A'^j
-        times = []
+        gains = []
         for N in range(1, self.longest + 1):
-            back.append((power @ scaled).transpose(0, 2, 1))
-            W = W + (power @ scaled) @ back[-1]
+            back.append((power @ scaled_B).transpose(0, 2, 1))
+            W = W + (power @ scaled_B) @ back[-1]
             power = power @ A
             if self.shortest > N:
                 continue
-            whole = np.linalg.pinv(W, rcond=1e-15, hermitian=True) @ power / scale
-            # Transfers shorter than LAST repeat their first period.
-            rows = [back[-1]] + [back[min(j, N - 1)] for j in reversed(range(LAST))]
-            times.append(np.stack([-row @ whole for row in rows], axis=1))
-        return np.stack(times, axis=1)
+            error_to_costate = np.linalg.pinv(W, rcond=1e-15, hermitian=True) @ power / scale
+            # Transfers shorter than CHECKED_FINAL_PERIODS repeat their first period.
+            rows = [back[-1]] + [back[min(j, N - 1)] for j in reversed(range(CHECKED_FINAL_PERIODS))]
+            gains.append(np.stack([-row @ error_to_costate for row in rows], axis=1))
+        return np.stack(gains, axis=1)
 
-    def choose(self, error: Array, goal: Array, limits: tuple[Array, Array], at_least: NDArray[np.intp]) -> Choice:
-        """The fastest transfers whose voltages keep within limits.
+    def select(
+        self, error: Array, goal: Array, limits: tuple[Array, Array], at_least: NDArray[np.intp]
+    ) -> TransferSelection:
+        """Select for each stage the shortest transfer whose voltages stay within the limits.
 
-        error (B, 2 n): state less goal state, m and m/s; goal (B, 2), m; limits (B, 2) each, lowest and highest V;
-        at_least (B,) periods.  Where no transfer keeps within the limits it is the longest.
+        Args:
+            error: State minus goal state, m and m/s, shape (B, 2 n).
+            goal: Tool position of the goal, m, shape (B, 2).
+            limits: Lowest and highest voltage, V, each of shape (B, 2).
+            at_least: Fewest periods of a transfer, shape (B,).
+
+        Returns:
+            The transfers; the longest one where no transfer stays within the limits.
         """
-        cells = self.places.nearest(goal)
+        points = self.grid.nearest(goal)
         lowest, highest = limits
         low, high = at_least - self.shortest, np.full(len(error), self.gains.shape[1] - 1)
-        # By bisection, for a longer transfer takes less voltage; where the belts still ring that may fail by a period,
-        # and the transfer found is a little longer than the fastest.
+        # Bisection, because a longer transfer needs less voltage. With ringing belts that can fail by a period; the
+        # selected transfer is then slightly longer than the shortest admissible one.
         while np.any(low < high):
             middle = (low + high) // 2
-            volts = np.einsum("bkij,bj->bki", self.gains[cells, middle], error)
-            fits = np.all((volts >= lowest[:, None, :]) & (volts <= highest[:, None, :]), axis=(1, 2))
-            low, high = np.where(fits | (low == high), low, middle + 1), np.where(fits, middle, high)
-        volts = np.einsum("bij,bj->bi", self.gains[cells, high, 0], error)
-        return Choice(high + self.shortest, volts)
+            volts = np.einsum("bkij,bj->bki", self.gains[points, middle], error)
+            admissible = np.all((volts >= lowest[:, None, :]) & (volts <= highest[:, None, :]), axis=(1, 2))
+            low, high = np.where(admissible | (low == high), low, middle + 1), np.where(admissible, middle, high)
+        volts = np.einsum("bij,bj->bi", self.gains[points, high, 0], error)
+        return TransferSelection(high + self.shortest, volts)
 
     def reference(self, start: Array, goal: Array, limit: Array) -> tuple[Array, Array]:
-        """The whole transfer of the frictionless model from rest at start (2,) to goal (2,), m, within limit (2,), V.
+        """Compute a complete transfer of the frictionless model from rest to rest.
 
-        Returns tool positions (N + 1, 2), m, one a period, and voltages (N, 2), V.
+        Args:
+            start: Tool position at the start, m, shape (2,).
+            goal: Tool position at the end, m, shape (2,).
+            limit: Largest voltage of each drive, V, shape (2,).
+
+        Returns:
+            Tool positions at every period, m, shape (N + 1, 2), and voltages, V, shape (N, 2).
         """
         start, goal = (np.asarray(point, np.float64)[None] for point in (start, goal))
         error = self.model.goal_state(start) - self.model.goal_state(goal)
-        N = int(self.choose(error, goal, (-limit[None], limit[None]), np.array([self.shortest])).periods[0])
-        A, B = self._matrices[int(self.places.nearest(goal)[0])]
-        scale = _scale(len(A))
+        N = int(self.select(error, goal, (-limit[None], limit[None]), np.array([self.shortest])).periods[0])
+        A, B = self._matrices[int(self.grid.nearest(goal)[0])]
+        scale = _state_scale(len(A))
         A, B = A / scale[:, None] * scale, B / scale[:, None]
         powers = [np.eye(len(A))]
         for _ in range(N):
             powers.append(A @ powers[-1])
-        reach = np.hstack([powers[j] @ B for j in reversed(range(N))])
-        volts = -np.linalg.lstsq(reach, powers[N] @ (error[0] / scale), rcond=None)[0].reshape(N, -1)
+        reachability = np.hstack([powers[j] @ B for j in reversed(range(N))])  # (2 n, 2 N)
+        volts = -np.linalg.lstsq(reachability, powers[N] @ (error[0] / scale), rcond=None)[0].reshape(N, -1)
         states = [error[0] / scale]
         for u in volts:
             states.append(A @ states[-1] + B @ u)
@@ -127,6 +162,6 @@ class MinimumEnergyTransfers:
         return np.array(states)[:, axes] + goal, volts
 
 
-def _scale(states: int) -> Array:
-    """Units (2 n,) in which positions and speeds have like size: W_N is then far better conditioned."""
-    return np.repeat([1.0, 1.0 / SPEED_SCALE], states // 2)
+def _state_scale(states: int) -> Array:
+    """Return units (2 n,) in which positions and velocities have similar size, so that W_N is well conditioned."""
+    return np.repeat([1.0, 1.0 / VELOCITY_SCALE_S], states // 2)

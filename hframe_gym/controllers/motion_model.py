@@ -1,36 +1,87 @@
-"""A machine as its controllers see it: full state in belt travel, rigid motion, and what resists it.
+"""Machine model of the controllers: full state in belt travel, rigid motion, friction, and operating points.
 
-All positions here are travel (p = radius * angle, m), all forces act on travel (N): x, y and the motors have one scale.
+All positions are belt travel (p = radius * angle, m) and all forces act on travel (N), so that x, y and the motors have
+the same scale.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import dataclasses
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
+from ..dynamics import Equations, ForceBalance, MotionPoint
+from ..errors import InputError
 from ..machine import AppliedEffect, Machine, linearize, rest_state
-from ..machine.effect import asked
-from .operating_points import AXES
+from ..machine.effect import argument_names
 
 Array = NDArray[np.float64]
-# m/s: below it a coordinate counts as turning around, and its Coulomb friction is given in part.  Far below any speed
-# of a move, far above what is left of one at its end.
-TURNING = 0.02
+AXES = ("x", "y")
+GRID = (9, 7)  # operating points along x and y; the stiffness is within 5 % of that of the nearest point
+# m/s: the direction of friction is tanh(v / REVERSAL_SPEED). Far below the speeds of a move, and far above what remains
+# at its end, so that the voltage does not chatter with the sign of noise.
+REVERSAL_SPEED = 0.02
+
+
+class OperatingPointGrid:
+    """Tool positions for which gains are designed, because the belts' stiffness depends on the position.
+
+    Args:
+        machine: Machine with a workspace.
+
+    Attributes:
+        points: Tool positions, m, shape (63, 2).
+        span: Size of the workspace, m, shape (2,).
+
+    Raises:
+        InputError: If the workspace has no range.
+    """
+
+    def __init__(self, machine: Machine) -> None:
+        ranges = [r for r in (machine.coordinate(axis).range for axis in AXES) if r is not None]
+        if len(ranges) < len(AXES):
+            raise InputError(f"machine {machine.name!r}: x and y need a range to be controlled in")
+        self._lines = [np.linspace(low, high, count) for (low, high), count in zip(ranges, GRID, strict=True)]
+        self.points: Array = np.array([[x, y] for x in self._lines[0] for y in self._lines[1]])
+        self.span: Array = np.array([line[-1] - line[0] for line in self._lines])
+
+    def nearest(self, position: Array) -> NDArray[np.intp]:
+        """Return the index of the nearest operating point.
+
+        Args:
+            position: Tool positions, m, shape (B, 2).
+
+        Returns:
+            Indices into `points`, shape (B,).
+        """
+        i, j = (np.abs(position[:, k : k + 1] - line).argmin(axis=1) for k, line in enumerate(self._lines))
+        return i * GRID[1] + j
 
 
 class MotionModel:
-    """The numbers of a machine with full-state measurement, n coordinates and two drives.
+    """Model of a machine with full-state measurement, n coordinates and two drives.
 
-    Attributes: rigid (n, 2), travel of every coordinate per metre of x and of y with unstretched belts; mass, viscous
-    (with back-EMF) and coulomb (n,), kg, Ns/m, N; drive (n, 2), N/V; rated (2,), V; force_per_volt (2, 2), N/V, forces
-    along the rigid x and y motion.
+    Args:
+        machine: Machine with the coordinates x, y and those of two drives.
 
-    Raises ValueError for a machine without x, y and two drives, with coordinates that are not observed, or whose drives
-    cannot push along both axes.
+    Attributes:
+        machine: As given.
+        observed: Coordinates in the order of a full-state observation.
+        rigid: Travel of every coordinate per metre of x and of y with unstretched belts, shape (n, 2).
+        mass: Mass of every coordinate, kg, shape (n,).
+        viscous: Viscous friction with back-EMF, Ns/m, shape (n,).
+        coulomb: Coulomb levels, N, shape (n,).
+        drive: Force of the drives at rest, N/V, shape (n, 2).
+        rated: Rated voltages, V, shape (2,).
+        force_per_volt: Forces along the rigid x and y motion, N/V, shape (2, 2).
+
+    Raises:
+        InputError: If the machine has other coordinates than x, y and those of two drives, or its drives cannot push
+            along both axes.
     """
 
     def __init__(self, machine: Machine) -> None:
@@ -38,66 +89,109 @@ class MotionModel:
         self.machine = machine
         self.observed = (*AXES, *(d.coordinate for d in machine.drives if d.coordinate not in AXES))
         if len(machine.drives) != len(AXES) or sorted(self.observed) != sorted(names):
-            raise ValueError(
+            raise InputError(
                 f"machine {machine.name!r}: full-state control needs the coordinates x, y and those of two drives, "
                 f"and no others; it has {', '.join(names)} and {len(machine.drives)} drives"
             )
         n = len(names)
-        radii = machine.radii
+        units = machine.travel_per_unit
         linear = [c.name for c in machine.coordinates if c.kind == "linear"]
         self.rigid = np.stack(
-            [rest_state(machine, [float(c == axis) for c in linear])[:n] * radii for axis in AXES], axis=1
+            [rest_state(machine, [float(c == axis) for c in linear])[:n] * units for axis in AXES], axis=1
         )
-        self.mass = np.array([c.mass for c in machine.coordinates]) / radii**2
-        self.coulomb = np.array([c.coulomb for c in machine.coordinates]) / radii
-        self.viscous = np.array([c.viscous for c in machine.coordinates]) / radii**2
+        self._declared = equations = Equations(dataclasses.replace(machine, effects=()))
+        memoryless = tuple(e for e in machine.effects if _memoryless(e))
+        self._with_effects = Equations(dataclasses.replace(machine, effects=memoryless))
+        self.mass = np.array([equations.mass(i) for i in range(n)])
+        self.coulomb = np.array([equations.coulomb(i) for i in range(n)])
+        self.viscous = np.array([equations.viscous(i, 1.0) for i in range(n)])
         self.drive = np.zeros((n, len(machine.drives)))
         for j, d in enumerate(machine.drives):
-            i = names.index(d.coordinate)
-            self.drive[i, j] = d.gain / radii[i]
-            self.viscous[i] += d.back_emf / radii[i] ** 2
+            self.drive[names.index(d.coordinate), j] = equations.force_per_volt(j)
         self.rated = np.array([d.rated_voltage for d in machine.drives])
         self.force_per_volt = self.rigid.T @ self.drive
         if abs(np.linalg.det(self.force_per_volt)) < 1e-9 * np.abs(self.force_per_volt).max() ** 2:
-            raise ValueError(f"machine {machine.name!r}: its drives cannot push along both x and y")
+            raise InputError(f"machine {machine.name!r}: its drives cannot push along both x and y")
         self._volts_per_force = np.linalg.inv(self.force_per_volt)
-        self._order = np.array([self.observed.index(c) for c in names])
-        self._order = np.concatenate([self._order, n + self._order])
+        order = np.array([self.observed.index(c) for c in names])
+        self._order = np.concatenate([order, n + order])
+        self._scale = np.tile(units, 2)
 
     def state(self, observation: Mapping[str, NDArray[Any]]) -> Array:
-        """Travel and its speed (B, 2 n), m and m/s, from `observation` (B, 2 n): positions of x, y and the driven
-        coordinates, then their velocities, in their own units.
+        """Return the state of a full-state observation.
 
-        Raises ValueError for another number of entries.
+        Args:
+            observation: `observation`, shape (B, 2 n): positions of x, y and the driven coordinates, then their
+                velocities, in m, rad, m/s and rad/s.
+
+        Returns:
+            Travel and its velocity, m and m/s, shape (B, 2 n).
+
+        Raises:
+            InputError: If the observation has another number of entries.
         """
         values = np.asarray(observation["observation"], np.float64)
         if values.ndim != 2 or values.shape[1] != len(self._order):
-            raise ValueError(f"observation has shape {values.shape}, it must be (B, {len(self._order)})")
-        return values[:, self._order] * np.tile(self.machine.radii, 2)
+            raise InputError(f"observation has shape {values.shape}, it must be (B, {len(self._order)})")
+        return values[:, self._order] * self._scale
 
     def observation(self, state: Array) -> Array:
-        """`state` in reverse: what a full-state observation of states (B, 2 n) is, (B, 2 n)."""
-        return (state / np.tile(self.machine.radii, 2))[:, np.argsort(self._order)]
+        """Return the full-state observation of states; the inverse of `state`.
+
+        Args:
+            state: Travel and its velocity, m and m/s, shape (B, 2 n).
+
+        Returns:
+            Observation, shape (B, 2 n).
+        """
+        return (state / self._scale)[:, np.argsort(self._order)]
 
     def goal_state(self, goal: NDArray[Any]) -> Array:
-        """State (B, 2 n) at rest with unstretched belts where the tool is at goal (B, 2), m."""
+        """Return the state at rest with unstretched belts.
+
+        Args:
+            goal: Tool positions, m, shape (B, 2).
+
+        Returns:
+            States, shape (B, 2 n).
+        """
         travel = np.asarray(goal, np.float64) @ self.rigid.T
         return np.concatenate([travel, np.zeros_like(travel)], axis=1)
 
-    def tool(self, travel: Array) -> Array:
-        """Where the tool is (B, 2), m, from travel (B, n or more)."""
+    def tool_position(self, travel: Array) -> Array:
+        """Return the tool position.
+
+        Args:
+            travel: Travel or states, m, shape (B, n or more).
+
+        Returns:
+            Tool positions, m, shape (B, 2).
+        """
         return travel[:, [self.machine.coordinate_names.index(axis) for axis in AXES]]
 
-    def stretch(self, travel: Array) -> Array:
-        """What travel (B, n or more), m, has beyond the rigid motion of its tool, (B, n): zero at x and y."""
-        return travel[:, : len(self.mass)] - self.tool(travel) @ self.rigid.T
+    def elastic_travel(self, travel: Array) -> Array:
+        """Return the travel beyond the rigid motion of the tool, which the belts' stretch allows.
+
+        Args:
+            travel: Travel or states, m, shape (B, n or more).
+
+        Returns:
+            Elastic part of the travel, m, shape (B, n); zero at x and y.
+        """
+        return travel[:, : len(self.mass)] - self.tool_position(travel) @ self.rigid.T
 
     def discretize(self, goal: Array, period: float) -> tuple[Array, Array, Array]:
-        """A (2 n, 2 n), B (2 n, 2) and E (2 n, n) over a period (s) in which voltages and a force on each coordinate
-        are held, with the belts' stiffness at goal (2,), m."""
-        space = linearize(self.machine, self.rigid @ goal / self.machine.radii)
-        scale = np.tile(self.machine.radii, 2)
-        A, B = space.A * scale[:, None] / scale, space.B * scale[:, None]
+        """Discretize the linear model with voltages and forces held over a period.
+
+        Args:
+            goal: Tool position at which the belts' stiffness is taken, m, shape (2,).
+            period: Control period, s.
+
+        Returns:
+            A (2 n, 2 n), B (2 n, 2) for voltages and E (2 n, n) for a force on each coordinate.
+        """
+        space = linearize(self.machine, self.rigid @ goal / self.machine.travel_per_unit)
+        A, B = space.A * self._scale[:, None] / self._scale, space.B * self._scale[:, None]
         E = np.vstack([np.zeros((len(self.mass),) * 2), np.diag(1.0 / self.mass)])
         block = np.zeros((len(A) + B.shape[1] + E.shape[1],) * 2)
         block[: len(A)] = np.hstack([A, B, E])
@@ -105,89 +199,131 @@ class MotionModel:
         first, second = len(A), len(A) + B.shape[1]
         return held[:, :first], held[:, first:second], held[:, second:]
 
-    def pushes(self, state: Array, elapsed_s: Array) -> Array:
-        """Force (B, n), N, of the machine's effects that act also on a stage at rest.
+    def effect_force(self, state: Array, elapsed_s: Array) -> Array:
+        """Return the forces of the machine's effects other than friction.
 
-        state (B, 2 n) travel and speed; elapsed_s (B,) since the episode began.
+        Effects with a memory or a table are left out.
+
+        Args:
+            state: Travel and its velocity, m and m/s, shape (B, 2 n).
+            elapsed_s: Time since the episode's start, s, shape (B,).
+
+        Returns:
+            Forces on each coordinate, N, shape (B, n).
         """
-        force = np.zeros((len(state), len(self.mass)))
-        for e, i, q, v, radius in self._effects(state):
-            if _told(e, "force"):
-                force[:, i] += e("force", q=q, v=v, t=elapsed_s) / radius
-        return force
+        return _stack(self._balance(state, elapsed_s).held, state)
 
-    def friction(self, state: Array, elapsed_s: Array) -> Array:
-        """Force (B, n), N, of friction that is not linear: Coulomb's and the effects'.  Arguments as for `pushes`."""
-        return self.effects_friction(state, elapsed_s) - self.coulomb * self._direction(state)
+    def friction_force(self, state: Array, elapsed_s: Array) -> Array:
+        """Return the nonlinear friction: Coulomb friction and that of the machine's effects.
 
-    def effects_friction(self, state: Array, elapsed_s: Array) -> Array:
-        """The effects' share of `friction`."""
-        direction = self._direction(state)
-        force = np.zeros((len(state), len(self.mass)))
-        for e, i, q, v, radius in self._effects(state):
-            if _told(e, "coulomb"):
-                force[:, i] -= e("coulomb", q=q, v=v, t=elapsed_s) / radius * direction[:, i]
-            if _told(e, "viscous"):
-                b = self.machine.coordinates[i].viscous
-                force[:, i] -= (e("viscous", b=b, direction=np.where(v < 0.0, -1.0, 1.0)) - b) * v / radius
-        return force
+        Args:
+            state: Travel and its velocity, m and m/s, shape (B, 2 n).
+            elapsed_s: Time since the episode's start, s, shape (B,).
+
+        Returns:
+            Forces on each coordinate, N, shape (B, n).
+        """
+        level = _stack(self._balance(state, elapsed_s).coulomb, state)
+        return self._effect_viscous_force(state) - level * self._direction(state)
+
+    def effect_friction(self, state: Array, elapsed_s: Array) -> Array:
+        """Return the friction of the machine's effects.
+
+        Args:
+            state: Travel and its velocity, m and m/s, shape (B, 2 n).
+            elapsed_s: Time since the episode's start, s, shape (B,).
+
+        Returns:
+            Forces on each coordinate beyond Coulomb and viscous friction, N, shape (B, n).
+        """
+        return self.friction_force(state, elapsed_s) + self.coulomb * self._direction(state)
+
+    def _balance(self, state: Array, elapsed_s: Array) -> ForceBalance:
+        """Return the forces of the effects alone and the Coulomb levels."""
+        n = len(self.mass)
+        point = MotionPoint(list(state[:, :n].T), list(state[:, n:].T), elapsed_s)
+        return self._with_effects.force_balance(point, [0.0] * len(self.rated), [0.0] * n)
+
+    def _effect_viscous_force(self, state: Array) -> Array:
+        """Return the force (B, n) of effects on viscous friction, N."""
+        velocity = state[:, len(self.mass) :]
+        side = np.where(velocity < 0.0, -1.0, 1.0)
+        coefficients = [self._with_effects.viscous(i, side[:, i]) for i in range(len(self.mass))]
+        return (self.viscous - _stack(coefficients, state)) * velocity
 
     def _direction(self, state: Array) -> Array:
-        # Never beyond one in size, and smooth through zero so that a voltage does not chatter with the sign of noise.
-        return np.tanh(state[:, len(self.mass) :] / TURNING)
+        """Return the smoothed direction of motion of each coordinate (B, n), within [-1, 1]."""
+        return np.tanh(state[:, len(self.mass) :] / REVERSAL_SPEED)
 
-    def _effects(self, state: Array) -> Iterator[tuple[AppliedEffect, int, Array, Array, float]]:
-        """Effects at coordinates and motors: each with coordinate, position and speed in own units (B,), and radius."""
-        for e in self.machine.effects:
-            coordinate = self.machine.site_coordinate(e.site)
-            if coordinate is not None:
-                i = self.machine.coordinate_names.index(coordinate)
-                radius = float(self.machine.radii[i])
-                yield e, i, state[:, i] / radius, state[:, len(self.mass) + i] / radius, radius
+    def static_stretch(self, force: Array, goal: Array) -> Array:
+        """Return the elastic travel of the motors at which the belts hold the tool against a force.
 
-    def held_stretch(self, force: Array, goal: Array) -> Array:
-        """Where motors (B, n), m, beyond unstretched belts hold the tool at goal (B, 2), m, against force (B, n), N.
+        Args:
+            force: Force on each coordinate, N, shape (B, n).
+            goal: Tool positions, m, shape (B, 2).
 
-        Zero at x and y.
+        Returns:
+            Travel beyond that of unstretched belts, m, shape (B, n); zero at x and y.
         """
         names = self.machine.coordinate_names
         tool = [names.index(axis) for axis in AXES]
         motors = [i for i in range(len(names)) if i not in tool]
-        coupling = np.zeros((len(goal), len(tool), len(motors)))
-        for belt in self.machine.belts:
-            row = self.machine.row(belt.extension)
-            length = belt.rest_length + goal @ self.rigid.T @ self.machine.row(belt.length)
-            coupling += (belt.EA / length)[:, None, None] * np.outer(row[tool], row[motors])
+        travel = goal @ self.rigid.T
+        belts = self._declared.belt_states(MotionPoint(list(travel.T), list(np.zeros_like(travel).T)))
+        coupling = np.zeros((len(goal), len(tool), len(motors)))  # N/m
+        for belt, state in zip(self.machine.belts, belts, strict=True):
+            row = self.machine.coefficients(belt.extension)
+            coupling += np.reshape(state.stiffness, (-1, 1, 1)) * np.outer(row[tool], row[motors])
         stretch = np.zeros_like(force)
         if motors:
             stretch[:, motors] = np.linalg.solve(coupling, force[:, tool, None])[..., 0]
         return stretch
 
     def voltage(self, force: Array) -> Array:
-        """Voltages (B, 2), V, that give force (B, 2), N, along rigid x and y."""
+        """Return the voltages that give forces along the rigid x and y motion.
+
+        Args:
+            force: Forces, N, shape (B, 2).
+
+        Returns:
+            Voltages, V, shape (B, 2).
+        """
         return force @ self._volts_per_force.T
 
-    def disturbance(self, before: Array, after: Array, volts: Array, period: float) -> Array:
-        """Mean force (B, 2) along rigid x and y, N, over a period: what drives and viscous friction do not explain.
+    def disturbance_force(self, before: Array, after: Array, volts: Array, period: float) -> Array:
+        """Measure the mean disturbance force over a period: what drives and viscous friction do not explain.
 
-        before, after: states (B, 2 n); volts (B, 2) held between.  Belts are internal forces of a rigid motion and drop
-        out, and the mean of a speed is the distance over the time: so the balance holds whatever the belts do.
+        Belts are internal forces of the rigid motion, and the mean velocity is distance over time, so that the momentum
+        balance holds whatever the belts do.
+
+        Args:
+            before: States at the period's begin, shape (B, 2 n).
+            after: States at its end, shape (B, 2 n).
+            volts: Voltages at the motors in between, V, shape (B, 2).
+            period: Control period, s.
+
+        Returns:
+            Forces along the rigid x and y motion, N, shape (B, 2).
         """
         n = len(self.mass)
-        moved = self.viscous * (after[:, :n] - before[:, :n])
-        gained = self.mass * (after[:, n:] - before[:, n:])
-        return (moved + gained) @ self.rigid / period - volts @ self.force_per_volt.T
+        viscous = self.viscous * (after[:, :n] - before[:, :n])
+        momentum = self.mass * (after[:, n:] - before[:, n:])
+        return (viscous + momentum) @ self.rigid / period - volts @ self.force_per_volt.T
 
     def top_speed(self) -> Array:
-        """Steady speed (2,) along x and y alone at rated voltage, m/s; zero where friction holds the axis."""
+        """Return the steady velocity along x and y alone at rated voltage, m/s, shape (2,); zero if friction holds."""
         push = np.abs(self.force_per_volt) @ self.rated
-        drag = np.abs(self.rigid.T) @ self.coulomb
-        return np.maximum(push - drag, 0.0) / np.maximum((self.rigid**2).T @ self.viscous, 1e-9)
+        friction = np.abs(self.rigid.T) @ self.coulomb
+        return np.maximum(push - friction, 0.0) / np.maximum((self.rigid**2).T @ self.viscous, 1e-9)
 
 
-def _told(effect: AppliedEffect, contribution: str) -> bool:
-    """Whether an effect has a contribution, and one that follows from position, speed and time alone."""
-    function = getattr(effect.definition, contribution)
-    if function is None:
-        return False
-    return not {"z", "u", "i"} & set(asked(function))
+def _memoryless(effect: AppliedEffect) -> bool:
+    """Whether an effect's forces or friction follow from position, velocity and time of its coordinate alone."""
+    hooks = [getattr(effect.definition, name) for name in ("force", "coulomb", "viscous")]
+    arguments = {name for hook in hooks if hook for name in argument_names(hook)}
+    return any(hooks) and not {"z", "u", "i"} & arguments
+
+
+def _stack(values: Sequence[Any], state: Array) -> Array:
+    """Return values of each coordinate, numbers or arrays (B,), as an array (B, n)."""
+    return np.stack([np.broadcast_to(value, len(state)) for value in values], axis=1).astype(np.float64)

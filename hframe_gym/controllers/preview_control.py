@@ -1,14 +1,16 @@
-"""Following a goal that moves: the least-squares plan over the goals in sight, made anew every period.
+"""Preview control: track a moving goal by a least-squares plan over the previewed goals, renewed every period.
 
-With held voltages the state goes z+ = A z + B u + E f, f the force on each coordinate.  Of all voltages over the H
-periods whose goals g are seen, the plan takes those that are least in
+With voltages held over each period the state follows z+ = A z + B u + E f, where f is the force on each coordinate. Of
+all voltages over the H previewed periods the plan takes those that minimize
 
-    sum_j |C z_j - g_j|^2 + change^2 sum_j |u_j - u_(j-1)|^2,        C z the tool
+    sum_j |C z_j - g_j|^2 + w^2 sum_j |u_j - u_(j-1)|^2,        C z: tool position, g: goal,
 
-and plays the first (preview control, Tomizuka 1975, over a finite horizon).  Solved once for each place of the
-workspace it is a gain on the state (P and D, of carriage and motors), on the goals (the feed-forward: what speed,
-acceleration and back-EMF take, and how far the belts stretch by it, is in A and B), on the last voltage, and on the
-forces: the known friction along the path, and, in place of an integral, what the periods so far left unexplained.
+and applies the first. Solved once for each operating point, this is a constant gain on the state, on the goals
+(feedforward of velocity, acceleration, back-EMF and belt stretch, which are all part of A and B), on the last voltage
+and on the forces: the modeled friction along the path and, in place of an integrator, the estimated disturbance.
+
+References:
+    Tomizuka (1975), Optimal continuous finite preview problem, IEEE Transactions on Automatic Control 20(3).
 """
 
 from __future__ import annotations
@@ -16,101 +18,138 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .motion_model import MotionModel
-from .operating_points import AXES, OperatingPointGrid
+from .motion_model import AXES, MotionModel, OperatingPointGrid
 
 Array = NDArray[np.float64]
-# m/V: how far off a change of 1 V may leave the tool.  Smaller moves the voltages more and the tool no closer.
-CHANGE = 3e-5
-LEARN = 0.028  # s, in which what is unexplained is believed; less rings where belts are 40 % softer than the model's
-ENOUGH = 0.1  # s of goals in sight; what comes later changes nothing now
+# m/V, the weight w: tool error that is as costly as a voltage change of 1 V. Tuned: a smaller weight makes the voltages
+# more active and the tool no more accurate.
+VOLTAGE_CHANGE_WEIGHT = 3e-5
+# s, time constant of the disturbance estimate. Tuned: smaller values ring where belts are 40 % softer than the model's.
+DISTURBANCE_TIME_CONSTANT_S = 0.028
+HORIZON_S = 0.1  # s; goals farther ahead do not change the first voltage
 
 
 class PreviewGains:
-    """First voltages of the plans, by place of the workspace.
+    """Gains of the first voltage of a plan, by operating point.
 
-    period: of control, s; goals: in sight, H; change: m/V.  Attributes (places, 2, .): state (2 n), V per m and m/s;
-    last (2), V/V; goal (2 H), V/m; force (n H), V/N, on each coordinate in each period.
+    Args:
+        model: Model of the machine.
+        grid: Operating points.
+        period: Control period, s.
+        horizon: Number of previewed goals, H.
+        change_weight: Weight w of voltage changes, m/V.
+
+    Attributes:
+        state: Gains on the state, V per m and m/s, shape (points, 2, 2 n).
+        last: Gains on the last voltages, V/V, shape (points, 2, 2).
+        goal: Gains on the goals, V/m, shape (points, 2, 2 H).
+        force: Gains on the force on each coordinate in each period, V/N, shape (points, 2, n H).
     """
 
     def __init__(
-        self, model: MotionModel, places: OperatingPointGrid, period: float, goals: int, change: float
+        self, model: MotionModel, grid: OperatingPointGrid, period: float, horizon: int, change_weight: float
     ) -> None:
-        gains = [self._solve(model, *model.discretize(place, period), goals, change) for place in places.points]
+        gains = [
+            self._solve(model, *model.discretize(point, period), horizon, change_weight) for point in grid.points
+        ]
         self.state, self.last, self.goal, self.force = (np.stack(g) for g in zip(*gains, strict=True))
 
     @staticmethod
     def _solve(
-        model: MotionModel, A: Array, B: Array, E: Array, goals: int, change: float
+        model: MotionModel, A: Array, B: Array, E: Array, horizon: int, change_weight: float
     ) -> tuple[Array, Array, Array, Array]:
+        """Return the gains on state, last voltage, goals and forces at one operating point."""
         C = np.zeros((len(AXES), len(A)))
         for row, axis in enumerate(AXES):
             C[row, model.machine.coordinate_names.index(axis)] = 1.0
         powers = [C]  # C A^j
-        for _ in range(goals):
+        for _ in range(horizon):
             powers.append(powers[-1] @ A)
 
-        def response(G: Array) -> Array:
-            """What inputs by G (2 n, m) in each period do to the tool at the end of each, (2 H, m H)."""
-            pulses = [power @ G for power in powers[:goals]]
+        def impulse_response(G: Array) -> Array:
+            """Response of the tool at each period's end to inputs by G (2 n, m) in each period, (2 H, m H)."""
+            pulses = [power @ G for power in powers[:horizon]]
             zero = np.zeros_like(pulses[0])
-            return np.block([[pulses[j - i] if i <= j else zero for i in range(goals)] for j in range(goals)])
+            return np.block([[pulses[j - i] if i <= j else zero for i in range(horizon)] for j in range(horizon)])
 
-        by_volts = response(B)
+        volts_response = impulse_response(B)
         inputs = B.shape[1]
-        steps = np.eye(inputs * goals) - np.eye(inputs * goals, k=-inputs)
-        first = np.asarray(np.linalg.inv(by_volts.T @ by_volts + change**2 * steps.T @ steps)[:inputs], np.float64)
-        goal = first @ by_volts.T
-        return -goal @ np.vstack(powers[1:]), change**2 * first[:, :inputs], goal, -goal @ response(E)
+        difference = np.eye(inputs * horizon) - np.eye(inputs * horizon, k=-inputs)
+        normal = volts_response.T @ volts_response + change_weight**2 * difference.T @ difference
+        first = np.asarray(np.linalg.inv(normal)[:inputs], np.float64)
+        goal = first @ volts_response.T
+        return -goal @ np.vstack(powers[1:]), change_weight**2 * first[:, :inputs], goal, -goal @ impulse_response(E)
 
 
 class PreviewTracker:
-    """Plans for B stages, and what each has learnt of the forces on it.
+    """Preview control of B stages with a disturbance observer.
 
-    goals: in sight, H.  A stage's memory begins anew where `fresh` says so.
+    Args:
+        model: Model of the machine.
+        grid: Operating points of the gains.
+        period: Control period, s.
+        goals: Number of previewed goals; those beyond `HORIZON_S` are not used.
+
+    Attributes:
+        horizon: Number of previewed goals that are used, H.
+        gains: Gains of the plans.
     """
 
-    def __init__(self, model: MotionModel, places: OperatingPointGrid, period: float, goals: int) -> None:
-        self.model, self.places, self.period = model, places, period
-        self.goals = min(goals, max(1, round(ENOUGH / period)))
-        self.plans = PreviewGains(model, places, period, self.goals, CHANGE)
-        steps = [model.discretize(place, period) for place in places.points]
-        self._A, self._B, self._E = (np.stack(matrices) for matrices in zip(*steps, strict=True))
-        self._share = 1.0 - np.exp(-period / LEARN)
-        self._explain = np.linalg.pinv(self._E)
-        self._expected = self._unexplained = np.zeros((0, len(model.mass)))  # N
+    def __init__(self, model: MotionModel, grid: OperatingPointGrid, period: float, goals: int) -> None:
+        self.model, self.grid, self.period = model, grid, period
+        self.horizon = min(goals, max(1, round(HORIZON_S / period)))
+        self.gains = PreviewGains(model, grid, period, self.horizon, VOLTAGE_CHANGE_WEIGHT)
+        matrices = [model.discretize(point, period) for point in grid.points]
+        self._A, self._B, self._E = (np.stack(by_point) for by_point in zip(*matrices, strict=True))
+        self._filter_gain = 1.0 - np.exp(-period / DISTURBANCE_TIME_CONSTANT_S)
+        self._force_from_residual = np.linalg.pinv(self._E)
+        self._planned_force = self._disturbance = np.zeros((0, len(model.mass)))  # N
 
-    def learn(self, before: Array, after: Array, volts: Array, fresh: NDArray[np.bool_]) -> None:
-        """Take in how states (B, 2 n) went over the last period under volts (B, 2); not for stages fresh (B,)."""
-        if len(self._unexplained) != len(after):
-            self._expected = self._unexplained = np.zeros((len(after), len(self.model.mass)))
-        cells = self.places.nearest(self.model.tool(before))
-        expected = _times(self._A[cells], before) + _times(self._B[cells], volts)
-        missed = _times(self._explain[cells], after - expected) - self._expected
-        self._unexplained = np.where(fresh[:, None], 0.0, self._unexplained + self._share * missed)
+    def update_disturbance(self, before: Array, after: Array, volts: Array, starts: NDArray[np.bool_]) -> None:
+        """Update the disturbance estimate by the last period.
 
-    def volts(self, state: Array, goals: Array, last: Array, elapsed_s: Array) -> Array:
-        """First voltages (B, 2) of the plans, V, within the rated ones.
-
-        state (B, 2 n), m and m/s; goals (B, 1 + H or more, 2), m, now and at the end of each period; last (B, 2), V,
-        given in the period before; elapsed_s (B,) since the episode began.
+        Args:
+            before: States at the period's begin, m and m/s, shape (B, 2 n).
+            after: States at its end, shape (B, 2 n).
+            volts: Voltages at the motors, V, shape (B, 2).
+            starts: Stages whose episode starts with `after`, shape (B,); their estimate is set to zero.
         """
-        model, H = self.model, self.goals
+        if len(self._disturbance) != len(after):
+            self._planned_force = self._disturbance = np.zeros((len(after), len(self.model.mass)))
+        points = self.grid.nearest(self.model.tool_position(before))
+        predicted = _matvec(self._A[points], before) + _matvec(self._B[points], volts)
+        residual = _matvec(self._force_from_residual[points], after - predicted) - self._planned_force
+        self._disturbance = np.where(starts[:, None], 0.0, self._disturbance + self._filter_gain * residual)
+
+    def command(self, state: Array, goals: Array, last: Array, elapsed_s: Array) -> Array:
+        """Return the first voltages of the plans.
+
+        Args:
+            state: States, m and m/s, shape (B, 2 n).
+            goals: Goals now and at the end of each period, m, shape (B, 1 + H or more, 2).
+            last: Motor voltages of the last period, V, shape (B, 2).
+            elapsed_s: Time since the episode's start, s, shape (B,).
+
+        Returns:
+            Voltages within the rated ones, V, shape (B, 2).
+        """
+        model, H = self.model, self.horizon
         goals = goals[:, : H + 1]
-        speed = np.diff(goals, axis=1) / self.period
-        middle = 0.5 * (goals[:, 1:] + goals[:, :-1])
-        path = np.concatenate([middle @ model.rigid.T, speed @ model.rigid.T], axis=2).reshape(len(state) * H, -1)
+        velocity = np.diff(goals, axis=1) / self.period
+        midpoint = 0.5 * (goals[:, 1:] + goals[:, :-1])
+        path = np.concatenate([midpoint @ model.rigid.T, velocity @ model.rigid.T], axis=2)  # (B, H, 2 n)
+        path = path.reshape(len(state) * H, -1)
         times = (elapsed_s[:, None] + self.period * (0.5 + np.arange(H))).ravel()
-        known = (model.friction(path, times) + model.pushes(path, times)).reshape(len(state), H, -1)
-        force = known + self._unexplained[:, None]
-        self._expected = force[:, 0]
-        cells, plans = self.places.nearest(goals[:, 0]), self.plans
-        volts = _times(plans.state[cells], state) + _times(plans.last[cells], last)
-        volts += _times(plans.goal[cells], goals[:, 1:].reshape(len(state), -1))
-        volts += _times(plans.force[cells], force.reshape(len(state), -1))
+        modeled = (model.friction_force(path, times) + model.effect_force(path, times)).reshape(len(state), H, -1)
+        force = modeled + self._disturbance[:, None]
+        self._planned_force = force[:, 0]
+        points, gains = self.grid.nearest(goals[:, 0]), self.gains
+        volts = _matvec(gains.state[points], state) + _matvec(gains.last[points], last)
+        volts += _matvec(gains.goal[points], goals[:, 1:].reshape(len(state), -1))
+        volts += _matvec(gains.force[points], force.reshape(len(state), -1))
         return np.clip(volts, -model.rated, model.rated)
 
 
-def _times(matrices: Array, vectors: Array) -> Array:
-    """Matrices (B, i, j) times vectors (B, j)."""
+def _matvec(matrices: Array, vectors: Array) -> Array:
+    """Multiply matrices (B, i, j) by vectors (B, j)."""
     return np.asarray(np.einsum("bij,bj->bi", matrices, vectors))

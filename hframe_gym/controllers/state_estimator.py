@@ -1,222 +1,357 @@
-"""The full state from a rig's sensors: a Kalman filter around the machine's own kernel that learns the stage.
+"""State estimation from sensors: a Kalman filter around the machine's simulator that also estimates parameters.
 
-State: travel and speed of all coordinates (z), and the logarithms of how far the stage's masses, frictions, belts and
-motors are off the declared ones (unknowns.py).  A belt mode swings through a good part of its turn between readings:
-where belts are softer than declared, speeds cannot be told unless that is learnt.
+The estimated vector holds travel and velocity of all coordinates, and the logarithms of the ratios of masses, friction,
+belt stiffness and motor constants to their declared values (`AugmentedParameters`). A belt mode covers a good part of
+its cycle between two measurements: velocities are observable only together with the belts' stiffness.
 
-    predict    by the machine's kernel under the held voltages, asked at points all over what z and the stage may be
-               (divided_differences.py), so that what sticks at some and slips at others is in the covariance
-    correct    by the readings that say something: a laser at an end of its range does not, and then the encoders and
-               the belts' stretch under the friction that was learnt place the tool
-    doubt      readings farther off than the covariance has them widen it (fading memory, Fagin 1964): a machine file
-               is never complete
+Prediction    Second-order divided differences: the simulator maps points spread over the covariance, so that friction
+              that sticks at some points and slips at others enters the predicted covariance.
+Correction    By the measurements within their sensors' ranges. A laser at the end of its range carries no information;
+              encoders, and the belts' stretch under the estimated friction, then locate the tool.
+Robustness    Innovations larger than their covariance explains inflate it (fading memory), because a machine file is
+              never complete.
+
+References:
+    Norgaard, Poulsen and Ravn (2000), New developments in state estimation for nonlinear systems, Automatica 36(11).
+    Fagin (1964), Recursive linear regression theory, optimal filter theory, and error analysis of optimal systems.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+import dataclasses
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..dynamics import rollout
+from ..dynamics import Equations, rollout
+from ..errors import InputError
 from ..machine import Machine
-from .augmented_parameters import AugmentedParameters
-from .base import Controller
-from .dd2_filter import moments, points
-from .dead_time import DeadTime
+from .base import EpisodeStarts, Mask, check_period
+from .input_compensation import DeadTime
 from .motion_model import MotionModel
 
 Array = NDArray[np.float64]
-START = 1e-4  # m, by which the belts may be stretched at the start of an episode
-# What acts on the stage beside all that: a force on each coordinate, new every period, as a share of its Coulomb level
-# (of a tenth of the largest, where it is less); and m/s a square root second, for a stage without friction.
-FORCE, PUSH = 0.1, 1e-2
-FORGET = 8.0  # s, in which what was learnt of a number fades: motors warm up, and friction changes along the way
-SURPRISE = 4.0  # times its expected square: an error of the readings above which the covariance is doubted
-DOUBT = 1e4  # most by which variances are widened in a period
-WIDEST = (0.1, 1.0)  # m, m/s: standard deviations beyond which nothing is widened; of a number, those at first
-FINEST = (1e-8, 1e-6, 1e-5)  # m, m/s, logarithm: least distances of the points, over which doubles still tell a slope
-SHARPEST = 1e-7  # m: no reading is better, whatever its channel says
-STEP = 0.5e-3  # s, longest of the kernel's, as in the environment: short against the belts' modes
+SIGMA_SQUARED = 3.0  # squared distance of the points in standard deviations: the kurtosis of a normal distribution
+ROUNDING = 1e-9  # relative growth of variances that keeps a covariance positive definite in double precision
+
+# Prior standard deviations of the logarithms of parameter ratios: friction is hardly known before it is measured,
+# masses are weighed, motors have data sheets. A resistance has the effect of a Kt and is not estimated beside it.
+PARAMETER_STD = {"mass": 0.1, "coulomb": 0.4, "viscous": 0.2, "EA": 0.1, "Kt": 0.05, "Ke": 0.05}
+COMMON_BELT_STD = 0.17  # of the error that all belts have in common because they are cut from one piece
+LARGEST_RATIO = 4.0  # largest ratio of a parameter to its declared value, or the inverse
+
+INITIAL_STRETCH_STD = 1e-4  # m, of the travel at the start of an episode
+# Process noise: an unmodeled force on each coordinate, constant over a period, as a fraction of its Coulomb level (at
+# least a tenth of the largest level); and m/s per square root of a second for stages without friction.
+FORCE_NOISE, VELOCITY_NOISE = 0.1, 1e-2
+PARAMETER_MEMORY_S = 8.0  # s, time constant of forgetting: motors warm up, and friction varies along the path
+INNOVATION_LIMIT = 4.0  # squared innovation over its expectation, above which the covariance is inflated
+LARGEST_INFLATION = 1e4  # of variances, per period
+# Standard deviations beyond which travel (m) and velocity (m/s) are not inflated; for parameters the prior ones.
+LARGEST_STD = (0.1, 1.0)
+# Smallest distance of the points (m, m/s, logarithm) at which differences of doubles still give a slope.
+SMALLEST_STD = (1e-8, 1e-6, 1e-5)
+SMALLEST_NOISE_M = 1e-7  # m, floor of the measurement noise in travel, also for sensors declared without noise
+LONGEST_STEP_S = 0.5e-3  # s, of the simulator, as in the environment: short against the belt modes' periods
 
 
-@dataclass(frozen=True)
-class Channel:
-    """A position that is read.  noise: standard deviation, quantum's share included; low, high: a reading there or
-    beyond says nothing.  In the coordinate's own unit."""
+class AugmentedParameters:
+    """Parameters of a machine that are estimated with its state: nonzero masses, friction, EA and motor constants.
 
-    coordinate: str
-    noise: float
-    low: float = -np.inf
-    high: float = np.inf
+    Each is estimated as the logarithm of its ratio to the declared value, so that it cannot change sign. A belt's EA
+    also absorbs the error of its length.
+
+    Args:
+        machine: Machine with the declared values.
+
+    Attributes:
+        names: Full names of the k parameters.
+        covariance: Prior covariance of the logarithms, shape (k, k).
+    """
+
+    def __init__(self, machine: Machine) -> None:
+        values = machine.parameters
+        components = [*machine.coordinate_names, *(b.name for b in machine.belts), *(d.name for d in machine.drives)]
+        candidates = [f"{component}.{key}" for component in components for key in PARAMETER_STD]
+        self.names = tuple(name for name in candidates if values.get(name, 0.0) != 0.0)
+        self._columns = [list(values).index(name) for name in self.names]
+        self._declared = np.array(list(values.values()))
+        keys = [name.rpartition(".")[2] for name in self.names]
+        belts = np.array([key == "EA" for key in keys], np.float64)
+        std = np.array([PARAMETER_STD[key] for key in keys], np.float64)
+        self.covariance: Array = np.diag(std**2) + COMMON_BELT_STD**2 * np.outer(belts, belts)
+
+    def ratios(self, logarithms: Array) -> Array:
+        """Return ratios to the declared values, shape (B, k), for logarithms of shape (B, k)."""
+        return np.exp(self.clip(logarithms))
+
+    def clip(self, logarithms: Array) -> Array:
+        """Return logarithms (B, k) clipped to those of ratios between 1 / LARGEST_RATIO and LARGEST_RATIO."""
+        return np.clip(logarithms, -np.log(LARGEST_RATIO), np.log(LARGEST_RATIO))
+
+    def parameters(self, logarithms: Array) -> Array:
+        """Return all parameters (B, P), in the order of `Machine.parameters`, for logarithms (B, k)."""
+        rows = np.tile(self._declared, (len(logarithms), 1))
+        rows[:, self._columns] *= self.ratios(logarithms)
+        return rows
+
+
+class MeasurementModel:
+    """Linear measurement equation of a machine's declared sensors, scaled to belt travel.
+
+    Args:
+        model: Model of the machine whose `sensors`, with their ranges and delays, supply the measurements.
+
+    Attributes:
+        channels: Number of sensors.
+        matrix: H of z = H (travel, velocity), m, shape (channels, 2 n).
+        variance: Noise variance, the quantization's included, m^2, shape (channels,).
+
+    Raises:
+        InputError: If the sensors do not determine the tool's position.
+    """
+
+    def __init__(self, model: MotionModel) -> None:
+        machine = model.machine
+        names = machine.coordinate_names
+        self.channels = len(machine.sensors)
+        ranges = {e.site: e.parameters for e in machine.effects if e.name == "sensor_range"}
+        unlimited = dataclasses.replace(machine, effects=tuple(e for e in machine.effects if e.name != "sensor_range"))
+        equations = Equations(unlimited)
+        zeros = np.zeros(len(names))
+        readings = [np.array(equations.sensor_readings(q), np.float64) for q in (zeros, *np.eye(len(names)))]
+        rows = (np.stack(readings[1:], axis=1) - readings[0][:, None]) / machine.travel_per_unit
+        lengths = np.linalg.norm(rows, axis=1)  # channel's unit per travel
+        self._unit = 1.0 / np.where(lengths > 0.0, lengths, 1.0)  # m per channel's unit
+        positions = rows * self._unit[:, None]
+        # To first order in a sensor's delay d, it measures travel - d * velocity.
+        delays = np.array(equations.measurement_delays(), np.float64)
+        self.matrix: Array = np.hstack([positions, -delays[:, None] * positions])
+        self._low = np.array([ranges.get(s.channel, {}).get("low", -np.inf) for s in machine.sensors])
+        self._high = np.array([ranges.get(s.channel, {}).get("high", np.inf) for s in machine.sensors])
+        noise = np.array([np.hypot(s.noise, s.resolution / np.sqrt(12.0)) for s in machine.sensors])
+        self.variance: Array = (noise * self._unit) ** 2 + SMALLEST_NOISE_M**2
+        if np.linalg.matrix_rank(positions @ model.rigid) < model.rigid.shape[1]:
+            raise InputError(
+                f"machine {machine.name!r}: its sensors ({', '.join(machine.output_channels) or 'none'}) do not "
+                "determine the position of the tool"
+            )
+
+    def to_travel(self, measurements: Array) -> Array:
+        """Return measurements (B, channels), in the channels' units, in units of travel, m."""
+        return measurements * self._unit
+
+    def in_range(self, measurements: Array) -> Mask:
+        """Return which measurements (B, channels), in the channels' units, lie within their sensors' ranges."""
+        return (measurements > self._low) & (measurements < self._high)
 
 
 class StateEstimator:
-    """Estimates of B stages of one machine from readings of channels.
+    """Estimates of B stages of one machine from the measurements of its declared sensors.
 
-    period: of control, s.  Attributes: channels, how many; unknowns, what is learnt, in the order of `factors`.
+    Args:
+        machine: Machine whose `sensors` supply the measurements.
+        period: Control period, s.
 
-    Raises ValueError as `MotionModel` does, or for channels of which the motors' or the tool's way does not follow.
+    Attributes:
+        model: Model of the machine.
+        period: As given, s.
+        channels: Number of sensors.
+        measurements: Measurement equation of the sensors.
+        augmented: The estimated parameters, in the order of `parameter_ratios`.
+
+    Raises:
+        InputError: If the machine cannot be controlled (see `MotionModel`), its sensors do not determine the position
+            of the tool, or the period is not positive.
     """
 
-    def __init__(self, machine: Machine, period: float, channels: Sequence[Channel]) -> None:
+    def __init__(self, machine: Machine, period: float) -> None:
         self.model = model = MotionModel(machine)
-        self.period = period
-        self._late = DeadTime(machine, period)
-        names = machine.coordinate_names
-        unknown = [c.coordinate for c in channels if c.coordinate not in names]
-        if unknown or len({c.coordinate for c in channels}) < len(model.rated):
-            raise ValueError(
-                f"machine {machine.name!r}: the channels {', '.join(c.coordinate for c in channels) or 'none'} "
-                f"do not tell where its tool is; its coordinates are {', '.join(names)}"
-            )
-        n = len(names)
-        self.channels = len(channels)
-        self.unknowns = AugmentedParameters(self._late.prompt)
-        self._scale = np.tile(machine.radii, 2)
-        self._rows = np.array([names.index(c.coordinate) for c in channels])
-        self._low = np.array([c.low for c in channels]) * machine.radii[self._rows]
-        self._high = np.array([c.high for c in channels]) * machine.radii[self._rows]
-        self._noise = (np.array([c.noise for c in channels]) * machine.radii[self._rows]) ** 2 + SHARPEST**2
-        count = len(self.unknowns.names)
-        self._least = np.repeat(FINEST, [n, n, count])
-        self._P0 = np.zeros((2 * n + count, 2 * n + count))
-        self._P0[:n, :n] = START**2 * np.eye(n)
-        self._P0[2 * n :, 2 * n :] = self.unknowns.covariance
-        self._widest = np.concatenate([np.repeat(WIDEST, n) ** 2, np.diag(self.unknowns.covariance)])
-        gained = FORCE * np.maximum(model.coulomb, 0.1 * model.coulomb.max()) / model.mass * period  # m/s in a period
-        self._keep = np.exp(-period / FORGET)
-        self._Q = (1.0 - self._keep**2) * self._P0
-        moved = np.concatenate([0.5 * period * gained, np.hypot(gained, PUSH * np.sqrt(period))])
-        self._Q[: 2 * n, : 2 * n] = np.diag(moved**2)
-        self._fresh = np.zeros(0, np.bool_)
-        self._x, self._P = np.zeros((0, len(self._P0))), np.zeros((0, *self._P0.shape))
-
-    def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """Forget the stages of mask (B,), or all: their next readings begin an episode, at rest."""
-        if mask is None:
-            self._fresh = np.zeros(0, np.bool_)
-        elif len(self._fresh):
-            self._fresh = self._fresh | mask
-
-    def update(self, readings: Array) -> Array:
-        """Estimates (B, 2 n), travel and speed, m and m/s, at the time of readings (B, channels), in own units.
-
-        Raises ValueError for a reading that is not finite.
-        """
-        y = np.asarray(readings, np.float64) * self.model.machine.radii[self._rows]
-        if not np.all(np.isfinite(y)):
-            row, column = map(int, np.argwhere(~np.isfinite(y))[0])
-            raise ValueError(f"readings: channel {column} of stage {row} is {y[row, column]}")
-        width = len(self._scale)
-        if len(self._fresh) != len(y):
-            self._fresh = np.ones(len(y), np.bool_)
-            self._x, self._P = np.zeros((len(y), len(self._P0))), np.tile(self._P0, (len(y), 1, 1))
-        self._late.begin(self._fresh)
-        says = (y > self._low) & (y < self._high)
-        self._predict()
-        if self._fresh.any():
-            self._x[self._fresh] = 0.0
-            self._x[self._fresh, :width] = self._at_rest(y, says)[self._fresh]
-            self._P[self._fresh] = self._P0
-            self._fresh = np.zeros(len(y), np.bool_)
-        self._correct(y, says)
-        return self._x[:, :width].copy()
+        self.period = check_period(period)
+        self.measurements = MeasurementModel(model)
+        self.channels = self.measurements.channels
+        self._dead_time = DeadTime(machine, period)
+        prompt = self._dead_time.machine_without_delay
+        sensed = tuple(e for e in prompt.effects if e.definition.site != "sensor")
+        self._simulated = dataclasses.replace(prompt, effects=sensed)
+        self.augmented = AugmentedParameters(self._simulated)
+        n, count = len(model.mass), len(self.augmented.names)
+        self._scale = np.tile(machine.travel_per_unit, 2)
+        self._smallest_std = np.repeat(SMALLEST_STD, [n, n, count])
+        self._initial_covariance = np.zeros((2 * n + count, 2 * n + count))
+        self._initial_covariance[:n, :n] = INITIAL_STRETCH_STD**2 * np.eye(n)
+        self._initial_covariance[2 * n :, 2 * n :] = self.augmented.covariance
+        self._largest_variance = np.concatenate([np.repeat(LARGEST_STD, n) ** 2, np.diag(self.augmented.covariance)])
+        self._keep = np.exp(-period / PARAMETER_MEMORY_S)
+        self._process_noise = (1.0 - self._keep**2) * self._initial_covariance
+        largest_force = FORCE_NOISE * np.maximum(model.coulomb, 0.1 * model.coulomb.max())
+        velocity_std = largest_force / model.mass * period
+        std = np.concatenate([0.5 * period * velocity_std, np.hypot(velocity_std, VELOCITY_NOISE * np.sqrt(period))])
+        self._process_noise[: 2 * n, : 2 * n] = np.diag(std**2)
+        self._starts = EpisodeStarts()
+        self._mean = np.zeros((0, len(self._initial_covariance)))
+        self._covariance = np.zeros((0, *self._initial_covariance.shape))
 
     @property
-    def factors(self) -> Array:
-        """Estimates (B, k) of `unknowns.names` over the declared numbers."""
-        return self.unknowns.factors(self._x[:, len(self._scale) :])
+    def parameter_ratios(self) -> Array:
+        """Estimated ratios of `augmented.names` to their declared values, shape (B, k)."""
+        return self.augmented.ratios(self._mean[:, len(self._scale) :])
 
-    def sent(self, volts: Array) -> None:
-        """Voltages (B, 2), V, that are held from now on."""
-        self._late.send(volts)
+    def reset(self, mask: Mask | None = None) -> None:
+        """Start new episodes, at rest, with the next measurements of some stages or all.
 
-    def corrected(self, volts: Array) -> None:
-        """Voltages (B, 2), V, that are held from now on in place of those sent last."""
-        self._late.correct(volts)
+        Args:
+            mask: Stages to reset, shape (B,). Default: all.
+        """
+        self._starts.reset(mask)
 
-    def _at_rest(self, y: Array, says: NDArray[np.bool_]) -> Array:
-        """States (B, 2 n) at rest on unstretched belts, by weighted least squares from what is read."""
-        rigid = self.model.rigid[self._rows]
-        weight = says / self._noise
+    def send(self, volts: Array) -> None:
+        """Record the voltages of the period that begins.
+
+        Args:
+            volts: Voltages, V, shape (B, 2).
+        """
+        self._dead_time.send(volts)
+
+    def replace_last(self, volts: Array) -> None:
+        """Replace the voltages that were sent last.
+
+        Args:
+            volts: Voltages, V, shape (B, 2).
+        """
+        self._dead_time.replace_last(volts)
+
+    def update(self, measurements: Array) -> Array:
+        """Estimate the state at the time of new measurements.
+
+        Args:
+            measurements: One value per sensor, in the channels' units, shape (B, channels).
+
+        Returns:
+            Travel and its velocity, m and m/s, shape (B, 2 n).
+
+        Raises:
+            InputError: If a measurement is not finite.
+        """
+        values = np.asarray(measurements, np.float64)
+        if not np.all(np.isfinite(values)):
+            row, column = map(int, np.argwhere(~np.isfinite(values))[0])
+            raise InputError(f"measurements: channel {column} of stage {row} is {values[row, column]}")
+        if self._starts.resize(len(values)):
+            self._mean = np.zeros((len(values), len(self._initial_covariance)))
+            self._covariance = np.tile(self._initial_covariance, (len(values), 1, 1))
+        starts = self._starts.mask
+        self._dead_time.reset(starts)
+        travel, valid = self.measurements.to_travel(values), self.measurements.in_range(values)
+        self._predict()
+        width = len(self._scale)
+        if starts.any():
+            self._mean[starts] = 0.0
+            self._mean[starts, :width] = self._state_at_rest(travel, valid)[starts]
+            self._covariance[starts] = self._initial_covariance
+            self._starts.clear()
+        self._correct(travel, valid)
+        return self._mean[:, :width].copy()
+
+    def _state_at_rest(self, travel: Array, valid: Mask) -> Array:
+        """Return states (B, 2 n) at rest with unstretched belts, by weighted least squares from the measurements."""
+        rigid = self.measurements.matrix[:, : len(self.model.mass)] @ self.model.rigid  # (channels, 2)
+        weight = valid / self.measurements.variance
         normal = np.einsum("ki,bk,kj->bij", rigid, weight, rigid)
-        tool = np.linalg.solve(normal, ((weight * y) @ rigid)[..., None])[..., 0]
+        tool = np.linalg.solve(normal, ((weight * travel) @ rigid)[..., None])[..., 0]
         return self.model.goal_state(tool)
 
     def _predict(self) -> None:
-        asked = points(self._x, self._P, self._least)
-        batch, each, _ = asked.shape
+        """Propagate mean and covariance over the last period."""
+        points = sigma_points(self._mean, self._covariance, self._smallest_std)
+        batch, count, _ = points.shape
         width = len(self._scale)
-        flat = asked.reshape(batch * each, -1)
-        times, volts = self._late.course()
-        way = rollout(
-            self._late.prompt,
+        flat = points.reshape(batch * count, -1)
+        times, volts = self._dead_time.arrived_history()
+        states = rollout(
+            self._simulated,
             times,
-            np.repeat(volts, each, axis=0),
-            parameters=self.unknowns.parameters(flat[:, width:]),
+            np.repeat(volts, count, axis=0),
+            parameters=self.augmented.parameters(flat[:, width:]),
             start=flat[:, :width] / self._scale,
             velocities=True,
-            longest_step=STEP,
+            longest_step=LONGEST_STEP_S,
         )
-        asked[:, :, :width] = (way[:, -1] * self._scale).reshape(batch, each, width)
-        asked[:, :, width:] *= self._keep
-        self._x, P = moments(asked)
-        self._P = P + self._Q
+        points[:, :, :width] = (states[:, -1] * self._scale).reshape(batch, count, width)
+        points[:, :, width:] *= self._keep
+        self._mean, covariance = transformed_moments(points)
+        self._covariance = covariance + self._process_noise
 
-    def _correct(self, y: Array, says: NDArray[np.bool_]) -> None:
-        error = np.where(says, y - self._x[:, self._rows], 0.0)
-        PH, S = self._spread(says)
-        size = np.einsum("bi,bi->b", error, np.linalg.solve(S, error[..., None])[..., 0])
-        self._doubt(size / np.maximum(says.sum(axis=1), 1))
-        PH, S = self._spread(says)
-        K = np.linalg.solve(S, PH.transpose(0, 2, 1)).transpose(0, 2, 1)
-        self._x = self._x + np.einsum("bij,bj->bi", K, error)
+    def _correct(self, travel: Array, valid: Mask) -> None:
+        """Correct mean and covariance by the valid measurements (B, channels), m."""
         width = len(self._scale)
-        self._x[:, width:] = self.unknowns.within(self._x[:, width:])
-        # Joseph's form: what is left after a correction by exact readings stays positive.
-        left = np.tile(np.eye(K.shape[1]), (len(K), 1, 1))
-        left[:, :, self._rows] -= K * says[:, None, :]
-        self._P = left @ self._P @ left.transpose(0, 2, 1) + (K * self._noise) @ K.transpose(0, 2, 1)
+        matrix = self.measurements.matrix
+        innovation = np.where(valid, travel - self._mean[:, :width] @ matrix.T, 0.0)
+        _, S = self._innovation_covariance(valid)
+        size = np.einsum("bi,bi->b", innovation, np.linalg.solve(S, innovation[..., None])[..., 0])
+        self._inflate(size / np.maximum(valid.sum(axis=1), 1))
+        PH, S = self._innovation_covariance(valid)
+        K = np.linalg.solve(S, PH.transpose(0, 2, 1)).transpose(0, 2, 1)
+        self._mean = self._mean + np.einsum("bij,bj->bi", K, innovation)
+        self._mean[:, width:] = self.augmented.clip(self._mean[:, width:])
+        # Joseph's form keeps the covariance positive after corrections by almost exact measurements.
+        reduction = np.tile(np.eye(K.shape[1]), (len(K), 1, 1))
+        reduction[:, :, :width] -= (K * valid[:, None, :]) @ matrix
+        noise = (K * self.measurements.variance) @ K.transpose(0, 2, 1)
+        self._covariance = reduction @ self._covariance @ reduction.transpose(0, 2, 1) + noise
 
-    def _spread(self, says: NDArray[np.bool_]) -> tuple[Array, Array]:
-        """Covariance of state and readings (B, N, channels), and of the readings (B, channels, channels)."""
-        # A reading that says nothing has no gain: its covariance with the state is taken as zero.
-        PH = self._P[:, :, self._rows] * says[:, None, :]
-        return PH, PH[:, self._rows] * says[:, :, None] + np.diag(self._noise)
+    def _innovation_covariance(self, valid: Mask) -> tuple[Array, Array]:
+        """Return P H' (B, N, channels) and the innovation covariance (B, channels, channels)."""
+        matrix = self.measurements.matrix
+        # An invalid measurement gets no gain: its covariance with the state is set to zero.
+        PH = self._covariance[:, :, : matrix.shape[1]] @ matrix.T * valid[:, None, :]
+        HPH = matrix @ PH[:, : matrix.shape[1]] * valid[:, :, None]
+        return PH, HPH + np.diag(self.measurements.variance)
 
-    def _doubt(self, surprise: Array) -> None:
-        """Widen the covariance where the readings' squared error is surprise (B,) times the expected one."""
-        wider = np.clip(surprise / SURPRISE, 1.0, DOUBT)[:, None]
-        now = np.diagonal(self._P, axis1=1, axis2=2)
-        wider = np.minimum(wider, np.maximum(self._widest / np.maximum(now, self._least**2), 1.0))
-        share = np.sqrt(wider)
-        self._P = share[:, :, None] * self._P * share[:, None, :]
+    def _inflate(self, innovation_ratio: Array) -> None:
+        """Inflate the covariance where squared innovations are `innovation_ratio` (B,) times their expectation."""
+        inflation = np.clip(innovation_ratio / INNOVATION_LIMIT, 1.0, LARGEST_INFLATION)[:, None]
+        variance = np.diagonal(self._covariance, axis1=1, axis2=2)
+        room = self._largest_variance / np.maximum(variance, self._smallest_std**2)
+        factor = np.sqrt(np.minimum(inflation, np.maximum(room, 1.0)))
+        self._covariance = factor[:, :, None] * self._covariance * factor[:, None, :]
 
 
-class OutputFeedbackController:
-    """A full-state controller behind an observer: `observation` then begins with the readings of its channels."""
+def sigma_points(mean: Array, covariance: Array, smallest_std: Array) -> Array:
+    """Return the points at which a map is evaluated: the mean, and two along each column of a covariance root.
 
-    def __init__(self, controller: Controller, observer: StateEstimator) -> None:
-        self.controller, self.observer = controller, observer
+    Args:
+        mean: Means, shape (B, N).
+        covariance: Covariances, shape (B, N, N).
+        smallest_std: Smallest standard deviations, also of what is certain, shape (N,).
 
-    def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """Forget the stages of mask (B,), or all."""
-        self.controller.reset(mask)
-        self.observer.reset(mask)
+    Returns:
+        Points, shape (B, 2 N + 1, N).
+    """
+    diagonal = np.arange(mean.shape[1])
+    widened = covariance.copy()
+    widened[:, diagonal, diagonal] = (1.0 + ROUNDING) * widened[:, diagonal, diagonal] + smallest_std**2
+    steps = np.sqrt(SIGMA_SQUARED) * np.linalg.cholesky(widened).transpose(0, 2, 1)
+    center = mean[:, None]
+    return np.concatenate([center, center + steps, center - steps], axis=1)
 
-    def act(self, observation: Mapping[str, NDArray[Any]]) -> Array:
-        """Actions (B, 2) in [-1, 1] from readings (B, channels or more) in the channels' own units."""
-        model = self.observer.model
-        state = self.observer.update(observation["observation"][:, : self.observer.channels])
-        actions = self.controller.act({**observation, "observation": model.observation(state)})
-        self.observer.sent(np.clip(actions, -1.0, 1.0) * model.rated)
-        return actions
 
-    def applied(self, actions: Array) -> None:
-        """The stages were given actions (B, 2) in [-1, 1], and not what `act` answered last."""
-        self.controller.applied(actions)
-        self.observer.corrected(actions * self.observer.model.rated)
+def transformed_moments(mapped: Array) -> tuple[Array, Array]:
+    """Return mean (B, M) and covariance (B, M, M) of a mapped normal distribution (DD2 filter).
+
+    Divided differences need no derivatives, which friction does not have, and the covariance is a sum of squares.
+
+    Args:
+        mapped: The map's values at `sigma_points`, shape (B, 2 N + 1, M).
+
+    Returns:
+        Mean and covariance.
+    """
+    count = mapped.shape[1] // 2
+    center, above, below = mapped[:, :1], mapped[:, 1 : count + 1], mapped[:, count + 1 :]
+    curvature = above + below - 2.0 * center
+    mean = center[:, 0] + curvature.sum(axis=1) / (2.0 * SIGMA_SQUARED)
+    first = (above - below) / (2.0 * np.sqrt(SIGMA_SQUARED))
+    second = curvature * np.sqrt(SIGMA_SQUARED - 1.0) / (2.0 * SIGMA_SQUARED)
+    roots = np.concatenate([first, second], axis=1)
+    return mean, roots.transpose(0, 2, 1) @ roots

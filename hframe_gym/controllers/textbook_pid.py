@@ -1,10 +1,4 @@
-"""A plain PID for each axis, tuned by the book: the baseline that a careful user has in ten minutes.
-
-The stage is taken as a rigid mass with viscous friction on each axis, m v' = f - b v.  The three gains place its poles
-at a triple -w (pole placement, Astrom and Hagglund 2006, Advanced PID Control, chapter 6), and w is a fifth of the
-slowest belt mode's frequency, or of half the sampling's where that is lower: the rule of thumb that keeps clear of
-both.
-"""
+"""One PID controller per axis, tuned by pole placement: the baseline."""
 
 from __future__ import annotations
 
@@ -15,63 +9,86 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..machine import Machine, mode_frequencies
-from .motion_model import MotionModel
+from .base import CONTROLLERS, Controller, Mask
+from .motion_model import AXES, MotionModel
 
 Array = NDArray[np.float64]
-CLEAR = 5.0  # of the closed loop's frequency, from the slowest belt mode and from half the sampling
+# Slowest belt mode, or half the sampling frequency where that is lower, over the bandwidth of the closed loop: the
+# usual rule of thumb.
+FREQUENCY_MARGIN = 5.0
 
 
-class TextbookPID:
-    """PID on x and y with an integral that stops while a drive saturates.
+@CONTROLLERS.register("textbook-pid")
+class TextbookPID(Controller):
+    """PID on x and y, with conditional integration while a drive saturates.
 
-    The derivative is on the measured speed, and for a goal that moves on how much it is off the goal's.
+    Each axis is modeled as a rigid mass with viscous friction, m v' = f - b v, and the gains put all three poles at -w.
+    The derivative acts on the measured velocity; for a moving goal, on the difference to the goal's velocity.
 
-    machine: the model that the gains are made of.  period: of control, s.
+    Args:
+        machine: Machine model from which the gains are computed.
+        period: Control period, s.
 
-    Raises ValueError for a machine that it cannot control (see `MotionModel`) or a period that is not positive.
+    Attributes:
+        model: Model of the machine.
+        proportional: Gains of x and y, N/m, shape (2,).
+        derivative: Gains of x and y, Ns/m, shape (2,).
+        integral: Gains of x and y, N/(m s), shape (2,).
+
+    Raises:
+        InputError: If the machine cannot be controlled (see `MotionModel`) or the period is not positive.
+
+    References:
+        Astrom and Hagglund (2006), Advanced PID Control, chapter 6.
     """
 
     def __init__(self, machine: Machine, period: float = 0.01) -> None:
-        if not (np.isfinite(period) and period > 0.0):
-            raise ValueError(f"period is {period!r}, it must be a positive number of seconds")
+        super().__init__(machine, period)
         self.model = MotionModel(machine)
-        self.period = period
-        modes = [f for f in mode_frequencies(machine) if f > 0.0]
-        w = 2.0 * np.pi * min([0.5 / period, *modes]) / CLEAR
+        modes = [frequency for frequency in mode_frequencies(machine) if frequency > 0.0]
+        bandwidth = 2.0 * np.pi * min([0.5 / period, *modes]) / FREQUENCY_MARGIN  # rad/s
         rigid = self.model.rigid**2
         mass, viscous = rigid.T @ self.model.mass, rigid.T @ self.model.viscous
-        self.proportional = 3.0 * mass * w**2  # N/m
-        # Where friction damps more than the poles ask, the speed is left alone.
-        self.derivative = np.maximum(3.0 * mass * w - viscous, 0.0)  # Ns/m
-        self.integral = mass * w**3  # N/(m s)
-        self._sum = np.zeros((0, 2))  # N
-        self._axes = np.array([machine.coordinate_names.index(axis) for axis in ("x", "y")])
+        self.proportional = 3.0 * mass * bandwidth**2
+        # No derivative action where friction damps more than the poles need.
+        self.derivative = np.maximum(3.0 * mass * bandwidth - viscous, 0.0)
+        self.integral = mass * bandwidth**3
+        self._integral_force = np.zeros((0, 2))  # N
+        self._axes = np.array([machine.coordinate_names.index(axis) for axis in AXES])
 
-    def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """Forget the integral of the stages of mask (B,), or of all."""
-        self._sum = np.zeros((0, 2)) if mask is None or not len(self._sum) else np.where(mask[:, None], 0.0, self._sum)
+    def reset(self, mask: Mask | None = None) -> None:
+        """Clear the integrators of some stages or all.
 
-    def applied(self, actions: Array) -> None:
-        """Changes nothing: it remembers errors, and no voltage."""
+        Args:
+            mask: Stages to reset, shape (B,). Default: all.
+        """
+        if mask is None or not len(self._integral_force):
+            self._integral_force = np.zeros((0, 2))
+        else:
+            self._integral_force = np.where(mask[:, None], 0.0, self._integral_force)
 
     def act(self, observation: Mapping[str, NDArray[Any]]) -> Array:
-        """Actions (B, 2) in [-1, 1], shares of the rated voltage.
+        """Return the actions for the control period that begins.
 
-        observation: `observation` (B, 2 n), `desired_goal` (B, 2), m, and for a goal that moves `preview`, as for
-        `ModelBasedController.act`.
+        Args:
+            observation: Full state, `desired_goal` and perhaps `preview`; see `Controller.act`.
 
-        Raises ValueError for an observation that is not of this machine.
+        Returns:
+            Voltages divided by the rated voltages, in [-1, 1], shape (B, 2).
+
+        Raises:
+            InputError: If the observation does not fit the machine.
         """
         state = self.model.state(observation)
-        if len(self._sum) != len(state):
-            self._sum = np.zeros((len(state), 2))
-        speed = state[:, len(self.model.mass) + self._axes]
+        if len(self._integral_force) != len(state):
+            self._integral_force = np.zeros((len(state), 2))
+        velocity = state[:, len(self.model.mass) + self._axes]
         goal = np.asarray(observation["desired_goal"], np.float64)
         if "preview" in observation:
-            speed = speed - (np.asarray(observation["preview"], np.float64)[:, :2] - goal) / self.period
+            velocity = velocity - (np.asarray(observation["preview"], np.float64)[:, :2] - goal) / self.period
         error = goal - state[:, self._axes]
-        total = self._sum + self.integral * self.period * error
-        volts = self.model.voltage(self.proportional * error - self.derivative * speed + total)
+        integral_force = self._integral_force + self.integral * self.period * error
+        volts = self.model.voltage(self.proportional * error - self.derivative * velocity + integral_force)
         saturated = np.any(np.abs(volts) > self.model.rated, axis=1, keepdims=True)
-        self._sum = np.where(saturated, self._sum, total)
+        self._integral_force = np.where(saturated, self._integral_force, integral_force)
         return np.clip(volts / self.model.rated, -1.0, 1.0)

@@ -1,13 +1,22 @@
-"""The least time in which any controller could bring a stage's tool into a band around its goal and keep it there.
+"""Time-optimal motions: the shortest time in which any controller can bring the tool into a band around its goal.
 
-Direct collocation (Radau, von Stryk 1993; Biegler 2010): a motion of free length T from rest into the band, then
-`HOLD_S` in which the tool does not leave it and at whose end all stands still, on belts that friction and motors hold;
-|voltage| <= rated, held over each interval; T is least.  So T ends when the tool enters the band for good, mostly at
-speed, just as a settling time does; it does not wait for the standstill.  IPOPT finds a local minimum.
+Direct collocation with Radau points: a motion of free duration T from rest into the band, followed by `HOLD_S` in which
+the tool stays in the band and at whose end everything is at rest, the belts' forces held by friction and motors.
+Voltages are held over each interval within the rated ones, and T is minimized. T ends when the tool enters the band for
+the last time, usually at speed, exactly as a settling time does; it does not include coming to rest. IPOPT finds a
+local minimum.
+
+The equations of motion are those of `hframe_gym.dynamics.Equations`, evaluated on CasADi expressions. Coulomb friction
+is smoothed to F tanh(v / v0), because an optimizer needs derivatives.
+
+References:
+    von Stryk (1993), Numerical solution of optimal control problems by direct collocation.
+    Biegler (2010), Nonlinear Programming: Concepts, Algorithms, and Applications to Chemical Processes, chapter 10.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -15,33 +24,43 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..machine import Machine, rest_state
+from ..dynamics import Equations, MotionPoint
+from ..dynamics.elementwise import tanh
+from ..errors import InputError
+from ..machine import AppliedEffect, Machine, rest_state
+from ..machine.effect import Hook, argument_names
+from .input_compensation import InputInversion
 
 try:
     import casadi as ca
-
-    from .casadi_model import equations
 except ImportError as error:
-    raise ImportError("time-optimal control needs CasADi: pip install 'hframe_gym[bound]'") from error
+    raise ImportError("time-optimal motions need CasADi: pip install 'hframe_gym[bound]'") from error
 
 Array = NDArray[np.float64]
 HOLD_S = 0.04  # s, in which the tool comes to rest within the band; twice as long changes T by less than 1 us
-DEGREE = 2  # Radau points an interval: error of third order, and L-stable, which sharp friction asks for
-TURNING = 0.01  # m/s, of friction's turning over; moves reach 0.5 to 1 m/s
-EFFORT = 1e-6  # s, of mean squared voltage share: picks one of several motions of nearly equal T
-LONGEST_S, LONGEST_M, FASTEST = 5.0, 5.0, 10.0  # s, m, m/s: within which motions are looked for
-# By default IPOPT begins so far inside the voltage limits that T first grows fourfold; the last barrier, 1e-7 s a
-# limit, leaves T 0.05 ms above its least at most.
-IPOPT = {"mu_init": 1e-3, "mu_target": 1e-7, "tol": 1e-6, "max_iter": 600, "print_level": 0, "sb": "yes"}
-GUESSES = (1.0, 1.6, 0.8)  # of the rigid stage's time, to begin with, in turn until one is solved
+DEGREE = 2  # Radau points per interval: third order, and L-stable, which steep friction needs
+REVERSAL_SPEED = 0.01  # m/s, v0 of the smoothed friction; moves reach 0.5 to 1 m/s
+EFFORT_WEIGHT_S = 1e-6  # s, weight of the mean squared voltage: selects one of several motions of nearly equal T
+LONGEST_S, LARGEST_TRAVEL_M, LARGEST_SPEED = 5.0, 5.0, 10.0  # s, m, m/s: bounds of the search
+# By default IPOPT starts so far inside the voltage limits that T first grows fourfold; the last barrier of 1e-7 s per
+# limit leaves T at most 0.05 ms above its minimum.
+IPOPT_OPTIONS = {"mu_init": 1e-3, "mu_target": 1e-7, "tol": 1e-6, "max_iter": 600, "print_level": 0, "sb": "yes"}
+# Hooks of an effect that enter the collocation equations, and CasADi's operations that switch between branches.
+DIFFERENTIATED_HOOKS = ("force", "coulomb", "friction", "viscous", "tension", "energy_slope", "belt_travel", "lever_arm")
+SWITCHING_OPERATIONS = (ca.OP_FMIN, ca.OP_FMAX, ca.OP_IF_ELSE_ZERO, ca.OP_SIGN, ca.OP_COPYSIGN, ca.OP_LT, ca.OP_LE)
+INITIAL_GUESSES = (1.0, 1.6, 0.8)  # of T, in times of the rigid stage; tried in turn until one converges
 
 
 @dataclass(frozen=True)
 class TimeOptimalMotion:
-    """The fastest motion that was found.
+    """A time-optimal motion.
 
-    time_s: T, s.  solved: whether IPOPT converged; if not, T means nothing.  status: what it said.  edges_s (k + 1,),
-    s, and volts (k, drives): voltages held from edge to edge, the hold in the band included.
+    Attributes:
+        time_s: Duration T, s.
+        solved: Whether IPOPT has converged; if not, T has no meaning.
+        status: IPOPT's return status.
+        edges_s: Edges of the intervals, the hold in the band included, s, shape (k + 1,).
+        volts: Voltages held over the intervals, V, shape (k, drives).
     """
 
     time_s: float
@@ -52,125 +71,284 @@ class TimeOptimalMotion:
 
 
 class TimeOptimalReach:
-    """Time-optimal motions of machines of one shape; the problem is set up once and its numbers are parameters.
+    """Time-optimal motions of machines of one structure; their parameters are parameters of the optimization problem.
 
-    band: m, around the goal.  intervals: of the motion and of the hold.
+    Effects are part of the motion, except those at sensors. The problem's controls are the voltages at the motors: an
+    effect on a drive's voltage (dead band, offset, gain) changes their limits, and a current limit is a constraint. Not
+    supported (see `check_supported`) are effects with a memory, because their states are not part of the problem;
+    effects whose formula is not differentiable; and a dead time of the drives.
 
-    Raises ValueError for a machine with effects, ImportError naming the extra where CasADi is not installed.
+    Args:
+        machine: Machine.
+        band: Radius of the band around the goal, m.
+        intervals: Numbers of intervals of the motion and of the hold.
+        reversal_speed: Speed v0 of the smoothed friction, m/s.
+
+    Attributes:
+        machine: As given.
+        band: As given, m.
+        intervals: As given.
+        reversal_speed: As given, m/s.
+
+    Raises:
+        InputError: If the machine has an effect that is not supported.
     """
 
     def __init__(
-        self, machine: Machine, *, band: float = 2e-4, intervals: tuple[int, int] = (60, 20), turning: float = TURNING
+        self,
+        machine: Machine,
+        *,
+        band: float = 2e-4,
+        intervals: tuple[int, int] = (60, 20),
+        reversal_speed: float = REVERSAL_SPEED,
     ) -> None:
+        check_supported(machine)
         self.machine = machine
-        self.band, self.intervals, self.turning = band, intervals, turning
+        self.band, self.intervals, self.reversal_speed = band, intervals, reversal_speed
         self._axes = [i for i, c in enumerate(machine.coordinates) if c.kind == "linear"]
-        columns = [rest_state(machine, row)[: len(machine.coordinates)] for row in np.eye(len(self._axes))]
-        self._rigid = np.stack(columns, axis=1) * machine.radii[:, None]  # travel per metre of each axis
+        count = len(machine.coordinates)
+        columns = [rest_state(machine, row)[:count] for row in np.eye(len(self._axes))]
+        self._rigid = np.stack(columns, axis=1) * machine.travel_per_unit[:, None]  # travel per metre of each axis
         self._points = np.array(ca.collocation_points(DEGREE, "radau"))
         self._build()
 
     def _build(self) -> None:
+        """Set up the nonlinear program."""
         n, drives = len(self.machine.coordinates), len(self.machine.drives)
-        motion = equations(self.machine)
         slopes = ca.collocation_coeff(self._points.tolist())[0]
         moving, holding = self.intervals
-        time: Any = ca.SX.sym("T")
-        begin, goal = ca.SX.sym("begin", 2 * n), ca.SX.sym("goal", len(self._axes))
+        duration: Any = ca.SX.sym("T")
+        start, goal = ca.SX.sym("start", 2 * n), ca.SX.sym("goal", len(self._axes))
         parameters = ca.SX.sym("parameters", len(self.machine.parameters))
-        unknowns, limits = [time], [(1e-4, LONGEST_S)]
-        inner_limits = [(-LONGEST_M, LONGEST_M)] * n + [(-FASTEST, FASTEST)] * n
-        zeros, negatives = [], []  # what must be zero, and what must not be positive
-        effort, state = ca.SX(0.0), begin
+        model = _SymbolicModel(self.machine, parameters, start, self.reversal_speed)
+        unknowns, limits = [duration], [(1e-4, LONGEST_S)]
+        state_limits = [(-LARGEST_TRAVEL_M, LARGEST_TRAVEL_M)] * n + [(-LARGEST_SPEED, LARGEST_SPEED)] * n
+        equalities, inequalities = [], []  # must be zero; must not be positive
+        effort, state = ca.SX(0.0), start
         for k in range(moving + holding):
-            length = time / moving if k < moving else HOLD_S / holding
-            share = ca.SX.sym(f"u{k}", drives)
+            length = duration / moving if k < moving else HOLD_S / holding
+            begin = k * length if k < moving else duration + (k - moving) * length
+            action = ca.SX.sym(f"u{k}", drives)  # from -1, the lowest voltage at the motor, to 1, the highest
             inner = [ca.SX.sym(f"z{k}_{j}", 2 * n) for j in range(DEGREE)]
-            unknowns += [share, *inner]
-            limits += [(-1.0, 1.0)] * drives + inner_limits * DEGREE
+            unknowns += [action, *inner]
+            limits += [(-1.0, 1.0)] * drives + state_limits * DEGREE
             slope = ca.horzcat(state, *inner) @ slopes
-            zeros += [
-                slope[:, j] - length * motion.rate(z, share, parameters, self.turning) for j, z in enumerate(inner)
+            equalities += [
+                slope[:, j] - length * model.rate(z, action, begin + float(self._points[j]) * length)
+                for j, z in enumerate(inner)
             ]
-            effort += ca.dot(share, share) / ((moving + holding) * drives)
+            inequalities += [excess for z in inner for excess in model.current_excess(z, action)]
+            effort += ca.dot(action, action) / ((moving + holding) * drives)
             state = inner[-1]
             inside = inner if k >= moving else inner[-1:] if k == moving - 1 else []
-            negatives += [ca.sumsqr((z[self._axes] - goal) / self.band) - 1.0 for z in inside]
-        zeros.append(state[n:])
-        negatives += self._holdable(motion.pull(state, parameters), parameters)
+            inequalities += [ca.sumsqr((z[self._axes] - goal) / self.band) - 1.0 for z in inside]
+        equalities.append(state[n:])
+        inequalities += model.static_excess(state, duration + HOLD_S)
         problem = {
             "x": ca.vertcat(*unknowns),
-            "f": time + EFFORT * effort,
-            "g": ca.vertcat(*zeros, *negatives),
-            "p": ca.vertcat(begin, goal, parameters),
+            "f": duration + EFFORT_WEIGHT_S * effort,
+            "g": ca.vertcat(*equalities, *inequalities),
+            "p": ca.vertcat(start, goal, parameters),
         }
-        options: Any = {"print_time": False, "ipopt": IPOPT}
-        self._solver: Any = ca.nlpsol("fastest", "ipopt", problem, options)
+        options: Any = {"print_time": False, "ipopt": IPOPT_OPTIONS}
+        self._solver: Any = ca.nlpsol("time_optimal", "ipopt", problem, options)
         low, high = np.array(limits).T
-        least = np.repeat([0.0, -np.inf], [ca.vertcat(*zeros).numel(), len(negatives)])
-        self._bounds = {"lbx": low, "ubx": high, "lbg": least, "ubg": np.zeros(len(least))}
-
-    def _holdable(self, pull: Any, parameters: Any) -> list[Any]:
-        """Not positive where friction holds each axis against the pull of the belts; what is driven is held anyway."""
-        driven = {d.coordinate for d in self.machine.drives}
-        names = list(self.machine.parameters)
-        rules = []
-        for i in self._axes:
-            name = self.machine.coordinate_names[i]
-            if name not in driven:
-                friction = parameters[names.index(f"{name}.coulomb")]
-                rules += [pull[i] - friction, -pull[i] - friction]
-        return rules
+        lowest = np.repeat([0.0, -np.inf], [ca.vertcat(*equalities).numel(), len(inequalities)])
+        self._bounds = {"lbx": low, "ubx": high, "lbg": lowest, "ubg": np.zeros(len(lowest))}
 
     def solve(
         self,
         start: ArrayLike,
         goal: ArrayLike,
         parameters: ArrayLike | None = None,
-        guesses: Sequence[float] = GUESSES,
+        guesses: Sequence[float] = INITIAL_GUESSES,
     ) -> TimeOptimalMotion:
-        """The fastest motion from rest with unstretched belts at start into the band around goal, each (axes,), m.
+        """Find the time-optimal motion from rest with unstretched belts into the band around the goal.
 
-        parameters (P,): of the stage, in the order of `Machine.parameters` (default: the machine's own).  guesses: of
-        T, as shares of about what the rigid stage takes; the first that is solved.
+        Args:
+            start: Position of the linear coordinates at the start, m, shape (axes,).
+            goal: Position of the goal, m, shape (axes,).
+            parameters: Parameters in the order of `Machine.parameters`, shape (P,). Default: the machine's.
+            guesses: Initial guesses of T, in times of the rigid stage; the first that converges gives the result.
+
+        Returns:
+            The motion; `solved` tells whether a guess has converged.
         """
         begin, end = np.asarray(start, float), np.asarray(goal, float)
-        own = list(self.machine.parameters.values()) if parameters is None else parameters
-        values = np.asarray(own, np.float64)
-        given = np.concatenate([self._rigid @ begin, np.zeros(len(self._rigid)), end, values])
+        nominal = list(self.machine.parameters.values())
+        values = np.asarray(nominal if parameters is None else parameters, np.float64)
+        fixed = np.concatenate([self._rigid @ begin, np.zeros(len(self._rigid)), end, values])
         for factor in guesses:
             guess = self._guess(begin, end, factor * self._rigid_time(end - begin, values))
-            answer = self._solver(x0=guess, p=given, **self._bounds)
-            said = self._solver.stats()
-            if said["success"]:
+            result = self._solver(x0=guess, p=fixed, **self._bounds)
+            statistics = self._solver.stats()
+            if statistics["success"]:
                 break
-        found = np.array(answer["x"]).ravel()
-        T, rest = float(found[0]), found[1:].reshape(sum(self.intervals), -1)
+        solution = np.array(result["x"]).ravel()
+        T, rest = float(solution[0]), solution[1:].reshape(sum(self.intervals), -1)
         moving, holding = self.intervals
         edges = np.concatenate([np.linspace(0.0, T, moving + 1), T + np.linspace(0.0, HOLD_S, holding + 1)[1:]])
-        rated = np.array([d.rated_voltage for d in self.machine.drives])
-        return TimeOptimalMotion(T, said["success"], said["return_status"], edges, rest[:, : len(rated)] * rated)
+        volts = self._commands(rest[:, : len(self.machine.drives)], values)
+        return TimeOptimalMotion(T, statistics["success"], statistics["return_status"], edges, volts)
 
-    def _rigid_time(self, way: Array, values: Array) -> float:
-        """About the time of the rigid stage: as long as the slower axis takes, to first order in its damping, s."""
-        machine = self.machine.replace(dict(zip(self.machine.parameters, values.tolist(), strict=True)))
-        names, radii = machine.coordinate_names, machine.radii
-        mass = np.array([c.mass for c in machine.coordinates]) / radii**2
-        viscous = np.array([c.viscous for c in machine.coordinates]) / radii**2
+    def _commands(self, actions: Array, values: Array) -> Array:
+        """Return the commanded voltages (k, drives), V, that give the motors those of actions (k, drives)."""
+        by_name = dict(zip(self.machine.parameters, values.tolist(), strict=True))
+        low, high = (np.array(limit, float) for limit in _voltage_limits(Equations(self.machine, by_name)))
+        motor_voltage = 0.5 * (low + high) + 0.5 * (high - low) * actions
+        return InputInversion(self.machine.replace(by_name)).command(motor_voltage)
+
+    def _rigid_time(self, distance: Array, values: Array) -> float:
+        """Return the approximate time of the rigid stage, s: that of its slowest axis, to first order in damping."""
+        by_name = dict(zip(self.machine.parameters, values.tolist(), strict=True))
+        equations = Equations(dataclasses.replace(self.machine, effects=()), by_name)
+        n = len(self.machine.coordinates)
+        mass = np.array([equations.mass(i) for i in range(n)]) @ self._rigid**2
+        viscous = np.array([equations.viscous(i, 1.0) for i in range(n)]) @ self._rigid**2
         force = np.zeros(len(self._axes))
-        for d in machine.drives:
-            i = names.index(d.coordinate)
-            viscous[i] += d.back_emf / radii[i] ** 2
-            force += np.abs(self._rigid[i]) * d.gain / radii[i] * d.rated_voltage
-        mass, viscous = mass @ self._rigid**2, viscous @ self._rigid**2
-        return float(np.max(2.0 * np.sqrt(np.abs(way) * mass / force) + np.abs(way) * viscous / force)) + 1e-3
+        for j, (i, d) in enumerate(zip(equations.drive_coordinates, self.machine.drives, strict=True)):
+            force += np.abs(self._rigid[i]) * equations.force_per_volt(j) * d.rated_voltage
+        times = 2.0 * np.sqrt(np.abs(distance) * mass / force) + np.abs(distance) * viscous / force
+        return float(np.max(times)) + 1e-3
 
     def _guess(self, start: Array, goal: Array, time_s: float) -> Array:
-        """A smooth motion of the rigid stage, quintic in time, without voltage."""
+        """Return an initial guess: a smooth motion of the rigid stage, quintic in time, with zero voltage."""
         moving, holding = self.intervals
         s = np.minimum((np.arange(moving + holding)[:, None] + self._points) / moving, 1.0)[..., None]
         travel = self._rigid @ start + (10.0 * s**3 - 15.0 * s**4 + 6.0 * s**5) * (self._rigid @ (goal - start))
         speed = 30.0 * s**2 * (1.0 - s) ** 2 / time_s * (self._rigid @ (goal - start))
         states = np.concatenate([travel, speed], axis=2).reshape(moving + holding, -1)
-        voltage = np.zeros((moving + holding, len(self.machine.drives)))
-        return np.concatenate([[time_s], np.concatenate([voltage, states], axis=1).ravel()])
+        actions = np.zeros((moving + holding, len(self.machine.drives)))
+        return np.concatenate([[time_s], np.concatenate([actions, states], axis=1).ravel()])
+
+
+class _SymbolicModel:
+    """A machine's equations of motion as CasADi expressions, with its parameters and the start as symbols.
+
+    States are belt travel, m, and its rate, m/s, shape (2 n,). Actions lead from the lowest voltage at the motor, -1,
+    to the highest, 1.
+    """
+
+    def __init__(self, machine: Machine, parameters: Any, start: Any, reversal_speed: float) -> None:
+        values = dict(zip(machine.parameters, ca.vertsplit(parameters), strict=True))
+        self._limits = _voltage_limits(Equations(machine, values))
+        motion = tuple(e for e in machine.effects if not (e.definition.voltage or e.definition.current))
+        motion = tuple(e for e in motion if e.definition.site != "sensor")
+        self._equations = Equations(dataclasses.replace(machine, effects=motion), values)
+        self._current_limits = [
+            (j, values[f"{e.label}.I"])
+            for j, d in enumerate(machine.drives)
+            for e in machine.effects
+            if e.definition.current and e.site == d.name
+        ]
+        self._start, self._count = start, len(machine.coordinates)
+        arguments = [ca.SX.sym("z", 2 * self._count), ca.SX.sym("u", len(machine.drives)), ca.SX.sym("t")]
+        state, action, time = arguments
+        accelerations = self._equations.accelerations(
+            self._point(state, time), self._voltages(action), lambda v: tanh(v / reversal_speed)
+        )
+        change = ca.vertcat(state[self._count :], *accelerations)
+        self._parameters = parameters
+        self._rate = ca.Function("rate", [*arguments, parameters, start], [change])
+
+    def _voltages(self, action: Any) -> list[Any]:
+        """Return the voltages at the motors, V."""
+        parts = zip(*self._limits, ca.vertsplit(action), strict=True)
+        return [0.5 * (low + high) + 0.5 * (high - low) * u for low, high, u in parts]
+
+    def rate(self, state: Any, action: Any, time: Any) -> Any:
+        """Return the state's derivative."""
+        return self._rate(state, action, time, self._parameters, self._start)
+
+    def current_excess(self, state: Any, action: Any) -> list[Any]:
+        """Return expressions that are not positive where the drives' currents are within their limits."""
+        voltages, point = self._voltages(action), self._point(state, 0.0)
+        currents = ((self._equations.ohmic_current(j, point, voltages[j]), limit) for j, limit in self._current_limits)
+        return [(current / limit) ** 2 - 1.0 for current, limit in currents]
+
+    def static_excess(self, state: Any, time: Any) -> list[Any]:
+        """Return expressions that are not positive where static friction holds each coordinate that is not driven."""
+        equations = self._equations
+        at_rest = ca.vertcat(state[: self._count], ca.SX.zeros(self._count))
+        balance = equations.balance(self._point(at_rest, time), [0.0] * len(equations.machine.drives))
+        excess = []
+        for i, coordinate in enumerate(equations.machine.coordinates):
+            if coordinate.kind == "linear" and i not in equations.drive_coordinates:
+                excess += [balance.held[i] - balance.coulomb[i], -balance.held[i] - balance.coulomb[i]]
+        return excess
+
+    def _point(self, state: Any, time: Any) -> MotionPoint:
+        """Return a point of the motion; effects that integrate displacement have it since the start as their state."""
+        equations, n = self._equations, self._count
+        travel = ca.vertsplit(state[:n])
+        states = {}
+        for k, effect in enumerate(equations.machine.effects):
+            if effect.definition.next_state:
+                i = equations.machine.coordinate_names.index(equations.machine.coordinate_of_site(effect.site))
+                states[k] = (travel[i] - self._start[i]) * equations.per_radius(i)
+        return MotionPoint(travel, ca.vertsplit(state[n:]), time, states)
+
+
+def _voltage_limits(equations: Equations) -> tuple[list[Any], list[Any]]:
+    """Return the lowest and highest voltages at the motors, V, within the rated commands."""
+    rated = [d.rated_voltage for d in equations.machine.drives]
+    return equations.motor_voltages([-volts for volts in rated]), equations.motor_voltages(rated)
+
+
+def check_supported(machine: Machine) -> None:
+    """Check that time-optimal motions of a machine can be computed.
+
+    Args:
+        machine: Machine with its effects.
+
+    Raises:
+        InputError: If an effect delays the drives, has a memory or is not differentiable, or the position of the tool
+            is not that of the linear coordinates.
+    """
+    for effect in machine.effects:
+        reason = _unsupported_because(effect)
+        if reason:
+            raise InputError(
+                f"machine {machine.name!r}: time-optimal motions do not support {effect.label}: {reason}; leave the "
+                "effect out"
+            )
+    products = [s.channel for s in machine.sensors if any("*" in key for key in s.row)]
+    if products:
+        raise InputError(
+            f"machine {machine.name!r}: time-optimal motions do not support a tool whose position is a product of "
+            f"coordinates ({', '.join(products)})"
+        )
+
+
+def _unsupported_because(effect: AppliedEffect) -> str:
+    """Return why an effect is not supported, empty if it is."""
+    definition = effect.definition
+    if definition.delay:
+        return "it is a dead time of the drives (the time is longer by about this delay)"
+    if definition.next_state and not _integrates_displacement(effect):
+        return "it has a memory"
+    if definition.current and effect.name != "current_limit":
+        return "effects on the current are not supported, except for current_limit"
+    hooks = [getattr(definition, name) for name in DIFFERENTIATED_HOOKS]
+    if any(_has_kink(hook) for hook in hooks if hook):
+        return "its formula is not differentiable"
+    return ""
+
+
+def _integrates_displacement(effect: AppliedEffect) -> bool:
+    """Whether an effect's state is the displacement of its coordinate since the start, as of an eccentric pulley."""
+    next_state = effect.definition.next_state
+    if next_state is None or set(argument_names(next_state)) != {"z", "dq"}:
+        return False
+    return bool(effect("next_state", z=0.3, dq=-0.2) == 0.3 - 0.2)
+
+
+def _has_kink(hook: Hook) -> bool:
+    """Whether a hook's formula switches between branches; |x| is not counted, because it occurs as x |x|."""
+    symbols = [ca.SX.sym(name) for name in argument_names(hook)]
+    formula = ca.Function("hook", symbols, [ca.SX(hook(*symbols))])
+    return any(formula.instruction_id(k) in SWITCHING_OPERATIONS for k in range(formula.n_instructions()))
+
+
+# Aliases until all packages use the new names.
+TURNING = REVERSAL_SPEED

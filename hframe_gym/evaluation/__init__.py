@@ -1,20 +1,50 @@
-"""Controllers judged on identical draws: episodes, scores with intervals, pictures."""
+"""Evaluation of controllers on identical episodes: scenarios, scores with confidence intervals, plots."""
 
-from .bound_times import known_bounds
-from .controller_factory import make_controller
-from .episodes import Episodes
-from .metrics import BANDS, scores
-from .runner import evaluate, rollout, write_scores
-from .scenario import Scenario
+from .metrics import (
+    BANDS,
+    BOOTSTRAP_RESAMPLES,
+    BOUND_BAND,
+    METRICS,
+    StoredBounds,
+    mean_with_interval,
+    ratio_of_means,
+    score_episodes,
+    settling_times,
+    stored_bounds,
+)
+from .runner import Evaluation, evaluate, rollout, write_scores
+from .scenario import (
+    CONTROLLER_SOURCES,
+    ControllerSource,
+    EpisodeConditions,
+    Episodes,
+    Scenario,
+    episode_conditions,
+    load_plugins,
+    make_controller,
+)
 
 __all__ = [
     "BANDS",
+    "BOOTSTRAP_RESAMPLES",
+    "BOUND_BAND",
+    "CONTROLLER_SOURCES",
+    "METRICS",
+    "ControllerSource",
+    "EpisodeConditions",
     "Episodes",
+    "Evaluation",
     "Scenario",
+    "StoredBounds",
+    "episode_conditions",
     "evaluate",
-    "known_bounds",
+    "load_plugins",
     "make_controller",
+    "mean_with_interval",
+    "ratio_of_means",
     "rollout",
-    "scores",
+    "score_episodes",
+    "settling_times",
+    "stored_bounds",
     "write_scores",
 ]

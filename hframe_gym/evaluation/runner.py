@@ -1,149 +1,236 @@
-"""Episodes of a controller in the environment, recorded ten times a control period, and the scores of several.
+"""Evaluation of controllers: roll out the episodes of a scenario, and score them.
 
-Same seed, same episodes: starts, goals and machine parameters are the environment's own draws for that seed, and no
-controller touches them.  The environment runs at the recording's rate with the action held for a control period;
-settling is judged on those samples, so a settling time is known to a tenth of a control period.
+The environment runs at ten times the control rate with the action held over a control period, so that settling times
+are resolved to a tenth of a control period.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..atomic_files import write_text
 from ..controllers import Controller
+from ..dynamics import Equations, MotionPoint, NotFiniteError
 from ..envs import HFrameVectorEnv
-from ..envs.parameter_index import numbers
+from ..envs.domain_randomization import RandomizationLike
+from ..envs.environment_batch import MachineLike
+from ..envs.sensors import SensorsLike
+from ..envs.tasks import TaskLike
+from ..errors import InputError
 from ..machine import Machine
-from .bound_times import known_bounds
-from .episodes import Episodes
-from .metrics import scores
-from .scenario import Scenario
+from .metrics import score_episodes, stored_bounds
+from .scenario import Episodes, Scenario, make_controller
 
 Array = NDArray[np.float64]
-SAMPLES = 10  # a control period
+SAMPLES_PER_PERIOD = 10
 
 
-class _Parameters:
-    """The drawn numbers of every episode's tables, each (B,), by full name."""
+class Evaluation(NamedTuple):
+    """Result of `evaluate`.
 
-    def __init__(self, envs: HFrameVectorEnv) -> None:
-        table = envs.batch.stages.parameters
-        self.machine = envs.batch.machine
-        self.rows = table.transpose(0, 2, 1).reshape(-1, table.shape[1])[: envs.num_envs].copy()
-
-    def __call__(self, owner: str, key: str) -> Array:
-        return numbers(self.machine, f"{owner}.{key}", self.rows)
-
-
-def _travel(envs: HFrameVectorEnv) -> Array:
-    """Travel of all coordinates of all stages, (B, n), m, in full precision."""
-    state = envs.batch.stages.state
-    rows: Array = state.transpose(0, 2, 1).reshape(-1, state.shape[1])[: envs.num_envs]
-    return rows[:, : len(envs.batch.machine.coordinates)].copy()
-
-
-def _belt_force(machine: Machine, values: _Parameters, travel: Array) -> Array:
-    """The largest tension (B,) among the belts beyond their pretension, N."""
-    largest = np.zeros(len(travel))
-    for belt in machine.belts:
-        length = values(belt.name, "rest_length") + travel @ machine.row(belt.length)
-        tension = values(belt.name, "EA") / length * (travel @ machine.row(belt.extension))
-        largest = np.maximum(largest, np.abs(tension))
-    return largest
-
-
-def _energy(machine: Machine, values: _Parameters, moved: Array, volts: Array, time_s: float) -> Array:
-    """Energy (B,) drawn by the drives, J, while travel changed by moved (B, n), m, under held volts (B, drives)."""
-    energy = np.zeros(len(moved))
-    for j, d in enumerate(machine.drives):
-        i = machine.coordinate_names.index(d.coordinate)
-        radius = values(d.coordinate, "radius") if machine.coordinates[i].kind == "rotary" else 1.0
-        # The charge: the current is linear in the speed, and the speed's mean is the way over the time.
-        back_emf = values(d.name, "Ke") * values(d.name, "gear_ratio") * moved[:, i] / radius
-        energy += volts[:, j] * (volts[:, j] * time_s - back_emf) / values(d.name, "resistance")
-    return energy
-
-
-def rollout(controller: Controller, trial: Scenario) -> Episodes:
-    """The episodes of one controller on the draws of a trial.
-
-    Raises ValueError for settings that the environment refuses, or fewer than one control period.
+    Attributes:
+        scores: Plain data as in scores.json: `schema`, `machine`, `task`, `randomize`, `episodes`, `seed`, `sensors`,
+            `period_s` and, by controller, `controllers`.
+        episodes: Recorded episodes by controller.
     """
-    sample_s = trial.period / SAMPLES
-    envs = HFrameVectorEnv(
-        trial.episodes,
-        max_episode_steps=None,
-        machine=trial.machine,
-        task=trial.own_task,
-        randomize=trial.randomize,
-        sensors=trial.sensors,
-        period=sample_s,
-    )
-    samples = trial.periods * SAMPLES + 1
-    observation, info = envs.reset(seed=trial.seed)
-    stage = envs.batch.machine
-    values = _Parameters(envs)
-    rated = np.array([d.rated_voltage for d in stage.drives])
-    axes = [stage.coordinate_names.index(axis) for axis in ("x", "y")]
-    travel = _travel(envs)
-    position, goal = np.empty((2, trial.episodes, samples, 2))
-    contour = np.empty((trial.episodes, samples)) if "contour_m" in info else None
-    volts = np.empty((trial.episodes, trial.periods, len(rated)))
-    energy, peak = np.zeros(trial.episodes), _belt_force(stage, values, travel)
-    actions = np.zeros((trial.episodes, len(rated)))
-    controller.reset()
-    for i in range(samples):
-        position[:, i], goal[:, i] = travel[:, axes], observation["desired_goal"]
-        if contour is not None:
-            contour[:, i] = info["contour_m"]
-        if i == samples - 1:
-            break
-        if i % SAMPLES == 0:
-            actions = np.clip(controller.act(observation), -1.0, 1.0)
-            volts[:, i // SAMPLES] = actions * rated
-        observation, _, _, _, info = envs.step(actions)
-        before, travel = travel, _travel(envs)
-        energy += _energy(stage, values, travel - before, actions * rated, sample_s)
-        peak = np.maximum(peak, _belt_force(stage, values, travel))
-    time_s = sample_s * np.arange(samples, dtype=np.float64)
-    return Episodes(time_s, position, goal, contour, volts, rated, energy, peak)
+
+    scores: dict[str, Any]
+    episodes: dict[str, Episodes]
 
 
-def evaluate(controllers: Mapping[str, Controller], trial: Scenario) -> tuple[dict[str, Any], dict[str, Episodes]]:
-    """Scores of controllers, by name, on the draws of a trial, and their episodes.
+def evaluate(
+    controllers: str | Iterable[str] | Mapping[str, Controller],
+    machine: MachineLike | Scenario = "hframe",
+    *,
+    task: TaskLike = "reach",
+    randomize: RandomizationLike = "default",
+    sensors: SensorsLike = "state",
+    episodes: int = 512,
+    seed: int = 0,
+    period: float = 0.01,
+    duration_s: float = 1.5,
+) -> Evaluation:
+    """Evaluate controllers on identical episodes.
 
-    The scores are plain data: `{"schema": 1, "machine", "task", "randomize", "episodes", "seed", "sensors", "period_s",
-    "controllers"}`.
+    Args:
+        controllers: Names as for `make_controller`, or controllers by the name under which to report them.
+        machine: Machine, preset name or path of a machine.json; or a `Scenario`, which also gives what follows.
+        task: "reach", "track", another registered task, or a task object.
+        randomize: Preset name or list of randomization rules.
+        sensors: What controllers observe: "state", "rig", or sensors.
+        episodes: Number of episodes.
+        seed: Seed of the first episode; episode b has seed + b.
+        period: Control period, s.
+        duration_s: Length of an episode, s.
 
-    Raises ValueError as `rollout` does.
+    Returns:
+        Scores and recorded episodes.
+
+    Raises:
+        InputError: If an option or a controller's name is wrong, a controller cannot run in this scenario, or the
+            simulated motion diverges.
+
+    References:
+        Metrics: hframe_gym/evaluation/metrics.py; bounds: docs/bound.md.
     """
-    runs = {name: rollout(controller, trial) for name, controller in controllers.items()}
-    machine, randomize, bound_s = trial.machine, trial.randomize, known_bounds(trial)
-    answer = {
+    scenario = machine
+    if not isinstance(scenario, Scenario):
+        scenario = Scenario(scenario, task, randomize, sensors, episodes, seed, period, duration_s)
+    if not isinstance(controllers, Mapping):
+        names = [controllers] if isinstance(controllers, str) else list(controllers)
+        controllers = {name: make_controller(name, scenario) for name in dict.fromkeys(names)}
+    recorded = {name: rollout(controller, scenario) for name, controller in controllers.items()}
+    bounds = stored_bounds(scenario)
+    cards = {}
+    for name, run in recorded.items():
+        card = score_episodes(run, bounds.times_s, seed=scenario.seed, metrics=scenario.metrics)
+        cards[name] = card | ({"over_bound_reason": bounds.reason} if "over_bound" in card else {})
+    return Evaluation(_describe(scenario) | {"controllers": cards}, recorded)
+
+
+def _describe(scenario: Scenario) -> dict[str, Any]:
+    """Return a scenario as the plain data at the head of scores.json."""
+    machine, task, randomize, sensors = scenario.machine, scenario.task, scenario.randomize, scenario.sensors
+    return {
         "schema": 1,
         "machine": machine.name if isinstance(machine, Machine) else str(machine),
-        "task": trial.task if isinstance(trial.task, str) else repr(trial.task),
+        "task": task if isinstance(task, str) else repr(task),
         "randomize": randomize if isinstance(randomize, str) else [repr(rule) for rule in randomize],
-        "episodes": trial.episodes,
-        "seed": trial.seed,
-        "sensors": trial.sensors if isinstance(trial.sensors, str) else repr(trial.sensors),
-        "period_s": trial.period,
-        "controllers": {name: scores(run, bound_s, seed=trial.seed) for name, run in runs.items()},
+        "episodes": scenario.episodes,
+        "seed": scenario.seed,
+        "sensors": sensors if isinstance(sensors, str) else repr(sensors),
+        "period_s": scenario.period,
     }
-    return answer, runs
 
 
-def write_scores(folder: str | Path, answer: Mapping[str, Any]) -> Path:
-    """Write scores.json into a folder, whole or not at all; the folder is made if it is not there.
+def rollout(controller: Controller, scenario: Scenario) -> Episodes:
+    """Run one controller in the episodes of a scenario.
 
-    Raises ValueError for a number that JSON cannot hold.
+    Args:
+        controller: Controller; it is reset first.
+        scenario: Scenario.
+
+    Returns:
+        Recorded episodes.
+
+    Raises:
+        InputError: If the environment rejects the scenario's options, or the simulated motion diverges.
+    """
+    try:
+        return _Recorder(scenario).run(controller)
+    except NotFiniteError as error:
+        name = scenario.declared_machine.name
+        raise InputError(
+            f"machine {name!r}: the simulated motion diverges under this controller ({error}); check the parameters of "
+            "its effects, for example a belt law that loses its stiffness at large stretch"
+        ) from None
+    except InputError:
+        raise
+    except ValueError as error:
+        raise InputError(str(error)) from None
+
+
+class _Recorder:
+    """The environment of a scenario, sampled ten times per control period."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.scenario = scenario
+        self.sample_s = scenario.period / SAMPLES_PER_PERIOD
+        self.envs = HFrameVectorEnv(
+            scenario.episodes,
+            max_episode_steps=None,
+            machine=scenario.machine,
+            task=scenario.controller_task,
+            randomize=scenario.randomize,
+            sensors=scenario.sensors,
+            period=self.sample_s,
+        )
+
+    def run(self, controller: Controller) -> Episodes:
+        """Record the episodes of a controller."""
+        scenario = self.scenario
+        count, samples = scenario.episodes, scenario.periods * SAMPLES_PER_PERIOD + 1
+        observation, info = self.envs.reset(seed=scenario.seed)
+        machine = self.envs.batch.machine
+        loads = _Loads(machine, self._parameters())
+        rated = np.array([d.rated_voltage for d in machine.drives])
+        axes = [machine.coordinate_names.index(axis) for axis in ("x", "y")]
+        travel = self._travel()
+        position, goal = np.empty((2, count, samples, 2))
+        contour = np.empty((count, samples)) if "contour_m" in info else None
+        volts = np.empty((count, scenario.periods, len(rated)))
+        energy, peak = np.zeros(count), loads.largest_tension(travel)
+        actions = np.zeros((count, len(rated)))
+        controller.reset()
+        for i in range(samples):
+            position[:, i], goal[:, i] = travel[:, axes], observation["desired_goal"]
+            if contour is not None:
+                contour[:, i] = info["contour_m"]
+            if i == samples - 1:
+                break
+            if i % SAMPLES_PER_PERIOD == 0:
+                actions = np.clip(controller.act(observation), -1.0, 1.0)
+                volts[:, i // SAMPLES_PER_PERIOD] = actions * rated
+            observation, _, _, _, info = self.envs.step(actions)
+            before, travel = travel, self._travel()
+            energy += loads.energy(before, travel, actions * rated, self.sample_s)
+            peak = np.maximum(peak, loads.largest_tension(travel))
+        time_s = self.sample_s * np.arange(samples, dtype=np.float64)
+        return Episodes(time_s, position, goal, contour, volts, rated, energy, peak)
+
+    def _parameters(self) -> Array:
+        """Return the sampled parameters of every episode (B, P or more), in the order of `Machine.parameters`."""
+        table = self.envs.batch.stages.parameters  # (blocks, P, lanes)
+        return np.asarray(table.transpose(0, 2, 1).reshape(-1, table.shape[1])[: self.scenario.episodes]).copy()
+
+    def _travel(self) -> Array:
+        """Return the true travel of all coordinates (B, n), m, in double precision."""
+        state = self.envs.batch.stages.state  # (blocks, states, lanes)
+        rows = state.transpose(0, 2, 1).reshape(-1, state.shape[1])[: self.scenario.episodes]
+        return np.asarray(rows[:, : len(self.envs.batch.machine.coordinates)]).copy()
+
+
+class _Loads:
+    """Belt tensions and electrical energy of B machines with their sampled parameters (B, P)."""
+
+    def __init__(self, machine: Machine, parameters: Array) -> None:
+        values = dict(zip(machine.parameters, parameters.T, strict=False))
+        # Hooke's law and Ohm's law; effects on belts and currents are not included.
+        self._equations = Equations(machine.replace(effects=()), values)
+        self._drives = range(len(machine.drives))
+
+    def largest_tension(self, travel: Array) -> Array:
+        """Return the largest tension (B,) beyond pretension, N, at travel (B, n), m."""
+        belts = self._equations.belt_states(MotionPoint(list(travel.T), list(np.zeros_like(travel).T)))
+        return np.asarray(np.max(np.abs([np.zeros(len(travel)), *(belt.tension for belt in belts)]), axis=0))
+
+    def energy(self, before: Array, after: Array, volts: Array, time_s: float) -> Array:
+        """Return the energy (B,) that the drives draw, J, while travel changes from `before` to `after` (B, n)."""
+        # The current is linear in the speed, whose mean is distance over time.
+        mean = MotionPoint(list(after.T), list((after - before).T / time_s))
+        power = [self._equations.ohmic_current(j, mean, volts[:, j]) * volts[:, j] for j in self._drives]
+        return np.asarray(np.sum(power, axis=0) * time_s)
+
+
+def write_scores(folder: str | Path, scores: Mapping[str, Any]) -> Path:
+    """Write scores.json, complete or not at all.
+
+    Args:
+        folder: Folder, which is created if necessary.
+        scores: `Evaluation.scores`.
+
+    Returns:
+        Path of the file.
+
+    Raises:
+        ValueError: If a value is not finite.
     """
     path = Path(folder) / "scores.json"
-    write_text(path, json.dumps(answer, indent=2, allow_nan=False) + "\n")
+    write_text(path, json.dumps(scores, indent=2, allow_nan=False) + "\n")
     return path

@@ -1,23 +1,56 @@
-"""What every controller of a comparison faces."""
+"""Scenarios for the comparison of controllers, the controllers that run in them, and the episodes they give."""
 
 from __future__ import annotations
 
 import dataclasses
+import warnings
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from functools import cache, cached_property
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
+from ..controllers import CONTROLLERS, Controller, OutputFeedbackController, StateEstimator, check_period
+from ..envs import HFrameVectorEnv
 from ..envs.domain_randomization import RandomizationLike
 from ..envs.environment_batch import MachineLike
-from ..envs.sensors import SensorsLike
+from ..effects import EFFECTS
+from ..envs.sensors import Sensors, SensorsLike, as_sensors, channels, sensed_entries
 from ..envs.tasks import Task, TaskLike, Track, as_task
+from ..errors import InputError
+from ..machine import Machine, Sensor
+from ..recordings import load_machine
+from ..registry import Registry
+
+Array = NDArray[np.float64]
+PLUGIN_GROUP = "hframe_gym.plugins"  # entry points of installed packages that register controllers, tasks, ...
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """Episodes to be judged on; episode b is the environment's of seed + b, whoever controls it.
+    """Conditions under which controllers are compared.
 
-    machine: the stage as declared, around which `randomize` draws.  task: "reach", "track" or a `Task`.  sensors: what
-    controllers see, "state", "rig" or `Sensors`; all are judged by where the tool is.
-    period: of control, s.  duration_s: of an episode; 1.5 s is twice the longest move.
+    Episode b is the environment's episode of seed + b, whatever the controller: all controllers face the same starts,
+    goals and machine parameters.
+
+    Attributes:
+        machine: Machine, preset name or path of a machine.json; `randomize` varies its parameters.
+        task: "reach", "track", another registered task, or a task object.
+        randomize: Preset name or list of randomization rules.
+        sensors: What controllers observe: "state" (the true full state), "rig" (encoders and lasers), or sensors.
+            Scores always use the true position of the tool.
+        episodes: Number of episodes, B.
+        seed: Seed of the first episode.
+        period: Control period, s.
+        duration_s: Length of an episode, s; the default is twice the longest move.
+
+    Raises:
+        InputError: If the period, the number of episodes or the duration is not positive, or an episode is shorter than
+            one control period.
     """
 
     machine: MachineLike = "hframe"
@@ -29,25 +62,234 @@ class Scenario:
     period: float = 0.01
     duration_s: float = 1.5
 
-    @property
-    def periods(self) -> int:
-        """Control periods in an episode.
-
-        Raises ValueError for an episode that is shorter than one.
-        """
-        count = round(self.duration_s / self.period)
-        if count < 1:
-            raise ValueError(
+    def __post_init__(self) -> None:
+        check_period(self.period)
+        if self.episodes < 1:
+            raise InputError(f"episodes is {self.episodes!r}, it must be at least 1")
+        if not np.isfinite(self.duration_s) or self.periods < 1:
+            raise InputError(
                 f"duration_s is {self.duration_s!r}, it must hold at least one control period of {self.period:g} s"
             )
-        return count
 
     @property
-    def own_task(self) -> Task:
-        """The task as its controller is to see it: future goals a control period apart, as far ahead as its own."""
+    def periods(self) -> int:
+        """Number of control periods in an episode."""
+        return round(self.duration_s / self.period)
+
+    @cached_property
+    def declared_machine(self) -> Machine:
+        """The machine as declared, loaded if a name or a path was given."""
+        return self.machine if isinstance(self.machine, Machine) else load_machine(self.machine)
+
+    @property
+    def task_name(self) -> str:
+        """Name of the task, for example "reach"."""
+        return self.task if isinstance(self.task, str) else type(self.task).__name__.lower()
+
+    @property
+    def metrics(self) -> str | None:
+        """Name of the task's metric set in `METRICS`, or None for the default of `score_episodes`."""
+        return getattr(as_task(self.task), "metrics", None)
+
+    @property
+    def controller_task(self) -> Task:
+        """The task with its previewed goals one control period apart, over the same time ahead."""
         task = as_task(self.task)
         if not isinstance(task, Track):
             return task
         return dataclasses.replace(
             task, preview_s=self.period, previews=max(1, round(task.previews * task.preview_s / self.period))
         )
+
+
+@dataclass(frozen=True)
+class Episodes:
+    """Recorded episodes of one controller: B episodes of n samples and m control periods.
+
+    Attributes:
+        time_s: Sample times, s, shape (n,).
+        position: True tool position, m, shape (B, n, 2).
+        goal: Goal, m, shape (B, n, 2).
+        contour: Distance of the tool to the path, m, shape (B, n); None for a task without a path.
+        volts: Applied voltages, V, shape (B, m, drives).
+        rated: Rated voltages, V, shape (drives,).
+        energy_J: Energy from the supply minus energy fed back, J, shape (B,).
+        peak_belt_force_N: Largest belt tension beyond pretension, N, shape (B,).
+    """
+
+    time_s: Array
+    position: Array
+    goal: Array
+    contour: Array | None
+    volts: Array
+    rated: Array
+    energy_J: Array
+    peak_belt_force_N: Array
+
+    @property
+    def goal_error(self) -> Array:
+        """Distance of the tool to its goal, m, shape (B, n)."""
+        return np.linalg.norm(self.position - self.goal, axis=2)
+
+
+class EpisodeConditions(NamedTuple):
+    """What no controller can influence in the B episodes of a scenario.
+
+    Attributes:
+        machine: Machine that is simulated.
+        parameters: Parameters in the order of `Machine.parameters`, shape (B, P).
+        start: Tool position at the start, m, shape (B, 2).
+        goal: Goal, m, shape (B, 2).
+    """
+
+    machine: Machine
+    parameters: Array
+    start: Array
+    goal: Array
+
+
+def episode_conditions(scenario: Scenario) -> EpisodeConditions:
+    """Return the conditions of a scenario's episodes, as its environment samples them.
+
+    Args:
+        scenario: Scenario.
+
+    Returns:
+        Parameters, starts and goals.
+
+    Raises:
+        ValueError: If the environment rejects the scenario's options.
+    """
+    envs = HFrameVectorEnv(
+        scenario.episodes,
+        max_episode_steps=None,
+        machine=scenario.machine,
+        task=scenario.controller_task,
+        randomize=scenario.randomize,
+    )
+    observation, _ = envs.reset(seed=scenario.seed)
+    batch, indices = envs.batch, np.arange(scenario.episodes)
+    columns = [batch.stages.values(indices, i) for i in range(len(batch.machine.parameters))]
+    goal = np.asarray(observation["desired_goal"], np.float64)
+    return EpisodeConditions(batch.machine, np.stack(columns, axis=1), batch.stages.tools().copy(), goal)
+
+
+class ControllerSource(ABC):
+    """A source of controllers that have no registered name, for example agents in folders.
+
+    Subclasses are registered by `@CONTROLLER_SOURCES.register("name")` and never instantiated.
+    """
+
+    @staticmethod
+    @abstractmethod
+    def make(name: str, scenario: Scenario) -> Controller | None:
+        """Make a controller.
+
+        Args:
+            name: What the user gave.
+            scenario: Conditions under which the controller will run.
+
+        Returns:
+            The controller, or None if the name does not belong to this source.
+
+        Raises:
+            InputError: If the name belongs to this source and the controller cannot be made.
+        """
+
+    @staticmethod
+    @abstractmethod
+    def describe(scenario: Scenario) -> str:
+        """Describe what names this source accepts, to complete "controller 'x' is unknown; choose ..."."""
+
+
+CONTROLLER_SOURCES: Registry[type[ControllerSource]] = Registry("controller source")
+
+
+@cache
+def load_plugins() -> None:
+    """Import the plugins of installed packages, once.
+
+    A plugin is a module that registers controllers, controller sources, tasks or other parts when it is imported; a
+    package declares it as an entry point of the group `hframe_gym.plugins`.
+
+    Warns:
+        UserWarning: If a plugin cannot be imported.
+    """
+    for plugin in entry_points(group=PLUGIN_GROUP):
+        try:
+            plugin.load()
+        except Exception as error:  # a broken third-party package must not disable the commands
+            warnings.warn(f"plugin {plugin.name} ({plugin.value}) was not loaded: {error}", stacklevel=2)
+
+
+def make_controller(
+    name: str,
+    machine: MachineLike | Scenario = "hframe",
+    *,
+    task: TaskLike = "reach",
+    sensors: SensorsLike = "state",
+    period: float = 0.01,
+) -> Controller:
+    """Make a controller by its name.
+
+    Controllers are designed from the machine as declared. Where the environment observes sensors, a controller with
+    `feedback = "estimated_state"` (such as `pid`) runs from a `StateEstimator`.
+
+    Args:
+        name: A registered name (`pid`, `adaptive-pid`, `textbook-pid`), `module:name` of one that a module registers
+            when it is imported, or what a controller source accepts, such as an agent's folder or a shipped agent.
+        machine: Machine, preset name or path of a machine.json; or a `Scenario`, which also gives what follows.
+        task: Task that the controller is to do; selects shipped agents.
+        sensors: What the controller observes, see `Scenario`.
+        period: Control period, s.
+
+    Returns:
+        The controller.
+
+    Raises:
+        InputError: If the name is unknown, or the controller cannot run on this machine or from these sensors.
+    """
+    scenario = machine if isinstance(machine, Scenario) else Scenario(machine, task, sensors=sensors, period=period)
+    load_plugins()
+    if name in CONTROLLERS or (":" in name and not Path(name).exists()):
+        return _make_registered(name, scenario)
+    for source_name in CONTROLLER_SOURCES:
+        controller = CONTROLLER_SOURCES.get(source_name).make(name, scenario)
+        if controller is not None:
+            return controller
+    sources = [CONTROLLER_SOURCES.get(source_name).describe(scenario) for source_name in CONTROLLER_SOURCES]
+    choices = [", ".join(CONTROLLERS), "module:name of a controller that a module registers", *sources]
+    raise InputError(f"controller {name!r} is unknown; choose {'; or '.join(choices)}")
+
+
+def _make_registered(name: str, scenario: Scenario) -> Controller:
+    """Make a controller that is registered, with a state estimator if it needs one."""
+    controller_class = CONTROLLERS.get(name)
+    sensors = as_sensors(scenario.sensors)
+    machine = scenario.declared_machine
+    if sensors is not None and controller_class.feedback == "state":
+        raise InputError(
+            f"controller {name!r} needs the full state, and sensors are {scenario.sensors!r}; choose sensors 'state', "
+            "or a controller with a state estimator, such as pid"
+        )
+    try:
+        controller = controller_class(machine, scenario.period)
+        if sensors is not None and controller_class.feedback == "estimated_state":
+            estimator = StateEstimator(_observed_machine(machine, sensors), scenario.period)
+            return OutputFeedbackController(controller, estimator)
+    except ValueError as error:
+        raise InputError(str(error)) from None
+    return controller
+
+
+def _observed_machine(machine: Machine, sensors: Sensors) -> Machine:
+    """Return the machine with those sensors that the environment simulates, in the order of its observation."""
+    names = [e.coordinate for e in sensed_entries(machine, sensors) if not e.velocity]
+    c = channels(machine, sensors)
+    declared, effects = [], []
+    for k, name in enumerate(names):
+        declared.append(Sensor(f"sensor{k}", {name: 1.0}, float(c.noise[k]), float(c.quanta[k])))
+        if np.isfinite(c.least[k]) or np.isfinite(c.most[k]):
+            effects.append(EFFECTS["sensor_range"].at(f"sensor{k}", low=float(c.least[k]), high=float(c.most[k])))
+    kept = tuple(e for e in machine.effects if e.definition.site != "sensor")
+    return dataclasses.replace(machine, sensors=tuple(declared), effects=(*kept, *effects))

@@ -1,0 +1,190 @@
+"""Compensation of the drives: their dead time, and their static nonlinearities (dead band, offset, gain)."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
+
+from ..dynamics import Equations, rollout
+from ..errors import InputError
+from ..machine import Machine
+
+Array = NDArray[np.float64]
+TABLE_POINTS = 8001  # of a drive's characteristic between the rated voltages; 3 mV apart at 12 V
+# Slope added to a characteristic so that it can be inverted where it is flat; 0 V then maps to the middle of a dead
+# band.
+MINIMUM_SLOPE = 1e-9
+
+
+class DeadTime:
+    """Buffer of the voltages on their way to B stages, and prediction of the state over the dead time.
+
+    Args:
+        machine: Machine whose effects may delay the voltage of its drives.
+        period: Control period, s.
+
+    Attributes:
+        delay_s: Dead time of the slowest drive, s.
+        period: As given, s.
+        machine_without_delay: The machine without these effects.
+    """
+
+    def __init__(self, machine: Machine, period: float) -> None:
+        self.delay_s = max((float(delay) for delay in Equations(machine).voltage_delays()), default=0.0)
+        self.period = period
+        self.machine_without_delay = dataclasses.replace(
+            machine, effects=tuple(e for e in machine.effects if e.definition.delay is None)
+        )
+        self._whole_periods = int(self.delay_s / period + 1e-9)
+        self._remainder_s = max(self.delay_s - self._whole_periods * period, 0.0)
+        self._sent = np.zeros((0, 0, 0))  # V, (B, periods, drives), latest first
+
+    def reset(self, mask: NDArray[np.bool_]) -> None:
+        """Empty the buffers of the stages that start an episode.
+
+        Args:
+            mask: Stages that start an episode, shape (B,).
+        """
+        if len(self._sent) != len(mask):
+            self._sent = np.zeros((len(mask), self._whole_periods + 2, len(self.machine_without_delay.drives)))
+        self._sent[mask] = 0.0
+
+    def send(self, volts: Array) -> None:
+        """Add the voltages of the period that begins.
+
+        Args:
+            volts: Voltages, V, shape (B, drives).
+        """
+        self._sent = np.concatenate([volts[:, None], self._sent[:, :-1]], axis=1)
+
+    def replace_last(self, volts: Array) -> None:
+        """Replace the voltages that were sent last.
+
+        Args:
+            volts: Voltages, V, shape (B, drives).
+        """
+        self._sent[:, 0] = volts
+
+    @property
+    def last_sent(self) -> Array:
+        """Voltages of the period that ends, V, shape (B, drives)."""
+        return self._sent[:, 0]
+
+    def mean_arrived(self) -> Array:
+        """Return the mean voltages at the motors over the last period, V, shape (B, drives)."""
+        earlier = self._remainder_s / self.period  # fraction of the period with the voltage of one period before
+        return (1.0 - earlier) * self._sent[:, self._whole_periods] + earlier * self._sent[:, self._whole_periods + 1]
+
+    def arrived_history(self) -> tuple[Array, Array]:
+        """Return the voltage history at the motors over the last period.
+
+        Returns:
+            Times from 0 to the period's end, s, shape (k,), and the voltages held from each of them, V, shape
+            (B, k, drives).
+        """
+        volts = self._sent[:, [self._whole_periods + 1, self._whole_periods, self._whole_periods]]
+        times = np.array([0.0, self._remainder_s, self.period])
+        return (times, volts) if self._remainder_s > 0.0 else (times[1:], volts[:, 1:])
+
+    def delayed_goals(self, goals: Array) -> Array:
+        """Shift goals by the dead time: the goals that voltages sent from now on can still affect.
+
+        Args:
+            goals: Goals one period apart, m, shape (B, P, 2).
+
+        Returns:
+            The goals one dead time later, as far as they are given, m, shape (B, Q, 2).
+
+        Raises:
+            InputError: If fewer than two goals remain.
+        """
+        if self.delay_s == 0.0:
+            return goals
+        later = np.arange(self.delay_s / self.period, goals.shape[1] - 1 + 1e-9)
+        if len(later) < 2:
+            raise InputError(
+                f"the preview of {goals.shape[1] - 1} goals ends within the dead time of {self.delay_s:g} s; "
+                "increase the task's previews"
+            )
+        given = np.arange(goals.shape[1], dtype=np.float64)
+        return np.asarray(PchipInterpolator(given, goals, axis=1)(np.minimum(later, given[-1])))
+
+    def predict(self, state: Array) -> Array:
+        """Predict the state one dead time ahead under the voltages that were sent already.
+
+        Args:
+            state: Travel and its velocity, m and m/s, shape (B, 2 n).
+
+        Returns:
+            Predicted state, shape (B, 2 n).
+        """
+        if self.delay_s == 0.0:
+            return state
+        # During the remainder the voltages still arrive that were sent before those of the last whole periods.
+        times = np.concatenate([[0.0], self._remainder_s + self.period * np.arange(self._whole_periods + 1)])
+        volts = self._sent[:, [*range(self._whole_periods, -1, -1), 0]]
+        if self._remainder_s == 0.0:
+            times, volts = times[1:], volts[:, 1:]
+        scale = np.tile(self.machine_without_delay.travel_per_unit, 2)
+        end = rollout(self.machine_without_delay, times, volts, start=state / scale, velocities=True)[:, -1]
+        return np.asarray(end * scale)
+
+
+class InputInversion:
+    """Static characteristics of the drives (dead band, offset, gain) and their inverses, as tables.
+
+    Args:
+        machine: Machine whose effects may change the voltage of its drives.
+
+    Attributes:
+        rated: Rated voltages, V, shape (drives,).
+
+    Raises:
+        InputError: If a higher command gives a lower voltage.
+    """
+
+    def __init__(self, machine: Machine) -> None:
+        self.rated = np.array([d.rated_voltage for d in machine.drives])
+        self._tables: dict[int, tuple[Array, Array]] = {}  # by drive: command and motor voltage, V
+        equations = Equations(machine)
+        commands = [np.linspace(-rated, rated, TABLE_POINTS) for rated in self.rated]
+        for j, motor in enumerate(equations.motor_voltages(commands)):
+            drive, command = machine.drives[j], commands[j]
+            if any(equations.effects_at("voltage", drive.name, "drives")):
+                if np.any(np.diff(motor) < 0.0):
+                    raise InputError(
+                        f"machine {machine.name!r}: drive {drive.name} gives a lower voltage for a higher command"
+                    )
+                self._tables[j] = (command, motor + MINIMUM_SLOPE * command)
+
+    def motor_voltage(self, command: Array) -> Array:
+        """Return the voltages at the motors for commanded voltages.
+
+        Args:
+            command: Commanded voltages, V, shape (B, drives).
+
+        Returns:
+            Voltages at the motors, V, shape (B, drives).
+        """
+        return self._interpolate(command, 0, 1)
+
+    def command(self, motor_voltage: Array) -> Array:
+        """Return the commands that give the motors certain voltages.
+
+        Args:
+            motor_voltage: Voltages at the motors, V, shape (B, drives).
+
+        Returns:
+            Commanded voltages within the rated ones, V, shape (B, drives).
+        """
+        return np.clip(self._interpolate(motor_voltage, 1, 0), -self.rated, self.rated)
+
+    def _interpolate(self, volts: Array, from_column: int, to_column: int) -> Array:
+        """Map voltages (B, drives) from one column of the tables to the other."""
+        mapped = volts.copy()
+        for j, table in self._tables.items():
+            mapped[:, j] = np.interp(volts[:, j], table[from_column], table[to_column])
+        return mapped
