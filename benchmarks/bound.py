@@ -1,9 +1,12 @@
-"""How near the controllers come to the least time that any could settle in, and how sure that time is.
+"""How close do the controllers come to the minimum settling time, and how accurate is that bound?
 
-python -m benchmarks.bound             # the bounds of the draws that `benchmarks.controllers` is judged on: 20 minutes
-python -m benchmarks.bound --seed 0    # those of another seed as well
+    python -m benchmarks.bound             # the bounds of the episodes of `benchmarks.controllers`: 20 minutes
+    python -m benchmarks.bound --seed 0    # those of another seed as well
 
-The bounds go into the package (hframe_gym/evaluate/bounds.py), a few draws at a time; those that are there are kept.
+The time-optimal bounds are stored in the package (hframe_gym/evaluation/bound_times.py), a few episodes at a time;
+stored ones are not computed again. Compared: the controllers of `benchmarks.controllers` on the same episodes. The
+accuracy of the bound is tested by an open-loop replay on the exact stage and by refined discretizations. Seed and
+versions are in results/bound.json.
 """
 
 from __future__ import annotations
@@ -13,10 +16,10 @@ import json
 from pathlib import Path
 from typing import Any
 
-import hframe_gym.evaluation
 import numpy as np
 from numpy.typing import NDArray
 
+import hframe_gym.evaluation
 from benchmarks.controllers import BAND, EPISODES, RUNS, SEED
 from benchmarks.results_file import write_results
 from hframe_gym.atomic_files import write_text
@@ -29,32 +32,42 @@ from hframe_gym.machine import rest_state
 
 Array = NDArray[np.float64]
 STORE = Path(hframe_gym.evaluation.__file__).parent / FILE
-AT_ONCE = 8  # draws between two writes
-CHECKED = 12  # draws, for the errors of the discretisation
-FINE = 5e-5  # s, step of the replay
+WRITE_EVERY = 8  # episodes
+CHECKED = 12  # episodes on which the discretization error is measured
+REPLAY_STEP = 5e-5  # s
 
 
 def solve(draws: EpisodeDraws, seed: int, task: str) -> list[dict[str, Any]]:
-    """The rows of all draws, of which those of the store are taken as they are; the store is kept up to date."""
-    there = {row["draw"]: row for row in _stored()}
+    """Return the bounds of all episodes; compute and store those that the package does not have.
+
+    Args:
+        draws: Starts, goals and parameters of the episodes.
+        seed: Seed of the first episode.
+        task: Name of the task.
+
+    Returns:
+        One row per episode: seed, digest, bound, status and the errors of the replay.
+    """
+    stored = {row["draw"]: row for row in _stored()}
     problem = TimeOptimalReach(draws.machine, band=BANDS[BAND])
     rows = []
     for b, digest in enumerate(digests(draws)):
-        if digest not in there:
-            found = problem.solve(draws.start[b], draws.goal[b], draws.parameters[b])
-            row = {"seed": seed + b, "draw": digest, "time_s": None, "status": found.status}
-            if found.solved:
-                row["time_s"] = round(found.time_s, 7)
-                row["replay_mm"] = [round(1e3 * off, 4) for off in replay(draws, b, found)]
-            there[digest] = row
+        if digest not in stored:
+            motion = problem.solve(draws.start[b], draws.goal[b], draws.parameters[b])
+            row = {"seed": seed + b, "draw": digest, "time_s": None, "status": motion.status}
+            if motion.solved:
+                row["time_s"] = round(motion.time_s, 7)
+                row["replay_mm"] = [round(1e3 * error, 4) for error in replay(draws, b, motion)]
+            stored[digest] = row
             print(json.dumps(row), flush=True)
-        rows.append(there[digest])
-        if b % AT_ONCE == AT_ONCE - 1 or b == len(draws.goal) - 1:
-            _store(list(there.values()), draws.machine.name, task)
+        rows.append(stored[digest])
+        if b % WRITE_EVERY == WRITE_EVERY - 1 or b == len(draws.goal) - 1:
+            _store(list(stored.values()), draws.machine.name, task)
     return rows
 
 
 def _stored() -> list[dict[str, Any]]:
+    """Load the rows of the package."""
     return list(json.loads(STORE.read_text())["draws"]) if STORE.exists() else []
 
 
@@ -64,23 +77,37 @@ def _store(rows: list[dict[str, Any]], machine: str, task: str) -> None:
     write_text(STORE, f'{head[:-1]}, "draws": [\n{lines}\n]}}\n')
 
 
-def replay(draws: EpisodeDraws, b: int, found: TimeOptimalMotion) -> tuple[float, float]:
-    """How far the tool is from the goal at T, and the farthest from then on, m, when the exact stage is given the
-    voltages that were found, without feedback."""
-    time_s = np.union1d(found.edges_s, np.arange(0.0, found.edges_s[-1], FINE))
-    held = np.searchsorted(found.edges_s, time_s, side="right") - 1
-    volts = found.volts[np.minimum(held, len(found.volts) - 1)]
+def replay(draws: EpisodeDraws, b: int, plan: TimeOptimalMotion) -> tuple[float, float]:
+    """Apply the optimal voltages to the exact stage without feedback.
+
+    Args:
+        draws: Starts, goals and parameters of the episodes.
+        b: Number of the episode.
+        plan: Its time-optimal motion.
+
+    Returns:
+        Distance of the tool from the goal at the bound, and the largest distance from then on, m.
+    """
+    time_s = np.union1d(plan.edges_s, np.arange(0.0, plan.edges_s[-1], REPLAY_STEP))
+    held = np.searchsorted(plan.edges_s, time_s, side="right") - 1
+    volts = plan.volts[np.minimum(held, len(plan.volts) - 1)]
     start = rest_state(draws.machine, draws.start[b])
     parameters = draws.parameters[b : b + 1]
-    motion = simulate_batch(draws.machine, time_s, volts, parameters=parameters, start=start, longest_step=FINE)
-    off = np.linalg.norm(motion.positions[0][:, :2] - draws.goal[b], axis=1)
-    arrived = time_s >= found.time_s
-    return float(off[arrived][0]), float(off[arrived].max())
+    motion = simulate_batch(draws.machine, time_s, volts, parameters=parameters, start=start, longest_step=REPLAY_STEP)
+    error = np.linalg.norm(motion.positions[0][:, :2] - draws.goal[b], axis=1)
+    arrived = time_s >= plan.time_s
+    return float(error[arrived][0]), float(error[arrived].max())
 
 
-def refined(draws: EpisodeDraws) -> dict[str, Any]:
-    """What twice the intervals, friction that turns over at a third of the speed, and other first guesses change in T,
-    ms, and how far beside the goal the replay then ends, mm; of the first draws."""
+def discretization_error(draws: EpisodeDraws) -> dict[str, Any]:
+    """Measure how the bound changes with twice the intervals, sharper friction and other initial guesses.
+
+    Args:
+        draws: Starts, goals and parameters of the episodes, of which the first `CHECKED` are used.
+
+    Returns:
+        By variant: changes of the bound, ms, and the error of the replay at the bound, mm.
+    """
     base = TimeOptimalReach(draws.machine, band=BANDS[BAND])
     variants: dict[str, tuple[TimeOptimalReach, float]] = {
         "as stored": (base, 1.0),
@@ -90,59 +117,68 @@ def refined(draws: EpisodeDraws) -> dict[str, Any]:
         "guess x 0.7": (base, 0.7),
     }
     first: list[TimeOptimalMotion] = []
-    answer: dict[str, Any] = {}
+    results: dict[str, Any] = {}
     for name, (problem, guess) in variants.items():
-        found = [problem.solve(draws.start[b], draws.goal[b], draws.parameters[b], [guess]) for b in range(CHECKED)]
-        first = first or found
-        both = [b for b in range(CHECKED) if first[b].solved and found[b].solved]
-        change = np.array([1e3 * (found[b].time_s - first[b].time_s) for b in both])
-        answer[name] = {
+        motions = [problem.solve(draws.start[b], draws.goal[b], draws.parameters[b], [guess]) for b in range(CHECKED)]
+        first = first or motions
+        both = [b for b in range(CHECKED) if first[b].solved and motions[b].solved]
+        change = np.array([1e3 * (motions[b].time_s - first[b].time_s) for b in both])
+        results[name] = {
             "draws": len(both),
             "mean_ms": float(change.mean()),
             "least_ms": float(change.min()),
             "most_ms": float(change.max()),
-            "replay_at_T_mm": float(np.mean([1e3 * replay(draws, b, found[b])[0] for b in both])),
+            "replay_at_T_mm": float(np.mean([1e3 * replay(draws, b, motions[b])[0] for b in both])),
         }
-        print(name, answer[name], flush=True)
-    return answer
+        print(name, results[name], flush=True)
+    return results
 
 
 def compare(bound: Array, seed: int) -> dict[str, Any]:
-    """Settling times of the built controllers over the bound, of the draws whose bound is known."""
-    there = np.isfinite(bound)
-    answer: dict[str, Any] = {}
+    """Compare the controllers' settling times with the bound, on the episodes whose bound is known.
+
+    Args:
+        bound: Bounds, s, shape (episodes,); NaN where unknown.
+        seed: Seed of the first episode.
+
+    Returns:
+        Results by controller.
+    """
+    known = np.isfinite(bound)
+    results: dict[str, Any] = {}
     for label, (name, period, sensors) in RUNS.items():
-        trial = Scenario("hframe", "reach", "default", sensors, len(bound), seed, period)
-        run = rollout(make_controller(name, trial), trial)
-        off = np.linalg.norm(run.position - run.goal, axis=2)
-        times, success = settling(off, run.time_s, BANDS[BAND])
-        ratio = times[there] / bound[there]
-        answer[label] = {
+        scenario = Scenario("hframe", "reach", "default", sensors, len(bound), seed, period)
+        run = rollout(make_controller(name, scenario), scenario)
+        error = np.linalg.norm(run.position - run.goal, axis=2)
+        times, success = settling(error, run.time_s, BANDS[BAND])
+        ratio = times[known] / bound[known]
+        results[label] = {
             "success": float(success.mean()),
             "mean_s": float(times.mean()),
             "mean_of_ratios": mean_with_interval(ratio, seed),
-            "ratio_of_means": ratio_of_means(times[there], bound[there], seed),
+            "ratio_of_means": ratio_of_means(times[known], bound[known], seed),
             "least_ratio": float(ratio.min()),
             "median_ratio": float(np.median(ratio)),
-            "late_ms": float(1e3 * np.mean(times[there] - bound[there])),
+            "late_ms": float(1e3 * np.mean(times[known] - bound[known])),
         }
-        print(label, answer[label], flush=True)
-    return answer
+        print(label, results[label], flush=True)
+    return results
 
 
 def main() -> None:
+    """Compute bounds, compare the controllers and write the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--episodes", type=int, default=EPISODES)
-    given = parser.parse_args()
-    trial = Scenario("hframe", "reach", "default", "state", given.episodes, given.seed)
-    draws = drawn(trial)
-    rows = solve(draws, given.seed, "reach")
+    arguments = parser.parse_args()
+    scenario = Scenario("hframe", "reach", "default", "state", arguments.episodes, arguments.seed)
+    draws = drawn(scenario)
+    rows = solve(draws, arguments.seed, "reach")
     bound = np.array([np.nan if row["time_s"] is None else row["time_s"] for row in rows])
     solved = [row for row in rows if row["time_s"] is not None]
     miss = np.array([row["replay_mm"] for row in solved])
     content = {
-        "episodes": given.episodes,
+        "episodes": arguments.episodes,
         "band": BAND,
         "unsolved": [{"seed": row["seed"], "status": row["status"]} for row in rows if row["time_s"] is None],
         "bound_s": {"mean": float(np.nanmean(bound)), "median": float(np.nanmedian(bound))},
@@ -150,11 +186,11 @@ def main() -> None:
             name: dict(zip(("median", "p95", "most"), np.quantile(column, [0.5, 0.95, 1.0]).tolist(), strict=True))
             for name, column in zip(("at_T", "from_T_on"), miss.T, strict=True)
         },
-        "refined": refined(draws),
-        "controllers": compare(bound, given.seed),
+        "refined": discretization_error(draws),
+        "controllers": compare(bound, arguments.seed),
     }
-    name = "bound" if given.seed == SEED else f"bound_seed{given.seed}"
-    print(f"wrote {write_results(name, content, seed=given.seed)}")
+    name = "bound" if arguments.seed == SEED else f"bound_seed{arguments.seed}"
+    print(f"wrote {write_results(name, content, seed=arguments.seed)}")
 
 
 if __name__ == "__main__":

@@ -1,17 +1,19 @@
-"""Does the corrected machine make better controllers?  Driven on the rig that it was identified from.
+"""Does the identified machine give better controllers? They are evaluated on the rig from which it was identified.
 
-    python -m benchmarks.closed_loop                             # all rigs: identify, train, drive (an hour)
-    python -m benchmarks.closed_loop --rigs 'cogging@motor1 full'    # this one anew, the others as they were
+    python -m benchmarks.closed_loop                                 # all rigs: identify, train, evaluate (an hour)
+    python -m benchmarks.closed_loop --rigs 'cogging@motor1 full'    # only this rig; the others keep their results
 
-Each rig of the independent simulator has one undeclared effect, or three, and parameters 5 to 20 % off.  From its
-recordings `identify` makes three machines: as declared, refitted (before), corrected (after).  From each alone are made
-the model-based PID, the one that adapts, and two learned controllers of three seeds: PPO that goes on from the shipped
-agent, and PPO's correction on that machine's adaptive PID, from nothing.  Then they drive the rig itself through the
-same episodes, with the full state every 10 ms: to points, and the PIDs along circles too.
+Each rig of the independent simulator has one or three undeclared effects and parameters that are 5 to 20 % off. From
+its recordings `identify` gives three machines: declared, refitted (before) and corrected (after). Each machine alone is
+the basis of four controllers: the model-based PID, the adaptive PID, and two learned controllers with three seeds each,
+namely PPO that continues from the shipped agent, and a PPO correction to that machine's adaptive PID, trained from
+scratch. All of them control the rig through the same episodes, with the full state every 10 ms: to points, and the PIDs
+also along circles.
 
-Training takes the same recipe, steps and seeds for all machines: on the declared and refitted one with the default
-randomisation, for nobody knows how far off they are; on the corrected with what its file leaves uncertain.  Differences
-are of pairs, the same episode and seed, with 95 % bootstrap intervals over the episodes, each the mean of its seeds.
+Training uses the same recipe, steps and seeds for all machines. The declared and the refitted machine have the default
+randomization, because their error is unknown; the corrected one has the uncertainty of its file. Differences are paired
+(same episode and seed) with 95 % bootstrap intervals over the episodes, each the mean over its seeds. Seeds and
+versions are in results/closed_loop.json.
 """
 
 from __future__ import annotations
@@ -24,13 +26,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from hframe_gym.agents import train
-from hframe_gym.agents.agent import Agent
-from hframe_gym.agents.recipe import load_recipe
 
 from benchmarks.closed_loop_plots import draw
 from benchmarks.results_file import RESULTS, write_results
 from benchmarks.rig_loop import PERIOD_S, Driven, drive
+from hframe_gym.agents import train
+from hframe_gym.agents.agent import Agent
+from hframe_gym.agents.recipe import load_recipe
 from hframe_gym.controllers import CONTROLLERS, Controller
 from hframe_gym.envs import Reach, Track
 from hframe_gym.evaluation.metrics import BANDS, JUDGED, mean_with_interval, settling
@@ -39,10 +41,10 @@ from hframe_gym.identification.result_output import write_answer
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import load_machine
 from tests.reference_simulator import Array
-from tests.rigs.rigs import cases
-from tests.rigs.sessions import DEFAULT_FOLDER, Session, record
+from tests.rigs.cases import cases
+from tests.rigs.recording_sessions import DEFAULT_FOLDER, Session, record
 
-KEPT = Path("out/closed_loop")
+CACHE = Path("out/closed_loop")
 RIGS = (
     "stribeck_friction@x full",
     "dead_band@motor1 full",
@@ -54,136 +56,169 @@ RIGS = (
     "constant_force@y full",
     "belt_play@belts full",
 )
-STAGES = {"declared": "default", "before": "default", "machine": "identified"}  # files of an answer: randomisation
+STAGES = {
+    "declared": "default",
+    "before": "default",
+    "machine": "identified",
+}  # file of the identification result: randomization
 NAMES = {"declared": "declared", "before": "refitted", "machine": "corrected"}
 LEARNED = {"ppo": ("adapt", 200_000), "residual": ("residual", 100_000)}  # recipe and steps
-SEED, EPISODES = 2000, 24  # of starts and goals
+SEED, EPISODES = 2000, 24  # seed of starts and goals, number of episodes
 AGENTS = (0, 1, 2)  # seeds
 REACH, TRACK = Reach(), Track()
 SETTLED = f"settling_s_{JUDGED}"
-BUILT = ("pid", "adaptive-pid")
+DESIGNED = ("pid", "adaptive-pid")
 CIRCLE = ", circle"
-# What decides: less of it, in which success may not be lower.
+# The decisive score of each controller: lower is better, if the success rate is not lower.
 DECIDES = {
-    **dict.fromkeys(BUILT, SETTLED),
-    **{name + CIRCLE: "contour_rms_mm" for name in BUILT},
+    **dict.fromkeys(DESIGNED, SETTLED),
+    **{name + CIRCLE: "contour_rms_mm" for name in DESIGNED},
     **dict.fromkeys(LEARNED, SETTLED),
 }
 
 
 def machines(session: Session) -> dict[str, Machine]:
-    """The three machines of a rig, from the last identification where it was done."""
-    folder = KEPT / session.folder.name
+    """Return the three machines of a rig; identify it if that has not been done."""
+    folder = CACHE / session.folder.name
     if not (folder / "report.json").is_file():
         write_answer(identify(session.recordings(), session.machine()), folder)
     return {stage: load_machine(folder / f"{stage}.json") for stage in STAGES}
 
 
 def trained(name: str, steps: int, machine: Machine, randomize: str, folder: Path, seed: int) -> Agent:
-    """An agent by a recipe on a machine; from the folder where that was done."""
+    """Return an agent that was trained on a machine; train it if that has not been done.
+
+    Args:
+        name: Name of the recipe.
+        steps: Number of training steps.
+        machine: Machine to train on.
+        randomize: Randomization during training.
+        folder: Folder of the agent.
+        seed: Seed of the training.
+
+    Returns:
+        The agent.
+    """
     recipe, card = load_recipe(name, "reach"), folder / "card.json"
     recipe = replace(recipe, steps=steps, env={**recipe.env, "randomize": randomize})
-    made = json.loads(card.read_text()) if card.is_file() else None
-    if made is None or made["settings"] != recipe.as_dict() or made["curve"][-1]["steps"] < steps:
+    present = json.loads(card.read_text()) if card.is_file() else None
+    if present is None or present["settings"] != recipe.as_dict() or present["curve"][-1]["steps"] < steps:
         train(recipe, machine, seed=seed, out=folder, say=lambda line: None)
     return Agent.load(folder)
 
 
 def controllers(session: Session, seeds: tuple[int, ...]) -> Iterator[tuple[str, str, Controller]]:
-    """What drives, by a key of `DECIDES`, the machine that it was made from, and itself; learned ones once a seed."""
+    """Yield the controllers of a rig: key of `DECIDES`, name of the machine, controller; learned ones once per seed."""
     for stage, machine in machines(session).items():
         # The declared machine is the same for all rigs, and so are its agents.
-        of = KEPT / ("declared" if stage == "declared" else session.folder.name)
-        for kind in BUILT:
+        agents = CACHE / ("declared" if stage == "declared" else session.folder.name)
+        for kind in DESIGNED:
             for course in ("", CIRCLE):
                 yield kind + course, NAMES[stage], CONTROLLERS[kind](machine, PERIOD_S)
         for kind, (recipe, steps) in LEARNED.items():
             for seed in seeds:
-                place = of / f"{recipe}-{stage}-{seed}"
-                yield kind, NAMES[stage], trained(recipe, steps, machine, STAGES[stage], place, seed)
+                folder = agents / f"{recipe}-{stage}-{seed}"
+                yield kind, NAMES[stage], trained(recipe, steps, machine, STAGES[stage], folder, seed)
 
 
-def numbers(run: Driven) -> dict[str, Array]:
-    """What is compared, (B,) each: success in each band, time to settle in it, s, and error at the end, mm; along a
-    path root mean square and largest distance from it, mm."""
+def score(run: Driven) -> dict[str, Array]:
+    """Return the scores of each episode, shape (episodes,) each.
+
+    Args:
+        run: Closed-loop episodes.
+
+    Returns:
+        Along a path: rms and maximum contour error, mm. Otherwise: final error, mm, and per band success and settling
+        time, s.
+    """
     if run.contour is not None:
         rms = 1e3 * np.sqrt(np.mean(run.contour**2, axis=1))
         return {"contour_rms_mm": rms, "contour_max_mm": 1e3 * run.contour.max(axis=1)}
-    found = {"final_error_mm": 1e3 * run.error[:, -1]}
+    scores = {"final_error_mm": 1e3 * run.error[:, -1]}
     for name, band in BANDS.items():
         times, success = settling(run.error, run.time_s, band)
-        found |= {f"success_{name}": success.astype(np.float64), f"settling_s_{name}": times}
-    return found
+        scores |= {f"success_{name}": success.astype(np.float64), f"settling_s_{name}": times}
+    return scores
 
 
-def compared(session: Session, episodes: int, seeds: tuple[int, ...]) -> dict[str, Any]:
-    """One rig: scores by controller and machine, and what the corrected machine gains over the others."""
+def compare_machines(session: Session, episodes: int, seeds: tuple[int, ...]) -> dict[str, Any]:
+    """Return the results of one rig: scores by controller and machine, and differences to the corrected machine."""
     rig, declared = session.case.rig()[0], session.machine()
-    found: dict[str, dict[str, list[dict[str, Array]]]] = {kind: {} for kind in DECIDES}
+    scores: dict[str, dict[str, list[dict[str, Array]]]] = {kind: {} for kind in DECIDES}
     for kind, name, controller in controllers(session, seeds):
         task = TRACK if kind.endswith(CIRCLE) else REACH
-        run = numbers(drive(controller, rig, declared, task, episodes, SEED))
-        found[kind].setdefault(name, []).append(run)
-    report = json.loads((KEPT / session.folder.name / "report.json").read_text())
+        run = score(drive(controller, rig, declared, task, episodes, SEED))
+        scores[kind].setdefault(name, []).append(run)
+    report = json.loads((CACHE / session.folder.name / "report.json").read_text())
     return {
-        "hides": " + ".join(p.label for p in session.case.planted),
+        "hides": " + ".join(hidden.label for hidden in session.case.hidden_effects),
         "found": [f"{e['name']}@{e['site']}" for e in report["effects"]],
-        **{kind: _with_gains(by) for kind, by in found.items()},
+        **{kind: _with_gains(by_machine) for kind, by_machine in scores.items()},
     }
 
 
-def _with_gains(by: dict[str, list[dict[str, Array]]]) -> dict[str, Any]:
-    """Scores by machine, and the corrected one's less those of each other; of learned controllers the means by seed."""
-    mean = {name: {key: np.mean([run[key] for run in runs], axis=0) for key in runs[0]} for name, runs in by.items()}
-    gains = {name: {key: mean["corrected"][key] - v for key, v in of.items()} for name, of in mean.items()}
+def _with_gains(by_machine: dict[str, list[dict[str, Array]]]) -> dict[str, Any]:
+    """Return means and intervals of the scores by machine, and of their differences from the corrected machine."""
+    mean = {
+        name: {key: np.mean([run[key] for run in runs], axis=0) for key in runs[0]} for name, runs in by_machine.items()
+    }
+    gains = {name: {key: mean["corrected"][key] - v for key, v in scores.items()} for name, scores in mean.items()}
     del gains["corrected"]
-    found: dict[str, Any] = {
-        what: {name: {key: mean_with_interval(v, SEED) for key, v in of.items()} for name, of in rows.items()}
+    results: dict[str, Any] = {
+        what: {name: {key: mean_with_interval(v, SEED) for key, v in scores.items()} for name, scores in rows.items()}
         for what, rows in (("scores", mean), ("gain", gains))
     }
-    if any(len(runs) > 1 for runs in by.values()):
-        found["by_seed"] = {
-            name: [{key: float(np.mean(v)) for key, v in run.items()} for run in runs] for name, runs in by.items()
+    if any(len(runs) > 1 for runs in by_machine.values()):
+        results["by_seed"] = {
+            name: [{key: float(np.mean(v)) for key, v in run.items()} for run in runs]
+            for name, runs in by_machine.items()
         }
-    return found
+    return results
 
 
 def better(row: dict[str, Any], kind: str, over: str) -> bool:
-    """Whether the corrected machine's controller is better beyond doubt, and succeeds no less."""
+    """Return whether the corrected machine's controller is significantly better and succeeds at least as often."""
     gain = row[kind]["gain"][over]
     return gain[DECIDES[kind]]["ci95"][1] < 0.0 and gain.get(f"success_{JUDGED}", {"mean": 0.0})["mean"] >= 0.0
 
 
 def main() -> None:
+    """Evaluate the rigs that the command line names, write the results and draw the figure."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rigs", nargs="+", default=list(RIGS), metavar="NAME")
     parser.add_argument("--episodes", type=int, default=EPISODES)
-    parser.add_argument("--seeds", type=int, nargs="+", default=list(AGENTS), help="of the agents")
-    given = parser.parse_args()
+    parser.add_argument("--seeds", type=int, nargs="+", default=list(AGENTS), help="seeds of the agents")
+    arguments = parser.parse_args()
     file = RESULTS / "closed_loop.json"
-    before = json.loads(file.read_text()) if file.is_file() else {"rigs": {}}
-    comparable = all(before.get(key) == getattr(given, key) for key in ("episodes", "seeds"))
-    rows = {name: row for name, row in before["rigs"].items() if comparable}
-    for name in given.rigs:
+    previous = json.loads(file.read_text()) if file.is_file() else {"rigs": {}}
+    comparable = all(previous.get(key) == getattr(arguments, key) for key in ("episodes", "seeds"))
+    rows = {name: row for name, row in previous["rigs"].items() if comparable}
+    for name in arguments.rigs:
         session = record(cases()[name], Path(DEFAULT_FOLDER))
-        rows[name] = row = compared(session, given.episodes, tuple(given.seeds))
-        print(f"{name}: found {', '.join(row['found']) or 'nothing'}", flush=True)
+        rows[name] = row = compare_machines(session, arguments.episodes, tuple(arguments.seeds))
+        print(f"{name}: identified {', '.join(row['found']) or 'nothing'}", flush=True)
         for kind, key in DECIDES.items():
-            shown = []
+            by_machine = []
             for machine, scores in row[kind]["scores"].items():
                 success = scores.get(f"success_{JUDGED}")
-                shown.append(
+                by_machine.append(
                     f"{machine} {scores[key]['mean']:.4f}" + (f" ({100 * success['mean']:.0f} %)" if success else "")
                 )
             low, high = row[kind]["gain"]["declared"][key]["ci95"]
-            print(f"  {kind:20s} {key:17s} {', '.join(shown)}; over declared {low:.4f} to {high:.4f}", flush=True)
+            print(f"  {kind:20s} {key:17s} {', '.join(by_machine)}; minus declared {low:.4f} to {high:.4f}", flush=True)
         wins = {
             f"{kind} over {over}": [n for n, r in rows.items() if kind in r and better(r, kind, over)]
             for kind in DECIDES
             for over in ("declared", "refitted")
         }
-        # After each: what is stopped leaves what it had.
-        content = {"episodes": given.episodes, "seeds": given.seeds, "decides": DECIDES, "better": wins, "rigs": rows}
+        # Write after each rig, so that an interrupted run leaves its results.
+        content = {
+            "episodes": arguments.episodes,
+            "seeds": arguments.seeds,
+            "decides": DECIDES,
+            "better": wins,
+            "rigs": rows,
+        }
         write_results("closed_loop", content, seed=SEED)
     print(json.dumps(wins, indent=1))
     draw(rows, DECIDES)

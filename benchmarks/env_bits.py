@@ -1,9 +1,11 @@
-"""Whether one seed gives the same bits everywhere: processes, thread counts, single, vector and stable-baselines3.
+"""Does a seed give the same bits in every process, with every thread count and through every interface?
 
     python -m benchmarks.env_bits [--steps 10000]
 
-Each way of running the environment is told by a digest for each of its first environments: SHA-256 over all
-observations, those before and after a reset, rewards, drawn parameters, and ends (a cut in the step of an end is none).
+Compared: the single environment, the native vector environment, the adapter for stable-baselines3, and new processes
+with 1, 2 and 3 threads. Each is summarized by one digest per environment: SHA-256 over all observations (before and
+after resets), rewards, sampled parameters, terminations and truncations (a truncation in the step of a termination does
+not count). The exit code is 1 if any digest differs.
 """
 
 from __future__ import annotations
@@ -27,7 +29,7 @@ from hframe_gym.envs import HFrameEnv, HFrameVectorEnv
 
 SEED, LIMIT = 11, 150
 COMPARED = 3  # environments that have a digest
-COUNT = 520  # environments of a vector: just enough for several threads
+COUNT = 520  # environments of a vector: enough for several threads
 OPTIONS: dict[str, dict[str, Any]] = {
     "state, ideal": {"randomize": "wide"},
     "rig": {"randomize": "default", "sensors": "rig", "drives": "rig", "privileged": True, "ends": "terminate"},
@@ -36,7 +38,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
 
 
 def actions(steps: int) -> Iterator[NDArray[np.float32]]:
-    """Random actions (COUNT, 2), held for five steps, so that stages get somewhere."""
+    """Yield random actions (COUNT, 2), each held for five steps so that the stages move far."""
     rng = np.random.default_rng(SEED)
     for step in range(steps):
         if step % 5 == 0:
@@ -45,17 +47,19 @@ def actions(steps: int) -> Iterator[NDArray[np.float32]]:
 
 
 class Digest:
-    """The digest of one environment's history."""
+    """Digest of one environment's history."""
 
     def __init__(self) -> None:
         self._hash = hashlib.sha256()
 
-    def add(self, observation: Mapping[str, NDArray[Any]], *numbers: float) -> None:
+    def add(self, observation: Mapping[str, NDArray[Any]], *values: float) -> None:
+        """Add an observation and numbers."""
         for key in sorted(observation):
             self._hash.update(np.ascontiguousarray(observation[key]).tobytes())
-        self._hash.update(np.array(numbers, np.float64).tobytes())
+        self._hash.update(np.array(values, np.float64).tobytes())
 
-    def drawn(self, parameters: Mapping[str, float]) -> None:
+    def add_parameters(self, parameters: Mapping[str, float]) -> None:
+        """Add sampled parameters, in alphabetical order."""
         self.add({}, *(parameters[name] for name in sorted(parameters)))
 
     def __str__(self) -> str:
@@ -63,13 +67,13 @@ class Digest:
 
 
 def single(steps: int, options: dict[str, Any]) -> list[str]:
-    """Each environment by itself."""
+    """Run each environment by itself and return the digests."""
     digests = []
     for b in range(COMPARED):
         digest, env, elapsed = Digest(), HFrameEnv(**options), 0
         observation, info = env.reset(seed=SEED + b)
         digest.add(observation)
-        digest.drawn(info.get("parameters", {}))
+        digest.add_parameters(info.get("parameters", {}))
         for action in actions(steps):
             observation, reward, terminated, _, _ = env.step(action[b])
             elapsed += 1
@@ -78,58 +82,58 @@ def single(steps: int, options: dict[str, Any]) -> list[str]:
                 observation, info = env.reset()
                 elapsed = 0
                 digest.add(observation)
-                digest.drawn(info.get("parameters", {}))
+                digest.add_parameters(info.get("parameters", {}))
         digests.append(str(digest))
     return digests
 
 
 def vector(steps: int, options: dict[str, Any]) -> list[str]:
-    """The native vector environment, ends and resets in the same step."""
+    """Run the native vector environment with resets in the step of an end, and return the digests."""
     envs = HFrameVectorEnv(COUNT, max_episode_steps=LIMIT, autoreset_mode="SameStep", **options)
     digests = [Digest() for _ in range(COMPARED)]
 
-    def begun(b: int, observation: Any, info: Any) -> None:
+    def add_start(b: int, observation: Any, info: Any) -> None:
         digests[b].add({key: value[b] for key, value in observation.items()})
-        drawn = info.get("parameters", {})
-        digests[b].drawn({name: column[b] for name, column in drawn.items() if not name.startswith("_")})
+        sampled = info.get("parameters", {})
+        digests[b].add_parameters({name: column[b] for name, column in sampled.items() if not name.startswith("_")})
 
     observation, info = envs.reset(seed=SEED)
     for b in range(COMPARED):
-        begun(b, observation, info)
+        add_start(b, observation, info)
     for action in actions(steps):
         observation, reward, terminated, truncated, info = envs.step(action)
         for b, digest in enumerate(digests):
             over = terminated[b] or truncated[b]
-            seen = info["final_obs"][b] if over else {key: value[b] for key, value in observation.items()}
-            digest.add(seen, reward[b], terminated[b], truncated[b] and not terminated[b])
+            final = info["final_obs"][b] if over else {key: value[b] for key, value in observation.items()}
+            digest.add(final, reward[b], terminated[b], truncated[b] and not terminated[b])
             if over:
-                begun(b, observation, info)
+                add_start(b, observation, info)
     return [str(digest) for digest in digests]
 
 
 def stable_baselines3(steps: int, options: dict[str, Any]) -> list[str]:
-    """The adapter for stable-baselines3."""
+    """Run the adapter for stable-baselines3 and return the digests."""
     from hframe_gym.envs.sb3_vec_env import HFrameVecEnv
 
     envs = HFrameVecEnv(COUNT, max_episode_steps=LIMIT, **options)
     digests = [Digest() for _ in range(COMPARED)]
 
-    def begun(b: int, observation: Any) -> None:
+    def add_start(b: int, observation: Any) -> None:
         digests[b].add({key: value[b] for key, value in observation.items()})
-        digests[b].drawn(envs.reset_infos[b].get("parameters", {}))
+        digests[b].add_parameters(envs.reset_infos[b].get("parameters", {}))
 
     envs.seed(SEED)
     observation = envs.reset()
     for b in range(COMPARED):
-        begun(b, observation)
+        add_start(b, observation)
     for action in actions(steps):
         observation, reward, done, infos = envs.step(action)
         for b, digest in enumerate(digests):
-            seen = infos[b].get("terminal_observation", {key: value[b] for key, value in observation.items()})
-            cut = bool(infos[b].get("TimeLimit.truncated", False))
-            digest.add(seen, reward[b], bool(done[b]) and not cut, cut)
+            final = infos[b].get("terminal_observation", {key: value[b] for key, value in observation.items()})
+            truncated = bool(infos[b].get("TimeLimit.truncated", False))
+            digest.add(final, reward[b], bool(done[b]) and not truncated, truncated)
             if done[b]:
-                begun(b, observation)
+                add_start(b, observation)
     return [str(digest) for digest in digests]
 
 
@@ -140,27 +144,32 @@ WAYS: dict[str, Callable[[int, dict[str, Any]], list[str]]] = {
 }
 
 
-def elsewhere(name: str, steps: int, threads: int) -> list[str]:
-    """The vector environment in a new process with a number of threads."""
+def in_new_process(name: str, steps: int, threads: int) -> list[str]:
+    """Return the digests of the vector environment in a new process with a number of threads."""
     command = [sys.executable, "-m", "benchmarks.env_bits", "--steps", str(steps), "--digest", name]
-    answer = subprocess.run(
+    process = subprocess.run(
         command, env=os.environ | {"HFRAME_THREADS": str(threads)}, capture_output=True, text=True, check=True
     )
-    found: list[str] = json.loads(answer.stdout)
-    return found
+    digests: list[str] = json.loads(process.stdout)
+    return digests
+
+
+# Aliases until all packages use the new names.
+elsewhere = in_new_process
 
 
 def compare(name: str, steps: int) -> dict[str, list[str]]:
-    """Digests of every way to run the environment with the options of that name."""
+    """Return the digests of every way to run the environment, for the options of a name."""
     options = OPTIONS[name]
     digests = {f"{way}": run(steps, options) for way, run in WAYS.items()}
     digests["vector again"] = vector(steps, options)
     for threads in (1, 2, 3):
-        digests[f"new process, {threads} threads"] = elsewhere(name, steps, threads)
+        digests[f"new process, {threads} threads"] = in_new_process(name, steps, threads)
     return digests
 
 
 def main() -> None:
+    """Compare the digests, print them and write the results."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--steps", type=int, default=10_000)
     parser.add_argument("--digest", choices=OPTIONS, help="print the vector environment's digests only")
@@ -173,12 +182,12 @@ def main() -> None:
     for name in OPTIONS:
         digests = compare(name, arguments.steps)
         content[name] = {"equal": len({tuple(d) for d in digests.values()}) == 1, "digests": digests}
-        table = Table(title=f"{name}: {'the same bits everywhere' if content[name]['equal'] else 'DIFFERENT BITS'}")
+        table = Table(title=f"{name}: {'same bits everywhere' if content[name]['equal'] else 'DIFFERENT BITS'}")
         table.add_column("way")
         for b in range(COMPARED):
             table.add_column(f"environment {b}")
-        for way, found in digests.items():
-            table.add_row(way, *found)
+        for way, by_environment in digests.items():
+            table.add_row(way, *by_environment)
         console.print(table)
     write_results("env_bits", content, seed=SEED)
     if not all(content[name]["equal"] for name in OPTIONS):

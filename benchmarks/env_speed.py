@@ -1,10 +1,10 @@
-"""How fast the environment is: beside EnvPool's and gymnasium's Pendulum-v1, its bare kernel, and its resets.
+"""How fast is the environment? Its steps against EnvPool's and Gymnasium's Pendulum-v1 and its bare kernel; its resets.
 
     python -m benchmarks.env_speed
 
-Everything compared runs in this one process, alternating, with random actions drawn before the clock starts; a ratio is
-the median over repetitions, its spread their extremes.  The kernel's share is of processor time, which other programs
-on the machine leave alone, and of wall time.
+All compared programs run in this process, in turn, with random actions that are drawn before the clock starts. A ratio
+is the median over the repetitions; the spread gives their extremes. The kernel's fraction of a step is given in
+processor time, which other programs do not affect, and in wall time. Seed and versions are in results/env_speed.json.
 """
 
 from __future__ import annotations
@@ -21,24 +21,25 @@ from rich.console import Console
 from rich.table import Table
 
 import hframe_gym  # noqa: F401  registers the environment
+from benchmarks.kernel_batch import interleaved
 from benchmarks.results_file import write_results
-from benchmarks.throughput import interleaved
 from hframe_gym.dynamics.kernel import kernel_for
 from hframe_gym.dynamics.simd import LANES
 from hframe_gym.dynamics.simulation import in_parallel, threads
 from hframe_gym.envs import HFrameVectorEnv
 
-SEED, ENVS, STEPS, REPEATS = 3, 4096, 150, 7  # STEPS: an episode, so every run has each environment's reset in it
+SEED, ENVS, STEPS, REPEATS = 3, 4096, 150, 7  # STEPS is one episode, so every run contains a reset of each environment
 OPTIONS: dict[str, dict[str, Any]] = {
     "default": {},
     "integration step 0.25 ms": {"longest_step": 0.25e-3},
-    "wide randomisation": {"randomize": "wide"},
+    "wide randomization": {"randomize": "wide"},
     "sensors and drives of the rig": {"sensors": "rig", "drives": "rig"},
     "task track": {"task": "track"},
 }
 
 
 def seconds(run: Callable[[], object]) -> float:
+    """Return the wall time of a call, s, after a garbage collection."""
     gc.collect()
     begin = time.perf_counter()
     run()
@@ -46,18 +47,23 @@ def seconds(run: Callable[[], object]) -> float:
 
 
 class Vector:
-    """The vector environment under random actions."""
+    """Vector environment under random actions.
+
+    Args:
+        count: Number of environments.
+        **options: Options of the environment.
+    """
 
     def __init__(self, count: int, **options: Any) -> None:
         self.envs = HFrameVectorEnv(count, **{"randomize": "default", **options})
         self.envs.reset(seed=SEED)
         self.actions = np.random.default_rng(SEED).uniform(-1, 1, (STEPS, count, 2)).astype(np.float32)
-        # From an episode's middle, so that stages are spread as they are on average.
+        # Start in the middle of an episode, where the stages are spread as they are on average.
         for action in self.actions[: STEPS // 2]:
             self.envs.step(action)
 
     def rate(self) -> float:
-        """Environment steps a second."""
+        """Return the environment steps per second."""
 
         def run() -> None:
             for action in self.actions:
@@ -66,10 +72,12 @@ class Vector:
         return len(self.actions) * self.envs.num_envs / seconds(run)
 
     def beside_kernel(self) -> dict[str, tuple[float, float]]:
-        """Seconds of an episode's steps, and of the bare kernel on the very same states and voltages, step by step.
+        """Measure an episode's steps, and the bare kernel on the same states and voltages, step by step.
 
-        By "processor", the time of all threads, and by "wall".  The bare kernel is that of the machine without end
-        stops, one call of `advance_blocks` a thread.
+        The bare kernel is that of the machine without end stops, with one call of `advance_blocks` per thread.
+
+        Returns:
+            Seconds of the steps and of the kernel, by clock: "processor" (time of all threads) and "wall".
         """
         stages = self.envs.batch.stages
         kernel = kernel_for(stages.machine)
@@ -94,7 +102,7 @@ class Vector:
         return {name: (float(step), float(kernel)) for name, (step, kernel) in spent.items()}
 
     def share(self, repeats: int) -> dict[str, Any]:
-        """Share of the bare kernel in a step, medians and spread over repetitions."""
+        """Return the fraction of a step that the bare kernel takes, by clock: median and extremes."""
         self.beside_kernel()
         runs = [self.beside_kernel() for _ in range(repeats)]
         shares = {name: [run[name][1] / run[name][0] for run in runs] for name in ("processor", "wall")}
@@ -104,7 +112,7 @@ class Vector:
 
 
 def envpool_rate() -> Callable[[], float]:
-    """Steps a second of EnvPool's Pendulum-v1 with as many environments and threads."""
+    """Return a function that measures EnvPool's Pendulum-v1 with as many environments and threads, steps per second."""
     import envpool
 
     with warnings.catch_warnings():
@@ -124,7 +132,16 @@ def envpool_rate() -> Callable[[], float]:
 
 
 def single_rate(name: str, size: int, steps: int = 3000) -> Callable[[], float]:
-    """Steps a second of a single environment as `gym.make` gives it, resets included."""
+    """Return a function that measures one environment of `gym.make`, steps per second, resets included.
+
+    Args:
+        name: Id of the environment.
+        size: Number of its actions.
+        steps: Number of steps per measurement.
+
+    Returns:
+        Function that measures the rate, 1/s.
+    """
     env = gym.make(name)
     env.reset(seed=SEED)
     limit = float(env.action_space.high[0])  # type: ignore[attr-defined]
@@ -143,7 +160,7 @@ def single_rate(name: str, size: int, steps: int = 3000) -> Callable[[], float]:
 
 
 def resets(count: int) -> dict[str, float]:
-    """Microseconds of a reset: of one environment among count, one with its whole observation, and all, each."""
+    """Measure resets among `count` environments, us: one; one with the observation of all; all, per environment."""
     envs = HFrameVectorEnv(count, randomize="default", autoreset_mode="Disabled")
     envs.reset(seed=SEED)
     one = np.array([count // 2])
@@ -162,7 +179,7 @@ def resets(count: int) -> dict[str, float]:
 
 
 def frames() -> float:
-    """Pictures a second in mode rgb_array, the step between them included."""
+    """Return the pictures per second in mode rgb_array, including the step between two pictures."""
     env = gym.make("HFrame-v0", render_mode="rgb_array")
     env.reset(seed=SEED)
     env.render()
@@ -175,6 +192,7 @@ def frames() -> float:
 
 
 def main() -> None:
+    """Run all measurements and write the results."""
     console = Console(width=130)
     content: dict[str, Any] = {"environments": ENVS, "threads": threads()}
 
@@ -190,7 +208,7 @@ def main() -> None:
         )
         return r
 
-    table = Table(title=f"Environment steps a second, medians of {REPEATS} alternating runs, {threads()} threads")
+    table = Table(title=f"Environment steps per second, medians of {REPEATS} alternating runs, {threads()} threads")
     for column in ("what", "ours", "theirs", "ratio", "spread"):
         table.add_column(column)
     pool = envpool_rate()
@@ -201,10 +219,10 @@ def main() -> None:
             f"{ENVS} environments, {name}", interleaved(vector.rate, pool, repeats), "HFrame", "EnvPool Pendulum"
         )
         shares = content[f"share of the bare kernel: {name}"] = vector.share(repeats)
-        for clock, own in shares.items():
-            low, high = own["spread"]
+        for clock, fraction in shares.items():
+            low, high = fraction["spread"]
             title = f"  of which the bare kernel, {clock} time"
-            table.add_row(title, "", "", f"{own['share']:.3g}", f"{low:.3g} - {high:.3g}")
+            table.add_row(title, "", "", f"{fraction['share']:.3g}", f"{low:.3g} - {high:.3g}")
     content["single over gymnasium's Pendulum"] = show(
         "one environment, gym.make",
         interleaved(single_rate("HFrame-v0", 2), single_rate("Pendulum-v1", 1), REPEATS),
@@ -212,15 +230,15 @@ def main() -> None:
         "gymnasium Pendulum",
     )
     console.print(table)
-    table = Table(title="Microseconds of a reset, default randomisation")
-    for column in ("environments", "one of them", "one, with everybody's observation", "all, each"):
+    table = Table(title="Microseconds per reset, default randomization")
+    for column in ("environments", "one of them", "one, with the observation of all", "all, per environment"):
         table.add_column(column, justify="right")
     for count in (64, 1024, 4096, 16384):
         row = content[f"reset among {count}"] = resets(count)
         table.add_row(str(count), *(f"{value:.3g}" for value in row.values()))
     console.print(table)
     content["pictures_per_s"] = frames()
-    console.print(f"{content['pictures_per_s']:.0f} pictures a second (bar 60)")
+    console.print(f"{content['pictures_per_s']:.0f} pictures per second (required 60)")
     write_results("env_speed", content, seed=SEED)
 
 

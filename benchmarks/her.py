@@ -1,9 +1,10 @@
-"""Does the environment teach an agent from the sparse reward?  SAC with hindsight on `reach`, 0 within 5 mm, else -1.
+"""Can an agent learn from the sparse reward? SAC with hindsight on `reach`; the reward is 0 within 5 mm, otherwise -1.
 
     python -m benchmarks.her [--seeds 3]
 
-Trains by the recipe sac_her_reach, then judges on draws that no training saw: the share within 5 mm at the end and
-staying there.  The bar is 90 %.
+The agents are trained by the recipe sac_her_reach and evaluated on episodes that no training used: the fraction of the
+episodes that end within 5 mm and stay there. The requirement is 90 %. Settings, seeds and versions are in
+results/her.json.
 """
 
 from __future__ import annotations
@@ -13,25 +14,25 @@ import tempfile
 from typing import Any
 
 import numpy as np
-from hframe_gym.agents import train
-from hframe_gym.agents.agent import Agent
 
 from benchmarks.results_file import write_results
+from hframe_gym.agents import train
+from hframe_gym.agents.agent import Agent
 from hframe_gym.evaluation import Scenario, rollout
 from hframe_gym.evaluation.metrics import settling
 
-BAND = 5e-3  # m, of the recipe's reward
+BAND = 5e-3  # m, the band of the recipe's reward
 BAR = 0.9
 EPISODES = 512
-JUDGING_SEED = 0
+EVALUATION_SEED = 0
 
 
-def one(seed: int) -> dict[str, Any]:
-    """Train with a seed and judge."""
+def train_and_evaluate(seed: int) -> dict[str, Any]:
+    """Train an agent with a seed, evaluate it, and return the results."""
     with tempfile.TemporaryDirectory() as folder:
         card = train("sac_her", seed=seed, out=folder)
         agent = Agent.load(folder)
-    run = rollout(agent, Scenario(episodes=EPISODES, seed=JUDGING_SEED))
+    run = rollout(agent, Scenario(episodes=EPISODES, seed=EVALUATION_SEED))
     error = np.linalg.norm(run.position - run.goal, axis=2)
     times, success = settling(error, run.time_s, BAND)
     last = card["curve"][-1]
@@ -51,14 +52,15 @@ def one(seed: int) -> dict[str, Any]:
 
 
 def main() -> None:
+    """Train and evaluate one agent per seed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=3)
     runs: list[dict[str, Any]] = []
     for seed in range(parser.parse_args().seeds):
-        runs.append(one(seed))
+        runs.append(train_and_evaluate(seed))
         print({k: v for k, v in runs[-1].items() if k not in ("curve", "settings")}, flush=True)
-        # After each: a long job that is stopped leaves what it had.
-        write_results("her", {"bar": BAR, "episodes": EPISODES, "runs": runs}, seed=JUDGING_SEED)
+        # Write after each seed, so that a job that is stopped leaves its results.
+        write_results("her", {"bar": BAR, "episodes": EPISODES, "runs": runs}, seed=EVALUATION_SEED)
 
 
 if __name__ == "__main__":

@@ -1,10 +1,10 @@
-"""How PPO's settings on `reach` were looked for: Optuna's TPE over short trainings from scratch.
+"""Which hyperparameters of PPO are good on `reach`? Optuna's TPE over short trainings from scratch.
 
     python -m benchmarks.hyperparameters --trials 24
 
-A trial trains by the recipe ppo_reach with settings of its own and is judged by the logarithm of the median error at
-the end, on the 256 draws of the learning curves.  A short training tells what learns fast, not what ends best: what is
-found is used only where whole trainings confirm it.
+A trial trains by the recipe ppo_reach with varied hyperparameters. Its objective is the logarithm of the median final
+error on the 256 episodes of the learning curves. A short training shows what learns fast, not what ends best, so the
+result is used only where complete trainings confirm it.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from dataclasses import replace
 from typing import Any
 
 import optuna
-from hframe_gym.agents import train
-from hframe_gym.agents.recipe import Recipe, load_recipe
 
 from benchmarks.results_file import write_results
+from hframe_gym.agents import train
+from hframe_gym.agents.recipe import Recipe, load_recipe
 
 STEPS = 300_000
 SEED = 0
 
 
-def suggested(trial: optuna.Scenario) -> Recipe:
-    """The recipe with a trial's settings."""
+def suggest_recipe(trial: optuna.Trial) -> Recipe:
+    """Return the recipe with the hyperparameters of a trial."""
     recipe = load_recipe("ppo", "reach")
     rate = trial.suggest_float("learning_rate", 2e-4, 3e-3, log=True)
     algorithm = {
@@ -41,32 +41,33 @@ def suggested(trial: optuna.Scenario) -> Recipe:
     return replace(recipe, algorithm=algorithm, actuation=actuation, steps=STEPS)
 
 
-def judged(trial: optuna.Scenario) -> float:
-    """Logarithm (base 10) of the median error at the end, mm."""
+def objective(trial: optuna.Trial) -> float:
+    """Train and return the logarithm (base 10) of the median final error in mm."""
     with tempfile.TemporaryDirectory() as folder:
-        card = train(suggested(trial), seed=SEED, out=folder, say=lambda line: None)
+        card = train(suggest_recipe(trial), seed=SEED, out=folder, say=lambda line: None)
     return math.log10(card["curve"][-1]["final_error_mm"])
 
 
 def content(study: optuna.Study) -> dict[str, Any]:
-    """What the study has found so far, plain data."""
+    """Return the state of the study as plain data."""
     done = [t for t in study.trials if t.value is not None]
     importance = optuna.importance.get_param_importances(study) if len(done) > 4 else {}
     return {
         "steps": STEPS,
-        "objective": "log10 of the median error at the end, mm",
+        "objective": "log10 of the median final error, mm",
         "best": {"value": study.best_value, **study.best_params},
-        "importance": {name: float(share) for name, share in importance.items()},
+        "importance": {name: float(value) for name, value in importance.items()},
         "trials": [{"value": t.value, **t.params} for t in done],
     }
 
 
 def main() -> None:
+    """Run the study and write its state after every trial."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--trials", type=int, default=24)
     study = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=SEED, n_startup_trials=8))
-    given = parser.parse_args()
-    # The recipe as it was first, so that what is found is beside it.
+    arguments = parser.parse_args()
+    # The recipe is the first trial, for comparison.
     first = load_recipe("ppo", "reach").algorithm
     study.enqueue_trial(
         {
@@ -79,11 +80,11 @@ def main() -> None:
         }
     )
 
-    def kept(study: optuna.Study, trial: optuna.trial.FrozenTrial) -> None:
+    def write_state(study: optuna.Study, trial: optuna.trial.FrozenTrial) -> None:
         print(trial.number, trial.value, trial.params, flush=True)
         write_results("hyperparameters_ppo_reach", content(study), seed=SEED)
 
-    study.optimize(judged, n_trials=given.trials, callbacks=[kept])
+    study.optimize(objective, n_trials=arguments.trials, callbacks=[write_state])
 
 
 if __name__ == "__main__":

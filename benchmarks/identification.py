@@ -1,14 +1,14 @@
-"""Does identification name what is there, and nothing else?  Rigs of the independent simulator, unknown to the fit.
+"""Does identification name the hidden effects of a rig, and nothing else? On rigs of the independent simulator.
 
     python -m benchmarks.identification                       # the shipped examples and all rigs (an hour or two)
     python -m benchmarks.identification examples none pairs   # some sets
     python -m benchmarks.identification library-full --only 'cogging@motor1 full' --only ...
     python -m benchmarks.identification plots                 # the overview and the figures from the results
 
-Sets: examples, library-full, library-small, pairs, triples, four-runs, order20, none, outside; all is all but examples.
-`tests.rigs.rigs` says what each rig hides and `benchmarks.scoring` what counts as right. Errors are of a free run on
-held-out recordings. Answers are kept in out/identification and taken from there while the identification's source is
-the same (--resume: whatever they came from), so that a run that was stopped goes on.
+Sets: examples, library-full, library-small, pairs, triples, four-runs, order20, none, outside; all: all but examples.
+`tests.rigs.cases` lists what each rig hides (its seed is its name) and `benchmarks.scoring` defines the scores. Errors
+are those of open-loop simulations of held-out recordings. Results are cached in out/identification as long as the
+package's source is the same (with --resume: always), so that an interrupted run continues. Versions are in the results.
 """
 
 from __future__ import annotations
@@ -31,77 +31,92 @@ from rich.table import Table
 
 import hframe_gym
 from benchmarks.results_file import RESULTS, write_results
-from benchmarks.scoring import SCORES, scored
+from benchmarks.scoring import SCORES, score_session
 from hframe_gym.atomic_files import write_text
 from hframe_gym.identification import identify
 from hframe_gym.recordings import load_machine, load_recordings
-from tests.rigs.rigs import Case, cases, chosen
-from tests.rigs.sessions import DEFAULT_FOLDER, record
+from tests.rigs.cases import Case, cases, select_cases
+from tests.rigs.recording_sessions import DEFAULT_FOLDER, record
 
-ANSWERS = Path("out/identification")
-TO_NOISE, WITHIN = 1.1, 0.02  # what is asked of the error after, over the noise, and of parameters
+CACHE = Path("out/identification")
+MAX_NOISE_RATIO = 1.1  # required error with the effects, in multiples of the sensor noise
+MAX_PARAMETER_ERROR = 0.02  # required relative error of the effects' parameters
+PACKAGES = ("dynamics", "effects", "identification", "machine", "recordings")  # on which a result depends
 Row = dict[str, Any]
 
 
 def examples(console: Console) -> None:
-    """The shipped recordings: error by channel, before and after."""
+    """Identify the shipped recordings, and print and write the errors by channel."""
     machine = load_machine("hframe")
     results = {}
     for rig in ("rig_a", "rig_b"):
-        answer = identify(load_recordings(f"examples/{rig}", machine), machine)
-        results[rig] = answer.as_json()
-        table = Table(f"{rig}: {answer.verdict}", "declared", "before", "after")
+        result = identify(load_recordings(f"examples/{rig}", machine), machine)
+        results[rig] = result.as_json()
+        table = Table(f"{rig}: {result.verdict}", "declared", "before", "after")
         for channel in machine.output_channels:
             ratios = [results[rig][s]["held_out"][channel]["noise_ratio"] for s in ("declared", "before", "after")]
             table.add_row(channel, *(f"{r:.3g}" for r in ratios))
-        found = " + ".join(f.effect.label for f in answer.found)
-        console.print(table, f"effects: {found or 'none'}; {answer.seconds:.1f} s")
+        effects = " + ".join(f.effect.label for f in result.found)
+        console.print(table, f"effects: {effects or 'none'}; {result.seconds:.1f} s")
     write_results("identify_examples", results, seed=None)
 
 
 def source_key() -> str:
-    """Hash of everything in the package that an answer can depend on."""
+    """Return a hash of all sources on which a result can depend."""
     folder, text = Path(hframe_gym.__file__).parent, hashlib.sha256()
-    for part in ("effects", "files", "identify", "machine"):
-        for source in sorted((folder / part).rglob("*.py")):
+    for part in PACKAGES:
+        sources = sorted((folder / part).rglob("*.py"))
+        if not sources:
+            raise FileNotFoundError(f"{folder / part}: no sources; correct PACKAGES")
+        for source in sources:
             text.update(source.read_bytes())
     return text.hexdigest()
 
 
-def answered(case: Case, folder: str, key: str, resume: bool) -> Row:
-    """The row of one rig, from the last answer if that still holds; {"rig", "failed"} where identification crashed."""
+def identify_case(case: Case, folder: str, key: str, resume: bool) -> Row:
+    """Return the row of one rig, from the cache if it is valid.
+
+    Args:
+        case: The rig.
+        folder: Folder of the recorded sessions.
+        key: Hash of the sources.
+        resume: Whether to use the cache in spite of changed sources.
+
+    Returns:
+        The row; {"rig", "failed"} if identification raised an exception.
+    """
     session = record(case, Path(folder))
-    kept = ANSWERS / f"{session.folder.name}.json"
+    cached = CACHE / f"{session.folder.name}.json"
     key = hashlib.sha256((key + (session.folder / "session.json").read_text()).encode()).hexdigest()
-    if kept.is_file():
-        old: dict[str, Any] = json.loads(kept.read_text())
+    if cached.is_file():
+        old: dict[str, Any] = json.loads(cached.read_text())
         if resume or old["key"] == key:
             row: Row = old["row"]
             return row
     recordings, machine = session.recordings(), session.machine()
     began = time.process_time()
     try:
-        row = scored(session, identify(recordings, machine))
-    except Exception as error:  # whatever it is, hours of other rigs must not be lost with it
+        row = score_session(session, identify(recordings, machine))
+    except Exception as error:  # an error on one rig must not lose the hours of the others
         return {"rig": case.name, "failed": "".join(traceback.format_exception(error))}
-    row["cpu_seconds"] = round(time.process_time() - began, 2)  # of all threads: what other load does not change
-    write_text(kept, json.dumps({"key": key, "row": row}, indent=1) + "\n")
+    row["cpu_seconds"] = round(time.process_time() - began, 2)  # of all threads; other load does not change it
+    write_text(cached, json.dumps({"key": key, "row": row}, indent=1) + "\n")
     return row
 
 
-def rows_of(some: list[Case], folder: str, jobs: int, resume: bool) -> Iterator[Row]:
-    """The rigs' rows as they come, in order."""
+def identify_cases(selection: list[Case], folder: str, jobs: int, resume: bool) -> Iterator[Row]:
+    """Yield the rows of some rigs, in order."""
     key = source_key()
     if jobs < 2:
-        yield from (answered(case, folder, key, resume) for case in some)
+        yield from (identify_case(case, folder, key, resume) for case in selection)
         return
-    count = len(some)
+    count = len(selection)
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        yield from pool.map(answered, some, [folder] * count, [key] * count, [resume] * count)
+        yield from pool.map(identify_case, selection, [folder] * count, [key] * count, [resume] * count)
 
 
 def line(row: Row) -> str:
-    """One rig on one line, as it is done."""
+    """Format the row of a rig in one line."""
     if "failed" in row:
         return f"{'CRASHED':12} {row['rig']}\n{row['failed']}"
     named = row["found"] or row["verdict"]
@@ -110,8 +125,8 @@ def line(row: Row) -> str:
 
 
 def show(console: Console, rows: list[Row]) -> None:
-    """Every rig, and the count by set."""
-    table = Table("rig", "found", "", "noise ratio", "tool, um", "worst parameter", "s", "cpu s")
+    """Print a table of all rigs and one of all sets."""
+    table = Table("rig", "identified", "", "noise ratio", "tool, um", "largest parameter error", "s", "cpu s")
     for r in rows:
         worst = max(r["parameter_error"].values(), default=None)
         table.add_row(
@@ -135,7 +150,7 @@ def show(console: Console, rows: list[Row]) -> None:
 
 
 def summary(rows: list[Row]) -> dict[str, Any]:
-    """Counts by score, medians over the rigs, and how many keep to what is asked of them."""
+    """Summarize rows: counts by score, medians, and the number of rigs that meet the requirements."""
 
     def median(values: list[float]) -> float:
         return float(np.median(values))
@@ -154,56 +169,57 @@ def summary(rows: list[Row]) -> dict[str, Any]:
             "cpu_seconds": median([r["cpu_seconds"] for r in rows]),
         },
         "named_not_there": sum(r["score"] in ("extra", "wrong", "false alarm") for r in rows),
-        "to_noise": sum(r["after"] <= TO_NOISE for r in rows),
-        "parameters": {"rigs": len(worst), "within": sum(error <= WITHIN for error in worst)},
+        "to_noise": sum(r["after"] <= MAX_NOISE_RATIO for r in rows),
+        "parameters": {"rigs": len(worst), "within": sum(error <= MAX_PARAMETER_ERROR for error in worst)},
         "most_seconds": max(r["seconds"] for r in rows),
     }
 
 
 def write(rows: list[Row]) -> None:
-    """results/identification_SET.json of every set that is complete."""
-    known = cases().values()
+    """Write results/identification_SET.json for every complete set."""
+    every_case = cases().values()
     for group in dict.fromkeys(r["group"] for r in rows):
-        some = [r for r in rows if r["group"] == group]
-        if len(some) == sum(case.group == group for case in known):
+        of_group = [r for r in rows if r["group"] == group]
+        if len(of_group) == sum(case.group == group for case in every_case):
             name = f"identification_{group.replace('-', '_')}"
-            write_results(name, {"summary": summary(some), "rigs": some}, seed=None)
+            write_results(name, {"summary": summary(of_group), "rigs": of_group}, seed=None)
 
 
 def overview() -> None:
-    """results/identification.json, a line for every set, and docs/figures/identification_*.png, from the results."""
+    """Write results/identification.json and docs/figures/identification_*.png from the results of all sets."""
     from benchmarks.identification_plots import draw  # matplotlib, which only this needs
 
-    known = dict.fromkeys(case.group for case in cases().values())
-    files = {group: RESULTS / f"identification_{group.replace('-', '_')}.json" for group in known}
+    groups = dict.fromkeys(case.group for case in cases().values())
+    files = {group: RESULTS / f"identification_{group.replace('-', '_')}.json" for group in groups}
     rows = {group: json.loads(file.read_text())["rigs"] for group, file in files.items() if file.is_file()}
-    write_results("identification", {"sets": {group: summary(some) for group, some in rows.items()}}, seed=None)
-    draw([row for some in rows.values() for row in some])
+    write_results("identification", {"sets": {group: summary(of_group) for group, of_group in rows.items()}}, seed=None)
+    draw([row for of_group in rows.values() for row in of_group])
 
 
 def main() -> None:
+    """Identify the rigs that the command line names, and print and write the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sets", nargs="*", metavar="SET")
-    parser.add_argument("--only", action="append", default=[], metavar="NAME", help="of these sets, only this rig")
-    parser.add_argument("--jobs", type=int, default=1, help="rigs at once")
-    parser.add_argument("--resume", action="store_true", help="take earlier answers although the source has changed")
+    parser.add_argument("--only", action="append", default=[], metavar="NAME", help="only this rig of the sets")
+    parser.add_argument("--jobs", type=int, default=1, help="number of parallel processes")
+    parser.add_argument("--resume", action="store_true", help="use cached results although the source has changed")
     parser.add_argument(
-        "--rigs", default=DEFAULT_FOLDER, metavar="DIR", help="recordings (made where they are missing)"
+        "--rigs", default=DEFAULT_FOLDER, metavar="DIR", help="folder of the recordings (recorded if missing)"
     )
     arguments = parser.parse_args()
     sets = arguments.sets or (["all"] if arguments.only else ["examples", "all"])
     try:
-        some = chosen([name for name in sets if name not in ("examples", "plots")])
+        selection = select_cases([name for name in sets if name not in ("examples", "plots")])
         if arguments.only:
-            only = {case.name for case in chosen(arguments.only)}
-            some = [case for case in some if case.name in only]
+            only = {case.name for case in select_cases(arguments.only)}
+            selection = [case for case in selection if case.name in only]
     except ValueError as error:
         parser.error(str(error))
     console = Console(width=170)
     if "examples" in sets:
         examples(console)
     rows = []
-    for row in rows_of(some, arguments.rigs, arguments.jobs, arguments.resume):
+    for row in identify_cases(selection, arguments.rigs, arguments.jobs, arguments.resume):
         console.print(line(row), highlight=False, markup=False, soft_wrap=True)
         rows.append(row)
     done = [row for row in rows if "failed" not in row]

@@ -1,9 +1,9 @@
-"""The stage as a careful MuJoCo user would write it: what the kernel is compared with.
+"""Model the stage in MuJoCo as a careful user would, for comparison with the kernel.
 
-Four joints with diagonal inertia (the cart rides on the bridge), three fixed tendons as belts, `frictionloss` as
-Coulomb friction, joint damping with the motors' back-EMF in it, motors with the gear's force per volt.  A tendon's
-stiffness is constant, so it is the stage with belts of constant stiffness.  Nothing that costs time and does nothing
-here is left on: no contacts, gravity, limits or sensors.
+The model has four joints with diagonal inertia (the cart rides on the bridge), three fixed tendons as belts,
+`frictionloss` as Coulomb friction, joint damping that includes the motors' back-EMF, and motors with the gear's force
+per volt. The stiffness of a tendon is constant, so this is the stage with belts of constant stiffness. Everything that
+costs time without an effect on this model is switched off: contacts, gravity, limits and sensors.
 """
 
 from __future__ import annotations
@@ -20,10 +20,9 @@ from hframe_gym.machine import Machine, with_constant_stiffness
 
 Array = NDArray[np.float64]
 
-# MuJoCo's friction is a soft constraint that brings a speed to zero within the time constant of `solreffriction` (20 ms
-# by default) and creeps by the impedance of `solimpfriction`.  `default` is what a model gets who does not know;
-# `stiff` is as close to dry friction as MuJoCo allows: stopped within one step (its lower bound, two steps, is one over
-# the damping it stands for), impedance next to one.
+# MuJoCo's friction is a soft constraint: it brings a velocity to zero within the time constant of `solreffriction` (20
+# ms by default) and creeps according to the impedance of `solimpfriction`. `default` uses these defaults. `stiff` is as
+# close to dry friction as MuJoCo allows: the smallest permitted time constant, two steps, and an impedance near one.
 FRICTION = {
     "default": "",
     "stiff": 'solreffriction="{twice} 1" solimpfriction="0.9999 0.9999 0.001 0.5 2"',
@@ -39,7 +38,7 @@ SOLVERS = ("Newton", "PGS", "CG")
 
 
 class Choice(NamedTuple):
-    """A way to run MuJoCo: integrator, constraint solver and friction softness (a key of FRICTION)."""
+    """Settings of MuJoCo: integrator, constraint solver and softness of friction (a key of `FRICTION`)."""
 
     integrator: str = "Euler"
     solver: str = "PGS"
@@ -49,13 +48,22 @@ class Choice(NamedTuple):
         return f"{self.integrator}, {self.solver}, {self.friction} friction"
 
 
-def constant_at_centre(machine: Machine) -> Machine:
-    """The machine with every belt's stiffness as at zero travel, N/m."""
+def constant_at_center(machine: Machine) -> Machine:
+    """Return the machine with the stiffness of every belt as at zero travel."""
     return with_constant_stiffness(machine, {b.name: b.EA / b.rest_length for b in machine.belts})
 
 
 def xml(machine: Machine, step: float, choice: Choice) -> str:
-    """MuJoCo's model of an H-frame with four coordinates x, y, phi1, phi2; step in s."""
+    """Return MuJoCo's model of an H-frame with the coordinates x, y, phi1, phi2.
+
+    Args:
+        machine: Machine to model.
+        step: Integration step, s.
+        choice: Settings of MuJoCo.
+
+    Returns:
+        Model as XML.
+    """
     x, y, *motors = machine.coordinates
 
     def joint(name: str, kind: str, axis: str) -> str:
@@ -68,7 +76,7 @@ def xml(machine: Machine, step: float, choice: Choice) -> str:
     def inertia(mass: float, moment: float) -> str:
         return f'<inertial pos="0 0 0" mass="{mass!r}" diaginertia="{moment!r} {moment!r} {moment!r}"/>'
 
-    # The cart's mass moves with the bridge too: mass(x) is of both.
+    # The cart moves with the bridge, so mass(x) is that of both.
     slides = (
         f"<body>{inertia(x.mass - y.mass, 1.0)}{joint('x', 'slide', '1 0 0')}"
         f"<body>{inertia(y.mass, 1.0)}{joint('y', 'slide', '0 1 0')}</body></body>"
@@ -95,23 +103,37 @@ def xml(machine: Machine, step: float, choice: Choice) -> str:
 
 
 class MujocoStage:
-    """A batch of stages on MuJoCo's own multi-threaded rollout."""
+    """Batch of stages on MuJoCo's multi-threaded rollout.
+
+    Args:
+        machine: Machine of all stages.
+        step: Integration step, s.
+        choice: Settings of MuJoCo.
+        threads: Number of threads.
+    """
 
     def __init__(self, machine: Machine, step: float, choice: Choice, *, threads: int = 1) -> None:
         self.model = mujoco.MjModel.from_xml_string(xml(machine, step, choice))
-        # MuJoCo takes one data object a thread; with nthread = 0 it works in the caller's.
+        # MuJoCo needs one data object per thread; with nthread = 0 it works in the caller's thread.
         self._data = [mujoco.MjData(self.model) for _ in range(threads)]
         self._pool = _batch.Rollout(nthread=threads if threads > 1 else 0)
         self.size = mujoco.mj_stateSize(self.model, mujoco.mjtState.mjSTATE_FULLPHYSICS)
         self._states: Array = np.zeros((0, 0, 0))
 
     def close(self) -> None:
+        """Stop the threads."""
         self._pool.close()
 
     def run(self, start: Array, controls: Array) -> Array:
-        """Full states (B, steps, size) after every step, from start (B, size) under controls (B, steps, 2) V.
+        """Simulate all stages.
 
-        Columns 1-4 are positions, 5-8 velocities.  The array is reused by the next call.
+        Args:
+            start: Initial states, shape (batch, size).
+            controls: Voltages, V, shape (batch, steps, 2).
+
+        Returns:
+            States after every step, shape (batch, steps, size); columns 1 to 4 are positions, 5 to 8 velocities. The
+            next call reuses the array.
         """
         shape = (*controls.shape[:2], self.size)
         if self._states.shape != shape:
@@ -127,7 +149,15 @@ class MujocoStage:
         return self._states
 
     def positions(self, inputs: Array, steps: int) -> Array:
-        """Positions (B, n + 1, 4) from rest at the origin, inputs (B, n, 2) V each held for `steps` steps."""
+        """Simulate voltage histories from rest at the origin.
+
+        Args:
+            inputs: Voltages, V, shape (batch, n, 2).
+            steps: Number of integration steps for which each voltage is held.
+
+        Returns:
+            Positions x, y, phi1, phi2, shape (batch, n + 1, 4).
+        """
         start = np.zeros((len(inputs), self.size))
         states = self.run(start, np.repeat(inputs, steps, axis=1))[:, steps - 1 :: steps, 1:5]
         return np.concatenate([start[:, None, 1:5], states], axis=1)

@@ -1,14 +1,15 @@
-"""The paper's numbers and figures beside ours:  python -m benchmarks.paper
+"""Do the models agree with the paper? Every statement of its text beside the models, and its figures computed anew.
 
-Sollmann, Jouaneh and Lavender print parameters and describe their figures; the measured curves themselves are not in
-the text.  The table sets what the text says against what the models give; docs/figures/ has our versions of Figures 4
-to 7 and 10.
+    python -m benchmarks.paper
+
+Sollmann, Jouaneh and Lavender print parameters and describe their figures; the measured curves are not in the text. The
+table compares the statements with the models. docs/figures/ contains our versions of Figures 4 to 7 and 10. There is no
+randomness; versions are in results/paper.json.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -17,20 +18,19 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.results_file import write_results
+from benchmarks.results_file import FIGURES, write_results
 from hframe_gym.atomic_files import whole_file
 from hframe_gym.dynamics import simulate
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, mode_frequencies, with_constant_stiffness
 from hframe_gym.machine.presets import STIFFNESS
 
 Array = NDArray[np.float64]
-FIGURES = Path(__file__).parents[1] / "docs" / "figures"
-CENTRE = {"x": -0.2227, "y": -0.1163}  # m, where Table 1's stiffness holds
+CENTER = {"x": -0.2227, "y": -0.1163}  # m, where Table 1's stiffness holds
 LASER_RANGE = 0.1  # m
 
 
 class Row(NamedTuple):
-    """One statement of the paper: where, what it says, what we compute, and whether the two agree."""
+    """Statement of the paper: where it is, what it says, what the models give, and whether they agree."""
 
     where: str
     says: str
@@ -39,43 +39,52 @@ class Row(NamedTuple):
 
 
 def step(machine: Machine, volts: tuple[float, float], seconds: float) -> tuple[Array, Array]:
-    """Times (n,) and outputs (n, 4) phi1, phi2, x, y of a voltage step from rest at the origin."""
+    """Simulate a voltage step from rest at the origin.
+
+    Args:
+        machine: Machine to simulate.
+        volts: Voltages of motor 1 and 2, V.
+        seconds: Duration, s.
+
+    Returns:
+        Times, s, shape (n,), and outputs phi1, phi2, x, y, shape (n, 4).
+    """
     time = np.arange(round(seconds * 1e4) + 1) * 1e-4
     outputs = simulate(machine, time, np.tile(volts, (len(time), 1)), longest_step=0.1e-3).outputs
     return time, outputs
 
 
 def nonlinear() -> Machine:
-    """Table 3's friction with Table 1's stiffness, as in Section IV."""
+    """Return the machine with the friction of Table 3 and the stiffness of Table 1, as in Section IV."""
     return with_constant_stiffness(BUILTIN_MACHINES["hframe"](), STIFFNESS)
 
 
-def stiffness(machine: Machine, place: dict[str, float]) -> dict[str, float]:
-    """k = EA / length of each belt, N/m, with the carriage at `place`, m."""
-    return {b.name: b.EA / (b.rest_length + sum(f * place[c] for c, f in b.length.items())) for b in machine.belts}
+def stiffness(machine: Machine, position: dict[str, float]) -> dict[str, float]:
+    """Return k = EA / length of each belt, N/m, with the carriage at a position, m."""
+    return {b.name: b.EA / (b.rest_length + sum(f * position[c] for c, f in b.length.items())) for b in machine.belts}
 
 
-def swing(across: Array) -> float:
-    """Peak to peak, mm."""
-    return 1e3 * float(np.ptp(across))
+def peak_to_peak(position: Array) -> float:
+    """Return the peak-to-peak value of a position in m, mm."""
+    return 1e3 * float(np.ptp(position))
 
 
 def rows() -> list[Row]:
-    """Every statement of the text that a model can be held to."""
+    """Compare every statement of the text that a model can verify."""
     declared, linear, full = (
         BUILTIN_MACHINES["hframe"](),
         BUILTIN_MACHINES["hframe-linear"](),
         BUILTIN_MACHINES["hframe-order20"](),
     )
     friction, literal = nonlinear(), with_constant_stiffness(BUILTIN_MACHINES["hframe-literal"](), STIFFNESS)
-    found: list[Row] = []
+    statements: list[Row] = []
 
     def add(where: str, says: str, ours: str, agrees: bool | str) -> None:
-        found.append(Row(where, says, ours, agrees if isinstance(agrees, str) else "yes" if agrees else "no"))
+        statements.append(Row(where, says, ours, agrees if isinstance(agrees, str) else "yes" if agrees else "no"))
 
-    at_centre = stiffness(declared, CENTRE)
+    at_center = stiffness(declared, CENTER)
     for name, printed in STIFFNESS.items():
-        value = at_centre[name]
+        value = at_center[name]
         add(
             f"Table 1 from Table 4, k {name}", f"{printed:.5g} N/m", f"{value:.5g} N/m", abs(value / printed - 1) < 5e-4
         )
@@ -88,17 +97,22 @@ def rows() -> list[Row]:
         says = "8th and 20th order almost exactly the same"
         add(f"Fig. 4, {name}-move at 4 V", says, f"differ by {worst:.2f} mm of {1e3 * small[-1]:.1f}", worst < 0.5)
         rough = step(friction, volts, 0.3)[1][:, axis]
-        share = 100 * (rough[-1] / small[-1] - 1)
+        difference = 100 * (rough[-1] / small[-1] - 1)
         add(
             f"Figs. 5-7, {name} at 4 V",
             "linear and nonlinear match",
-            f"nonlinear {share:+.1f} % after 0.3 s",
-            abs(share) < 3,
+            f"nonlinear {difference:+.1f} % after 0.3 s",
+            abs(difference) < 3,
         )
     for volt in (2.0, 6.0):
         smooth, rough = (step(m, (-volt, -volt), 0.3)[1][-1, 3] for m in (linear, friction))
-        share = 100 * (rough / smooth - 1)
-        add(f"Figs. 5, 7 at {volt:.0f} V", "the linear model deviates", f"nonlinear {share:+.1f} %", abs(share) > 1)
+        difference = 100 * (rough / smooth - 1)
+        add(
+            f"Figs. 5, 7 at {volt:.0f} V",
+            "the linear model deviates",
+            f"nonlinear {difference:+.1f} %",
+            abs(difference) > 1,
+        )
     crept = 1e3 * abs(step(literal, (-2.0, 2.0), 0.5)[1][-1, 2])
     moved = 1e3 * abs(step(friction, (-2.0, 2.0), 0.5)[1][-1, 2])
     add(
@@ -124,16 +138,26 @@ def rows() -> list[Row]:
             f"{ratio:.2f}",
             "yes" if abs(ratio / says - 1) < 0.1 else "roughly",
         )
-    across = swing(step(friction, (-4.0, -4.0), 0.3)[1][:, 2])
-    add("Fig. 4a, x in a y-move", "about 0.2 mm, does not return", f"{across:.3f} mm", "lacking: the rig's own effect")
-    slight = swing(step(friction, (-2.0, 2.0), 0.5)[1][:, 3])
-    add("Fig. 7a, y in an x-move", "slight, below 1 mm", f"{slight:.3f} mm", "lacking: the rig's own effect")
-    add("Figs. 4-6, laser", "sticks at the end of its 100 mm", "no such sensor declared", "lacking: the sensor's range")
-    return found
+    across = peak_to_peak(step(friction, (-4.0, -4.0), 0.3)[1][:, 2])
+    add(
+        "Fig. 4a, x in a y-move",
+        "about 0.2 mm, does not return",
+        f"{across:.3f} mm",
+        "not modeled: an effect of that rig",
+    )
+    slight = peak_to_peak(step(friction, (-2.0, 2.0), 0.5)[1][:, 3])
+    add("Fig. 7a, y in an x-move", "slight, below 1 mm", f"{slight:.3f} mm", "not modeled: an effect of that rig")
+    add(
+        "Figs. 4-6, laser",
+        "sticks at the end of its 100 mm",
+        "no such sensor declared",
+        "not modeled: the sensor's range",
+    )
+    return statements
 
 
 def figure_step(number: int, volts: tuple[float, float], seconds: float, models: dict[str, Machine]) -> Figure:
-    """Displacement and motor angles of a voltage step, as Figures 4 to 7 have them."""
+    """Draw displacement and motor angles of a voltage step, as in Figures 4 to 7."""
     figure = Figure(figsize=(9, 5), layout="constrained")
     axes = figure.subplots(2, 2, sharex=True)
     labels = ("phi1 (rad)", "phi2 (rad)", "x (mm)", "y (mm)")
@@ -154,15 +178,15 @@ def figure_step(number: int, volts: tuple[float, float], seconds: float, models:
 
 
 def figure_stiffness() -> Figure:
-    """Stiffness of the belts over the workspace, as Figure 10 has it."""
+    """Draw the stiffness of the belts over the workspace, as in Figure 10."""
     machine = BUILTIN_MACHINES["hframe"]()
     figure = Figure(figsize=(9, 3.4), layout="constrained")
     for panel, axis in zip(figure.subplots(1, 2, sharey=True), ("x", "y"), strict=True):
         low, high = machine.coordinate(axis).range or (0.0, 0.0)
-        places = np.linspace(low, high, 101)
-        curves = [stiffness(machine, {"x": 0.0, "y": 0.0} | {axis: float(p)}) for p in places]
+        positions = np.linspace(low, high, 101)
+        curves = [stiffness(machine, {"x": 0.0, "y": 0.0} | {axis: float(p)}) for p in positions]
         for name in STIFFNESS:
-            panel.plot(1e3 * places, [1e-3 * c[name] for c in curves], label=name)
+            panel.plot(1e3 * positions, [1e-3 * c[name] for c in curves], label=name)
         panel.set(xlabel=f"{axis} (mm), the other at 0", ylabel="stiffness (N/mm)")
         panel.grid(alpha=0.3)
         panel.legend(frameon=False)
@@ -171,8 +195,9 @@ def figure_stiffness() -> Figure:
 
 
 def main() -> None:
+    """Print the table, draw the figures and write the results."""
     console = Console(width=140)
-    table = Table("where", "the paper says", "we compute", "agrees")
+    table = Table("where", "the paper says", "the models give", "agrees")
     statements = rows()
     for row in statements:
         table.add_row(*row)

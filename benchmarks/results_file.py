@@ -1,4 +1,4 @@
-"""Where a benchmark leaves its numbers: benchmarks/results/NAME.json, with the machine, the versions and the seed."""
+"""Write the results of a benchmark to benchmarks/results/NAME.json, with processor, versions and seed."""
 
 from __future__ import annotations
 
@@ -11,12 +11,14 @@ from typing import Any
 from hframe_gym.atomic_files import write_text
 from hframe_gym.dynamics.simulation import threads
 
-RESULTS = Path(__file__).parent / "results"
+ROOT = Path(__file__).parents[1]
+RESULTS = ROOT / "benchmarks" / "results"
+FIGURES = ROOT / "docs" / "figures"
 _PACKAGES = ("numpy", "numba", "scipy", "gymnasium", "mujoco", "envpool", "stable-baselines3", "torch", "casadi")
 
 
 def surroundings() -> dict[str, Any]:
-    """Processor, cores and versions that a number depends on."""
+    """Return the processor, the number of cores and the versions on which results depend."""
     versions = {}
     for package in _PACKAGES:
         try:
@@ -28,7 +30,16 @@ def surroundings() -> dict[str, Any]:
 
 
 def write_results(name: str, content: dict[str, Any], *, seed: int | None) -> Path:
-    """Write a benchmark's numbers, whole."""
+    """Write the results of a benchmark, completely or not at all.
+
+    Args:
+        name: Name of the file without its ending.
+        content: Results as plain data.
+        seed: Seed of the benchmark; None if each result has its individual one.
+
+    Returns:
+        Path of the file.
+    """
     path = RESULTS / f"{name}.json"
     write_text(path, json.dumps({"seed": seed, **surroundings(), **content}, indent=1) + "\n")
     return path

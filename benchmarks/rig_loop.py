@@ -1,4 +1,4 @@
-"""A controller on a rig of the independent simulator, in closed loop: full state in, voltages held for a period."""
+"""Run a controller in closed loop on a rig of the independent simulator, with full state and held voltages."""
 
 from __future__ import annotations
 
@@ -12,15 +12,20 @@ from hframe_gym.machine import Machine
 from tests.reference_simulator import Array, Rig, Stage
 
 PERIOD_S, DURATION_S = 0.01, 1.5
-SAMPLES = 10  # a control period
-# A nanometre in an episode, and many times the speed of the oracle's tolerances.
+SAMPLES = 10  # per control period
+# These tolerances cost a nanometer per episode and are many times faster than those of the oracle.
 RTOL, ATOL = 1e-7, 1e-10
 
 
 @dataclass(frozen=True)
 class Driven:
-    """B episodes, n samples: time_s (n,); of the tool, m, error (B, n) to its goal and contour (B, n) to its path, None
-    where there is none."""
+    """Result of closed-loop episodes.
+
+    Attributes:
+        time_s: Sample times, s, shape (n,).
+        error: Distance of the tool from its goal, m, shape (episodes, n).
+        contour: Distance of the tool from its path, m, shape (episodes, n); None if the task has no path.
+    """
 
     time_s: Array
     error: Array
@@ -28,9 +33,18 @@ class Driven:
 
 
 def drive(controller: Controller, rig: Rig, machine: Machine, task: Task, episodes: int, seed: int) -> Driven:
-    """A rig from rest through episodes of a task.
+    """Run episodes of a task on a rig, from rest.
 
-    machine: as declared, for the workspace and the drives' rated voltages.  seed: of starts and goals.
+    Args:
+        controller: Controller with full-state feedback.
+        rig: Stage to control.
+        machine: Declared machine, for the workspace and the drives' rated voltages.
+        task: Task of the episodes.
+        episodes: Number of episodes.
+        seed: Seed of starts and goals.
+
+    Returns:
+        Errors of all episodes.
     """
     workspace = np.array([machine.coordinate(axis).range for axis in ("x", "y")])
     starts, plan = task.begin(workspace, np.random.default_rng(seed).random((episodes, task.draws)))
@@ -45,8 +59,8 @@ def drive(controller: Controller, rig: Rig, machine: Machine, task: Task, episod
         position = np.array([stage.position for stage in stages])
         tool, elapsed = position[:, :2], np.full(episodes, now)
         error[:, k] = np.linalg.norm(tool - task.goal(plan, elapsed), axis=1)
-        off = task.contour(plan, tool, elapsed)
-        contour[:, k] = np.nan if off is None else off
+        distance = task.contour(plan, tool, elapsed)
+        contour[:, k] = np.nan if distance is None else distance
         if k == count:
             break
         if k % SAMPLES == 0:
@@ -58,8 +72,8 @@ def drive(controller: Controller, rig: Rig, machine: Machine, task: Task, episod
             }
             if task.ahead_s:
                 observation["preview"] = np.hstack([task.goal(plan, elapsed + ahead) for ahead in task.ahead_s])
-            seen = {key: values.astype(np.float32) for key, values in observation.items()}
-            volts = np.clip(controller.act(seen), -1.0, 1.0) * rated
+            batch = {key: values.astype(np.float32) for key, values in observation.items()}
+            volts = np.clip(controller.act(batch), -1.0, 1.0) * rated
         for stage, held in zip(stages, volts, strict=True):
             stage.step(held, time_s[k + 1])
     return Driven(time_s, error, None if np.isnan(contour).all() else contour)

@@ -1,4 +1,4 @@
-"""What an identification's answer is worth, given what the rig hides."""
+"""Score an identification against the effects that the rig hides."""
 
 from __future__ import annotations
 
@@ -11,43 +11,60 @@ from hframe_gym.identification import IdentificationResult
 from hframe_gym.identification.residual import channel_errors
 from hframe_gym.machine import Machine
 from tests.reference_simulator import Array
-from tests.rigs.planted import Planted
-from tests.rigs.rigs import Case
-from tests.rigs.sessions import Session
+from tests.rigs.cases import Case
+from tests.rigs.hidden_effects import HiddenEffect
+from tests.rigs.recording_sessions import Session
 
 RIGHT = ("right",)
 SCORES = ("right", "missed", "part", "extra", "wrong", "false alarm")
 
 
-def judged(case: Case, verdict: str, named: list[str]) -> str:
-    """One of SCORES for the labels (name@site) that were named.
+def classify(case: Case, verdict: str, named: list[str]) -> str:
+    """Classify the effects that an identification named.
 
-    right: all that is planted, by an accepted label, and nothing else. missed: nothing named. part: some of it, nothing
-    else. extra: all of it and more. wrong: something that is not there, and not all that is. false alarm: an effect in
-    a rig without any. Outside the library it is right to say `unexplained`, or to name a table of the right variable.
+    right: all hidden effects by an accepted label, and nothing else. missed: nothing. part: some of the hidden effects,
+    and nothing else. extra: all of them and others. wrong: others, but not all hidden ones. false alarm: an effect in a
+    rig without any. For effects outside the library it is right to answer `unexplained`, or to name a table over the
+    right variable.
+
+    Args:
+        case: The rig.
+        verdict: The identification's verdict.
+        named: Labels (name@site) of the identified effects.
+
+    Returns:
+        One of `SCORES`.
     """
     if case.kind == "none":
         return "false alarm" if named else "right"
-    harmless = {label for planted in case.planted for label in (*planted.accepted, *planted.also)}
-    strange = [label for label in named if label not in harmless]
+    harmless = {label for hidden in case.hidden_effects for label in (*hidden.accepted, *hidden.tolerated)}
+    unexpected = [label for label in named if label not in harmless]
     if case.kind == "outside":
-        if strange:
+        if unexpected:
             return "wrong"
         return "right" if named or verdict == "unexplained" else "missed"
-    there = [p for p in case.planted if set(p.accepted) & set(named)]
-    whole = all(p in there or p.silent for p in case.planted)
-    if strange:
-        return "extra" if whole else "wrong"
-    if whole:
+    identified = [hidden for hidden in case.hidden_effects if set(hidden.accepted) & set(named)]
+    complete = all(hidden in identified or hidden.absorbed for hidden in case.hidden_effects)
+    if unexpected:
+        return "extra" if complete else "wrong"
+    if complete:
         return "right"
     return "part" if named else "missed"
 
 
-def scored(session: Session, answer: IdentificationResult) -> dict[str, Any]:
-    """A row of the results: what was planted and found, errors before and after on the held-out runs, time."""
+def score_session(session: Session, answer: IdentificationResult) -> dict[str, Any]:
+    """Return a row of the results: hidden and identified effects, errors on the held-out runs, computing time.
+
+    Args:
+        session: The recorded rig.
+        answer: Result of its identification.
+
+    Returns:
+        Plain data.
+    """
     case = session.case
     named = [f.effect.label for f in answer.found]
-    score = judged(case, answer.verdict, named)
+    score = classify(case, answer.verdict, named)
     stages = {"declared": answer.declared, "before": answer.before, "after": answer.after}
     mean = {
         name: float(np.mean([e.noise_ratio for e in stage.held_out.channels.values() if e.noise_ratio is not None]))
@@ -59,7 +76,7 @@ def scored(session: Session, answer: IdentificationResult) -> dict[str, Any]:
         "kind": case.kind,
         "size": case.size,
         "runs": case.runs,
-        "hides": " + ".join(p.label for p in case.planted),
+        "hides": " + ".join(hidden.label for hidden in case.hidden_effects),
         "verdict": answer.verdict,
         "found": " + ".join(named),
         "rivals": {f.effect.label: list(f.rivals) for f in answer.found},
@@ -75,12 +92,12 @@ def scored(session: Session, answer: IdentificationResult) -> dict[str, Any]:
 
 
 def _tool_error(session: Session, answer: IdentificationResult, machine: Machine) -> float:
-    """Free-run error of the tool (x and y together) against the noise-free held-out runs, um rms."""
+    """Return the error of the tool in open-loop simulation of the noise-free held-out runs, um rms of x and y."""
     truth = session.truth()
     measured = {r.name: r.outputs for r in session.recordings()}
 
     def clean(name: str, outputs: Array) -> Array:
-        # The same offsets taken off as from the measurement.
+        # Subtract the same offsets as from the measurement.
         offset = np.nanmean(measured[name] - outputs, axis=0)
         return truth[name] - offset
 
@@ -90,21 +107,20 @@ def _tool_error(session: Session, answer: IdentificationResult, machine: Machine
 
 
 def _parameter_error(case: Case, answer: IdentificationResult) -> dict[str, float]:
-    """Relative error of the planted effects' parameters, by name@site.parameter, where they were named as planted."""
+    """Return the relative errors of parameters by name@site.parameter, for effects that were named by their label."""
     errors = {}
-    for planted in case.planted:
-        found = _same(planted, answer)
-        if found is None:
-            continue
-        for name, value in case.truth(planted).items():
-            if name in found:
-                # The sign of a sine's amplitude is half a period of its phase.
-                errors[f"{planted.label}.{name}"] = abs(abs(found[name]) / abs(value) - 1.0)
+    for hidden in case.hidden_effects:
+        estimates = _estimates(hidden, answer)
+        for name, value in case.true_parameters(hidden).items():
+            if name in estimates:
+                # A negative amplitude of a sine is a phase that differs by half a period.
+                errors[f"{hidden.label}.{name}"] = abs(abs(estimates[name]) / abs(value) - 1.0)
     return errors
 
 
-def _same(planted: Planted, answer: IdentificationResult) -> dict[str, float] | None:
+def _estimates(hidden: HiddenEffect, answer: IdentificationResult) -> dict[str, float]:
+    """Return the estimated parameters of a hidden effect; none if it was not named by its label."""
     for f in answer.found:
-        if f.effect.label == planted.label:
+        if f.effect.label == hidden.label:
             return dict(f.effect.parameters)
-    return None
+    return {}

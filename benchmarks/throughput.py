@@ -1,9 +1,11 @@
-"""How fast the kernel is: steps a second beside MuJoCo and SciPy, growth, first use, memory, and what limits it.
+"""How fast is the kernel? Steps per second against MuJoCo and SciPy, scaling, first use, memory, and the roofline.
 
     python -m benchmarks.throughput
 
-Everything compared runs in this one process, alternating, with the same random voltages (held for 10 ms) and the same
-step; a ratio is the median over repetitions, its spread their extremes.
+Compared: the generated kernel, MuJoCo's multi-threaded rollout with its fastest and its most accurate settings, and
+SciPy's LSODA. All of them run in this process, in turn, with the same random voltages (held for 10 ms) and the same
+integration step. A ratio is the median over the repetitions; the spread gives their extremes. Seed and versions are
+written to results/throughput.json.
 """
 
 from __future__ import annotations
@@ -18,7 +20,6 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -28,118 +29,48 @@ from rich.console import Console
 from rich.table import Table
 from scipy.integrate import solve_ivp
 
-from benchmarks.mujoco_stage import Choice, MujocoStage, constant_at_centre
+from benchmarks.kernel_batch import HOLD, PERIODS, REPEATS, SEED, STEP, VOLTS, KernelBatch, interleaved, random_voltages
+from benchmarks.mujoco_stage import Choice, MujocoStage, constant_at_center
 from benchmarks.results_file import write_results
 from hframe_gym.dynamics import friction, simulate
-from hframe_gym.dynamics.kernel import generate, in_blocks, kernel_for
+from hframe_gym.dynamics.kernel import generate
 from hframe_gym.dynamics.simd import LANES, fma, load, store
-from hframe_gym.dynamics.simulation import in_parallel, parameter_batch, threads
+from hframe_gym.dynamics.simulation import threads
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, linearize
 
 Array = NDArray[np.float64]
 
-SEED, STEP, HOLD = 7, 0.25e-3, 40  # HOLD steps a voltage
-STAGES, PERIODS, REPEATS = 4096, 10, 7
-VOLTS = 6.0
-CHUNK = 32  # blocks of lanes that are advanced together
-BAR, AIM = 300.0, 800.0
-# The fastest of MuJoCo's integrators and solvers on this stage, friction as dry as it allows; measured before the rest.
+STAGES = 4096
+BAR, AIM = 300.0, 800.0  # ratio of the kernel's rate to MuJoCo's: required and desired
+# MuJoCo's fastest integrator and solver on this stage with its driest friction; `fastest_choice` measures them all.
 FASTEST = Choice("Euler", "PGS", "stiff")
 MOST_ACCURATE = Choice("RK4", "Newton", "stiff")
 
 
-def voltages(batch: int, periods: int = PERIODS, inputs: int = 2) -> Array:
-    """Random voltages (periods, B, inputs)."""
-    return np.random.default_rng(SEED).uniform(-VOLTS, VOLTS, (periods, batch, inputs))
-
-
-@dataclass
-class KernelBatch:
-    """A batch of stages in blocks, ready to run."""
-
-    machine: Machine
-    batch: int
-
-    def __post_init__(self) -> None:
-        m = self.machine
-        self.kernel = kernel_for(m)
-        self.parameters = in_blocks(np.tile(parameter_batch(m), (self.batch, 1)))
-        self.blocks = len(self.parameters)
-        self.derived = np.zeros((self.blocks, len(self.kernel.layout.derived), LANES))
-        self.kernel.prepare_blocks(self.parameters, STEP, 0, self.blocks, self.derived)
-        self.inputs = [in_blocks(u) for u in voltages(self.batch, inputs=len(m.drives))]
-        self.state = np.zeros((self.blocks, 2 * len(m.coordinates) + 1, LANES))
-        # Compiled before the first clock starts.
-        self.kernel.advance_blocks(self.state, self.parameters, self.derived, self.inputs[0], STEP, 0, 0, 0)
-
-    def bytes_per_stage(self) -> float:
-        """Memory of a stage: state, parameters, derived numbers and voltages."""
-        arrays = (self.state, self.parameters, self.derived, self.inputs[0])
-        return sum(a.nbytes for a in arrays) / (self.blocks * LANES)
-
-    def advance(self, first: int, last: int) -> None:
-        # Like MuJoCo's rollout: some stages through their whole history, then the next; they stay in the cache.
-        for begin in range(first, last, CHUNK):
-            end = min(begin + CHUNK, last)
-            for u in self.inputs:
-                self.kernel.advance_blocks(self.state, self.parameters, self.derived, u, STEP, HOLD, begin, end)
-
-    def rate(self, *, parallel: bool, least: float = 0.1) -> float:
-        """Steps a second, from rest, over at least `least` s."""
-        run = (lambda: in_parallel(self.advance, self.blocks)) if parallel else (lambda: self.advance(0, self.blocks))
-        steps = 0
-        begin = time.perf_counter()
-        while (spent := time.perf_counter() - begin) < least or steps == 0:
-            self.state[:] = 0.0
-            run()
-            steps += self.batch * HOLD * len(self.inputs)
-        return steps / spent
-
-
 class MujocoBatch:
-    """The same batch on MuJoCo's rollout."""
+    """The same batch on MuJoCo's rollout.
+
+    Args:
+        machine: Machine of all stages; its belts get constant stiffness.
+        batch: Number of stages.
+        choice: Integrator, solver and friction.
+        count: Number of threads.
+    """
 
     def __init__(self, machine: Machine, batch: int, choice: Choice, count: int) -> None:
-        self.stage = MujocoStage(constant_at_centre(machine), STEP, choice, threads=count)
+        self.stage = MujocoStage(constant_at_center(machine), STEP, choice, threads=count)
         self.start = np.zeros((batch, self.stage.size))
-        self.controls = np.ascontiguousarray(np.repeat(voltages(batch).transpose(1, 0, 2), HOLD, axis=1))
+        self.controls = np.ascontiguousarray(np.repeat(random_voltages(batch).transpose(1, 0, 2), HOLD, axis=1))
 
     def rate(self) -> float:
-        """Steps a second, from rest."""
+        """Return the integrator steps per second, from rest."""
         begin = time.perf_counter()
         self.stage.run(self.start, self.controls)
         return self.controls.shape[0] * self.controls.shape[1] / (time.perf_counter() - begin)
 
 
-@dataclass(frozen=True)
-class Ratio:
-    """Rates of two simulators measured in turn."""
-
-    ours: list[float]
-    theirs: list[float]
-
-    @property
-    def each(self) -> list[float]:
-        return [a / b for a, b in zip(self.ours, self.theirs, strict=True)]
-
-    def report(self) -> dict[str, Any]:
-        return {
-            "ratio": statistics.median(self.each),
-            "spread": [min(self.each), max(self.each)],
-            "ours_steps_per_s": statistics.median(self.ours),
-            "theirs_steps_per_s": statistics.median(self.theirs),
-        }
-
-
-def interleaved(ours: Callable[[], float], theirs: Callable[[], float], repeats: int = REPEATS) -> Ratio:
-    """Both rates `repeats` times, alternating; one round before that is not counted."""
-    ours(), theirs()
-    pairs = [(ours(), theirs()) for _ in range(repeats)]
-    return Ratio([a for a, _ in pairs], [b for _, b in pairs])
-
-
 def fastest_choice(machine: Machine) -> dict[str, float]:
-    """MuJoCo's steps a second on one core, by integrator and solver, friction as dry as it allows."""
+    """Return MuJoCo's steps per second on one core by integrator and solver, with its driest friction."""
     from benchmarks.mujoco_stage import INTEGRATORS, SOLVERS
 
     rates = {}
@@ -151,14 +82,15 @@ def fastest_choice(machine: Machine) -> dict[str, float]:
     return rates
 
 
-def beside_mujoco(console: Console, machine: Machine) -> dict[str, Any]:
+def compare_with_mujoco(console: Console, machine: Machine) -> dict[str, Any]:
+    """Measure the rates of kernel and MuJoCo in turn, print them, and return the results."""
     table = Table(
-        title=f"Steps a second, step {STEP * 1e3:g} ms, {STAGES} stages, medians of {REPEATS} alternating runs"
+        title=f"Steps per second, step {STEP * 1e3:g} ms, {STAGES} stages, medians of {REPEATS} alternating runs"
     )
     for column in ("stage", "MuJoCo", "cores", "kernel M/s", "MuJoCo M/s", "ratio", "spread"):
         table.add_column(column)
     results: dict[str, Any] = {"mujoco_one_core_by_choice": fastest_choice(machine)}
-    constant = constant_at_centre(machine)
+    constant = constant_at_center(machine)
     cases = [
         ("belts follow the carriage", machine, FASTEST, threads()),
         ("belts follow the carriage", machine, FASTEST, 1),
@@ -179,20 +111,30 @@ def beside_mujoco(console: Console, machine: Machine) -> dict[str, Any]:
             name, str(choice), str(cores), f"{row[0]:.1f}", f"{row[1]:.3f}", f"{row[2]:.0f}", f"{low:.0f} - {high:.0f}"
         )
     console.print(table)
-    console.print(f"bar {BAR:g}, aim {AIM:g}, on all cores with belts that follow the carriage (MuJoCo's do not)")
+    console.print(
+        f"required {BAR:g}, desired {AIM:g}, on all cores with belts that follow the carriage (MuJoCo's do not)"
+    )
     return results
 
 
 def scipy_rate(machine: Machine, creep: float = 1e-4) -> float:
-    """Steps of 0.25 ms a second that LSODA (rtol 1e-6) is worth, friction smoothed by tanh over `creep` m/s."""
-    stage = constant_at_centre(machine)
+    """Return the equivalent steps of 0.25 ms per second of LSODA with rtol 1e-6.
+
+    Args:
+        machine: Machine to simulate; its belts get constant stiffness.
+        creep: Speed over which tanh smooths the Coulomb friction, m/s.
+
+    Returns:
+        Simulated time per second over 0.25 ms, 1/s.
+    """
+    stage = constant_at_center(machine)
     system = linearize(stage)
     mass = np.array([c.mass for c in stage.coordinates])
     coulomb = np.array([c.coulomb for c in stage.coordinates]) / mass
     scale = stage.radii / creep
     begin = time.perf_counter()
     z = np.zeros(8)
-    for u in voltages(1)[:, 0]:
+    for u in random_voltages(1)[:, 0]:
         forced = system.B @ u
 
         def rhs(_: float, z: Array, forced: Array = forced) -> Array:
@@ -205,9 +147,9 @@ def scipy_rate(machine: Machine, creep: float = 1e-4) -> float:
 
 
 def growth(console: Console) -> dict[str, Any]:
-    """Rates by batch, threads and machine."""
-    table = Table(title="Million steps a second by batch")
-    for column in ("machine", "threads", *(str(4**i) for i in range(8)), "bytes a stage"):
+    """Measure the kernel's rate by batch size, threads and machine."""
+    table = Table(title="Million steps per second by batch size")
+    for column in ("machine", "threads", *(str(4**i) for i in range(8)), "bytes per stage"):
         table.add_column(column, justify="right")
     results: dict[str, Any] = {}
     for name in ("hframe", "hframe-order20"):
@@ -226,15 +168,19 @@ _FIRST = """
 import time
 begin = time.perf_counter()
 import numpy as np
-from hframe_gym.machine import BUILTIN
-machine = BUILTIN["hframe"]()
+import hframe_gym
+machine = hframe_gym.load_machine("hframe")
 machine.simulate(np.arange(2001) * 1e-3, np.zeros((2001, 2)))
 print(time.perf_counter() - begin)
 """
 
 
 def first_use() -> dict[str, float]:
-    """Seconds from the first import to the first simulation's end in a new process: cache empty, then filled."""
+    """Measure the time from the first import to the end of the first simulation in a new process, s.
+
+    Returns:
+        The time with an empty kernel cache (cold_s) and with a filled one (warm_s).
+    """
     with tempfile.TemporaryDirectory() as folder:
         environment = os.environ | {"HFRAME_CACHE": folder, "NUMBA_CACHE_DIR": folder}
 
@@ -248,7 +194,7 @@ def first_use() -> dict[str, float]:
 
 
 def one_recording(machine: Machine) -> dict[str, float]:
-    """Milliseconds of one 2 s run at 1 kHz through `simulate`, warm: median and best of 200."""
+    """Measure the time of one simulation of 2 s at 1 kHz with a warm cache: median and minimum of 200, ms."""
     grid = np.arange(2001) * 1e-3
     inputs = np.repeat(np.random.default_rng(SEED).uniform(-VOLTS, VOLTS, (201, 2)), 10, axis=0)[:2001]
     spent = []
@@ -263,7 +209,7 @@ def one_recording(machine: Machine) -> dict[str, float]:
 
 
 class Counted:
-    """A number that counts what is done with it."""
+    """Value that counts the operations in which it takes part."""
 
     tally: ClassVar[Counter[str]] = Counter()
 
@@ -272,6 +218,7 @@ class Counted:
 
     @classmethod
     def of(cls, kind: str, *_: object) -> Counted:
+        """Count an operation and return its result."""
         cls.tally[kind] += 1
         return cls()
 
@@ -303,7 +250,7 @@ Counted.__neg__ = lambda self: Counted.of("bits")  # type: ignore[attr-defined]
 
 
 def operations(machine: Machine) -> Counter[str]:
-    """Vector operations of one step (of a block of lanes) in which no coordinate stops, from the generated source."""
+    """Count the vector operations of one step of a block in which no coordinate stops, from the generated source."""
     text = generate(machine)[0]
     body = text[text.index("def advance(") : text.index("@njit", text.index("def advance("))]
     kinds = {"fma": "fma", "where": "select", "copysign": "bits", "absolute": "bits", "load": "load", "store": "store"}
@@ -359,7 +306,7 @@ def _fma_chain(rows, count):  # type: ignore[no-untyped-def]
 
 
 def fma_peak(kernel: Callable[[Array, int], None], chains: int) -> float:
-    """Vector fused multiply-adds a second on one core."""
+    """Measure the vector fused multiply-adds per second on one core."""
     rows = np.full((2, LANES), 0.5)
     kernel(rows, 10)
     count = 2_000_000
@@ -372,7 +319,7 @@ def fma_peak(kernel: Callable[[Array, int], None], chains: int) -> float:
 
 
 def roofline(console: Console, machine: Machine) -> dict[str, Any]:
-    """Operations a step, share of the FMA peak, and whether arithmetic, latency or memory is the limit."""
+    """Measure which limit applies: arithmetic, latency or memory; print and return operations and rates."""
     kinds = operations(machine)
     flops = sum(kinds[k] * n for k, n in {"fma": 2, "add": 1, "multiply": 1, "divide": 1}.items())
     arithmetic = sum(n for k, n in kinds.items() if k not in ("load", "store"))
@@ -382,7 +329,7 @@ def roofline(console: Console, machine: Machine) -> dict[str, Any]:
     large = max(KernelBatch(machine, 16384).rate(parallel=False) for _ in range(3))
     single = max(KernelBatch(machine, 1).rate(parallel=False) for _ in range(5))
     smooth = KernelBatch(machine, LANES * 16)
-    smooth.inputs = [np.full_like(u, 12.0) for u in smooth.inputs]  # always forwards: no coordinate ever stops
+    smooth.inputs = [np.full_like(u, 12.0) for u in smooth.inputs]  # constant voltage: no coordinate ever stops
     steady = max(smooth.rate(parallel=False) for _ in range(7))
     blocks = rate / LANES
     results: dict[str, Any] = {
@@ -409,15 +356,15 @@ def roofline(console: Console, machine: Machine) -> dict[str, Any]:
     listed = ", ".join(f"{n} {k}" for k, n in sorted(kinds.items()))
     for name, value in (
         ("lanes", f"{LANES}"),
-        ("vector operations a step (no coordinate stops)", f"{arithmetic}: {listed}"),
-        ("floating-point operations a step and stage", f"{flops}"),
+        ("vector operations per step (no coordinate stops)", f"{arithmetic}: {listed}"),
+        ("floating-point operations per step and stage", f"{flops}"),
         ("measured FMA peak", f"{results['peak_gflops']:.1f} GFLOP/s ({peak / 1e9:.2f} G vector FMA/s)"),
         ("reached", f"{results['reached_gflops']:.1f} GFLOP/s, {100 * results['share_of_fma_peak']:.0f} % of peak"),
         (
             "vector operations issued",
-            f"{blocks * arithmetic / 1e9:.2f} G/s, {blocks * arithmetic / peak:.2f} a peak FMA",
+            f"{blocks * arithmetic / 1e9:.2f} G/s, {blocks * arithmetic / peak:.2f} per peak FMA",
         ),
-        ("time of a block's step", f"{1e9 / blocks:.1f} ns = {latency / blocks:.0f} dependent FMAs"),
+        ("time of one step of a block", f"{1e9 / blocks:.1f} ns = {latency / blocks:.0f} dependent FMAs"),
         ("of which friction events (a coordinate stops)", f"{100 * results['share_of_time_in_stops']:.0f} %"),
         ("without them", f"{LANES * 1e9 / steady:.1f} ns = {latency / steady * LANES:.0f} dependent FMAs"),
         ("cache: rate of 16 blocks over rate of 16384 stages", f"{rate / large:.2f}"),
@@ -425,13 +372,14 @@ def roofline(console: Console, machine: Machine) -> dict[str, Any]:
         table.add_row(name, value)
     console.print(table)
     console.print(
-        "What limits it: mostly the chain of dependent operations of one step (half-way point, belt lengths, division, "
-        "forces, friction, forces, friction, travel); two blocks interleaved by hand were 9 % faster.  Not memory."
+        "The limit is the chain of dependent operations of one step (midpoint, belt lengths, division, forces, "
+        "friction, forces, friction, travel), not memory; two blocks interleaved by hand were 9 % faster."
     )
     return results
 
 
 def main() -> None:
+    """Run all measurements and write the results."""
     console = Console(width=150)
     machine = BUILTIN_MACHINES["hframe"]()
     content: dict[str, Any] = {"step_s": STEP, "stages": STAGES}
@@ -443,11 +391,11 @@ def main() -> None:
     console.print("2 s at 1 kHz: " + ", ".join(f"{k} {v:.3f}" for k, v in content["one_recording"].items()))
     content["roofline"] = roofline(console, machine)
     content["growth"] = growth(console)
-    content["mujoco"] = beside_mujoco(console, machine)
+    content["mujoco"] = compare_with_mujoco(console, machine)
     content["scipy_lsoda_steps_per_s"] = scipy_rate(machine)
     ours = KernelBatch(machine, STAGES).rate(parallel=False)
     console.print(
-        f"SciPy LSODA, one stage: {content['scipy_lsoda_steps_per_s']:.0f} steps/s; one core of ours is "
+        f"SciPy LSODA, one stage: {content['scipy_lsoda_steps_per_s']:.0f} steps/s; one core of the kernel is "
         f"{ours / content['scipy_lsoda_steps_per_s']:.0f} times that"
     )
     write_results("throughput", content, seed=SEED)

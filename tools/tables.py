@@ -1,8 +1,8 @@
-"""Writes the tables of the pages below from benchmarks/results/*.json, and docs/effects.md from the library.
+"""Write the tables of the documentation from benchmarks/results/*.json, and docs/effects.md from the library.
 
     python -m tools.tables
 
-A table stands between `<!-- table: NAME -->` and `<!-- end -->`; whatever is there is replaced.
+The text of a page between `<!-- table: NAME -->` and `<!-- end -->` is replaced by the table of that name.
 """
 
 from __future__ import annotations
@@ -16,24 +16,32 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks.results_file import RESULTS
+from benchmarks.results_file import RESULTS, ROOT
 from hframe_gym.atomic_files import write_text
 from hframe_gym.effects import EFFECTS
 from hframe_gym.machine import Effect
 
-ROOT = Path(__file__).parents[1]
 PAGES = ("README.md", "RESULTS.md", "docs/identification.md")
 STAGES = ("declared", "before", "after")
 
 
 def markdown(header: Sequence[str], rows: Iterable[Sequence[str]], others: str = "---:") -> str:
-    """A Markdown table; all columns but the first to the right, or as `others` says."""
+    """Format a Markdown table.
+
+    Args:
+        header: Titles of the columns.
+        rows: Cells of the rows.
+        others: Alignment of all columns but the first. Default: right.
+
+    Returns:
+        The table as lines of text.
+    """
     lines = [header, ["---", *[others] * (len(header) - 1)], *rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 def identify_examples(results: dict[str, Any]) -> str:
-    """Held-out error of the shipped rigs by channel."""
+    """Format the held-out errors of the shipped rigs by channel."""
     rows = []
     for rig in ("rig_a", "rig_b"):
         for channel in results[rig]["after"]["held_out"]:
@@ -43,42 +51,42 @@ def identify_examples(results: dict[str, Any]) -> str:
 
 
 def real_machines_emps(results: dict[str, Any]) -> str:
-    """Relative force error of both EMPS records."""
+    """Format the relative force errors of both EMPS records."""
     rows = [[name, *(f"{100 * e[k]:.2f} %" for k in ("train", "test"))] for name, e in results["force_error"].items()]
     return markdown(["EMPS", "first record (fitted)", "second record (held out)"], rows)
 
 
 def identification(results: dict[str, Any]) -> str:
-    """All sets of rigs, a line each."""
+    """Format the summaries of all sets of rigs, one per row."""
     rows = []
-    for name, found in results["sets"].items():
-        median, parameters = found["median"], found["parameters"]
+    for name, summary in results["sets"].items():
+        median, parameters = summary["median"], summary["parameters"]
         rows.append(
             [
-                *(name, f"{found['rigs']}", f"{found['scores']['right']}", f"{found['named_not_there']}"),
-                *(f"{median['before']:.3g}", f"{median['after']:.3g}", f"{found['to_noise']}"),
+                *(name, f"{summary['rigs']}", f"{summary['scores']['right']}", f"{summary['named_not_there']}"),
+                *(f"{median['before']:.3g}", f"{median['after']:.3g}", f"{summary['to_noise']}"),
                 f"{parameters['within']} of {parameters['rigs']}" if parameters["rigs"] else "",
-                *(f"{median['um_after']:.2g}", f"{median['seconds']:.1f}", f"{found['most_seconds']:.0f}"),
+                *(f"{median['um_after']:.2g}", f"{median['seconds']:.1f}", f"{summary['most_seconds']:.0f}"),
             ]
         )
-    header = ["set", "rigs", "right", "named what is not there", "before", "after", "after <= 1.1", "parameters in 2 %"]
-    return markdown([*header, "um from the truth", "s", "slowest, s"], rows)
+    header = ["set", "rigs", "right", "false effects", "before", "after", "after <= 1.1", "parameters within 2 %"]
+    return markdown([*header, "tool error, um", "s", "slowest, s"], rows)
 
 
 def real_machines_ced(results: dict[str, Any]) -> str:
-    """Free-run error of the CED records over their own size."""
+    """Format the simulation errors of the CED records, relative to their standard deviation."""
     rows = [[name, *(f"{100 * e:.0f} %" for e in by.values())] for name, by in results["nrmse"].items()]
     return markdown(["CED", *next(iter(results["nrmse"].values()))], rows)
 
 
 def real_machines_xl330(results: dict[str, Any]) -> str:
-    """Free-run error of the XL330 logs, rad rms."""
+    """Format the simulation errors of the XL330 logs, rad rms."""
     rows = [[name, *(f"{e:.3g} rad" for e in by.values())] for name, by in results["rms_rad"].items()]
     return markdown(["XL330", *next(iter(results["rms_rad"].values()))], rows)
 
 
 def identification_set(results: dict[str, Any]) -> str:
-    """The set of rigs: what each hid and what was found."""
+    """Format the rigs of a set: hidden effects, identified effects, errors and time."""
     rows = [
         [
             *(r["rig"], r["hides"] or "nothing", r["found"] or r["verdict"], "yes" if r["hit"] else "**no**"),
@@ -86,34 +94,34 @@ def identification_set(results: dict[str, Any]) -> str:
         ]
         for r in results["rigs"]
     ]
-    return markdown(["rig", "hides", "found", "right", "before", "after", "s"], rows)
+    return markdown(["rig", "hidden", "identified", "right", "before", "after", "s"], rows)
 
 
 def paper(results: dict[str, Any]) -> str:
-    """What the paper says, beside what the models give."""
+    """Format the statements of the paper beside the values of the models."""
     rows = [list(row.values()) for row in results["statements"]]
-    return markdown(["where", "the paper says", "we compute", "agrees"], rows)
+    return markdown(["where", "the paper says", "the models give", "agrees"], rows)
 
 
 def accuracy(results: dict[str, Any]) -> str:
-    """Tip error of the kernel against the event-driven reference, and of MuJoCo's best choice at the same step."""
+    """Format the tool errors of the kernel, and of MuJoCo with its best settings at the same step."""
     rows = []
-    for voltage, found in results["against_reference"].items():
+    for voltage, errors in results["against_reference"].items():
         constant = results["constant_stiffness"].get(voltage, {}).get("median_errors_m")
-        for step, error in found["errors_m"].items():
-            numbers = [f"{1e6 * error[k]:.3g}" for k in ("median", "p95", "max")]
+        for step, error in errors["errors_m"].items():
+            cells = [f"{1e6 * error[k]:.3g}" for k in ("median", "p95", "max")]
             if constant:
                 rival = min(values[step] for name, values in constant.items() if name != "this kernel")
-                numbers += [f"{1e6 * rival:.4g}", f"{rival / constant['this kernel'][step]:.0f}"]
+                cells += [f"{1e6 * rival:.4g}", f"{rival / constant['this kernel'][step]:.0f}"]
             else:
-                numbers += ["", ""]
-            rows.append([f"+-{voltage}, {step}", *numbers])
-    header = ["voltages, step", "median um", "p95 um", "max um", "MuJoCo's median um, best choice", "over ours"]
+                cells += ["", ""]
+            rows.append([f"+-{voltage}, {step}", *cells])
+    header = ["voltages, step", "median um", "p95 um", "max um", "MuJoCo's median um, best settings", "ratio"]
     return markdown(header, rows)
 
 
 def throughput(results: dict[str, Any]) -> str:
-    """Steps per second over MuJoCo's rollout."""
+    """Format the steps per second of the kernel and of MuJoCo's rollout."""
     rows = [
         [
             name,
@@ -127,20 +135,20 @@ def throughput(results: dict[str, Any]) -> str:
 
 
 def env_speed(results: dict[str, Any]) -> str:
-    """The environment's steps beside its peers', and what share of them is the kernel."""
+    """Format the environment's speed relative to other environments, and the fraction of the kernel in a step."""
     rows = []
-    for name, found in results.items():
+    for name, result in results.items():
         if name.startswith(("over EnvPool", "single over")):
-            low, high = found["spread"]
-            rows.append([name, f"{found['ratio']:.2f} ({low:.2f} to {high:.2f})"])
+            low, high = result["spread"]
+            rows.append([name, f"{result['ratio']:.2f} ({low:.2f} to {high:.2f})"])
         elif name.startswith("share of"):
-            shares = (f"{100 * found[clock]['share']:.0f} % of {clock} time" for clock in ("processor", "wall"))
-            rows.append([name, ", ".join(shares)])
+            fractions = (f"{100 * result[clock]['share']:.0f} % of {clock} time" for clock in ("processor", "wall"))
+            rows.append([name.replace("share of the bare kernel", "fraction of the bare kernel"), ", ".join(fractions)])
     return markdown(["measure", "value"], rows)
 
 
 def her(results: dict[str, Any]) -> str:
-    """SAC with hindsight on the sparse reward."""
+    """Format the results of SAC with hindsight on the sparse reward."""
     rows = [
         [
             f"seed {r['seed']}",
@@ -152,91 +160,94 @@ def her(results: dict[str, Any]) -> str:
 
 
 def bound(results: dict[str, Any]) -> str:
-    """Controllers over the least possible time."""
+    """Format the controllers' settling times relative to the bound."""
     rows = []
     for name, c in results["controllers"].items():
         pairs = [c["ratio_of_means"], c["mean_of_ratios"]]
         ratios = [f"{r['mean']:.3f} ({r['ci95'][0]:.3f} to {r['ci95'][1]:.3f})" for r in pairs]
         rows.append([name, f"{100 * c['success']:.1f} %", f"{c['mean_s']:.3f}", *ratios])
-    return markdown(["controller", "in 0.2 mm", "after, s", "ratio of means", "mean of ratios"], rows)
+    return markdown(["controller", "within 0.2 mm", "settling time, s", "ratio of means", "mean of ratios"], rows)
 
 
 def controllers(results: dict[str, Any]) -> str:
-    """Contour error of the PIDs along paths, mm."""
+    """Format the contour errors of the controllers along paths, mm."""
     tasks = [t for t in results["tasks"] if t != "reach"]
     rows = []
     for name in results["tasks"][tasks[0]]:
         errors = [results["tasks"][t][name]["contour_mm"] for t in tasks]
         rows.append([name, *(f"{e['rms']['mean']:.3f} / {e['max']['mean']:.3f}" for e in errors)])
-    return markdown(["rms / largest contour error, mm", *tasks], rows)
+    return markdown(["rms / maximum contour error, mm", *tasks], rows)
 
 
 def agents(results: dict[str, Any]) -> str:
-    """Shipped agents on the same draws: settling over the physical bound, contour errors over the PID's."""
+    """Format the scores of the shipped agents relative to the physical bound (reach) and to the PID (track)."""
     tasks = results["tasks"]
     rows = []
-    for name, found in _by_agent(tasks["reach"], "reach"):
-        success = found["scores"]["success"]
-        shares = [f"{100 * success[band]:.1f} %" for band in ("1mm", "0.2mm", "0.05mm")]
+    for name, result in _by_agent(tasks["reach"], "reach"):
+        success = result["scores"]["success"]
+        rates = [f"{100 * success[band]:.1f} %" for band in ("1mm", "0.2mm", "0.05mm")]
         rows.append(
-            [name, *shares, f"{found['scores']['settling_s']['0.2mm']['mean']:.3f}", _ratio(found, "over_bound")]
+            [name, *rates, f"{result['scores']['settling_s']['0.2mm']['mean']:.3f}", _ratio(result, "over_bound")]
         )
-    reach = markdown(["agent", "in 1 mm", "in 0.2 mm", "in 0.05 mm", "0.2 mm after, s", "over the bound"], rows)
+    reach = markdown(
+        ["agent", "within 1 mm", "within 0.2 mm", "within 0.05 mm", "settling to 0.2 mm, s", "over the bound"], rows
+    )
     paths = list(tasks["track"]["compared"])
     by_path = [dict(_by_agent(tasks["track"], path)) for path in paths]
     rows = []
     for name in by_path[0]:
         cells = [
-            f"{found[name]['scores']['contour_mm']['rms']['mean']:.4f} mm, {_ratio(found[name], 'over_pid')}"
-            for found in by_path
+            f"{result[name]['scores']['contour_mm']['rms']['mean']:.4f} mm, {_ratio(result[name], 'over_pid')}"
+            for result in by_path
         ]
         rows.append([name, *cells])
-    for recipe, found in tasks["track"]["compared"][paths[0]].items():
-        if len(found["over_pid"]["by_seed"]) == 1:
+    for recipe, result in tasks["track"]["compared"][paths[0]].items():
+        if len(result["over_pid"]["by_seed"]) == 1:
             continue
         cells = [
             _ratio({"over_pid": tasks["track"]["compared"][path][recipe]["over_pid"]}, "over_pid") for path in paths
         ]
         rows.append([f"**{recipe}, all seeds**", *(f"**{cell}**" for cell in cells)])
-    track = markdown(["agent", *(f"{path}: off it rms, over the PID's" for path in paths)], rows)
+    track = markdown(["agent", *(f"{path}: rms contour error, over the PID's" for path in paths)], rows)
     return f"{reach}\n\n{track}"
 
 
 def _by_agent(task: dict[str, Any], name: str) -> Iterable[tuple[str, dict[str, Any]]]:
-    """Agents with their scores on one trial of a task, and their own ratios."""
-    for agent, found in task["agents"].items():
+    """Yield the agents of a task with their scores in one scenario and their ratios."""
+    for agent, result in task["agents"].items():
         recipe, _, seed = agent.partition("-seed")
         ratios = {over: r["by_seed"][int(seed or 0)] for over, r in task["compared"][name][recipe].items()}
-        yield agent, {"scores": found["scores"][name], **ratios}
+        yield agent, {"scores": result["scores"][name], **ratios}
 
 
-def _ratio(found: dict[str, Any], over: str) -> str:
-    mean, (low, high) = found[over]["mean"], found[over]["ci95"]
+def _ratio(result: dict[str, Any], over: str) -> str:
+    """Format a ratio with its interval."""
+    mean, (low, high) = result[over]["mean"], result[over]["ci95"]
     return f"{mean:.3f} ({low:.3f} to {high:.3f})"
 
 
 def closed_loop(results: dict[str, Any]) -> str:
-    """On how many rigs the corrected machine's controller is better, and by how much on each."""
+    """Format the number of rigs on which the corrected machine's controller is better, and the scores by rig."""
     rigs, decides, header = results["rigs"], results["decides"], ["declared", "refitted", "corrected"]
     rows = []
     for (who, label), over in itertools.product(decides.items(), ("declared", "refitted")):
-        gains = [found[who]["gain"][over][label] for found in rigs.values()]
+        gains = [result[who]["gain"][over][label] for result in rigs.values()]
         better = len(results["better"][f"{who} over {over}"])
         worse = sum(gain["ci95"][0] > 0.0 for gain in gains)
-        rows.append([f"{who} ({label}), over the {over}", f"{better}", f"{worse}", f"{len(rigs) - better - worse}"])
-    counts = markdown(["controller and measure, rigs", "better", "worse", "within doubt"], rows)
+        rows.append([f"{who} ({label}), over {over}", f"{better}", f"{worse}", f"{len(rigs) - better - worse}"])
+    counts = markdown(["controller (score), comparison", "better", "worse", "not significant"], rows)
     rows = []
-    for rig, found in rigs.items():
+    for rig, result in rigs.items():
         for who, label in decides.items():
-            scores = found[who]["scores"]
-            shares = {m: scores[m].get("success_0.2mm") for m in header}
+            scores = result[who]["scores"]
+            success = {m: scores[m].get("success_0.2mm") for m in header}
             cells = [
-                f"{scores[m][label]['mean']:.3f}" + (f", {100 * share['mean']:.0f} %" if share else "")
-                for m, share in shares.items()
+                f"{scores[m][label]['mean']:.3f}" + (f", {100 * rate['mean']:.0f} %" if rate else "")
+                for m, rate in success.items()
             ]
-            low, high = found[who]["gain"]["declared"][label]["ci95"]
+            low, high = result[who]["gain"]["declared"][label]["ci95"]
             rows.append([f"{rig}, {who}", *cells, f"{low:+.3f} to {high:+.3f}"])
-    return f"{counts}\n\n{markdown(['rig', *header, 'corrected less declared'], rows)}"
+    return f"{counts}\n\n{markdown(['rig', *header, 'corrected minus declared'], rows)}"
 
 
 IDENTIFICATION_SETS = ("library_full", "library_small", "pairs", "triples", "four_runs", "order20", "none", "outside")
@@ -260,16 +271,16 @@ TABLES: dict[str, Callable[[dict[str, Any]], str]] = {
 
 
 def surroundings(results: dict[str, Any]) -> str:
-    """One line: where the numbers were measured."""
+    """Return one line with the versions, cores and seed of a measurement."""
     versions = ", ".join(f"{k} {v}" for k, v in results["versions"].items())
     seed = "" if results["seed"] is None else f", seed {results['seed']}"
     return f"Python {results['python']}, {results['machine']['cores']} cores, {versions}{seed}."
 
 
 def fill(path: Path) -> None:
-    """Replace every table of a page whose results are there."""
+    """Replace the tables of a page for which there are results."""
 
-    def replaced(match: re.Match[str]) -> str:
+    def table(match: re.Match[str]) -> str:
         name = match[1]
         file = RESULTS / f"{name}.json"
         if not file.is_file():
@@ -279,47 +290,49 @@ def fill(path: Path) -> None:
         return f"<!-- table: {name} -->\n{TABLES[name](results)}{note}\n<!-- end -->"
 
     text = path.read_text()
-    write_text(path, re.sub(r"<!-- table: (\w+) -->.*?<!-- end -->", replaced, text, flags=re.DOTALL))
+    write_text(path, re.sub(r"<!-- table: (\w+) -->.*?<!-- end -->", table, text, flags=re.DOTALL))
 
 
 _EFFECTS_HEAD = """# Effects
 
-Made from `hframe_gym/effects/` by `python -m tools.tables`. Units in words follow the site: a force is N at x and
-Nm at a motor. An effect vanishes where its amplitude is zero.
+Generated from `hframe_gym/effects/` by `python -m tools.tables`. Units in words depend on the site: a force is in N at
+x and in Nm at a motor. An effect vanishes where its amplitude is zero.
 
 """
 _EFFECTS_TAIL = """
 ## Tables
 
-`smooth_force[VARIABLE]` and `smooth_friction[VARIABLE]` stand for what no formula here explains: straight lines between
-two dozen knots, against a position, a velocity, the way gone, or time.
+`smooth_force[VARIABLE]` and `smooth_friction[VARIABLE]` represent forces that no formula of the library explains:
+piecewise linear functions, with two dozen knots, of a position, a velocity, the distance traveled, or time.
 """
 
 
 def effects_page() -> str:
-    """docs/effects.md: the library as a table, then a section an effect."""
+    """Return docs/effects.md: the library as a table, then one section per effect."""
     rows = [[f"[`{e.name}`](#{e.name})", e.site, f"`{_in_cell(e.formula)}`"] for e in EFFECTS.values()]
     table = markdown(["effect", "site", "formula"], rows, "---")
     return f"{_EFFECTS_HEAD}{table}\n{''.join(map(_section, EFFECTS.values()))}{_EFFECTS_TAIL}"
 
 
 def _in_cell(text: str) -> str:
+    """Escape the separator of Markdown tables."""
     return text.replace("|", "\\|")
 
 
 def _section(effect: Effect) -> str:
-    """An effect's heading, what it is, its formula and parameters, and what no recording tells from it."""
+    """Return the section of an effect: description, formula, parameters, and equivalent effects."""
     text = inspect.getdoc(importlib.import_module(f"hframe_gym.effects.{effect.name}"))
     rows = [[f"`{p.name}`", p.unit, f"{p.lower:g} to {p.upper:g}", p.role] for p in effect.parameters]
     family = "" if effect.family == effect.name else f" Family: {effect.family}."
-    same = f"\n\nThe same for any recording: {', '.join(effect.equivalent)}." if effect.equivalent else ""
+    equivalent = f"\n\nEquivalent in every recording: {', '.join(effect.equivalent)}." if effect.equivalent else ""
     return (
-        f"\n## {effect.name}\n\n{text}\n\nAt: {effect.site}.{family} Source: {effect.source}.\n\n"
-        f"    {effect.formula}\n\n{markdown(['parameter', 'unit', 'bounds', 'kind'], rows, '---')}{same}\n"
+        f"\n## {effect.name}\n\n{text}\n\nSite: {effect.site}.{family} Source: {effect.source}.\n\n"
+        f"    {effect.formula}\n\n{markdown(['parameter', 'unit', 'bounds', 'kind'], rows, '---')}{equivalent}\n"
     )
 
 
 def main() -> None:
+    """Write all pages."""
     for page in PAGES:
         fill(ROOT / page)
     write_text(ROOT / "docs" / "effects.md", effects_page())

@@ -1,7 +1,7 @@
-"""Recordings of real machines through the same loop as any rig: fit, residual, trace, before and after.
+"""Does identification work on recordings of real machines? The same procedure as for any rig, before and after.
 
     python -m benchmarks.real_machines all | emps | ced | xl330 | printers
 
-One module a machine; each has `run(console)`, writes benchmarks/results/real_machines_NAME.json and a picture, and
-says what it skipped.  docs/real_machines.md tells where the data come from and what came out.
+There is one module per machine. Its function `run(console)` writes benchmarks/results/real_machines_NAME.json and a
+picture, or reports that the data are missing. docs/real_machines.md describes the origin of the data and the results.
 """

@@ -1,4 +1,4 @@
-"""python -m benchmarks.real_machines all"""
+"""Run the studies of real machines: python -m benchmarks.real_machines all."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ STUDIES = {"emps": emps.run, "ced": ced.run, "xl330": xl330.run, "printers": pri
 
 
 def main() -> None:
+    """Run the study that the command line names, or all of them."""
     parser = argparse.ArgumentParser(description="Recordings of real machines through the identification loop.")
     parser.add_argument("machine", choices=["all", *STUDIES])
-    chosen = parser.parse_args().machine
+    machine = parser.parse_args().machine
     console = Console(width=110)
     for name, run in STUDIES.items():
-        if chosen in ("all", name):
+        if machine in ("all", name):
             console.rule(name)
             run(console)
 

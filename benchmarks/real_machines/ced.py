@@ -1,7 +1,7 @@
-"""CED, two motors, a flexible belt and a pulley whose speed is counted without its sign: PRBS records.
+"""CED: two motors, a flexible belt and a pulley whose counter measures the absolute value of the speed; PRBS records.
 
-The tables have sensors of positions.  The conversion therefore gives the speed its sign back, piece by piece between
-its dips to zero, and integrates it.  Judged on the raw reading: |simulated speed| against the counter.
+Machines have position sensors. The conversion therefore restores the sign of the speed, piece by piece between its dips
+to zero, and integrates it. The evaluation uses the raw measurement: |simulated speed| against the counter.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from scipy import signal
 from benchmarks.real_machines.study import (
     MACHINES,
     Array,
-    by_stage,
     data_folder,
+    errors_by_machine,
     picture,
-    show,
-    show_effects,
+    print_effects,
+    print_errors,
     write_recording,
 )
 from benchmarks.results_file import write_results
@@ -29,13 +29,22 @@ from hframe_gym.identification import identify
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import Recording, load_machine, load_recordings
 
-HELD_OUT = "prbs_1"  # fitted: records of amplitude 1.5 and 0.5; the one between them is judged
+HELD_OUT = "prbs_1"  # the amplitudes 1.5 and 0.5 are fitted; the one between them is held out
 PUBLISHED_MODEL = ([5163.0], [1.0, 19.93, 509.8, 2835.0])  # speed per volt, as tabulated in public code
-_DIP = 0.25  # of the largest reading: a minimum below may be a change of sign
+_DIP = 0.25  # of the maximum; a minimum below this may be a change of sign
 
 
 def with_sign(speed: Array, drive: Array, period: float) -> Array:
-    """A speed (n,) from its absolute value: between two dips to zero, the sign of the published model's speed."""
+    """Restore the sign of a speed: between two dips to zero it is that of the published model's speed.
+
+    Args:
+        speed: Absolute value of the speed, shape (n,).
+        drive: Voltage, V, shape (n,).
+        period: Sampling period, s.
+
+    Returns:
+        Signed speed, shape (n,).
+    """
     A, B, C, D, _ = signal.cont2discrete(signal.tf2ss(*PUBLISHED_MODEL), period)
     guide = signal.dlsim((A, B, C, D, period), drive)[1][:, 0]
     dips, _ = signal.find_peaks(-speed, height=-_DIP * speed.max())
@@ -44,7 +53,7 @@ def with_sign(speed: Array, drive: Array, period: float) -> Array:
 
 
 def convert(source: Path, target: Path) -> None:
-    """The three PRBS records in the recordings' format: time_s, u_V, pulley_rad (integrated speed)."""
+    """Convert the three PRBS records to recordings: time_s, u_V, pulley_rad (the integrated speed)."""
     table = np.genfromtxt(source / "ced_prbs.csv", delimiter=",", names=True)
     for k in (1, 2, 3):
         period = float(np.median(np.diff(table["t_s"])))
@@ -56,14 +65,14 @@ def convert(source: Path, target: Path) -> None:
 
 
 def speed_of(machine: Machine, run: Recording) -> Array:
-    """Simulated pulley speed (n,), sensor units, free run from rest."""
+    """Return the pulley speed (n,) of an open-loop simulation from rest, in the sensor's units."""
     count = len(machine.coordinates)
     states = rollout(machine, run.time_s, run.inputs, velocities=True)[0]
     return states[:, count + machine.coordinate_names.index("pulley")]
 
 
 def run(console: Console) -> None:
-    """Error of |speed| on the held-out record over its standard deviation: published model, declared, before, after."""
+    """Identify CED and report the error of |speed| divided by the standard deviation of the measured speed."""
     source = data_folder("ced", console)
     if source is None:
         return
@@ -74,7 +83,7 @@ def run(console: Console) -> None:
     table = np.genfromtxt(source / "ced_prbs.csv", delimiter=",", names=True)
     counted = {f"prbs_{k}": table[f"z{k}"] for k in (1, 2, 3)}
 
-    def judge(m: Machine) -> dict[str, float]:
+    def measure(m: Machine) -> dict[str, float]:
         return {
             r.name + (" (held out)" if r.name == HELD_OUT else ""): float(
                 np.sqrt(np.mean((np.abs(speed_of(m, r)) - counted[r.name]) ** 2)) / np.std(counted[r.name])
@@ -83,9 +92,9 @@ def run(console: Console) -> None:
         }
 
     answer = identify(recordings, machine, held_out=(HELD_OUT,), say=console.print)
-    errors = by_stage(answer, judge)
-    show("CED, rms of |speed| over its std", "", errors, console)
-    show_effects(answer, console)
+    errors = errors_by_machine(answer, measure)
+    print_errors("CED, rms of |speed| over its std", "", errors, console)
+    print_effects(answer, console)
     panels = [
         (
             r.name,
@@ -98,5 +107,5 @@ def run(console: Console) -> None:
         )
         for r in recordings
     ]
-    picture("ced", "CED, absolute pulley speed in free run (prbs_1 held out)", panels, console)
+    picture("ced", "CED, absolute pulley speed in open-loop simulation (prbs_1 held out)", panels, console)
     write_results("real_machines_ced", {"nrmse": errors, "answer": answer.as_json()}, seed=None)

@@ -1,4 +1,4 @@
-"""What the studies share: where data lie, recordings written, an answer shown, stages judged, pictures."""
+"""Find data, write recordings, print results and draw pictures for the studies of real machines."""
 
 from __future__ import annotations
 
@@ -11,44 +11,51 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.results_file import FIGURES, ROOT
 from hframe_gym.atomic_files import whole_file
 from hframe_gym.identification import IdentificationResult
 from hframe_gym.machine import Machine
 
 Array = NDArray[np.float64]
 
-ROOT = Path(__file__).parents[2]
 MACHINES = ROOT / "benchmarks" / "machines"
-FIGURES = ROOT / "docs" / "figures"
 
 
 def data_folder(name: str, console: Console) -> Path | None:
-    """The folder of a machine's data, under $HFRAME_DATA or ../shared/data; None, and said, where it is not there."""
+    """Find the data of a machine in $HFRAME_DATA or ../shared/data.
+
+    Args:
+        name: Name of the machine's folder.
+        console: Output for the message that the data are missing.
+
+    Returns:
+        The folder, or None if it does not exist.
+    """
     base = Path(os.environ.get("HFRAME_DATA") or ROOT.parent / "shared" / "data")
     if (base / name).is_dir():
         return base / name
-    console.print(f"{name}: skipped, no folder {name} in $HFRAME_DATA (docs/real_machines.md tells where to get it)")
+    console.print(f"{name}: skipped, no folder {name} in $HFRAME_DATA (docs/real_machines.md lists the sources)")
     return None
 
 
 def write_recording(path: Path, columns: Mapping[str, Array]) -> None:
-    """A recording by column names, whole."""
+    """Write a recording, completely or not at all; columns by name."""
     table = np.column_stack(list(columns.values()))
     with whole_file(path) as temporary:
         np.savetxt(temporary, table, fmt="%.9g", delimiter=",", header=",".join(columns), comments="")
 
 
 def machines_of(answer: IdentificationResult) -> dict[str, Machine]:
-    """The machines of an answer's three stages, as tables name them."""
+    """Return the declared, the refitted and the identified machine by the name that tables give them."""
     return {
         "declared": answer.declared.machine,
         "before: refitted": answer.before.machine,
-        "after: with the effects found": answer.after.machine,
+        "after: with the identified effects": answer.after.machine,
     }
 
 
-def show(title: str, unit: str, errors: Mapping[str, Mapping[str, float]], console: Console) -> None:
-    """Errors by stage and record set as a table."""
+def print_errors(title: str, unit: str, errors: Mapping[str, Mapping[str, float]], console: Console) -> None:
+    """Print errors by machine and set of records."""
     columns = list(next(iter(errors.values())))
     table = Table(title, *columns)
     for stage, values in errors.items():
@@ -56,8 +63,8 @@ def show(title: str, unit: str, errors: Mapping[str, Mapping[str, float]], conso
     console.print(table)
 
 
-def show_effects(answer: IdentificationResult, console: Console) -> None:
-    """The verdict, the effects found with how sure they are, or what the residual follows."""
+def print_effects(answer: IdentificationResult, console: Console) -> None:
+    """Print the identified effects with their uncertainty, the verdict, and what the residual depends on."""
     report = answer.as_json()
     table = Table("effect", "parameter", "value", "std", "unit", "held-out gain", "rivals")
     for e in report["effects"]:
@@ -71,7 +78,7 @@ def show_effects(answer: IdentificationResult, console: Console) -> None:
         console.print(table)
     follows = ", ".join(f"{d['variable']} {100 * d['share']:.0f} %" for d in report["residual"]["depends_on"][:4])
     console.print(
-        f"verdict {report['verdict']} in {report['seconds']:.1f} s; the residual force before followed: {follows}"
+        f"verdict {report['verdict']} in {report['seconds']:.1f} s; the residual force before depends on: {follows}"
     )
 
 
@@ -82,7 +89,15 @@ def picture(
     console: Console,
     abscissa: str = "s",
 ) -> None:
-    """Curves, one panel each (label, abscissa, curves by name), into docs/figures/real_NAME.png."""
+    """Draw curves to docs/figures/real_NAME.png.
+
+    Args:
+        name: Name of the machine.
+        title: Title of the figure.
+        panels: Label of the ordinate, abscissa, and curves by name, one per panel.
+        console: Output for the message that matplotlib is missing.
+        abscissa: Label of the abscissa.
+    """
     try:
         from matplotlib.figure import Figure
     except ImportError:
@@ -101,6 +116,16 @@ def picture(
         figure.savefig(temporary, dpi=110)
 
 
-def by_stage(answer: IdentificationResult, judge: Callable[[Machine], dict[str, float]]) -> dict[str, dict[str, float]]:
-    """A judge's numbers for each stage of an answer."""
-    return {stage: judge(machine) for stage, machine in machines_of(answer).items()}
+def errors_by_machine(
+    answer: IdentificationResult, measure: Callable[[Machine], dict[str, float]]
+) -> dict[str, dict[str, float]]:
+    """Return the errors of the declared, the refitted and the identified machine.
+
+    Args:
+        answer: Result of the identification.
+        measure: Function that returns the errors of a machine by set of records.
+
+    Returns:
+        Errors by the name of the machine.
+    """
+    return {stage: measure(machine) for stage, machine in machines_of(answer).items()}

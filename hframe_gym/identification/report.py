@@ -1,10 +1,9 @@
-"""report.html: one self-contained page a person reads in two minutes, built from the files of an answer."""
+"""report.html: one self-contained page about a result, built from the files of its folder."""
 
 from __future__ import annotations
 
 import base64
-import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,88 +13,103 @@ from numpy.typing import NDArray
 from ..atomic_files import write_text
 from ..errors import InputError
 from ..machine import Machine
-from ..recordings import load_machine
-from .parameter_diagnostics import parameter_doubts
-from .plots import TABLE, draw_plots
+from .covariance import parameter_doubts
+from .plots import TABLE_FAMILY, draw_plots
+from .saved_result import load_result
 
 Array = NDArray[np.float64]
-_COLOURS = {"effect_found": "#2a7f62", "no_effect": "#4a6fa5", "unexplained": "#c77d0a"}
+_COLORS = {"effect_found": "#2a7f62", "no_effect": "#4a6fa5", "unexplained": "#c77d0a"}
 _SCALES = {"m": ((1e6, "µm"), (1e3, "mm")), "rad": ((1e3, "mrad"),)}
 _STAGES = ("declared", "before", "after")
-# Of a coordinate's top speed: below it friction shows what it does at low speed.
-_SLOW = 0.05
-# Over the sensors' noise: a free run this far off, of a machine judged by its force, has drifted.
-_DRIFTED = 50.0
+_SLOW = 0.05  # Fraction of a coordinate's top speed below which friction shows its behavior at low speed.
+_MAX_NOISE_RATIO = 50.0  # Simulation error over noise beyond which the simulation drifted, if a force error exists.
 
 
 def build_report(folder: Path) -> Path:
-    """Draw the plots of an answer's folder and write report.html into it; returns the page's path.
+    """Draw the plots of a result and write report.html.
 
-    Raises InputError where the folder holds no answer, ImportError naming the extra where a library is missing.
+    Args:
+        folder: Folder that `hframe identify` wrote.
+
+    Returns:
+        Path of the page.
+
+    Raises:
+        InputError: If the folder holds no result or a file of it is damaged; the message names the file.
+        ImportError: If a library of the extra ``report`` is missing.
     """
     try:
         from jinja2 import Environment, PackageLoader
     except ImportError:
-        raise ImportError("the report needs the extra: pip install 'hframe_gym[report]'") from None
-    if not (folder / "report.json").is_file():
-        raise InputError(f"{folder}: no report.json here; run `hframe identify` first")
-    report = json.loads((folder / "report.json").read_text())
-    machine, declared = load_machine(folder / "machine.json"), load_machine(folder / "declared.json")
+        raise ImportError("the report needs more packages: pip install 'hframe_gym[report]'") from None
+    saved = load_result(folder)
+    report, machine, curves = saved.report, saved.machine, saved.curves
     channels = list(machine.output_channels)
-    with np.load(folder / "evidence.npz") as file:
-        evidence = dict(file)
-    drawn = draw_plots(report, evidence, machine, folder / "plots")
-    page = Environment(loader=PackageLoader("hframe_gym.identification"), autoescape=True).get_template(
-        "report.html.j2"
-    )
-    text = page.render(
-        title=f"What {declared.name} lacks",
-        report=report,
-        sentence=verdict_sentence(report, channels),
-        colour=_COLOURS[report["verdict"]],
-        channels=[_channel_row(report, c) for c in channels],
-        force=_force_row(report),
-        runs=[_run_row(report, evidence, channels, run) for run in report["runs"]["held_out"]],
-        effects=_effect_rows(report, machine),
-        parameters=_parameter_rows(machine, declared),
-        slow=_slow_shares(evidence),
-        plots={p.stem: "data:image/png;base64," + base64.b64encode(p.read_bytes()).decode() for p in drawn},
-    )
-    write_text(folder / "report.html", text)
+    environment = Environment(loader=PackageLoader("hframe_gym.identification"), autoescape=True)
+    try:
+        plots = draw_plots(report, curves, machine, folder / "plots")
+        text = environment.get_template("report.html.j2").render(
+            title=f"Identification of {saved.declared.name}",
+            report=report,
+            sentence=verdict_sentence(report, channels),
+            color=_COLORS[report["verdict"]],
+            channels=[_channel_row(report, c) for c in channels],
+            force=_force_row(report),
+            runs=[_run_row(report, curves, channels, run) for run in report["runs"]["held_out"]],
+            effects=_effect_rows(report, machine),
+            parameters=_parameter_rows(machine, saved.declared),
+            slow=_slow_fractions(curves),
+            plots={p.stem: "data:image/png;base64," + base64.b64encode(p.read_bytes()).decode() for p in plots},
+        )
+        write_text(folder / "report.html", text)
+    except OSError as error:
+        raise InputError(f"{error.filename or folder}: cannot be written ({error.strerror})") from None
     return folder / "report.html"
 
 
-def verdict_sentence(report: Mapping[str, Any], channels: list[str]) -> str:
-    """The verdict as a person would say it."""
+def verdict_sentence(report: Mapping[str, Any], channels: Sequence[str]) -> str:
+    """Return the verdict in words.
+
+    Args:
+        report: Content of report.json.
+        channels: Output channels of the machine.
+
+    Returns:
+        One or two sentences.
+    """
 
     def noise_ratio(stage: str) -> float:
         ratios = [report[stage]["held_out"][c]["noise_ratio"] for c in channels]
-        return float(np.mean([r for r in ratios if r is not None]))
+        measured = [ratio for ratio in ratios if ratio is not None]
+        return float(np.mean(measured)) if measured else float("nan")
 
-    drifts = "force_error" in report["after"]["held_out"] and noise_ratio("after") > _DRIFTED
+    by_force = "force_error" in report["after"]["held_out"] and noise_ratio("after") > _MAX_NOISE_RATIO
+    unit = "% of the drives' force" if by_force else "times the sensors' noise"
 
-    unit = "% of the drives' force" if drifts else "times the sensors' noise"
-
-    def size(stage: str) -> str:
-        return f"{100 * report[stage]['held_out']['force_error'] if drifts else noise_ratio(stage):.3g}"
+    def error(stage: str) -> str:
+        return f"{100 * report[stage]['held_out']['force_error'] if by_force else noise_ratio(stage):.3g}"
 
     if report["verdict"] == "effect_found":
-        names = " and ".join(f"{e['name'].replace('_', ' ')} at {e['site']}" for e in report["effects"])
-        found = "an effect that its model lacks" if len(report["effects"]) == 1 else "effects that its model lacks"
+        names = ", ".join(f"{e['name'].replace('_', ' ')} at {e['site']}" for e in report["effects"])
+        single = len(report["effects"]) == 1
+        subject, pronoun = ("an effect", "it") if single else (f"{len(report['effects'])} effects", "them")
         return (
-            f"The machine has {found}: {names}. The error on runs never fitted falls from {size('before')} to "
-            f"{size('after')} {unit}."
+            f"The machine has {subject} that its model lacks: {names}. With {pronoun}, the error on the held-out runs "
+            f"falls from {error('before')} to {error('after')} {unit}."
         )
     if report["verdict"] == "no_effect":
-        return f"Nothing is missing: refitted, the declared model predicts to {size('before')} {unit}."
+        return (
+            "No effect is missing: with refitted parameters, the error of the declared model on the held-out runs is "
+            f"{error('before')} {unit}."
+        )
     return (
-        f"The refitted model misses by {size('before')} {unit}, and no known effect explains it. "
-        "What the residual follows is listed below."
+        f"The error of the refitted model on the held-out runs is {error('before')} {unit}, and no known effect "
+        "explains it. The variables that the residual depends on are listed below."
     )
 
 
-def _measured(channel: str, rmse: float | None) -> str:
-    """An error in a unit that keeps it readable: `19.7 µm`, `3.66 mm`, `0.15 mrad`."""
+def _with_unit(channel: str, rmse: float | None) -> str:
+    """Return an error in a readable unit: `19.7 µm`, `3.66 mm`, `0.15 mrad`."""
     if rmse is None:
         return "not measured"
     base = channel.rpartition("_")[2]
@@ -104,43 +118,45 @@ def _measured(channel: str, rmse: float | None) -> str:
 
 
 def _channel_row(report: Mapping[str, Any], channel: str) -> dict[str, str]:
+    """Return the errors of one channel for each machine."""
     errors = {stage: report[stage]["held_out"][channel] for stage in _STAGES}
-    row = {stage: _measured(channel, e["rmse"]) for stage, e in errors.items()}
+    row = {stage: _with_unit(channel, e["rmse"]) for stage, e in errors.items()}
     ratio = errors["after"]["noise_ratio"]
     return row | {"name": channel, "ratio": "" if ratio is None else f"{ratio:.2f}"}
 
 
 def _force_row(report: Mapping[str, Any]) -> dict[str, str] | None:
+    """Return the relative force error of each machine, None where there is none."""
     if "force_error" not in report["after"]["held_out"]:
         return None
     return {s: f"{100 * report[s]['held_out']['force_error']:.2f} %" for s in _STAGES}
 
 
 def _run_row(
-    report: Mapping[str, Any], evidence: Mapping[str, Array], channels: list[str], run: str
+    report: Mapping[str, Any], curves: Mapping[str, Array], channels: list[str], run: str
 ) -> dict[str, str | list[str]]:
-    """Error of one held-out run before and after, by channel in units of the noise."""
+    """Return the errors of one held-out run before and after, by channel in units of the noise."""
 
     def ratio(stage: str, j: int) -> str:
         errors = report["after"]["held_out"][channels[j]]
-        known = evidence[f"{run}/{stage}"][:, j]
-        known = known[np.isfinite(known)]
-        if not errors["rmse"] or len(known) == 0:
+        residual = curves[f"{run}/{stage}"][:, j]
+        residual = residual[np.isfinite(residual)]
+        if not errors["rmse"] or not errors["noise_ratio"] or len(residual) == 0:
             return ""
         noise = errors["rmse"] / errors["noise_ratio"]
-        return f"{float(np.sqrt(np.mean(known**2))) / noise:.3g}"
+        return f"{float(np.sqrt(np.mean(residual**2))) / noise:.3g}"
 
     return {"name": run, "errors": [f"{ratio('before', j)} → {ratio('after', j)}" for j in range(len(channels))]}
 
 
 def _effect_rows(report: Mapping[str, Any], machine: Machine) -> list[dict[str, Any]]:
-    """The effects, most useful first, with what they are and their numbers (a table's values are drawn instead)."""
+    """Return the effects, largest held-out gain first, with formula and parameters; a table is drawn instead."""
     definitions = {e.label: e.definition for e in machine.effects}
     rows = []
     for e in sorted(report["effects"], key=lambda e: -e["held_out_gain"]):
         definition = definitions[f"{e['name']}@{e['site']}"]
-        table = definition.family == TABLE
-        numbers = [
+        table = definition.family == TABLE_FAMILY
+        parameters = [
             {
                 "name": key,
                 "value": f"{p['value']:.5g}",
@@ -155,8 +171,8 @@ def _effect_rows(report: Mapping[str, Any], machine: Machine) -> list[dict[str, 
                 "site": e["site"],
                 "formula": definition.formula,
                 "table": table,
-                "numbers": [] if table else numbers,
-                "gain": f"{100 * e['held_out_gain']:.3g} %",
+                "parameters": [] if table else parameters,
+                "gain": _gain_sentence(e["held_out_gain"]),
                 "rivals": [r for r in e["rivals"] if r not in definition.equivalent],
                 "equivalent": [r for r in e["rivals"] if r in definition.equivalent],
             }
@@ -164,37 +180,46 @@ def _effect_rows(report: Mapping[str, Any], machine: Machine) -> list[dict[str, 
     return rows
 
 
+def _gain_sentence(gain: float) -> str:
+    """Return what an effect does to the squared error of the held-out runs; a negative gain makes it larger."""
+    if gain < 0.0:
+        return f"It increases the squared error of the held-out runs by {-100 * gain:.3g} %."
+    return f"It removes {100 * gain:.3g} % of the squared error of the held-out runs."
+
+
 def _parameter_rows(machine: Machine, declared: Machine) -> list[dict[str, str]]:
-    """Every identified number but a table's, with its standard deviation and what is doubtful about it."""
+    """Return every identified parameter except a table's, with its standard deviation and the reasons to doubt it."""
     if machine.uncertainty is None:
         return []
-    why = parameter_doubts(machine, declared)
-    drawn = tuple(f"{e.label}." for e in machine.effects if e.definition.family == TABLE)
+    doubts = parameter_doubts(machine, declared)
+    tables = tuple(f"{e.label}." for e in machine.effects if e.definition.family == TABLE_FAMILY)
     rows = []
     for name in machine.uncertainty.names:
-        if name.startswith(drawn):
+        if name.startswith(tables):
             continue
-        given = declared.parameters.get(name)
+        declared_value = declared.parameters.get(name)
         rows.append(
             {
                 "name": name,
-                "declared": "" if given is None else f"{given:.4g}",
+                "declared": "" if declared_value is None else f"{declared_value:.4g}",
                 "value": f"{machine.parameters[name]:.5g}",
                 "std": f"{machine.uncertainty.std(name):.2g}",
                 "unit": machine.unit(name),
-                "doubt": "; ".join(why[name]),
+                "doubt": "; ".join(doubts[name]),
             }
         )
     return rows
 
 
-def _slow_shares(evidence: Mapping[str, Array]) -> dict[str, str]:
-    """By coordinate: the share of the moving time that it spent below a twentieth of its top speed."""
-    shares = {}
-    for name, values in evidence.items():
-        _, found, coordinate = name.partition("coverage/velocity of ")
-        top = float(np.percentile(np.abs(values), 99)) if found else 0.0
-        moving = np.abs(values[np.abs(values) > 1e-3 * top]) if top else values[:0]
+def _slow_fractions(curves: Mapping[str, Array]) -> dict[str, str]:
+    """Return by coordinate the fraction of the moving time that it spent below a twentieth of its top speed."""
+    fractions = {}
+    for name, velocity in curves.items():
+        _, is_velocity, coordinate = name.partition("coverage/velocity of ")
+        if not is_velocity:
+            continue
+        top = float(np.percentile(np.abs(velocity), 99))
+        moving = np.abs(velocity[np.abs(velocity) > 1e-3 * top]) if top else velocity[:0]
         if len(moving):
-            shares[coordinate] = f"{100 * float(np.mean(moving < _SLOW * top)):.0f} %"
-    return shares
+            fractions[coordinate] = f"{100 * float(np.mean(moving < _SLOW * top)):.0f} %"
+    return fractions

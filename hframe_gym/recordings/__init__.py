@@ -1,10 +1,11 @@
 """Files of machines and recordings: read, validated and written."""
 
 from .machine_file import load_machine, machine_to_dict, save_machine
-from .recording import Recording, fill_gaps, load_recording, load_recordings, run_name, write_trajectory
+from .recording import GAP_PERIODS, Recording, fill_gaps, load_recording, load_recordings, run_name, write_trajectory
 from .table_file import read_path
 
 __all__ = [
+    "GAP_PERIODS",
     "Recording",
     "fill_gaps",
     "load_machine",

@@ -104,11 +104,11 @@ def machine_to_dict(machine: Machine) -> dict[str, Any]:
         return entry | ({} if std is None else {"std": std})
 
     coordinates = []
-    for c in machine.coordinates:
-        keys = [key for key in c.PARAMETERS if key != "radius" or c.kind == "rotary"]
-        entry: dict[str, Any] = {"name": c.name, "kind": c.kind}
-        entry |= {key: quantity(c.name, key, getattr(c, key)) for key in keys}
-        coordinates.append(entry | ({"range": list(c.range)} if c.range else {}))
+    for coordinate in machine.coordinates:
+        keys = [key for key in coordinate.PARAMETERS if key != "radius" or coordinate.kind == "rotary"]
+        entry: dict[str, Any] = {"name": coordinate.name, "kind": coordinate.kind}
+        entry |= {key: quantity(coordinate.name, key, getattr(coordinate, key)) for key in keys}
+        coordinates.append(entry | ({"range": list(coordinate.range)} if coordinate.range else {}))
     belts = [
         {"name": b.name}
         | {key: quantity(b.name, key, getattr(b, key)) for key in b.PARAMETERS}
@@ -116,11 +116,11 @@ def machine_to_dict(machine: Machine) -> dict[str, Any]:
         for b in machine.belts
     ]
     drives = []
-    for d in machine.drives:
-        entry = {"name": d.name, "channel": d.channel, "coordinate": d.coordinate}
-        entry |= {key: quantity(d.name, key, getattr(d, key)) for key in (*d.PARAMETERS, "rated_voltage")}
-        limit = {} if d.voltage_range is None else {"voltage_range": quantity(d.name, "voltage_range", d.voltage_range)}
-        drives.append(entry | {"converter_bits": d.converter_bits} | limit)
+    for drive in machine.drives:
+        entry = {"name": drive.name, "channel": drive.channel, "coordinate": drive.coordinate}
+        keys = [*drive.PARAMETERS, "rated_voltage", *(["voltage_range"] if drive.voltage_range is not None else [])]
+        entry |= {key: quantity(drive.name, key, getattr(drive, key)) for key in keys}
+        drives.append(entry | {"converter_bits": drive.converter_bits})
     sensors = [
         {"channel": s.channel, "kind": s.kind, "row": dict(s.row)}
         | {key: quantity(s.channel, key, value) for key, value in s.device_parameters.items()}
@@ -209,46 +209,52 @@ class _FileReader:
             raise self.error(field, "needs a coefficient other than zero for at least one coordinate")
         return row
 
-    def coordinate(self, c: CoordinateEntry) -> Coordinate:
+    def coordinate(self, entry: CoordinateEntry) -> Coordinate:
         """Return a coordinate."""
-        field = f"coordinates.{c.name}"
-        if (c.radius is None) != (c.kind == "linear"):
+        field = f"coordinates.{entry.name}"
+        if (entry.radius is None) != (entry.kind == "linear"):
             raise self.error(f"{field}.radius", "a rotary coordinate needs a radius, a linear one has none")
-        if c.range is not None and not c.range[0] < c.range[1]:
+        if entry.range is not None and not entry.range[0] < entry.range[1]:
             raise self.error(f"{field}.range", "must be [lowest, highest]")
-        keys = [key for key in Coordinate.PARAMETERS if key != "radius" or c.radius is not None]
-        units = {key: Coordinate(c.name, mass=0.0, kind=c.kind).unit(key) for key in keys}
-        return Coordinate(c.name, kind=c.kind, range=c.range, **self.values(field, c, units))
+        keys = [key for key in Coordinate.PARAMETERS if key != "radius" or entry.radius is not None]
+        units = {key: Coordinate(entry.name, mass=0.0, kind=entry.kind).unit(key) for key in keys}
+        return Coordinate(entry.name, kind=entry.kind, range=entry.range, **self.values(field, entry, units))
 
-    def belt(self, b: BeltEntry) -> Belt:
+    def belt(self, entry: BeltEntry) -> Belt:
         """Return a belt."""
-        field = f"belts.{b.name}"
-        values = self.values(field, b, {key: FIXED_UNITS[key] for key in Belt.PARAMETERS})
-        extension = self.row(f"{field}.extension", b.extension)
-        return Belt(b.name, extension=extension, length=self.row(f"{field}.length", b.length, empty=True), **values)
+        field = f"belts.{entry.name}"
+        values = self.values(field, entry, {key: FIXED_UNITS[key] for key in Belt.PARAMETERS})
+        extension = self.row(f"{field}.extension", entry.extension)
+        return Belt(
+            entry.name, extension=extension, length=self.row(f"{field}.length", entry.length, empty=True), **values
+        )
 
-    def drive(self, d: DriveEntry) -> Drive:
+    def drive(self, entry: DriveEntry) -> Drive:
         """Return a drive."""
-        field = f"drives.{d.name}"
-        if d.coordinate not in self.kinds:
-            raise self.error(f"{field}.coordinate", f"no coordinate is called {d.coordinate!r}")
-        keys = (*Drive.PARAMETERS, "rated_voltage", *(() if d.voltage_range is None else ("voltage_range",)))
-        values: dict[str, Any] = self.values(field, d, {key: FIXED_UNITS[key] for key in keys})
-        return Drive(d.name, d.channel, d.coordinate, converter_bits=d.converter_bits, **values)
+        field = f"drives.{entry.name}"
+        if entry.coordinate not in self.kinds:
+            raise self.error(f"{field}.coordinate", f"no coordinate is called {entry.coordinate!r}")
+        keys = (*Drive.PARAMETERS, "rated_voltage", *(() if entry.voltage_range is None else ("voltage_range",)))
+        values: dict[str, Any] = self.values(field, entry, {key: FIXED_UNITS[key] for key in keys})
+        return Drive(entry.name, entry.channel, entry.coordinate, converter_bits=entry.converter_bits, **values)
 
-    def sensor(self, s: SensorEntry) -> Sensor:
+    def sensor(self, entry: SensorEntry) -> Sensor:
         """Return a sensor; without a declared kind, an encoder on a rotary coordinate and a laser on a linear one."""
-        field = f"sensors.{s.channel}"
-        coordinate_kind = self.kinds[Sensor(s.channel, self.row(f"{field}.row", s.row, products=True)).coordinate]
-        kind = s.kind or ("encoder" if coordinate_kind == "rotary" else "laser")
+        field = f"sensors.{entry.channel}"
+        coordinate_kind = self.kinds[
+            Sensor(entry.channel, self.row(f"{field}.row", entry.row, products=True)).coordinate
+        ]
+        kind = entry.kind or ("encoder" if coordinate_kind == "rotary" else "laser")
         try:
             SENSOR_KINDS.get(kind)
         except InputError as error:
             raise self.error(f"{field}.kind", str(error)) from None
-        if s.range is not None and not s.range[0] < s.range[1]:
+        if entry.range is not None and not entry.range[0] < entry.range[1]:
             raise self.error(f"{field}.range", "must be [lowest, highest]")
         unit = UNITS[coordinate_kind]["position"]
-        return Sensor(s.channel, s.row, kind=kind, **self.values(field, s, {"noise": unit, "resolution": unit}))
+        return Sensor(
+            entry.channel, entry.row, kind=kind, **self.values(field, entry, {"noise": unit, "resolution": unit})
+        )
 
     def declared_effects(self, machine: Machine) -> list[EffectEntry]:
         """Return the effects that the fields `range`, `delay` and `current_limit` of sensors and drives declare."""
@@ -257,13 +263,13 @@ class _FileReader:
             return EffectEntry(name=name, site=site, parameters=parameters)
 
         effects = []
-        for s in self.content.sensors:
-            if s.range is not None:
-                unit = machine.unit(f"{s.channel}.noise")
-                low, high = (QuantityEntry(value=limit, unit=unit) for limit in s.range)
-                effects.append(effect("sensor_range", s.channel, low=low, high=high))
-            if s.delay is not None:
-                effects.append(effect("sensor_delay", s.channel, d=s.delay))
+        for sensor in self.content.sensors:
+            if sensor.range is not None:
+                unit = machine.unit(f"{sensor.channel}.noise")
+                low, high = (QuantityEntry(value=limit, unit=unit) for limit in sensor.range)
+                effects.append(effect("sensor_range", sensor.channel, low=low, high=high))
+            if sensor.delay is not None:
+                effects.append(effect("sensor_delay", sensor.channel, d=sensor.delay))
         drives = self.content.drives
         effects += [effect("current_limit", d.name, I=d.current_limit) for d in drives if d.current_limit is not None]
         delays = {d.name: d.delay for d in drives if d.delay is not None}

@@ -30,7 +30,7 @@ _MAX_SPAN = 3.0
 _DEGREES = (25.0, 120.0)
 _MILLIMETERS = (300.0, 2000.0)
 _MOVED = 1e-3  # m, standard deviation of the carriage's travel below which the ratio is not evaluated
-_GAP = 1.5  # median periods; a longer step means that samples were lost
+GAP_PERIODS = 1.5  # a longer step, in median sampling periods, means that samples were lost
 
 
 @dataclass(frozen=True)
@@ -164,7 +164,7 @@ def fill_gaps(recording: Recording) -> Recording:
     time_s = recording.time_s
     steps = np.diff(time_s)
     period = float(np.median(steps)) if len(steps) else 1.0
-    lost = np.where(steps > _GAP * period, np.rint(steps / period) - 1, 0).astype(int)  # (n - 1,) rows per step
+    lost = np.where(steps > GAP_PERIODS * period, np.rint(steps / period) - 1, 0).astype(int)  # (n - 1,) rows per step
     if not lost.any():
         return recording
     inserted = np.concatenate(

@@ -1,11 +1,14 @@
-"""The benchmark's bookkeeping: answers are kept while they hold, a crash costs one rig, half a set is not written."""
+"""Test the cache of the identification benchmark, its behavior on exceptions, and what it writes."""
 
 import json
+import shutil
+from pathlib import Path
 
 import pytest
 
+import hframe_gym
 from benchmarks import identification
-from tests.rigs.rigs import Case, cases
+from tests.rigs.cases import Case, cases
 
 CASE = Case("short", "none", "none", "", (), runs=2)
 ROW = {
@@ -22,41 +25,43 @@ ROW = {
 
 @pytest.fixture
 def counted(tmp_path, monkeypatch):
-    """Identifications made, each answered by a row with its number."""
+    """Replace identification by a counter; return the list of its calls."""
     calls = []
 
     def identify(recordings, machine):
         calls.append(len(recordings))
         return len(calls)
 
-    monkeypatch.setattr(identification, "ANSWERS", tmp_path / "answers")
+    monkeypatch.setattr(identification, "CACHE", tmp_path / "cache")
     monkeypatch.setattr(identification, "identify", identify)
-    monkeypatch.setattr(identification, "scored", lambda session, answer: {"rig": session.case.name, "answer": answer})
-    (tmp_path / "answers").mkdir()
+    monkeypatch.setattr(
+        identification, "score_session", lambda session, answer: {"rig": session.case.name, "answer": answer}
+    )
+    (tmp_path / "cache").mkdir()
     return calls
 
 
-def test_an_answer_is_kept_while_the_source_is_the_same(counted, tmp_path):
-    first = identification.answered(CASE, str(tmp_path / "rigs"), "source", resume=False)
-    assert identification.answered(CASE, str(tmp_path / "rigs"), "source", resume=False) == first
+def test_result_is_cached_as_long_as_the_source_is_the_same(counted, tmp_path):
+    first = identification.identify_case(CASE, str(tmp_path / "rigs"), "source", resume=False)
+    assert identification.identify_case(CASE, str(tmp_path / "rigs"), "source", resume=False) == first
     assert counted == [2]
-    assert identification.answered(CASE, str(tmp_path / "rigs"), "other", resume=True) == first
-    assert identification.answered(CASE, str(tmp_path / "rigs"), "other", resume=False)["answer"] == 2
+    assert identification.identify_case(CASE, str(tmp_path / "rigs"), "other", resume=True) == first
+    assert identification.identify_case(CASE, str(tmp_path / "rigs"), "other", resume=False)["answer"] == 2
 
 
-def test_a_crash_is_a_row_and_not_kept(counted, tmp_path, monkeypatch):
+def test_exception_gives_a_row_that_is_not_cached(counted, tmp_path, monkeypatch):
     def crash(recordings, machine):
         raise KeyError("bridge")
 
     with monkeypatch.context() as broken:
         broken.setattr(identification, "identify", crash)
-        row = identification.answered(CASE, str(tmp_path / "rigs"), "source", resume=False)
+        row = identification.identify_case(CASE, str(tmp_path / "rigs"), "source", resume=False)
     assert "KeyError: 'bridge'" in row["failed"]
     assert "CRASHED" in identification.line(row)
-    assert "failed" not in identification.answered(CASE, str(tmp_path / "rigs"), "source", resume=False)
+    assert "failed" not in identification.identify_case(CASE, str(tmp_path / "rigs"), "source", resume=False)
 
 
-def test_only_whole_sets_are_written(tmp_path, monkeypatch):
+def test_only_complete_sets_are_written(tmp_path, monkeypatch):
     written = {}
     monkeypatch.setattr(identification, "write_results", lambda name, content, seed: written.update({name: content}))
     count = sum(case.group == "none" for case in cases().values())
@@ -69,3 +74,19 @@ def test_only_whole_sets_are_written(tmp_path, monkeypatch):
     assert summary["scores"]["right"] == count - 1
     assert summary["median"]["after"] == 1.0
     json.dumps(written)
+
+
+def test_the_cache_depends_on_the_source_of_the_package(tmp_path, monkeypatch):
+    for package in identification.PACKAGES:
+        assert list((Path(hframe_gym.__file__).parent / package).glob("*.py")), package
+        (tmp_path / package).mkdir()
+        (tmp_path / package / "module.py").write_text("x = 1\n")
+    monkeypatch.setattr(hframe_gym, "__file__", str(tmp_path / "__init__.py"))
+    keys = [identification.source_key()]
+    for package in identification.PACKAGES:
+        (tmp_path / package / "module.py").write_text("x = 2\n")
+        keys.append(identification.source_key())
+    assert len(set(keys)) == 1 + len(identification.PACKAGES)
+    shutil.rmtree(tmp_path / identification.PACKAGES[0])
+    with pytest.raises(FileNotFoundError, match=r"correct PACKAGES"):
+        identification.source_key()

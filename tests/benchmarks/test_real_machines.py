@@ -1,4 +1,4 @@
-"""The conversions, on made-up logs of the originals' form; the data themselves are not needed."""
+"""Test the conversions on synthetic logs with the format of the originals, so that the data are not needed."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from benchmarks.real_machines.study import MACHINES
 from hframe_gym.recordings import load_machine, load_recordings
 
 
-def test_a_counted_speed_gets_its_sign_back() -> None:
-    """PRBS through the published model with another gain and damping: only its absolute value is given."""
+def test_sign_of_a_counted_speed_is_restored() -> None:
+    """The absolute speed of a model with other gain and damping than the published one, under PRBS."""
     rng = np.random.default_rng(3)
     drive = np.repeat(rng.choice([-1.0, 1.0], 50), 10)
     time = np.arange(len(drive)) * 0.02
     _, speed, _ = signal.lsim(signal.lti([4000.0], [1.0, 22.0, 520.0, 2700.0]), drive, time, interp=False)
-    found = ced.with_sign(np.abs(speed), drive, 0.02)
-    np.testing.assert_array_equal(np.abs(found), np.abs(speed))
-    seen = np.abs(speed) > 0.25 * np.abs(speed).max()
-    assert np.mean(np.sign(found[seen]) == np.sign(speed[seen])) > 0.97
+    restored = ced.with_sign(np.abs(speed), drive, 0.02)
+    np.testing.assert_array_equal(np.abs(restored), np.abs(speed))
+    moving = np.abs(speed) > 0.25 * np.abs(speed).max()
+    assert np.mean(np.sign(restored[moving]) == np.sign(speed[moving])) > 0.97
 
 
-def test_a_servo_log_becomes_the_voltage_at_its_motor(tmp_path: Path) -> None:
+def test_servo_log_is_converted_to_motor_voltage(tmp_path: Path) -> None:
     log = tmp_path / "logs"
     log.mkdir()
     header = "t_s,goal_position_rad,position_rad,speed_rad_s,load_raw_signed,input_V,temp_C,torque_enable"
@@ -38,23 +38,23 @@ def test_a_servo_log_becomes_the_voltage_at_its_motor(tmp_path: Path) -> None:
     (log / "drop_kp100.csv").write_text("\n".join([header, *rows]) + "\n")
     xl330.convert(log, tmp_path / "runs")
     [run] = load_recordings(tmp_path / "runs", load_machine(MACHINES / "xl330.json"))
-    np.testing.assert_allclose(run.inputs[:, 0], [3.5, 5.5, 4.0])  # the released row is gone
+    np.testing.assert_allclose(run.inputs[:, 0], [3.5, 5.5, 4.0])  # without the released row
     np.testing.assert_allclose(run.outputs[:, 0], [0.0, 0.1, 0.2])
 
 
-def test_the_shipped_servo_logs_fit_their_machine() -> None:
+def test_shipped_servo_logs_match_their_machine() -> None:
     runs = load_recordings(xl330.EXAMPLE, load_machine(MACHINES / "xl330.json"))
     assert len(runs) == 16
     assert set(xl330.HELD_OUT) < {r.name for r in runs}
 
 
 def test_peaks_of_a_damped_oscillator() -> None:
-    """Power of an acceleration response with two modes, damping ratios 0.05 and 0.03."""
+    """The spectrum has two modes with damping ratios 0.05 and 0.03."""
     f = np.arange(10.0, 140.0, 0.5)
 
-    def mode(centre: float, zeta: float) -> np.ndarray:
-        return np.abs(1 / (1 - (f / centre) ** 2 + 2j * zeta * f / centre)) ** 2
+    def mode(center: float, zeta: float) -> np.ndarray:
+        return np.abs(1 / (1 - (f / center) ** 2 + 2j * zeta * f / center)) ** 2
 
-    found = printers.peaks(f, mode(40.0, 0.05) + 0.3 * mode(90.0, 0.03))
-    assert [p[0] for p in found] == pytest.approx([40.0, 90.0], abs=0.5)
-    assert [p[1] for p in found] == pytest.approx([0.05, 0.03], rel=0.15)
+    peaks = printers.peaks(f, mode(40.0, 0.05) + 0.3 * mode(90.0, 0.03))
+    assert [p[0] for p in peaks] == pytest.approx([40.0, 90.0], abs=0.5)
+    assert [p[1] for p in peaks] == pytest.approx([0.05, 0.03], rel=0.15)

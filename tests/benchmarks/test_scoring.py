@@ -1,9 +1,9 @@
-"""What counts as right in the identification benchmark."""
+"""Test the scores of the identification benchmark."""
 
 import pytest
 
-from benchmarks.scoring import judged
-from tests.rigs.rigs import cases
+from benchmarks.scoring import classify
+from tests.rigs.cases import cases
 
 RIGS = cases()
 
@@ -31,5 +31,5 @@ RIGS = cases()
         ("magnetic catch", "effect_found", ["position_friction@x"], "wrong"),
     ],
 )
-def test_judged(rig, verdict, named, score):
-    assert judged(RIGS[rig], verdict, named) == score
+def test_classify(rig, verdict, named, score):
+    assert classify(RIGS[rig], verdict, named) == score

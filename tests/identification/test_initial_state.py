@@ -1,42 +1,191 @@
+"""Tests of the initial state of a machine: static equilibrium against the independent simulator, inverted readings, zeros."""
+
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
+import pytest
 
-from hframe_gym.identification import estimate_initial_state
-from hframe_gym.identification.initial_state import resting_rows
-from hframe_gym.machine import Machine
+from hframe_gym.dynamics import simulate
+from hframe_gym.effects import EFFECTS
+from hframe_gym.identification import initial_state_of_recording, prepare
+from hframe_gym.identification.dataset import Dataset, PreparedRecording, refine_encoder_offsets
+from hframe_gym.identification.initial_state import encoder_zero_errors, model_initial_state, static_equilibrium
+from hframe_gym.identification.residual import channel_errors
+from hframe_gym.identification.rest_measurement import InitialState
+from hframe_gym.machine import Machine, rest_state
 from hframe_gym.recordings import Recording
+from tests import reference_simulator as reference
+
+pytestmark = pytest.mark.oracle
+RADIUS = 0.0194
+QUANTUM = 5.2e-4  # rad
+POSITIONS = np.random.default_rng(8).uniform(-0.1, 0.1, (7, 2)) * [1.0, 0.5]
 
 
-def recording(outputs: np.ndarray, change: int) -> Recording:
-    inputs = np.zeros((len(outputs), 2))
-    inputs[change:] = 3.0
-    return Recording("r", np.arange(len(outputs)) * 1e-3, inputs, outputs)
+def settled(rig: reference.Rig, position: np.ndarray) -> np.ndarray:
+    """Return where the simulator's stage, put down with unstretched belts and no voltage, comes to rest (4,)."""
+    time_s = np.linspace(0.0, 1.0, 1001)
+    positions, velocities = reference.simulate(rig, time_s, np.zeros((1001, 2)), position)
+    assert np.abs(velocities[-1]).max() < 1e-6
+    return positions[-1]
 
 
-def test_lasers_place_the_machine_and_encoders_get_an_offset(hframe: Machine) -> None:
-    rng = np.random.default_rng(3)
-    x, y = 0.11, -0.07
-    outputs = np.tile([0.0, 0.0, x, y], (200, 1))
-    outputs[:, 2:] += rng.normal(0, 20e-6, (200, 2))
-    start = estimate_initial_state(recording(outputs, 100), hframe)
-    assert start.rows == 101
-    phi = np.array([-(x + y), x - y]) / 0.0194
-    np.testing.assert_allclose(start.state[:2], [x, y], atol=1e-5)
-    np.testing.assert_allclose(start.state[2:4], phi, atol=1e-3)
-    np.testing.assert_allclose(start.offset[:2], -phi, atol=1e-3)
-    np.testing.assert_allclose(start.offset[2:], 0.0, atol=1e-9)
+def belt_stretch(position: np.ndarray) -> np.ndarray:
+    """Return the travel of the pulleys beyond that of unstretched belts, m, by phi1 and phi2."""
+    x, y = position[:2]
+    return RADIUS * position[2:4] - np.array([-(x + y), x - y])
 
 
-def test_encoders_alone_place_the_machine(hframe: Machine) -> None:
-    x, y = 0.05, 0.02
-    outputs = np.tile([-(x + y) / 0.0194, (x - y) / 0.0194, np.nan, np.nan], (20, 1))
-    start = estimate_initial_state(recording(outputs, 10), hframe)
-    np.testing.assert_allclose(start.state[:2], [x, y], atol=1e-9)
-    np.testing.assert_allclose(start.offset, 0.0, atol=1e-9)
+@pytest.mark.parametrize("force", [0.3, 0.6, 0.8])
+def test_belts_carry_what_static_friction_does_not(hframe: Machine, force: float) -> None:
+    """The force acts on y, whose friction holds 0.4 N; the motors hold 1 N."""
+    rig = reference.Rig(constant_force=(0.0, force, 0.0, 0.0))
+    true = settled(rig, POSITIONS[0])
+    machine = hframe.with_effects(EFFECTS["constant_force"].at("y", size=force))
+    equilibrium = static_equilibrium(machine, true)
+    error = belt_stretch(equilibrium) - belt_stretch(true)
+    # Friction can hold 0.4 N more or less, 17 um of the two belts' 24 kN/m; half of that may remain.
+    assert np.abs(error).max() < 8e-6
+    np.testing.assert_allclose(equilibrium[:2], true[:2], atol=1e-12)
 
 
-def test_a_run_that_is_driven_from_its_first_row_rests_one_row() -> None:
-    outputs = np.zeros((30, 4))
-    assert resting_rows(recording(outputs, 0)) == 1
-    assert resting_rows(recording(outputs, 30)) == 30
+def initial_at(position: np.ndarray, encoders: np.ndarray, known: bool) -> InitialState:
+    """Return the initial state that sensors without noise measure."""
+    state = np.concatenate([position, encoders, np.zeros(4)])
+    return InitialState(state, np.zeros(4), 50, np.array([known] * 2 + [False] * 2))
+
+
+def prepared(initial: InitialState, name: str) -> PreparedRecording:
+    """Return a run at rest in an initial state."""
+    outputs = np.tile([*initial.state[2:4], *initial.state[:2]], (50, 1))
+    return PreparedRecording(name, np.arange(50) * 1e-3, np.zeros((50, 2)), outputs, initial)
+
+
+def rigid(position: np.ndarray) -> np.ndarray:
+    """Return the pulley angles of unstretched belts, rad."""
+    x, y = position
+    return np.array([-(x + y), x - y]) / RADIUS
+
+
+def test_a_skewed_laser_is_inverted(hframe: Machine) -> None:
+    x, y, a = 0.1, -0.05, 5e-3
+    measured = np.array([x, y + a * x])
+    initial = initial_at(measured, rigid(measured), known=False)
+    skewed = hframe.with_effects(EFFECTS["sensor_skew"].at("y_m", a=a))
+    np.testing.assert_allclose(model_initial_state(skewed, initial), rest_state(hframe, [x, y]), atol=1e-9)
+    np.testing.assert_allclose(model_initial_state(hframe, initial), rest_state(hframe, measured), atol=1e-9)
+
+
+def test_a_position_beyond_the_range_of_a_laser_is_kept(hframe: Machine) -> None:
+    """The laser did not determine this position, the encoders did."""
+    position = np.array([0.14, 0.02])
+    limited = hframe.with_effects(EFFECTS["sensor_range"].at("x_m", low=-0.1, high=0.1))
+    initial = initial_at(position, rigid(position), known=False)
+    np.testing.assert_allclose(model_initial_state(limited, initial)[:2], position, atol=1e-12)
+
+
+def test_an_eccentric_pulley_rests_where_the_simulator_has_it(hframe: Machine) -> None:
+    e, p, position = 0.5e-3, 0.7, np.array([0.06, -0.03])
+    stage = reference.Stage(reference.Rig(eccentricity_m=(0.0, e), eccentricity_phase=(0.0, p)), position)
+    measured = stage.position[2:4]
+    machine = hframe.with_effects(EFFECTS["eccentric_pulley"].at("motor2", e=e, p=p))
+    initial = dataclasses.replace(initial_at(position, measured, known=True), offsets_refined=True)
+    # The state is that of a round pulley, whose belts are unstretched, up to second order in e / r.
+    assert abs(model_initial_state(machine, initial)[3] - rigid(position)[1]) < 2 * (e / RADIUS) ** 2
+    assert abs(measured[1] - rigid(position)[1]) > 20 * (e / RADIUS) ** 2
+
+
+def test_zeros_are_refined_under_the_force_of_a_cable(hframe: Machine) -> None:
+    """The common zero of the encoders was estimated as if the cable did not stretch the belts on average."""
+    k, q0, wrong = 4.0, 0.2, np.array([2.4e-3, -1.1e-3])
+    rig = reference.Rig(spring_stiffness=(0.0, k, 0.0, 0.0), spring_rest=(0.0, q0, 0.0, 0.0))
+    machine = hframe.with_effects(EFFECTS["cable_spring"].at("y", k=k, q0=q0))
+    rests = [settled(rig, position) for position in POSITIONS]
+    initial = [initial_at(q[:2], q[2:4] + wrong, known=True) for q in rests]
+    runs = tuple(prepared(state, f"run_{i}") for i, state in enumerate(initial))
+    data = Dataset(runs, np.full(4, 2e-5), np.zeros(4), np.array([True, True, False, False]))
+    errors = encoder_zero_errors(machine, initial)
+    np.testing.assert_allclose(errors[:2], wrong, atol=0.3e-3)  # 6 um, which friction may hold
+    refined = refine_encoder_offsets(data, machine)
+    for before, after in zip(runs, refined.runs, strict=True):
+        np.testing.assert_allclose(after.initial.state[2:4], before.initial.state[2:4] - errors[:2])
+        np.testing.assert_allclose(after.outputs[:, :2], before.outputs[:, :2] - errors[:2])
+    # A machine without effects predicts nothing about the zeros.
+    assert refine_encoder_offsets(data, hframe) is data
+
+
+# Starts and voltages of runs that leave and enter the range of a laser, +-0.1 m.
+RUNS = {
+    "inside": ((0.02, -0.05), (1.0, -3.0)),
+    "to_the_left": ((0.06, 0.03), (4.0, -2.0)),
+    "beyond": ((0.14, 0.02), (5.0, -4.0)),
+    "to_the_right": ((-0.05, -0.02), (-3.0, 4.0)),
+}
+
+
+def measured_runs(machine: Machine, zeros: tuple[float, float]) -> list[Recording]:
+    """Return noisy runs of a machine that starts at rest, with encoders that were switched on at given angles."""
+    rng = np.random.default_rng(5)
+    time_s = np.arange(900) * 1e-3
+    recordings = []
+    for name, (start, voltage) in RUNS.items():
+        inputs = np.where((time_s[:, None] > 0.1) & (time_s[:, None] < 0.6), voltage, 0.0)
+        ideal = simulate(machine, time_s, inputs, rest_state(machine, start)).outputs
+        encoders = np.round((ideal[:, :2] + zeros) / QUANTUM) * QUANTUM
+        outputs = np.hstack([encoders, ideal[:, 2:] + rng.normal(0.0, 20e-6, (len(time_s), 2))])
+        recordings.append(Recording(name, time_s, inputs, outputs))
+    return recordings
+
+
+def simulated_rmse(machine: Machine, recording: Recording) -> np.ndarray:
+    """Return the errors (sensors,) of the simulation from the initial state of the recording, as `hframe simulate` does."""
+    initial = initial_state_of_recording(machine, recording)
+    trajectory = simulate(machine, recording.time_s, recording.inputs, initial.state, offset=initial.offset)
+    return np.asarray(np.sqrt(np.mean((recording.outputs - trajectory.outputs) ** 2, axis=0)))
+
+
+@pytest.mark.parametrize("effect", ["sensor_skew", "sensor_range"])
+@pytest.mark.parametrize("zeros", [(0.0, 0.0), (1.3, -2.1)])
+def test_simulation_of_a_recording_has_the_errors_that_identification_reports(
+    hframe: Machine, effect: str, zeros: tuple[float, float]
+) -> None:
+    """With an identified skew the reading is not the position; with a range, a run may begin beyond its end."""
+    applied = {
+        "sensor_skew": EFFECTS["sensor_skew"].at("y_m", a=0.08),
+        "sensor_range": EFFECTS["sensor_range"].at("x_m", low=-0.1, high=0.1),
+    }[effect]
+    machine = hframe.with_effects(applied)
+    recordings = measured_runs(machine, zeros)
+    usable = []
+    for run in recordings:  # identification does not use saturated measurements
+        outputs = run.outputs.copy()
+        if effect == "sensor_range":
+            outputs[np.abs(outputs[:, 2]) > 0.1 - 80e-6, 2] = np.nan
+        usable.append(dataclasses.replace(run, outputs=outputs))
+    data = prepare(usable, hframe)
+    for name, run in zip(RUNS, recordings, strict=True):
+        complete = dataclasses.replace(
+            data.with_runs([name]).runs[0], outputs=run.outputs - data.with_runs([name]).runs[0].initial.offset
+        )
+        reported = channel_errors(machine, dataclasses.replace(data, runs=(complete,)))
+        expected = [reported[channel].rmse for channel in machine.output_channels]
+        np.testing.assert_allclose(simulated_rmse(machine, run), expected, rtol=0.05)
+        assert simulated_rmse(machine, run)[2] < 22e-6
+
+
+def test_a_start_beyond_the_range_is_determined_from_later_measurements_and_reported(hframe: Machine) -> None:
+    machine = hframe.with_effects(EFFECTS["sensor_range"].at("x_m", low=-0.1, high=0.1))
+    run = measured_runs(machine, (1.3, -2.1))[2]
+    initial = initial_state_of_recording(machine, run)
+    np.testing.assert_allclose(initial.state[:2], RUNS["beyond"][0], atol=20e-6)
+    assert "x_m measures nothing at rest" in initial.warnings[0]
+
+
+def test_a_recording_without_outputs_starts_at_the_origin_with_a_warning(hframe: Machine) -> None:
+    run = Recording("voltages", np.arange(50) * 1e-3, np.zeros((50, 2)), np.full((50, 4), np.nan))
+    initial = initial_state_of_recording(hframe, run)
+    np.testing.assert_array_equal(initial.state, 0.0)
+    np.testing.assert_array_equal(initial.offset, 0.0)
+    assert "cannot be determined" in initial.warnings[0]

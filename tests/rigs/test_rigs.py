@@ -93,6 +93,7 @@ def test_session_is_recorded_once_and_can_be_loaded(tmp_path):
     assert record(case, tmp_path) == session
     assert (session.folder / "truth.npz").stat().st_mtime_ns == stamp
     truth = session.truth()
+    assert len(session.recordings()) == 2
     for recording in session.recordings():
         assert recording.outputs.shape == (2000, 4)
         assert np.all(recording.inputs[:100] == 0.0)

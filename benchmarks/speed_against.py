@@ -1,0 +1,209 @@
+"""Is this checkout as fast as another one? Both are timed in turn, in one run.
+
+    python -m benchmarks.speed_against PATH_OF_OTHER_CHECKOUT [--repeats 9] [--only MEASURE]
+
+Each checkout runs in a process of its own with the same interpreter. The processes take turns, so that other load on
+the machine meets both alike. A ratio is this checkout's rate over the other's: the median over the repetitions; the
+spread gives their extremes. One round before the first is not counted (it compiles the kernels).
+
+Measures:
+    kernel: integrator steps per second of a batch of 4096 stages on all cores (`KernelBatch` of that checkout's
+        benchmarks; needs the extra `bench`, because older checkouts import MuJoCo beside it).
+    recording: simulations per second of one recording of 2 s at 1 kHz by `Machine.simulate`.
+    vector: environment steps per second of 4096 environments by `gym.make_vec`, default randomization.
+    rig: the same with the sensors and drives of the rig.
+    single: environment steps per second of one environment by `gym.make`, resets included.
+
+Nothing is written to benchmarks/results/: a ratio belongs to two commits. The exit code is 1 if a ratio is below --bar.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import statistics
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+ROOT = Path(__file__).resolve().parents[1]
+MEASURES = ("kernel", "recording", "vector", "rig", "single")
+BAR = 0.95
+
+# Runs in each checkout. It uses only names that all checkouts have: those of the contract, and KernelBatch.
+_WORKER = """
+import json, sys, time
+import numpy as np
+import gymnasium as gym
+import hframe_gym
+
+SEED, COUNT, STEPS = 3, 4096, 150
+
+def kernel():
+    try:
+        from benchmarks.kernel_batch import KernelBatch
+    except ImportError:
+        from benchmarks.throughput import KernelBatch
+    batch = KernelBatch(hframe_gym.load_machine("hframe"), COUNT)
+    return lambda: batch.rate(parallel=True, least=0.5)
+
+def recording():
+    machine = hframe_gym.load_machine("hframe")
+    time_s = np.arange(2001) * 1e-3
+    inputs = np.repeat(np.random.default_rng(SEED).uniform(-6.0, 6.0, (201, 2)), 10, axis=0)[:2001]
+    def run():
+        for _ in range(200):
+            machine.simulate(time_s, inputs)
+        return 200
+    return timed(run)
+
+def vector(**options):
+    envs = gym.make_vec("HFrame-v0", num_envs=COUNT, randomize="default", **options)
+    envs.reset(seed=SEED)
+    actions = np.random.default_rng(SEED).uniform(-1, 1, (STEPS, COUNT, 2)).astype(np.float32)
+    def run():
+        for action in actions:
+            envs.step(action)
+        return STEPS * COUNT
+    return timed(run)
+
+def single():
+    env = gym.make("HFrame-v0")
+    env.reset(seed=SEED)
+    actions = np.random.default_rng(SEED).uniform(-1, 1, (3000, 2)).astype(np.float32)
+    def run():
+        for action in actions:
+            _, _, terminated, truncated, _ = env.step(action)
+            if terminated or truncated:
+                env.reset()
+        return len(actions)
+    return timed(run)
+
+def timed(run):
+    def rate():
+        begin = time.perf_counter()
+        count = run()
+        return count / (time.perf_counter() - begin)
+    return rate
+
+MAKE = {"kernel": kernel, "recording": recording, "vector": vector,
+        "rig": lambda: vector(sensors="rig", drives="rig"), "single": single}
+ready = {}
+answers = sys.stdout
+sys.stdout = sys.stderr
+for line in sys.stdin:
+    name = line.strip()
+    try:
+        if name not in ready:
+            ready[name] = MAKE[name]()
+        answer = {"rate": ready[name]()}
+    except Exception as error:
+        answer = {"error": f"{type(error).__name__}: {error}"}
+    print(json.dumps(answer), file=answers, flush=True)
+"""
+
+
+class Checkout:
+    """Process that times one checkout.
+
+    Args:
+        path: Root of the checkout.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", _WORKER],
+            cwd=path,
+            env=os.environ | {"PYTHONPATH": str(path)},
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+
+    def rate(self, measure: str) -> float:
+        """Time a measure once.
+
+        Args:
+            measure: One of `MEASURES`.
+
+        Returns:
+            Rate, 1/s.
+
+        Raises:
+            RuntimeError: If the checkout cannot run the measure.
+        """
+        assert self._process.stdin
+        assert self._process.stdout
+        self._process.stdin.write(f"{measure}\n")
+        self._process.stdin.flush()
+        answer: dict[str, Any] = json.loads(self._process.stdout.readline() or '{"error": "the process ended"}')
+        if "error" in answer:
+            raise RuntimeError(f"{self.path}: {answer['error']}")
+        return float(answer["rate"])
+
+    def close(self) -> None:
+        """End the process."""
+        assert self._process.stdin
+        self._process.stdin.close()
+        self._process.wait()
+
+
+def compare(this: Checkout, other: Checkout, measure: str, repeats: int) -> tuple[list[float], list[float]]:
+    """Time a measure in both checkouts, alternating.
+
+    Args:
+        this: Checkout in the ratio's numerator.
+        other: Checkout in the ratio's denominator.
+        measure: One of `MEASURES`.
+        repeats: Number of pairs.
+
+    Returns:
+        Rates of this checkout and of the other, 1/s, one per pair.
+    """
+    this.rate(measure), other.rate(measure)
+    pairs = []
+    for i in range(repeats):
+        # The order alternates too, so that a drift of the machine's speed cancels.
+        first = this.rate(measure) if i % 2 == 0 else None
+        second = other.rate(measure)
+        pairs.append((this.rate(measure) if first is None else first, second))
+    return [a for a, _ in pairs], [b for _, b in pairs]
+
+
+def main() -> None:
+    """Compare the checkouts and print the ratios."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("other", type=Path, help="root of the other checkout, for example of `git worktree add`")
+    parser.add_argument("--repeats", type=int, default=9)
+    parser.add_argument("--only", choices=MEASURES, action="append", default=[], help="measure only this")
+    parser.add_argument("--bar", type=float, default=BAR, help=f"smallest acceptable ratio (default {BAR:g})")
+    arguments = parser.parse_args()
+    this, other = Checkout(ROOT), Checkout(arguments.other.resolve())
+    console = Console(width=110)
+    table = Table("measure", "this, 1/s", "other, 1/s", "ratio", "spread")
+    failed = False
+    for measure in arguments.only or MEASURES:
+        try:
+            ours, theirs = compare(this, other, measure, arguments.repeats)
+        except RuntimeError as error:
+            table.add_row(measure, "", "", "skipped", str(error))
+            continue
+        ratios = [a / b for a, b in zip(ours, theirs, strict=True)]
+        ratio = statistics.median(ratios)
+        failed |= ratio < arguments.bar
+        rates = (f"{statistics.median(values):.4g}" for values in (ours, theirs))
+        table.add_row(measure, *rates, f"{ratio:.3f}", f"{min(ratios):.3f} to {max(ratios):.3f}")
+        console.print(f"{measure}: {ratio:.3f}", highlight=False)
+    this.close(), other.close()
+    console.print(table)
+    sys.exit(1 if failed else 0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,237 @@
+"""Read the folder that `result.write_result` wrote, and check that its files are complete and belong together."""
+
+from __future__ import annotations
+
+import zipfile
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+
+from ..errors import InputError
+from ..machine import Machine
+from ..recordings import load_machine
+from .result import Verdict
+
+Array = NDArray[np.float64]
+
+
+class _Entry(BaseModel):
+    """Base of the entries of report.json; unknown fields are ignored."""
+
+    model_config = ConfigDict(extra="ignore", strict=True)
+
+
+class _Runs(_Entry):
+    """Names of the runs."""
+
+    fitted: list[str]
+    held_out: list[str] = Field(min_length=1)
+
+
+class _ChannelErrors(_Entry):
+    """Errors of one channel."""
+
+    rmse: FiniteFloat | None
+    noise_ratio: FiniteFloat | None
+
+
+class _Evaluation(_Entry):
+    """Errors by channel, and force_error where the machine has one."""
+
+    held_out: dict[str, _ChannelErrors | FiniteFloat]
+
+
+class _ParameterEntry(_Entry):
+    """Value of an effect's parameter."""
+
+    value: FiniteFloat
+    std: FiniteFloat | None
+    unit: str
+
+
+class _EffectEntry(_Entry):
+    """A selected effect."""
+
+    name: str
+    site: str
+    parameters: dict[str, _ParameterEntry]
+    held_out_gain: FiniteFloat
+    rivals: list[str]
+
+
+class _DependenceEntry(_Entry):
+    """A variable that the residual force depends on."""
+
+    variable: str
+    coordinate: str
+    share: FiniteFloat
+
+
+class _Residual(_Entry):
+    """Properties of the residual."""
+
+    depends_on: list[_DependenceEntry]
+    white: bool
+
+
+class _Experiment(_Entry):
+    """The proposed experiment."""
+
+    why: str
+    file: str
+
+
+class _Report(_Entry):
+    """Content of report.json that the report uses."""
+
+    version: Literal[1] = Field(alias="schema")
+    verdict: Verdict
+    runs: _Runs
+    declared: _Evaluation
+    before: _Evaluation
+    after: _Evaluation
+    effects: list[_EffectEntry]
+    residual: _Residual
+    next_experiment: _Experiment | None
+    seconds: FiniteFloat
+    warnings: list[str] = []
+
+
+@dataclass(frozen=True)
+class SavedResult:
+    """A result read from its folder.
+
+    Attributes:
+        report: Content of report.json.
+        machine: Corrected machine.
+        declared: Machine as declared.
+        curves: Curves of the plots by name, see `plot_data`.
+    """
+
+    report: dict[str, Any]
+    machine: Machine
+    declared: Machine
+    curves: dict[str, Array]
+
+
+def load_result(folder: Path) -> SavedResult:
+    """Read the files that `write_result` wrote.
+
+    Args:
+        folder: Folder of the result.
+
+    Returns:
+        The result, checked for consistency.
+
+    Raises:
+        InputError: If a file is missing, damaged or does not belong to the others; the message names the file.
+    """
+    if not (folder / "report.json").is_file():
+        raise InputError(f"{folder}: no report.json here; run `hframe identify RUNS --out {folder}` first")
+    try:
+        text = (folder / "report.json").read_text(encoding="utf-8")
+        report = _Report.model_validate_json(text).model_dump(by_alias=True)
+    except UnicodeDecodeError as error:
+        raise _damaged(folder / "report.json", f"is not a text file ({error.reason})") from None
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise _damaged(
+            folder / "report.json", f"{'.'.join(map(str, first['loc'])) or 'file'}: {first['msg']}"
+        ) from None
+    for name in ("machine.json", "declared.json"):
+        if not (folder / name).is_file():
+            raise _damaged(folder / name, "is missing")
+    saved = SavedResult(
+        report,
+        load_machine(folder / "machine.json"),
+        load_machine(folder / "declared.json"),
+        _load_curves(folder / "evidence.npz"),
+    )
+    _check_report(saved, folder / "report.json")
+    _check_curves(saved, folder / "evidence.npz")
+    return saved
+
+
+def _damaged(path: Path, problem: str) -> InputError:
+    """Return the error for a file of a result that cannot be used."""
+    return InputError(f"{path}: {problem}; run `hframe identify` again to write the folder anew")
+
+
+def _load_curves(path: Path) -> dict[str, Array]:
+    """Read evidence.npz."""
+    if not path.is_file():
+        raise _damaged(path, "is missing")
+    try:
+        with np.load(path) as file:
+            curves = dict(file)
+    except (
+        OSError,
+        EOFError,
+        ValueError,
+        TypeError,
+        AttributeError,
+        KeyError,
+        zipfile.BadZipFile,
+        zlib.error,
+    ) as error:
+        raise _damaged(path, f"is not a readable .npz file ({error})") from None
+    for name, values in curves.items():
+        if not np.issubdtype(values.dtype, np.floating):
+            raise _damaged(path, f"{name} holds {values.dtype}, not floating-point numbers")
+    return curves
+
+
+def _check_report(saved: SavedResult, path: Path) -> None:
+    """Raise InputError if report.json does not fit the machines."""
+    machine, channels = saved.machine, saved.machine.output_channels
+    if saved.declared.output_channels != channels:
+        raise _damaged(path.with_name("declared.json"), "has other sensors than machine.json")
+    for stage in ("declared", "before", "after"):
+        errors = saved.report[stage]["held_out"]
+        for channel in channels:
+            if not isinstance(errors.get(channel), dict):
+                raise _damaged(path, f"{stage}.held_out has no errors of {channel}")
+        if ("force_error" in errors) != ("force_error" in saved.report["after"]["held_out"]):
+            raise _damaged(path, "force_error is given for some of declared, before and after only")
+        if not isinstance(errors.get("force_error", 0.0), float):
+            raise _damaged(path, f"{stage}.held_out.force_error is not a number")
+    labels = {e.label for e in machine.effects}
+    for effect in saved.report["effects"]:
+        if f"{effect['name']}@{effect['site']}" not in labels:
+            raise _damaged(path, f"effect {effect['name']} at {effect['site']} is not in machine.json")
+    for dependence in saved.report["residual"]["depends_on"]:
+        names = {dependence["coordinate"], dependence["variable"].partition(" of ")[2] or dependence["coordinate"]}
+        if not names <= set(machine.coordinate_names):
+            raise _damaged(path, f"residual.depends_on: machine.json has no coordinate {' or '.join(sorted(names))}")
+
+
+def _check_curves(saved: SavedResult, path: Path) -> None:
+    """Raise InputError if the curves do not fit report.json and the machine."""
+    curves, channels = saved.curves, len(saved.machine.output_channels)
+    needed: dict[str, int] = {}  # dimensions by name
+    for run in saved.report["runs"]["held_out"]:
+        needed |= {f"{run}/time_s": 1, f"{run}/before": 2, f"{run}/after": 2}
+    if "force/variable" in curves:
+        needed |= {"force/variable": 1, "force/before": 1, "force/after": 1}
+        if not saved.report["residual"]["depends_on"]:
+            raise _damaged(path, "has a residual force, for which report.json has no variable")
+    needed |= {name: 1 for name in curves if name.startswith("coverage/")}
+    for name, dimensions in needed.items():
+        if name not in curves:
+            raise _damaged(path, f"has no array {name}")
+        values = curves[name]
+        rows = len(curves[f"{name.rpartition('/')[0]}/time_s"]) if dimensions == 2 else None
+        if values.ndim != dimensions or not len(values) or (rows and values.shape != (rows, channels)):
+            raise _damaged(path, f"array {name} has the shape {values.shape}")
+        if dimensions == 1 and not np.isfinite(values).all():
+            raise _damaged(path, f"array {name} has values that are not finite")
+        if name.startswith("force/") and len(values) != len(curves["force/variable"]):
+            raise _damaged(path, f"array {name} has another length than force/variable")
+        coordinate = name.partition(" of ")[2]
+        if name.startswith("coverage/") and coordinate and coordinate not in saved.machine.coordinate_names:
+            raise _damaged(path, f"array {name}: machine.json has no coordinate {coordinate}")

@@ -1,0 +1,122 @@
+"""Tests of what the sensors measure at rest: position, zeros of the sensors, and what is said where nothing measures it."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from hframe_gym.identification import estimate_initial_state
+from hframe_gym.identification.rest_measurement import (
+    InitialState,
+    common_encoder_zeros,
+    count_resting_rows,
+    sensor_zero_error,
+    settled_rows,
+)
+from hframe_gym.machine import Machine
+from hframe_gym.recordings import Recording
+
+pytestmark = pytest.mark.unit
+RADIUS = 0.0194
+
+
+def angles(x: float, y: float) -> np.ndarray:
+    """Return the pulley angles for unstretched belts, rad."""
+    return np.array([-(x + y), x - y]) / RADIUS
+
+
+def recording(outputs: np.ndarray, change: int) -> Recording:
+    """Return a run whose inputs change at a row."""
+    inputs = np.zeros((len(outputs), 2))
+    inputs[change:] = 3.0
+    return Recording("run_1", np.arange(len(outputs)) * 1e-3, inputs, outputs)
+
+
+def test_lasers_determine_the_position_and_encoders_get_an_offset(hframe: Machine) -> None:
+    rng = np.random.default_rng(3)
+    x, y = 0.11, -0.07
+    outputs = np.tile([0.0, 0.0, x, y], (200, 1))
+    outputs[:, 2:] += rng.normal(0, 20e-6, (200, 2))
+    initial = estimate_initial_state(recording(outputs, 100), hframe)
+    assert initial.resting_rows == 101
+    assert initial.position_measured
+    assert initial.warnings == ()
+    np.testing.assert_allclose(initial.state[:2], [x, y], atol=1e-5)
+    np.testing.assert_allclose(initial.state[2:4], angles(x, y), atol=1e-3)
+    np.testing.assert_allclose(initial.offset[:2], -angles(x, y), atol=1e-3)
+    np.testing.assert_allclose(initial.offset[2:], 0.0, atol=1e-9)
+
+
+def test_encoders_alone_are_assumed_to_count_from_zero_with_a_warning(hframe: Machine) -> None:
+    x, y = 0.05, 0.02
+    outputs = np.tile([*angles(x, y), np.nan, np.nan], (20, 1))
+    initial = estimate_initial_state(recording(outputs, 10), hframe)
+    np.testing.assert_allclose(initial.state[:2], [x, y], atol=1e-9)
+    np.testing.assert_allclose(initial.offset, 0.0, atol=1e-9)
+    assert not initial.position_measured
+    assert "run_1: the initial position cannot be determined" in initial.warnings[0]
+
+
+def test_a_laser_that_measures_nothing_at_rest_is_replaced_by_its_later_measurements(hframe: Machine) -> None:
+    """The encoders were switched on at an unknown angle; without the later rows the position would be off by decimeters."""
+    start, zeros = np.array([0.14, -0.03]), np.array([2.0, -5.0])
+    path = start + np.outer(np.linspace(0.0, 1.0, 300), [-0.2, 0.05])
+    path[:50] = start
+    turned = np.array([angles(x, y) for x, y in path])
+    outputs = np.hstack([turned + zeros, path])
+    outputs[path[:, 0] > 0.1, 2] = np.nan
+    initial = estimate_initial_state(recording(outputs, 49), hframe)
+    np.testing.assert_allclose(initial.state[:2], start, atol=1e-9)
+    np.testing.assert_allclose(initial.offset, [*zeros, 0.0, 0.0], atol=1e-6)
+    assert not initial.position_measured
+    assert "x_m measures nothing at rest" in initial.warnings[0]
+
+
+def test_an_axis_with_an_encoder_only_needs_no_warning(hframe: Machine) -> None:
+    """Its position counts from the encoder's zero by definition."""
+    encoder = dataclasses.replace(hframe, sensors=hframe.sensors[:2])
+    initial = estimate_initial_state(recording(np.zeros((20, 2)), 10), encoder)
+    assert initial.warnings == ()
+
+
+def test_a_run_that_is_driven_from_its_first_row_rests_one_row() -> None:
+    outputs = np.zeros((30, 4))
+    assert count_resting_rows(recording(outputs, 0)) == 1
+    assert count_resting_rows(recording(outputs, 12)) == 13
+    assert count_resting_rows(recording(outputs, 30)) == 30
+    assert settled_rows(13) == slice(6, 13)
+
+
+def initial_states(offsets: np.ndarray, measured: bool = True) -> list[InitialState]:
+    """Return initial states with given offsets (runs, sensors)."""
+    unknown = np.zeros(4, np.bool_)
+    return [InitialState(np.zeros(8), o, 50, unknown, position_measured=measured) for o in offsets]
+
+
+def test_encoders_that_kept_their_zero_are_found_and_others_are_not(hframe: Machine) -> None:
+    rng = np.random.default_rng(0)
+    quanta = np.array([5.2e-4, 5.2e-4, 0.0, 0.0])
+    offsets = np.zeros((6, 4))
+    offsets[:, 0] = 1.5 + rng.uniform(-5e-4, 5e-4, 6)
+    offsets[:, 1] = rng.uniform(-3.0, 3.0, 6)
+    zeros = common_encoder_zeros(initial_states(offsets), hframe, quanta)
+    assert zeros.offset[0] == pytest.approx(1.5, abs=5e-4)
+    assert np.isnan(zeros.offset[1:]).all()
+    assert np.isnan(common_encoder_zeros(initial_states(offsets[:2]), hframe, quanta).offset).all()
+
+
+def test_runs_without_a_measured_position_do_not_count_for_the_zeros(hframe: Machine) -> None:
+    offsets = np.tile([1.5, -0.5, 0.0, 0.0], (4, 1))
+    assumed = initial_states(np.zeros((5, 4)), measured=False)
+    zeros = common_encoder_zeros(initial_states(offsets) + assumed, hframe, np.full(4, 5.2e-4))
+    np.testing.assert_allclose(zeros.offset[:2], [1.5, -0.5])
+
+
+def test_the_zero_error_is_the_mean_at_rest_and_a_limited_part_of_the_mean() -> None:
+    error = np.full((1, 100, 2), 3.0)
+    error[:, 20:] += 0.5
+    measured = np.ones((100, 2), np.bool_)
+    zero = sensor_zero_error(error, measured, 20, np.array([np.inf, 0.1]))
+    np.testing.assert_allclose(zero, [[[3.4, 3.1]]])
