@@ -25,7 +25,7 @@ from ..machine import Machine
 Array = NDArray[np.float64]
 Observation = Mapping[str, NDArray[Any]]
 
-# What an adaptive base adds to the observation: attributes of `AdaptiveController`, in the order of its `feature_sizes`.
+# What an adaptive base adds to the observation: attributes of `AdaptiveController` in the order of its `feature_sizes`.
 ADAPTIVE_FEATURES = ("expected_friction", "estimates")
 
 

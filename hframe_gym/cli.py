@@ -75,14 +75,16 @@ def simulate(
     Example:  hframe simulate --machine hframe --inputs examples/rig_b/run_01.csv.gz --out predicted.csv
     """
     from .dynamics import simulate as run_simulation
-    from .identification import estimate_initial_state
+    from .identification import initial_state_of_recording
     from .recordings import load_machine, load_recording, write_trajectory
 
     if not str(out).endswith((".csv", ".csv.gz")):
         raise InputError(f"--out {out}: must end in .csv or .csv.gz")
     declared = load_machine(machine)
     recording = load_recording(inputs, declared, outputs_needed=False)
-    initial = estimate_initial_state(recording, declared)
+    initial = initial_state_of_recording(declared, recording)
+    for warning in initial.warnings:
+        _log(f"warning: {warning}")
     trajectory = run_simulation(declared, recording.time_s, recording.inputs, initial.state, offset=initial.offset)
     write_trajectory(out, trajectory, recording.inputs, declared)
     _log(f"wrote {out}: {len(recording.time_s)} rows of {declared.name}")
@@ -98,15 +100,14 @@ def check(
 
     Example:  hframe check examples/rig_a
     """
-    from .data_validation import check_recordings
-    from .data_validation.findings_output import show, write_json
+    from .data_validation import check_recordings, print_findings, write_findings
     from .recordings import load_machine, load_recordings
 
     declared = load_machine(machine)
     findings = check_recordings(load_recordings(runs_dir, declared), declared)
-    show(findings, console)
+    print_findings(findings, console)
     if json is not None:
-        write_json(findings, json)
+        write_findings(findings, json)
         _log(f"wrote {json}")
 
 
@@ -126,10 +127,10 @@ def identify(
     Example:  hframe identify examples/rig_a --out out/rig_a
     """
     from .cli_tables import identification_table
-    from .data_validation import warnings_of
+    from .data_validation import recording_warnings
     from .identification import identify as run_identification
+    from .identification import write_result
     from .identification.report import build_report, verdict_sentence
-    from .identification.result_output import write_answer
     from .recordings import load_machine, load_recordings
 
     if jobs:
@@ -137,11 +138,11 @@ def identify(
     declared = load_machine(machine)
     require_folder(out)
     recordings = load_recordings(runs_dir, declared)
-    data_warnings = [str(finding) for recording in recordings for finding in warnings_of(recording, declared)]
-    for warning in data_warnings:
-        _log(f"warning: {warning}")
-    result = run_identification(recordings, declared, held_out=hold_out or (), say=_log)
-    write_answer(result, out, data_warnings)
+    findings = [str(finding) for recording in recordings for finding in recording_warnings(recording, declared)]
+    for finding in findings:
+        _log(finding)
+    result = run_identification(recordings, declared, held_out=hold_out or (), log=_log)
+    write_result(result, out, findings)
     contents, channels = result.as_json(), list(declared.output_channels)
     console.print(identification_table(contents, channels))
     _log(verdict_sentence(contents, channels))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -27,7 +27,7 @@ def registered_choices() -> dict[str, str]:
     from .envs import RANDOMIZATION_PRESETS, SENSOR_PRESETS, TASKS
 
     algorithms = sorted({name.rpartition("_")[0] for name in recipe_names()})
-    choices = {
+    choices: dict[str, Iterable[str]] = {
         "algorithms": algorithms,
         "controllers": CONTROLLERS,
         "randomizations": RANDOMIZATION_PRESETS,
