@@ -5,7 +5,7 @@ this package does not; it registers trained agents as controllers for `hframe_gy
 """
 
 from .agent import Agent
-from .controller_source import AgentSource, shipped_agent_folder
+from .controller_source import AgentSource, shipped_agent_folder, shipped_agent_names
 from .recipe import Recipe, load_recipe, recipe_names
 from .training import train
 
@@ -16,5 +16,6 @@ __all__ = [
     "load_recipe",
     "recipe_names",
     "shipped_agent_folder",
+    "shipped_agent_names",
     "train",
 ]

@@ -75,6 +75,15 @@ def shipped_agent_folder(name: str, task: str) -> Path:
     return folder
 
 
+def shipped_agent_names() -> tuple[str, ...]:
+    """List the agents that come with the package, for any task.
+
+    Returns:
+        Names without the seed, sorted.
+    """
+    return tuple(sorted({label.rpartition("-seed")[0] for label in _shipped_folders("*")}))
+
+
 def _find_shipped(name: str, task: str) -> Path | None:
     """Return the folder of the first shipped agent that has a name or whose name begins with it and a hyphen."""
     folders = _shipped_folders(task)

@@ -186,8 +186,8 @@ def train(
 ) -> None:
     """Train an agent by the recipe of an algorithm and a task.
 
-    The folder receives the best agent so far, its card with the learning curve, TensorBoard logs and a checkpoint. A
-    run may be killed at any time and continued with --resume.
+    The folder receives the best agent so far, its card with the learning curve, TensorBoard logs and a checkpoint.
+    A run may be killed at any time and continued with --resume.
 
     Example:  hframe train ppo --out out/ppo
     """
@@ -214,7 +214,7 @@ def evaluate(
     controllers: Annotated[
         list[str],
         typer.Argument(
-            help="Controllers: {controllers}, a shipped agent (ppo, sac, residual), the folder of a trained "
+            help="Controllers: {controllers}, a shipped agent ({agents}), the folder of a trained "
             "agent, or module:name."
         ),
     ],

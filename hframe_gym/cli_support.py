@@ -22,12 +22,13 @@ def registered_choices() -> dict[str, str]:
     Returns:
         Names separated by commas, by the placeholder that the help texts use for them.
     """
-    from .agents import recipe_names
+    from .agents import recipe_names, shipped_agent_names
     from .controllers import CONTROLLERS
     from .envs import RANDOMIZATION_PRESETS, SENSOR_PRESETS, TASKS
 
     algorithms = sorted({name.rpartition("_")[0] for name in recipe_names()})
     choices: dict[str, Iterable[str]] = {
+        "agents": shipped_agent_names(),
         "algorithms": algorithms,
         "controllers": CONTROLLERS,
         "randomizations": RANDOMIZATION_PRESETS,

@@ -81,7 +81,9 @@ def test_simulate_starts_where_identification_starts(hframe_command: Command, tm
     recording = load_recording(source, hframe)
     initial = initial_state_of_recording(hframe, recording)
     expected = simulate(hframe, recording.time_s, recording.inputs, initial.state, offset=initial.offset)
-    np.testing.assert_allclose(load_recording(tmp_path / "p.csv", hframe).outputs, expected.outputs, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(
+        load_recording(tmp_path / "p.csv", hframe).outputs, expected.outputs, rtol=1e-6, atol=1e-9
+    )
 
 
 @pytest.mark.parametrize(
@@ -250,6 +252,37 @@ def test_evaluate_does_not_warn_on_the_machine_of_the_training(hframe_command: C
     assert (code, err) == (0, "")
 
 
+PLUGIN = '''
+from dataclasses import dataclass
+import numpy as np
+from hframe_gym.controllers import CONTROLLERS, Controller
+from hframe_gym.envs import TASKS, Reach
+
+@CONTROLLERS.register("toy-zero")
+class Zero(Controller):
+    """Apply no voltage."""
+    def act(self, observation):
+        return np.zeros((len(observation["observation"]), len(self.machine.drives)))
+
+@TASKS.register("toy-reach")
+@dataclass(frozen=True)
+class ToyReach(Reach):
+    """Reach a point."""
+'''
+
+
+def test_evaluate_takes_a_controller_and_a_task_of_another_module(
+    hframe_command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "toy_plugin.py").write_text(PLUGIN)
+    monkeypatch.syspath_prepend(tmp_path)
+    options = ("--task", "toy_plugin:toy-reach", "--episodes", 2, "--out", tmp_path / "out")
+    code, _, err = hframe_command("evaluate", "toy_plugin:toy-zero", *options)
+    assert (code, err) == (0, "")
+    scores = json.loads((tmp_path / "out/scores.json").read_text())
+    assert scores["controllers"]["toy_plugin:toy-zero"]["success"]["1mm"] == 0.0
+
+
 def test_evaluate_follows_a_path(hframe_command: Command, tmp_path: Path) -> None:
     options = ("--task", "track", "--path", "square", "--episodes", 2, "--out", tmp_path)
     code, out, _ = hframe_command("evaluate", "pid", *options)
@@ -301,7 +334,18 @@ def test_help_has_an_example(command: str, hframe_command: Command) -> None:
     [
         (
             "evaluate",
-            ("pid,", "adaptive-pid,", "textbook-pid,", "reach,", "track,", "default,", "wide,", "state", "rig"),
+            (
+                "pid,",
+                "adaptive-pid,",
+                "textbook-pid,",
+                "residual,",
+                "reach,",
+                "track,",
+                "default,",
+                "wide,",
+                "state",
+                "rig",
+            ),
         ),
         ("train", ("ppo,", "residual,", "sac,", "sac_her", "adapt,", "identified")),
     ],

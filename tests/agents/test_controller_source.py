@@ -5,7 +5,7 @@ import warnings
 
 import pytest
 
-from hframe_gym.agents import Agent, shipped_agent_folder
+from hframe_gym.agents import Agent, shipped_agent_folder, shipped_agent_names
 from hframe_gym.agents.controller_source import AgentSource
 from hframe_gym.errors import InputError
 from hframe_gym.evaluation import Scenario, make_controller
@@ -16,6 +16,10 @@ from hframe_gym.evaluation import Scenario, make_controller
 def test_shipped_agents_are_found_by_name_and_by_prefix(name, expected, task):
     folder = shipped_agent_folder(name, task)
     assert (folder.name, folder.parent.name) == (expected, task)
+
+
+def test_names_of_the_shipped_agents():
+    assert shipped_agent_names() == ("ppo", "residual", "sac")
 
 
 def test_unknown_shipped_agent_is_refused_with_a_list():
