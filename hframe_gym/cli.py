@@ -259,8 +259,9 @@ def evaluate(
         from .evaluation.plotting import save
 
         for name, episode in recorded.items():
-            plot = out / f"{Path(name).name}.png"
-            save(plot, episode, title=f"{Path(name).name} on {declared.name}")
+            label = Path(name).name.replace(":", "-")  # of a folder the last part; no colon in a file name
+            plot = out / f"{label}.png"
+            save(plot, episode, title=f"{label} on {declared.name}")
             _log(f"wrote {plot}")
     except ImportError as error:
         _log(f"no plots: {error}")
