@@ -1,10 +1,21 @@
-"""Learned controllers: training, recipes as data, and agents in a format whose loading runs no code.
+"""Learned controllers: training by recipe, agents on disk, and the agents that come with the package.
 
-Needs the extra `agents` (stable-baselines3, torch, safetensors); importing this package does not.
+Training and running an agent need the extra `agents` (stable-baselines3, torch, safetensors, tensorboard). Importing
+this package does not; it registers trained agents as controllers for `hframe_gym.evaluation.make_controller`.
 """
 
+from .agent import Agent
+from .controller_source import AgentSource, shipped_agent_folder, shipped_agent_names
+from .recipe import Recipe, load_recipe, recipe_names
 from .training import train
 
 __all__ = [
+    "Agent",
+    "AgentSource",
+    "Recipe",
+    "load_recipe",
+    "recipe_names",
+    "shipped_agent_folder",
+    "shipped_agent_names",
     "train",
 ]

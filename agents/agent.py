@@ -1,6 +1,7 @@
-"""An agent on disk: policy.safetensors holds the weights, agent.json how to build the policy, machine.json its machine.
+"""A trained policy as a controller, and its files.
 
-Loading one runs no code of it, so an agent may come from anywhere.
+A folder holds policy.safetensors (weights), agent.json (how to build the policy) and machine.json (the machine of the
+training). Loading them executes no code from the folder, so an agent may come from an untrusted source.
 """
 
 from __future__ import annotations
@@ -8,125 +9,236 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..atomic_files import whole_file, write_text
+from ..atomic_files import atomic_file, write_text
+from ..controllers import Controller
+from ..controllers.base import Feedback
+from ..envs import action_space, observation_space
+from ..errors import InputError
 from ..machine import Machine
 from ..recordings import load_machine, save_machine
-from .optional_dependencies import load, one_thread
-from .residual_action import ResidualAction
+from .optional_dependencies import import_optional, single_threaded_torch
+from .residual_action import ResidualAction, residual_action
 
 SCHEMA = 2
-STATED = ("schema", "name", "task", "kind", "machine", "seed", "recipe", "settings", "period", "features", "previews")
-# Networks of stable-baselines3's policies that judge and do not act; an agent on disk goes without.
-CRITICS = ("critic", "value_net", "mlp_extractor.value_net")
+AGENT_FILES = ("agent.json", "machine.json", "policy.safetensors")
+# Entries of a card that agent.json repeats: what is needed to rebuild the policy, and what it is.
+AGENT_KEYS = (
+    "schema",
+    "name",
+    "task",
+    "kind",
+    "machine",
+    "seed",
+    "recipe",
+    "settings",
+    "period",
+    "features",
+    "previews",
+)
+# Prefixes of the weights that only training uses; the files of an agent do not contain them.
+CRITIC_PREFIXES = ("critic", "value_net", "mlp_extractor.value_net")
+RELATIVE_TOLERANCE = 1e-9  # parameters that differ by less are equal: files hold them as decimal numbers
 
 
 def policy_keywords(policy: Mapping[str, Any], features: Mapping[str, Any]) -> dict[str, Any]:
-    """`policy_kwargs` of stable-baselines3 from a recipe's [policy] and the keywords of the features."""
-    load("stable_baselines3")
-    from .features import StageFeatures
+    """Build `policy_kwargs` of stable-baselines3.
 
-    return {**policy, "features_extractor_class": StageFeatures, "features_extractor_kwargs": dict(features)}
+    Args:
+        policy: The [policy] table of a recipe.
+        features: Keywords of `LogScaleFeatures`, from `feature_parameters`.
+
+    Returns:
+        The keywords of the policy class.
+
+    Raises:
+        ImportError: If the extra `agents` is not installed.
+    """
+    extractor = import_optional("stable_baselines3") and import_optional(f"{__package__}.feature_extractor")
+    return {
+        **policy,
+        "features_extractor_class": extractor.LogScaleFeatures,
+        "features_extractor_kwargs": dict(features),
+    }
 
 
-class Agent:
-    """A trained policy as a controller (see `hframe_gym.controllers.Controller`): its mean action for each stage.
+class Agent(Controller):
+    """Controller of a batch of machines that applies the mean action of a trained policy.
 
-    policy: of stable-baselines3.  actuation: between it and the stages, or None where its outputs are the actions.
-    machine: what it was trained on.  card: what agent.json says.
+    Args:
+        policy: Policy of stable-baselines3.
+        mapping: Mapping between policy outputs and actions, or None if the outputs are the actions.
+        machine: Machine on which the policy was trained.
+        card: Contents of agent.json; may have more entries, which are not saved.
     """
 
-    def __init__(
-        self, policy: Any, actuation: ResidualAction | None, machine: Machine, card: Mapping[str, Any]
-    ) -> None:
+    feedback: ClassVar[Feedback] = "observation"
+
+    def __init__(self, policy: Any, mapping: ResidualAction | None, machine: Machine, card: Mapping[str, Any]) -> None:
+        super().__init__(machine, card["period"])
         self.policy = policy
-        self.actuation = actuation
-        self.machine = machine
+        self.mapping = mapping
         self.card = dict(card)
 
     def act(self, observation: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
-        """Actions (B, drives) in [-1, 1] for observations, each (B, n).
+        """Return the actions of one control period.
 
-        Raises ValueError for observations of another size than the agent was trained on, as other sensors give.
+        Args:
+            observation: Batched observation, each value of shape (batch, entries of the key).
+
+        Returns:
+            Actions in [-1, 1], fractions of the rated voltages, shape (batch, drives).
+
+        Raises:
+            InputError: If an entry has another size than in training, as with other sensors.
         """
         for key, space in self.policy.observation_space.spaces.items():
             if key in observation and observation[key].shape[1:] != space.shape:
-                raise ValueError(
-                    f"agent {self.card['name']}: {key} has shape {observation[key].shape}, it was trained on "
-                    f"(B, {space.shape[0]})"
+                raise InputError(
+                    f"agent {self.card['name']}: {key} has shape {observation[key].shape}, but the agent was trained "
+                    f"on (batch, {space.shape[0]}); evaluate it with the sensors of its training"
                 )
-        seen = self.actuation.see(observation) if self.actuation else dict(observation)
-        with one_thread():
-            outputs, _ = self.policy.predict(seen, deterministic=True)
-        return self.actuation.apply(outputs) if self.actuation else np.asarray(outputs, np.float64)
+        policy_input = self.mapping.augment(observation) if self.mapping else dict(observation)
+        with single_threaded_torch():
+            outputs, _ = self.policy.predict(policy_input, deterministic=True)
+        return self.mapping.action(outputs) if self.mapping else np.asarray(outputs, np.float64)
 
-    def applied(self, actions: NDArray[np.float64]) -> None:
-        """The stages were given actions (B, drives) in [-1, 1], and not what `act` answered last."""
-        if self.actuation:
-            self.actuation.applied(actions)
+    def replace_last_action(self, actions: NDArray[np.float64]) -> None:
+        """Record that the drives received other actions than `act` returned last.
+
+        Args:
+            actions: Actions in [-1, 1], shape (batch, drives).
+        """
+        if self.mapping:
+            self.mapping.replace_last_action(actions)
 
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """Forget the stages of mask (B,), or all."""
-        if self.actuation:
-            self.actuation.reset(mask)
+        """Forget the history of environments whose episode begins with the next observation.
+
+        Args:
+            mask: Environments to reset, shape (batch,). Default: all.
+        """
+        if self.mapping:
+            self.mapping.reset(mask)
+
+    def mismatch(self, machine: Machine, period: float) -> str | None:
+        """Describe how an evaluation differs from the agent's training.
+
+        Args:
+            machine: Machine of the evaluation.
+            period: Control period of the evaluation, s.
+
+        Returns:
+            One line for the user, or None if machine and period are those of the training.
+        """
+        differences = []
+        if machine.name != self.machine.name:
+            differences.append(f"trained on machine {self.machine.name!r}, evaluated on {machine.name!r}")
+        elif not _same_parameters(machine, self.machine):
+            differences.append(f"trained on a machine {machine.name!r} with other parameters")
+        if not np.isclose(period, self.period):
+            differences.append(f"trained with a control period of {self.period:g} s, evaluated at {period:g} s")
+        if not differences:
+            return None
+        return f"agent {self.card['name']}: {'; '.join(differences)}. Its scores may be poor."
 
     def save(self, folder: str | Path) -> None:
-        """Write policy.safetensors, agent.json and machine.json, each whole."""
-        safetensors = load("safetensors.torch")
+        """Write policy.safetensors, agent.json and machine.json, each completely or not at all.
+
+        Args:
+            folder: Folder to write to.
+        """
+        safetensors = import_optional("safetensors.torch")
         state = self.policy.state_dict()
-        weights = {name: value.contiguous() for name, value in state.items() if not name.startswith(CRITICS)}
-        with whole_file(Path(folder) / "policy.safetensors") as temporary:
+        weights = {name: value.contiguous() for name, value in state.items() if not name.startswith(CRITIC_PREFIXES)}
+        with atomic_file(Path(folder) / "policy.safetensors") as temporary:
             safetensors.save_file(weights, temporary)
         save_machine(self.machine, Path(folder) / "machine.json")
-        stated = {key: self.card[key] for key in STATED}
-        write_text(Path(folder) / "agent.json", json.dumps(stated, indent=1) + "\n")
+        contents = {key: self.card[key] for key in AGENT_KEYS}
+        write_text(Path(folder) / "agent.json", json.dumps(contents, indent=1) + "\n")
 
     @classmethod
     def load(cls, folder: str | Path) -> Agent:
-        """The agent in a folder.
+        """Load an agent.
 
-        Raises ValueError when its files are missing or of another schema.
+        Args:
+            folder: Folder that `save` or `hframe train` wrote.
+
+        Returns:
+            The agent.
+
+        Raises:
+            InputError: If a file is missing, damaged or of another version.
+            ImportError: If the extra `agents` is not installed.
         """
-        from ..envs.spaces import action_space, observation_space
-
         path = Path(folder)
-        for name in ("agent.json", "machine.json", "policy.safetensors"):
-            if not (path / name).is_file():
-                raise ValueError(f"{path} is not an agent: {name} is missing")
-        card = json.loads((path / "agent.json").read_text("utf-8"))
-        if card.get("schema") != SCHEMA:
-            raise ValueError(f"{path / 'agent.json'}: schema is {card.get('schema')!r}, this version reads {SCHEMA}")
+        card = _read_card(path)
         machine = load_machine(path / "machine.json")
-        actuation = actuation_for(machine, card["settings"]["actuation"], card["period"])
+        algorithm = import_optional("stable_baselines3.ppo" if card["kind"] == "ppo" else "stable_baselines3.sac")
+        mapping = residual_action(machine, card["settings"]["actuation"], card["period"])
         space = observation_space(machine, card["previews"])
-        kind = load("stable_baselines3.ppo" if card["kind"] == "ppo" else "stable_baselines3.sac")
-        policy = kind.MultiInputPolicy(
-            actuation.space(space) if actuation else space,
+        policy = algorithm.MultiInputPolicy(
+            mapping.observation_space(space) if mapping else space,
             action_space(machine),
-            lambda _: 0.0,
+            lambda _: 0.0,  # learning rate, which only training uses
             **policy_keywords(card["settings"]["policy"], card["features"]),
         )
         load_weights(policy, path)
         policy.set_training_mode(False)
-        return cls(policy, actuation, machine, card)
+        return cls(policy, mapping, machine, card)
 
 
 def load_weights(policy: Any, folder: Path) -> None:
-    """Give a policy the weights in a folder, all but those of critics.
+    """Load all weights of a policy but the critics'.
 
-    Raises ValueError naming the weights that are not there, or that the policy has no place for.
+    Args:
+        policy: Policy of stable-baselines3; its weights are replaced.
+        folder: Folder of an agent.
+
+    Raises:
+        InputError: If the file is damaged, lacks weights of the policy or has weights that the policy lacks.
     """
-    weights = load("safetensors.torch").load_file(folder / "policy.safetensors")
-    missing, unexpected = policy.load_state_dict(weights, strict=False)
-    strangers = [*unexpected, *(name for name in missing if not name.startswith(CRITICS))]
-    if strangers:
-        raise ValueError(f"{folder / 'policy.safetensors'} does not fit the policy: {', '.join(sorted(strangers))}")
+    safetensors = import_optional("safetensors.torch")
+    file = folder / "policy.safetensors"
+    try:
+        weights = safetensors.load_file(file)
+        missing, unexpected = policy.load_state_dict(weights, strict=False)
+    except (import_optional("safetensors").SafetensorError, RuntimeError) as error:
+        raise InputError(
+            f"{file}: cannot be read as the weights of this policy: {' '.join(str(error).split())}"
+        ) from error
+    misfits = [*unexpected, *(name for name in missing if not name.startswith(CRITIC_PREFIXES))]
+    if misfits:
+        raise InputError(f"{file}: does not fit the policy, see {', '.join(sorted(misfits))}")
 
 
-def actuation_for(machine: Machine, settings: Mapping[str, Any], period: float) -> ResidualAction | None:
-    """The actuation of a recipe's [actuation], None where that is empty."""
-    return ResidualAction(machine, period, **settings) if settings else None
+def _read_card(folder: Path) -> dict[str, Any]:
+    """Read agent.json and check that the folder holds an agent of this version."""
+    for name in AGENT_FILES:
+        if not (folder / name).is_file():
+            raise InputError(f"{folder} is not an agent: {name} is missing")
+    file = folder / "agent.json"
+    try:
+        card = json.loads(file.read_text("utf-8"))
+    except ValueError as error:
+        raise InputError(f"{file}: not valid JSON: {error}") from error
+    schema = card.get("schema") if isinstance(card, dict) else None
+    if schema != SCHEMA:
+        raise InputError(f"{file}: schema is {schema!r}, this version reads {SCHEMA}")
+    missing = [key for key in AGENT_KEYS if key not in card]
+    missing += [f"settings.{key}" for key in ("actuation", "policy") if key not in card.get("settings", ())]
+    if missing:
+        raise InputError(f"{file}: entries are missing: {', '.join(missing)}")
+    return dict(card)
+
+
+def _same_parameters(machine: Machine, other: Machine) -> bool:
+    """Tell whether two machines have the same parameters with equal values."""
+    if list(machine.parameters) != list(other.parameters):
+        return False
+    values, other_values = (list(m.parameters.values()) for m in (machine, other))
+    return bool(np.allclose(values, other_values, rtol=RELATIVE_TOLERANCE, atol=0.0))

@@ -1,133 +1,134 @@
-"""What a policy sees of an observation: errors and speeds at every scale from metres to micrometres.
+"""Policy features: position errors and speeds on logarithmic scales from meters to micrometers.
 
-A network fed with metres cannot tell 0.1 mm from nothing.  Each quantity v enters as sign(v) log(1 + |v| / scale) for
-several scales, linear well within a scale and logarithmic beyond.  Errors come both as the tool's, in x and y, and as
-each motor's, in belt travel; each as it is and as it will be if the motion goes on for another period.
+A network that receives meters cannot resolve 0.1 mm. Each quantity v therefore enters as
 
-Every v is linear in the numbers of the observation, so the features are one matrix product and one logarithm.
+    sign(v) * log(1 + |v| / scale)
+
+for several scales: linear well below a scale, logarithmic above it. Errors enter for the tool (x, y) and for each motor
+(as belt travel), now and extrapolated one control period ahead. Every v is linear in the observation z, so all
+features are one matrix product followed by one logarithm: gain * sign(z M) * log(1 + |z M|).
+
+This module needs NumPy only; `feature_extractor` evaluates the features in torch.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import torch
-from gymnasium import spaces
 from numpy.typing import NDArray
-from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+
+from ..machine import Machine, rest_state
 
 Array = NDArray[np.float64]
 
 ERROR_SCALES = (1e-1, 1e-2, 1e-3, 1e-4)  # m
 SPEED_SCALES = (0.3, 0.02)  # m/s
 STRETCH_SCALES = (1e-3, 1e-4)  # m
-ACTION_SCALES = (1.0, 0.03)  # of the rated voltage: all of it, and about what friction takes
-EXPECTED_SCALES = (0.03, 0.003)  # of the rated voltage
-LEARNT_SCALE, LARGEST_LEARNT = 0.2, 1.0
-PLACE_SCALE = 0.2  # m
-AHEAD = 0.01  # s
-# What gives a feature of 1: about the largest that comes up.
+# Fractions of the rated voltage: full voltage, and about what Coulomb friction takes.
+ACTION_SCALES = (1.0, 0.03)
+FRICTION_VOLTAGE_SCALES = (0.03, 0.003)  # fractions of the rated voltage
+ESTIMATE_SCALE, LARGEST_ESTIMATE = 0.2, 1.0  # relative deviations from the nominal parameters
+POSITION_SCALE = 0.2  # m
+EXTRAPOLATION_S = 0.01  # s, one control period
+# Values at which a feature reaches 1: about the largest that occur.
 LARGEST_ERROR = 0.5  # m
 LARGEST_SPEED = 1.5  # m/s
 LARGEST_STRETCH = 0.01  # m
 
-# Keys of an observation in the order in which they are read, as far as they are there.
-KEYS = (
+# Observation keys in the order in which they are concatenated; absent keys are skipped. The weights of a trained agent
+# depend on this order.
+OBSERVATION_KEYS = (
     "observation",
     "desired_goal",
     "preview",
     "last_observation",
     "last_action",
     "base_action",
-    "expected",
-    "learnt",
+    "expected_friction",
+    "estimates",
 )
 
 
-class StageFeatures(BaseFeaturesExtractor):
-    """Features (B, n) of a dict observation: `observation`, `desired_goal`, and as far as they are there `preview` and
-    what `ResidualAction` adds.
+def feature_parameters(machine: Machine) -> dict[str, Any]:
+    """Return the machine's geometry that the features need, as keywords of `feature_matrix`.
 
-    radii: travel of belt per unit of each driven coordinate, (d,) m.  rest: that travel at rest per metre of x and y,
-    (d, 2).
+    Args:
+        machine: Machine with coordinates x and y and one driven coordinate per drive.
+
+    Returns:
+        `radii`: belt travel per unit of each driven coordinate, m/rad, list of length drives. `rest`: belt travel of
+        each driven coordinate per meter of x and y at rest, list of shape (drives, 2). Plain data for JSON.
     """
-
-    def __init__(self, observation_space: spaces.Dict, radii: list[float], rest: list[list[float]]) -> None:
-        sizes = {key: int(np.prod(observation_space[key].shape)) for key in KEYS if key in observation_space.spaces}
-        matrix, gain = feature_map(sizes, np.array(radii), np.array(rest))
-        super().__init__(observation_space, features_dim=len(gain))
-        self.keys = tuple(sizes)
-        # Not persistent: made from the agent's card, so the weights file does not repeat them.
-        self.register_buffer("matrix", torch.as_tensor(matrix.astype(np.float32)), persistent=False)
-        self.register_buffer("gain", torch.as_tensor(gain.astype(np.float32)), persistent=False)
-
-    def forward(self, observation: dict[str, torch.Tensor]) -> torch.Tensor:
-        numbers = torch.cat([observation[key] for key in self.keys], dim=1)
-        scaled = numbers @ self.matrix
-        return torch.sign(scaled) * torch.log1p(scaled.abs()) * self.gain
-
-
-def feature_map(sizes: dict[str, int], radii: Array, rest: Array) -> tuple[Array, Array]:
-    """M (numbers, n) and g (n,) of the features g sign(z M) log(1 + |z M|) of an observation's numbers z.
-
-    sizes: how many numbers each key has, in the order of z.  radii, rest: as for `StageFeatures`.
-    """
-    edges = np.cumsum([0, *sizes.values()])
-    # A column picks a number out of z; sums of columns are sums of numbers.
-    own = {
-        key: np.eye(edges[-1])[:, a:b] for key, a, b in zip(sizes, edges[:-1].tolist(), edges[1:].tolist(), strict=True)
+    linear_names = [c.name for c in machine.coordinates if c.kind == "linear"]
+    driven = [machine.coordinate_names.index(drive.coordinate) for drive in machine.drives]
+    # Rest states for a displacement of 1 m along x and along y.
+    unit_states = [rest_state(machine, [float(name == axis) for name in linear_names]) for axis in ("x", "y")]
+    return {
+        "radii": [float(machine.travel_per_unit[i]) for i in driven],
+        "rest": [[float(state[i] * machine.travel_per_unit[i]) for state in unit_states] for i in driven],
     }
+
+
+def feature_matrix(sizes: Mapping[str, int], radii: Array, rest: Array) -> tuple[Array, Array]:
+    """Build the matrix M and the gains g of the features g * sign(z M) * log(1 + |z M|).
+
+    Args:
+        sizes: Number of entries of each observation key, in the order in which they form z.
+        radii: Belt travel per unit of each driven coordinate, m/rad, shape (drives,).
+        rest: Belt travel of each driven coordinate per meter of x and y at rest, shape (drives, 2).
+
+    Returns:
+        M, shape (entries, features), and g, shape (features,).
+    """
+    selectors = _selectors(sizes)  # key -> (entries, entries of the key)
     drives = len(radii)
-
-    def motion(state: Array) -> tuple[Array, Array, Array, Array]:
-        """Tool and motors, then their speeds, in travel."""
-        tool, motors, speed, motor_speed = np.split(state, np.cumsum([2, drives, 2]), axis=1)
-        return tool, motors * radii, speed, motor_speed * radii
-
-    tool, motors, speed, motor_speed = motion(own["observation"])
-    goal = own["desired_goal"]
-    speeds = np.hstack([speed, motor_speed])
-    error = np.hstack([goal - tool, goal @ rest.T - motors])
-    parts = [
-        _scaled(tool, (PLACE_SCALE,), PLACE_SCALE),
-        _scaled(np.hstack([error, error - AHEAD * speeds]), ERROR_SCALES, LARGEST_ERROR),
-        _scaled(speeds, SPEED_SCALES, LARGEST_SPEED),
-        _scaled(motors - tool @ rest.T, STRETCH_SCALES, LARGEST_STRETCH),
-        _scaled(motor_speed - speed @ rest.T, SPEED_SCALES[1:], LARGEST_SPEED),
+    tool, motors, tool_speed, motor_speed = _split_state(selectors["observation"], radii)
+    goal = selectors["desired_goal"]
+    speeds = np.hstack([tool_speed, motor_speed])
+    errors = np.hstack([goal - tool, goal @ rest.T - motors])
+    blocks = [
+        _scaled_columns(tool, (POSITION_SCALE,), POSITION_SCALE),
+        _scaled_columns(np.hstack([errors, errors - EXTRAPOLATION_S * speeds]), ERROR_SCALES, LARGEST_ERROR),
+        _scaled_columns(speeds, SPEED_SCALES, LARGEST_SPEED),
+        _scaled_columns(motors - tool @ rest.T, STRETCH_SCALES, LARGEST_STRETCH),
+        _scaled_columns(motor_speed - tool_speed @ rest.T, SPEED_SCALES[1:], LARGEST_SPEED),
     ]
-    if "preview" in own:
-        ahead = [own["preview"][:, i : i + 2] - goal for i in range(0, sizes["preview"], 2)]
-        parts.append(_scaled(np.hstack(ahead), ERROR_SCALES[1:3], LARGEST_ERROR))
-    if "last_observation" in own:
-        parts.append(_scaled(speeds - np.hstack(motion(own["last_observation"])[2:]), SPEED_SCALES, LARGEST_SPEED))
+    if "preview" in selectors:
+        future_goals = [selectors["preview"][:, i : i + 2] - goal for i in range(0, sizes["preview"], 2)]
+        blocks.append(_scaled_columns(np.hstack(future_goals), ERROR_SCALES[1:3], LARGEST_ERROR))
+    if "last_observation" in selectors:
+        last_speeds = np.hstack(_split_state(selectors["last_observation"], radii)[2:])
+        blocks.append(_scaled_columns(speeds - last_speeds, SPEED_SCALES, LARGEST_SPEED))
     for key in ("last_action", "base_action"):
-        if key in own:
-            parts.append(_scaled(own[key], ACTION_SCALES, 1.0))
-    if "expected" in own:
-        now, lately = own["expected"][:, :-drives], own["expected"][:, -drives:]
-        news = now - np.tile(lately, now.shape[1] // drives)  # what a controller that goes by the past does not know
-        parts.append(_scaled(np.hstack([now[:, :drives], news]), EXPECTED_SCALES, EXPECTED_SCALES[0]))
-    if "learnt" in own:
-        parts.append(_scaled(own["learnt"], (LEARNT_SCALE,), LARGEST_LEARNT))
-    return np.hstack([matrix for matrix, _ in parts]), np.concatenate([gain for _, gain in parts])
+        if key in selectors:
+            blocks.append(_scaled_columns(selectors[key], ACTION_SCALES, 1.0))
+    if "expected_friction" in selectors:
+        upcoming, recent = selectors["expected_friction"][:, :-drives], selectors["expected_friction"][:, -drives:]
+        # The change of the friction voltage along the path is what a controller that only integrates cannot anticipate.
+        change = upcoming - np.tile(recent, upcoming.shape[1] // drives)
+        columns = np.hstack([upcoming[:, :drives], change])
+        blocks.append(_scaled_columns(columns, FRICTION_VOLTAGE_SCALES, FRICTION_VOLTAGE_SCALES[0]))
+    if "estimates" in selectors:
+        blocks.append(_scaled_columns(selectors["estimates"], (ESTIMATE_SCALE,), LARGEST_ESTIMATE))
+    return np.hstack([matrix for matrix, _ in blocks]), np.concatenate([gain for _, gain in blocks])
 
 
-def _scaled(columns: Array, scales: Sequence[float], largest: float) -> tuple[Array, Array]:
-    """Columns of M over each of the scales, and the gains with which `largest` gives 1."""
+def _selectors(sizes: Mapping[str, int]) -> dict[str, Array]:
+    """Return, for each key, the columns that pick its entries out of z, shape (entries, entries of the key)."""
+    edges = np.cumsum([0, *sizes.values()]).tolist()
+    identity = np.eye(edges[-1])
+    return {key: identity[:, first:last] for key, first, last in zip(sizes, edges[:-1], edges[1:], strict=True)}
+
+
+def _split_state(state: Array, radii: Array) -> tuple[Array, Array, Array, Array]:
+    """Split a state's columns into tool, motors, tool speed and motor speed, motors in belt travel."""
+    tool, motors, tool_speed, motor_speed = np.split(state, np.cumsum([2, len(radii), 2]), axis=1)
+    return tool, motors * radii, tool_speed, motor_speed * radii
+
+
+def _scaled_columns(columns: Array, scales: Sequence[float], largest: float) -> tuple[Array, Array]:
+    """Return the columns divided by each scale, and the gains at which the value `largest` gives a feature of 1."""
     gains = [np.full(columns.shape[1], 1.0 / np.log1p(largest / scale)) for scale in scales]
     return np.hstack([columns / scale for scale in scales]), np.concatenate(gains)
-
-
-def features_for(machine: Any) -> dict[str, Any]:
-    """Keywords of `StageFeatures` for a machine, plain numbers that JSON can hold."""
-    from ..machine import rest_state
-
-    linear = [c.name for c in machine.coordinates if c.kind == "linear"]
-    index = [machine.coordinate_names.index(d.coordinate) for d in machine.drives]
-    unit = [rest_state(machine, [float(c == axis) for c in linear]) for axis in ("x", "y")]
-    return {
-        "radii": [float(machine.radii[i]) for i in index],
-        "rest": [[float(u[i] * machine.radii[i]) for u in unit] for i in index],
-    }

@@ -1,9 +1,10 @@
-"""An agent's card: card.json, everything known about how it was made and how well it does, and README.md from it."""
+"""The card of an agent: card.json, how it was trained and how well it performs, and README.md made from it."""
 
 from __future__ import annotations
 
 import json
 import platform
+from collections.abc import Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -15,74 +16,98 @@ PACKAGES = ("hframe_gym", "stable-baselines3", "torch", "numpy", "numba", "gymna
 
 
 def versions() -> dict[str, str]:
-    """What an agent was trained with."""
+    """List the versions of Python and of the packages that determine a training run.
+
+    Returns:
+        Versions by package.
+    """
     return {"python": platform.python_version(), **{name: metadata.version(name) for name in PACKAGES}}
 
 
-def write_card(folder: str | Path, card: dict[str, Any]) -> None:
-    """Write card.json and README.md, each whole."""
+def write_card(folder: str | Path, card: Mapping[str, Any]) -> None:
+    """Write card.json and README.md, each completely or not at all.
+
+    Args:
+        folder: Folder of the agent.
+        card: Contents of card.json.
+    """
     write_text(Path(folder) / "card.json", json.dumps(card, indent=1, allow_nan=False) + "\n")
-    write_text(Path(folder) / "README.md", render(card))
+    write_text(Path(folder) / "README.md", render_card(card))
 
 
-def render(card: dict[str, Any]) -> str:
-    """The card as a page."""
+def render_card(card: Mapping[str, Any]) -> str:
+    """Format a card as a Markdown page.
+
+    Args:
+        card: Contents of card.json; `scores` and `failures` are optional.
+
+    Returns:
+        The page.
+    """
     last = card["curve"][-1]
     settings = card["settings"]
-    parts = [
+    sections = [
         f"# {card['name']} on {card['task']}, seed {card['seed']}",
-        f"Made by `hframe train {card['name']} --task {card['task']} --seed {card['seed']} --steps {last['steps']}` "
+        f"Trained by `hframe train {card['name']} --task {card['task']} --seed {card['seed']} --steps {last['steps']}` "
         f"in {last['seconds']:.0f} s ({last['cpu_s']:.0f} s of processor time).",
-        f"Trained on the machine `{card['machine']}` (machine.json), randomisation `{settings['env']['randomize']}`, "
-        f"with {', '.join(f'{name} {version}' for name, version in card['versions'].items())}.",
+        f"Machine: `{card['machine']}` (machine.json). Randomization: `{settings['env']['randomize']}`. "
+        f"Versions: {', '.join(f'{name} {version}' for name, version in card['versions'].items())}.",
     ]
     if "scores" in card:
-        parts += ["## Scores", _scores(card["scores"]), "## Known failures", _failures(card)]
-    kept = f" Kept: the agent after {card['kept']} steps." if "kept" in card else ""
-    parts += ["## While training", f"On 256 draws that no training sees.{kept}", _curve(card["curve"])]
-    parts += ["## Recipe", "```json\n" + json.dumps(settings, indent=1) + "\n```"]
-    return "\n\n".join(parts) + "\n"
+        sections += ["## Scores", _score_tables(card["scores"]), "## Known failures", _failure_list(card)]
+    kept = f" The folder holds the agent after {card['kept']} steps." if "kept" in card else ""
+    sections += [
+        "## Learning curve",
+        f"Scores on 256 evaluation episodes that no training run uses.{kept}",
+        _curve_table(card["curve"]),
+        "## Recipe",
+        "```json\n" + json.dumps(settings, indent=1) + "\n```",
+    ]
+    return "\n\n".join(sections) + "\n"
 
 
-def _scores(by_trial: dict[str, dict[str, Any]]) -> str:
-    """Scorecards as tables: settling where the goal stands, errors where it moves."""
-    parts = []
-    for name, scores in by_trial.items():
-        parts.append(f"`{name}`, {scores['episodes']} draws of seed {scores['seed']}, none seen in training:")
-        parts.append(_settling(scores) if "settling_s" in scores else _errors(scores))
-    return "\n\n".join(parts)
+def _score_tables(scores_by_scenario: Mapping[str, Mapping[str, Any]]) -> str:
+    """Format scores: settling times for a fixed goal, errors for a moving one."""
+    sections = []
+    for name, scores in scores_by_scenario.items():
+        sections.append(f"`{name}`, {scores['episodes']} episodes of seed {scores['seed']}, none used in training:")
+        sections.append(_settling_table(scores) if "settling_s" in scores else _error_table(scores))
+    return "\n\n".join(sections)
 
 
-def _errors(scores: dict[str, Any]) -> str:
-    rows = ["| mm | rms | largest |", "| --- | ---: | ---: |"]
+def _error_table(scores: Mapping[str, Any]) -> str:
+    """Format contour and tracking errors, means over the episodes."""
+    rows = ["| error, mm | rms | maximum |", "| --- | ---: | ---: |"]
     for name in ("contour_mm", "tracking_mm"):
-        rms, most = scores[name]["rms"]["mean"], scores[name]["max"]["mean"]
-        rows.append(f"| {name.removesuffix('_mm')} | {rms:.3f} | {most:.3f} |")
+        rms, maximum = scores[name]["rms"]["mean"], scores[name]["max"]["mean"]
+        rows.append(f"| {name.removesuffix('_mm')} | {rms:.3f} | {maximum:.3f} |")
     return "\n".join(rows)
 
 
-def _settling(scores: dict[str, Any]) -> str:
+def _settling_table(scores: Mapping[str, Any]) -> str:
+    """Format success and settling times by band."""
     rows = ["| band | success | mean settling, s | median | 95 % |", "| --- | ---: | ---: | ---: | ---: |"]
     for band in BANDS:
-        s = scores["settling_s"][band]
-        times = " | ".join(f"{s[key]:.3f}" for key in ("mean", "median", "p95"))
+        settling_s = scores["settling_s"][band]
+        times = " | ".join(f"{settling_s[key]:.3f}" for key in ("mean", "median", "p95"))
         rows.append(f"| {band} | {100 * scores['success'][band]:.1f} % | {times} |")
     return "\n".join(rows)
 
 
-def _failures(card: dict[str, Any]) -> str:
-    """How many episodes miss each band, and which."""
+def _failure_list(card: Mapping[str, Any]) -> str:
+    """List how many episodes fail in each band, with the environment seeds of the first ones."""
     lines = []
-    for name, by_band in card["failures"].items():
-        for band, found in by_band.items():
-            seeds = f", environment seeds {', '.join(map(str, found['seeds']))}" if found["seeds"] else ""
-            more = ", ..." if found["episodes"] > len(found["seeds"]) else ""
-            of = card["scores"][name]["episodes"]
-            lines.append(f"- `{name}`, {band}: {found['episodes']} of {of} episodes{seeds}{more}")
+    for name, failures_by_band in card["failures"].items():
+        for band, failures in failures_by_band.items():
+            seeds = f", environment seeds {', '.join(map(str, failures['seeds']))}" if failures["seeds"] else ""
+            more = ", ..." if failures["episodes"] > len(failures["seeds"]) else ""
+            total = card["scores"][name]["episodes"]
+            lines.append(f"- `{name}`, {band}: {failures['episodes']} of {total} episodes{seeds}{more}")
     return "\n".join(lines)
 
 
-def _curve(curve: list[dict[str, Any]]) -> str:
+def _curve_table(curve: Sequence[Mapping[str, Any]]) -> str:
+    """Format the learning curve, one row per evaluation."""
     columns = [key for key in curve[0] if key != "cpu_s"]
     rows = ["| " + " | ".join(columns) + " |", "|" + " ---: |" * len(columns)]
     for row in curve:

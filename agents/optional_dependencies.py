@@ -1,4 +1,4 @@
-"""The extra `agents`: its modules, named where they are missing, and how torch is to run."""
+"""Imports of the extra `agents`, with a message that names the extra where a package is missing."""
 
 from __future__ import annotations
 
@@ -7,26 +7,51 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+EXTRA_MODULES = ("torch", "stable_baselines3", "safetensors.torch", "tensorboard")
 
-def load(module: str) -> Any:
+
+def import_optional(module: str) -> Any:
     """Import a module of the extra `agents`.
 
-    Raises ImportError naming the extra when it is not installed.
+    Args:
+        module: Full name of the module, for example "stable_baselines3.ppo".
+
+    Returns:
+        The module.
+
+    Raises:
+        ImportError: If the module is not installed; the message names the extra.
     """
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        name = module.partition(".")[0]
-        raise ImportError(f"learned controllers need {name}: pip install 'hframe-gym[agents]'") from error
+        package = module.partition(".")[0]
+        raise ImportError(f"learned controllers need {package}: pip install 'hframe_gym[agents]'") from error
+
+
+def require_training_packages() -> None:
+    """Import every package that training needs, so that a missing one is reported before any work starts.
+
+    Raises:
+        ImportError: If a package of the extra `agents` is not installed.
+    """
+    for module in EXTRA_MODULES:
+        import_optional(module)
 
 
 @contextmanager
-def one_thread() -> Iterator[None]:
-    """torch on one thread: networks as small as these wait for a second one far longer than it helps."""
-    torch = load("torch")
-    before = torch.get_num_threads()
+def single_threaded_torch() -> Iterator[None]:
+    """Run torch on one thread inside the block.
+
+    The policies are small: waiting for a second thread costs more time than the thread saves.
+
+    Yields:
+        Nothing.
+    """
+    torch = import_optional("torch")
+    threads_before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
         yield
     finally:
-        torch.set_num_threads(before)
+        torch.set_num_threads(threads_before)

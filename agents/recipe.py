@@ -1,4 +1,4 @@
-"""Recipes: how an algorithm is trained on a task, as data files beside this one."""
+"""Recipes: how an algorithm is trained on a task, stored as TOML files in `recipes/`."""
 
 from __future__ import annotations
 
@@ -7,33 +7,52 @@ from dataclasses import asdict, dataclass, field
 from importlib import resources
 from typing import Any
 
-from ..envs.config import EnvConfig
+from ..envs import EnvConfig
+from ..errors import InputError
+
+ALGORITHMS = ("ppo", "sac")
 
 
 @dataclass(frozen=True)
-class Linear:
-    """A rate that goes linearly from first to last as the share of a run that remains goes from 1 to 0, and stays so.
+class LinearSchedule:
+    """A rate that changes linearly over a training run, as stable-baselines3 takes it.
 
-    A run may end a little later than asked for: it ends with a whole round.
+    Attributes:
+        first: Rate at the first step.
+        last: Rate at the last step, and beyond it: a run ends with a complete rollout, a little after its last step.
     """
 
     first: float
     last: float
 
     def __call__(self, remaining: float) -> float:
+        """Return the rate.
+
+        Args:
+            remaining: Fraction of the run that remains, 1 at the first step and 0 at the last.
+
+        Returns:
+            The rate at this point of the run.
+        """
         return self.last + (self.first - self.last) * max(remaining, 0.0)
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """How to train.
+    """Everything that is chosen about a training run.
 
-    kind: "ppo" or "sac".  steps: of the environment, enough for the scores of the shipped agents.  env: keywords of
-    `HFrameVecEnv`.  algorithm, policy: keywords of the stable-baselines3 class and its policy; a pair in `algorithm`
-    stands for a rate that goes from one to the other over the run.  task: keywords of the task.  actuation: keywords of
-    `ResidualAction`, empty where the policy's outputs are the actions.  hindsight: keywords of `HerReplayBuffer`, empty for
-    the plain buffer.  start: the shipped agent, by what its name begins with, that training goes on from; empty for
-    none.
+    Attributes:
+        name: Name of the recipe, ALGORITHM_TASK.
+        kind: Algorithm, "ppo" or "sac".
+        steps: Environment steps of a run.
+        env: Keywords of `HFrameVecEnv`.
+        algorithm: Keywords of the stable-baselines3 class. A pair is a rate that changes linearly from the first value
+            to the second over the run.
+        policy: Keywords of its policy.
+        task: Keywords of the task.
+        actuation: Keywords of `ResidualAction`; if empty, the policy's outputs are the actions.
+        hindsight: Keywords of `HerReplayBuffer`; if empty, the replay buffer is the plain one.
+        start: Name of the shipped agent from whose weights training starts; empty to start from random weights.
     """
 
     name: str
@@ -48,28 +67,49 @@ class Recipe:
     start: str = ""
 
     @property
-    def settings(self) -> dict[str, Any]:
-        """`algorithm` as the class takes it, rates as functions."""
-        return {k: Linear(*v) if isinstance(v, list) else v for k, v in self.algorithm.items()}
+    def algorithm_keywords(self) -> dict[str, Any]:
+        """`algorithm` with every pair replaced by a `LinearSchedule`."""
+        return {k: LinearSchedule(*v) if isinstance(v, list) else v for k, v in self.algorithm.items()}
 
     @property
     def period(self) -> float:
-        """Of control, s."""
+        """Control period, s."""
         return float(self.env.get("period", EnvConfig.period))
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain data."""
+        """Return the recipe as plain data.
+
+        Returns:
+            One entry per attribute.
+        """
         return asdict(self)
 
 
-def load_recipe(name: str, task: str) -> Recipe:
-    """The recipe NAME_TASK.toml: "ppo", "sac", "sac_her" or "residual" on a task.
+def recipe_names() -> tuple[str, ...]:
+    """List the recipes that come with the package.
 
-    Raises ValueError listing the recipes there are.
+    Returns:
+        Names of the form ALGORITHM_TASK, sorted.
     """
-    folder = resources.files(__package__) / "recipes"
-    file = folder / f"{name}_{task}.toml"
+    files = (resources.files(__package__) / "recipes").iterdir()
+    return tuple(sorted(file.name.removesuffix(".toml") for file in files if file.name.endswith(".toml")))
+
+
+def load_recipe(name: str, task: str) -> Recipe:
+    """Load the recipe of an algorithm for a task.
+
+    Args:
+        name: First part of the recipe's name, for example "ppo", "sac", "sac_her", "residual" or "adapt".
+        task: Name of the task, for example "reach".
+
+    Returns:
+        The recipe.
+
+    Raises:
+        InputError: If there is no such recipe; the message lists the recipes.
+    """
+    file = resources.files(__package__) / "recipes" / f"{name}_{task}.toml"
     if not file.is_file():
-        known = sorted(" on ".join(f.name.removesuffix(".toml").rsplit("_", 1)) for f in folder.iterdir())
-        raise ValueError(f"there is no recipe for {name} on {task}; there are {', '.join(known)}")
+        listed = ", ".join(" on ".join(recipe.rsplit("_", 1)) for recipe in recipe_names())
+        raise InputError(f"there is no recipe for {name} on {task}; choose one of: {listed}")
     return Recipe(name=f"{name}_{task}", **tomllib.loads(file.read_text("utf-8")))

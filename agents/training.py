@@ -1,8 +1,9 @@
 """Training with stable-baselines3 on the native vector environment, by a recipe.
 
-What a run leaves in its folder, each file whole at any time: the best agent so far by its evaluations, on draws that no
-training sees (agent.json, machine.json, policy.safetensors), its card (card.json, README.md), tensorboard/, and
-checkpoint.zip with replay.pkl, what `resume` needs (pickles of your own run, do not load other people's).
+A run writes to its folder: the best agent so far by its evaluations (agent.json, machine.json, policy.safetensors), its
+card (card.json, README.md), tensorboard/, and for `resume` checkpoint.zip with replay.pkl. The last two are pickles,
+which execute code when they are loaded: load only files that you trust. Each file but the logs is replaced
+atomically, so a run may be killed at any time.
 """
 
 from __future__ import annotations
@@ -14,25 +15,32 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ..atomic_files import whole_file
-from ..envs.tasks import TASKS, Task
+from ..atomic_files import atomic_file
+from ..envs import TASKS, Task
+from ..errors import InputError
 from ..evaluation import Scenario
-from ..evaluation.controller_factory import shipped
 from ..machine import Machine
 from ..recordings import load_machine
-from .agent import SCHEMA, Agent, actuation_for, load_weights, policy_keywords
+from .agent import SCHEMA, Agent, load_weights, policy_keywords
+from .controller_source import shipped_agent_folder
+from .features import feature_parameters
 from .model_card import versions, write_card
-from .optional_dependencies import load, one_thread
-from .recipe import Recipe, load_recipe
-from .scoring import deciding, judge, line
+from .optional_dependencies import import_optional, require_training_packages, single_threaded_torch
+from .recipe import ALGORITHMS, Recipe, load_recipe
+from .residual_action import residual_action
+from .scoring import progress_line, ranking_cost, score_agent
 
-# Draws that no training sees: environment i of seed s begins with TRAINING_SEED + s * SEEDS_APART + i.
+# Environment i of a run with seed s starts at TRAINING_SEED + s * SEED_STRIDE + i; evaluations use episodes that no
+# training run reaches.
 EVALUATION_SEED = 1_000_000
 TRAINING_SEED = 10_000_000
-SEEDS_APART = 100_000
+SEED_STRIDE = 100_000
 EVALUATION_EPISODES = 256
-REPORTS = 12  # evaluations and checkpoints in a run,
-LEAST_APART = 2_000  # in steps of the environment
+EVALUATIONS_PER_RUN = 12
+SHORTEST_INTERVAL = 2_000  # environment steps between evaluations
+
+Log = Callable[[str], None]
+Progress = Callable[[int, int], None]
 
 
 def train(
@@ -43,112 +51,197 @@ def train(
     seed: int = 0,
     resume: bool = False,
     out: str | Path = "agent",
-    say: Callable[[str], None] = print,
-    advance: Callable[[int, int], None] = lambda done, steps: None,
+    log: Log = print,
+    progress: Progress = lambda done, total: None,
     randomize: str | None = None,
 ) -> dict[str, Any]:
-    """Train an agent and write it to the folder `out`; gives its card.
+    """Train an agent and write it to a folder.
 
-    algorithm: a recipe or the name of one, "ppo", "sac", "sac_her" or "residual".  machine: a name, file or `Machine`.
-    steps: of the environment, in all, those before a resume included; as many as the recipe says where not given.
-    say: takes a line at each evaluation.  advance: is told how many steps are done, of how many, after each of the
-    environments.
-    randomize: what each episode draws of the machine, in place of the recipe's: "identified" for one whose file says
-    how well it is known.
+    The same seed gives the same agent, bit for bit, with the same package versions on the same processor. A resumed run
+    trains on other episodes than an uninterrupted one.
 
-    The same seed gives the same agent, to the bit, on the same versions and processor; a resumed run goes on with
-    other draws than one that was never stopped.
+    Args:
+        algorithm: A recipe, or the name of one: "ppo", "sac", "sac_her", "residual" or "adapt".
+        machine: A machine, a built-in name or the path of a machine.json.
+        task: Name of the task.
+        steps: Environment steps in total, including those before a resume. Default: the recipe's.
+        seed: Seed of the network, the episodes and the algorithm.
+        resume: Continue from the checkpoint in `out`.
+        out: Folder for the agent.
+        log: Called with one line of text after each evaluation.
+        progress: Called with the steps done and the total after each step of the environments.
+        randomize: Randomization of the episodes in place of the recipe's, for example "identified" for a machine.json
+            with standard deviations.
 
-    Raises ValueError for an unknown algorithm or task or where there is nothing to resume, ImportError naming the extra
-    `agents` where it is missing.
+    Returns:
+        The card: recipe, versions and learning curve, as in card.json.
+
+    Raises:
+        InputError: If the recipe or task is unknown or there is nothing to resume.
+        ImportError: If the extra `agents` is not installed; the message names it.
     """
+    require_training_packages()
     recipe = algorithm if isinstance(algorithm, Recipe) else load_recipe(algorithm, task)
+    if recipe.kind not in ALGORITHMS:
+        raise InputError(f"recipe {recipe.name}: kind is {recipe.kind!r}, choose one of {', '.join(ALGORITHMS)}")
     if randomize is not None:
         recipe = replace(recipe, env={**recipe.env, "randomize": randomize})
-    steps = recipe.steps if steps is None else steps
-    built = load_machine(machine)
-    folder = Path(out)
-    card = _begin(recipe, task, built, seed)
-    environment = _environment(recipe, built, task)
-    card["previews"] = len(environment.get_attr("batch", 0)[0].task.ahead_s)
-    model = _resumed(recipe, folder, environment, card) if resume else _new_model(recipe, built, environment, seed)
-    if recipe.start and not resume:
-        load_weights(model.policy, shipped(recipe.start, task))
-    model.set_logger(load("stable_baselines3.common.logger").configure(str(folder / "tensorboard"), ["tensorboard"]))
-    environment.seed(TRAINING_SEED + seed * SEEDS_APART + model.num_timesteps)
-    progress = _Progress(model, card, built, recipe, steps, folder, say, advance)
-    if not resume:
-        progress.report()
-    with one_thread():
-        model.learn(steps - model.num_timesteps, callback=progress, reset_num_timesteps=False)
-    progress.report()
-    environment.close()
-    return progress.card
+    run = _Run(recipe, load_machine(machine), task, seed, Path(out), log, progress)
+    return run.execute(recipe.steps if steps is None else steps, resume)
 
 
-def _environment(recipe: Recipe, machine: Machine, task: str) -> Any:
+class _Run:
+    """One training run: environment, model, periodic evaluations and files."""
+
+    model: Any  # of stable-baselines3; built or loaded by `execute`
+    total_steps: int
+    evaluation_interval: int  # environment steps
+    next_evaluation: int  # environment step
+    start_time: float  # s, monotonic clock; such that the time before a resume counts
+    start_cpu_time: float  # s, likewise
+
+    def __init__(
+        self, recipe: Recipe, machine: Machine, task: str, seed: int, folder: Path, log: Log, progress: Progress
+    ) -> None:
+        self.recipe, self.machine, self.seed, self.folder = recipe, machine, seed, folder
+        self.log, self.progress = log, progress
+        built_task = _build_task(task, recipe.task)
+        self.environment = _build_environment(recipe, machine, built_task)
+        self.card = _new_card(recipe, machine, task, seed)
+        self.card["previews"] = len(built_task.ahead_s)
+        # Separate from the environment's mapping, which holds the history of the training episodes.
+        self.evaluation_mapping = residual_action(machine, recipe.actuation, recipe.period)
+        self.scenario = Scenario(
+            machine=machine,
+            task=built_task,
+            randomize=recipe.env["randomize"],
+            period=recipe.period,
+            episodes=EVALUATION_EPISODES,
+            seed=EVALUATION_SEED,
+        )
+
+    def execute(self, steps: int, resume: bool) -> dict[str, Any]:
+        """Train up to a total number of steps and return the card."""
+        recipe = self.recipe
+        self.model = self._load_checkpoint() if resume else self._new_model()
+        if recipe.start and not resume:
+            load_weights(self.model.policy, shipped_agent_folder(recipe.start, self.card["task"]))
+        logger = import_optional("stable_baselines3.common.logger")
+        self.model.set_logger(logger.configure(str(self.folder / "tensorboard"), ["tensorboard"]))
+        self.environment.seed(TRAINING_SEED + self.seed * SEED_STRIDE + self.model.num_timesteps)
+        self.total_steps = steps
+        self.evaluation_interval = max(SHORTEST_INTERVAL, steps // EVALUATIONS_PER_RUN)
+        self.next_evaluation = self.model.num_timesteps + self.evaluation_interval
+        last_row = self.card["curve"][-1] if self.card["curve"] else {"seconds": 0.0, "cpu_s": 0.0}
+        self.start_time = time.monotonic() - last_row["seconds"]
+        self.start_cpu_time = time.process_time() - last_row["cpu_s"]
+        if not resume:
+            self._evaluate_and_save()
+        with single_threaded_torch():
+            self.model.learn(steps - self.model.num_timesteps, callback=self._after_step, reset_num_timesteps=False)
+        self._evaluate_and_save()
+        self.environment.close()
+        return self.card
+
+    def _new_model(self) -> Any:
+        """Build the model with random weights."""
+        recipe = self.recipe
+        sb3 = import_optional("stable_baselines3")
+        hindsight = {"replay_buffer_class": sb3.HerReplayBuffer, "replay_buffer_kwargs": recipe.hindsight}
+        model = getattr(sb3, recipe.kind.upper())(
+            "MultiInputPolicy",
+            self.environment,
+            seed=self.seed,
+            device="cpu",
+            policy_kwargs=policy_keywords(recipe.policy, feature_parameters(self.machine)),
+            **(hindsight if recipe.hindsight else {}),
+            **recipe.algorithm_keywords,
+        )
+        if "base" in recipe.actuation:
+            _set_mean_action_to_zero(model.policy)
+        return model
+
+    def _load_checkpoint(self) -> Any:
+        """Load the model of the folder's checkpoint, and its learning curve into the card."""
+        checkpoint, replay, card_file = (self.folder / f for f in ("checkpoint.zip", "replay.pkl", "card.json"))
+        if not (checkpoint.is_file() and card_file.is_file()):
+            raise InputError(f"nothing to resume: {checkpoint if card_file.is_file() else card_file} does not exist")
+        previous = json.loads(card_file.read_text("utf-8"))
+        if (previous["recipe"], previous["seed"]) != (self.card["recipe"], self.card["seed"]):
+            raise InputError(
+                f"nothing to resume: {self.folder} holds a run of {previous['recipe']} with seed {previous['seed']}, "
+                f"not of {self.card['recipe']} with seed {self.card['seed']}"
+            )
+        sb3 = import_optional("stable_baselines3")
+        model = getattr(sb3, self.recipe.kind.upper()).load(checkpoint, env=self.environment, device="cpu")
+        if replay.is_file():
+            model.load_replay_buffer(replay)
+        self.card["curve"] = [row for row in previous["curve"] if row["steps"] <= model.num_timesteps]
+        self.card["kept"] = previous["kept"]
+        return model
+
+    def _after_step(self, local_variables: dict[str, Any], global_variables: dict[str, Any]) -> bool:
+        """Report progress and evaluate when it is time; stable-baselines3 calls this after every step."""
+        self.progress(self.model.num_timesteps, self.total_steps)
+        if self.model.num_timesteps >= self.next_evaluation:
+            self.next_evaluation = self.model.num_timesteps + self.evaluation_interval
+            self._evaluate_and_save()
+        return True
+
+    def _evaluate_and_save(self) -> None:
+        """Score the current policy, log the scores, and write checkpoint, card and, if it is the best, the agent."""
+        model, was_training = self.model, self.model.policy.training
+        agent = Agent(model.policy, self.evaluation_mapping, self.machine, self.card)
+        row = {
+            "steps": model.num_timesteps,
+            "seconds": round(time.monotonic() - self.start_time, 1),
+            "cpu_s": round(time.process_time() - self.start_cpu_time, 1),
+            **score_agent(agent, self.scenario),
+        }
+        model.policy.set_training_mode(was_training)
+        self.card["curve"] = [*(r for r in self.card["curve"] if r["steps"] < row["steps"]), row]
+        self.log(progress_line(row))
+        for key, value in row.items():
+            if isinstance(value, float):
+                model.logger.record(f"evaluation/{key}", value)
+        model.logger.dump(model.num_timesteps)
+        if ranking_cost(row) <= min(map(ranking_cost, self.card["curve"])):
+            agent.save(self.folder)
+            self.card["kept"] = row["steps"]
+        with atomic_file(self.folder / "checkpoint.zip") as temporary:
+            model.save(temporary)
+        if getattr(model, "replay_buffer", None) is not None:
+            with atomic_file(self.folder / "replay.pkl") as temporary:
+                model.save_replay_buffer(temporary)
+        write_card(self.folder, self.card)
+
+
+def _build_task(name: str, settings: dict[str, Any]) -> Task:
+    """Build a task with a recipe's settings; lists become tuples, which TOML lacks."""
+    task_class: Any = TASKS.get(name)
+    task: Task = task_class(**{key: tuple(v) if isinstance(v, list) else v for key, v in settings.items()})
+    return task
+
+
+def _build_environment(recipe: Recipe, machine: Machine, task: Task) -> Any:
+    """Build the vector environment of a recipe, with its action mapping."""
     from ..envs.sb3_vec_env import HFrameVecEnv
     from .wrappers import ResidualActionVecEnv
 
-    environment = HFrameVecEnv(**recipe.env, machine=machine, task=task_of(recipe.task, task))
-    actuation = actuation_for(machine, recipe.actuation, recipe.period)
-    return ResidualActionVecEnv(environment, actuation) if actuation else environment
+    environment = HFrameVecEnv(**recipe.env, machine=machine, task=task)
+    mapping = residual_action(machine, recipe.actuation, recipe.period)
+    return ResidualActionVecEnv(environment, mapping) if mapping else environment
 
 
-def task_of(settings: dict[str, Any], task: str) -> Task:
-    """The task by its name with a recipe's settings; lists, which TOML has, stand for tuples."""
-    return TASKS[task](**{k: tuple(v) if isinstance(v, list) else v for k, v in settings.items()})
-
-
-def _new_model(recipe: Recipe, machine: Machine, environment: Any, seed: int) -> Any:
-    from .features import features_for
-
-    sb3 = load("stable_baselines3")
-    hindsight = {"replay_buffer_class": sb3.HerReplayBuffer, "replay_buffer_kwargs": recipe.hindsight}
-    model = getattr(sb3, recipe.kind.upper())(
-        "MultiInputPolicy",
-        environment,
-        seed=seed,
-        device="cpu",
-        policy_kwargs=policy_keywords(recipe.policy, features_for(machine)),
-        **(hindsight if recipe.hindsight else {}),
-        **recipe.settings,
-    )
-    if "base" in recipe.actuation:
-        _begin_as_base(model.policy)
-    return model
-
-
-def _begin_as_base(policy: Any) -> None:
-    """Set the layer that gives PPO's or SAC's mean action to zero: a correction begins with nothing to correct."""
-    head = policy.action_net if hasattr(policy, "action_net") else policy.actor.mu
-    for parameter in head.parameters():
+def _set_mean_action_to_zero(policy: Any) -> None:
+    """Set the layer of PPO's or SAC's mean action to zero, so that a residual policy starts as its base controller."""
+    layer = policy.action_net if hasattr(policy, "action_net") else policy.actor.mu
+    for parameter in layer.parameters():
         parameter.data.zero_()
 
 
-def _resumed(recipe: Recipe, folder: Path, environment: Any, card: dict[str, Any]) -> Any:
-    """The model of the folder's checkpoint; takes over into the card what its run had reported by then."""
-    checkpoint, replay = folder / "checkpoint.zip", folder / "replay.pkl"
-    if not checkpoint.is_file():
-        raise ValueError(f"nothing to resume: {checkpoint} is not there")
-    sb3 = load("stable_baselines3")
-    model = getattr(sb3, recipe.kind.upper()).load(checkpoint, env=environment, device="cpu")
-    if replay.is_file():
-        model.load_replay_buffer(replay)
-    before = json.loads((folder / "card.json").read_text("utf-8"))
-    if (before["recipe"], before["seed"]) != (card["recipe"], card["seed"]):
-        raise ValueError(
-            f"nothing to resume: {folder} holds a run of {before['recipe']} with seed {before['seed']}, "
-            f"not of {card['recipe']} with seed {card['seed']}"
-        )
-    card["curve"] = [row for row in before["curve"] if row["steps"] <= model.num_timesteps]
-    card["kept"] = before["kept"]
-    return model
-
-
-def _begin(recipe: Recipe, task: str, machine: Machine, seed: int) -> dict[str, Any]:
-    from .features import features_for
-
+def _new_card(recipe: Recipe, machine: Machine, task: str, seed: int) -> dict[str, Any]:
+    """Return the card of a run that begins."""
     return {
         "schema": SCHEMA,
         "name": recipe.name.removesuffix(f"_{task}"),
@@ -159,73 +252,7 @@ def _begin(recipe: Recipe, task: str, machine: Machine, seed: int) -> dict[str, 
         "recipe": recipe.name,
         "settings": recipe.as_dict(),
         "period": recipe.period,
-        "features": features_for(machine),
+        "features": feature_parameters(machine),
         "versions": versions(),
         "curve": [],
     }
-
-
-class _Progress:
-    """Evaluates, reports and saves now and then; stable-baselines3 calls it after every step of the environments."""
-
-    def __init__(
-        self,
-        model: Any,
-        card: dict[str, Any],
-        machine: Machine,
-        recipe: Recipe,
-        steps: int,
-        folder: Path,
-        say: Callable[[str], None],
-        advance: Callable[[int, int], None],
-    ) -> None:
-        self.model, self.card, self.machine, self.folder = model, card, machine, folder
-        self.steps, self.say, self.advance = steps, say, advance
-        self.actuation = actuation_for(machine, recipe.actuation, recipe.period)
-        self.trial = Scenario(
-            machine=machine,
-            task=task_of(recipe.task, card["task"]),
-            randomize=recipe.env["randomize"],
-            period=recipe.period,
-            episodes=EVALUATION_EPISODES,
-            seed=EVALUATION_SEED,
-        )
-        self.interval = max(LEAST_APART, steps // REPORTS)
-        self.next = model.num_timesteps + self.interval
-        last = card["curve"][-1] if card["curve"] else {"seconds": 0.0, "cpu_s": 0.0}
-        self._clocks = time.monotonic() - last["seconds"], time.process_time() - last["cpu_s"]
-
-    def __call__(self, local: dict[str, Any], outer: dict[str, Any]) -> bool:
-        self.advance(self.model.num_timesteps, self.steps)
-        if self.model.num_timesteps >= self.next:
-            self.next = self.model.num_timesteps + self.interval
-            self.report()
-        return True
-
-    def report(self) -> None:
-        """Score the agent as it is now; say it, and write card, checkpoint and, where it is the best so far, agent."""
-        model, training = self.model, self.model.policy.training
-        agent = Agent(model.policy, self.actuation, self.machine, self.card)
-        row = {
-            "steps": model.num_timesteps,
-            "seconds": round(time.monotonic() - self._clocks[0], 1),
-            "cpu_s": round(time.process_time() - self._clocks[1], 1),
-            **judge(agent, self.trial),
-        }
-        model.policy.set_training_mode(training)
-        self.card["curve"] = [*(r for r in self.card["curve"] if r["steps"] < row["steps"]), row]
-        self.say(line(row))
-        for key, value in row.items():
-            if isinstance(value, float):
-                model.logger.record(f"evaluation/{key}", value)
-        model.logger.dump(model.num_timesteps)
-        best = min(self.card["curve"], key=deciding)
-        if deciding(row) <= deciding(best):
-            agent.save(self.folder)
-            self.card["kept"] = row["steps"]
-        with whole_file(self.folder / "checkpoint.zip") as temporary:
-            model.save(temporary)
-        if getattr(model, "replay_buffer", None) is not None:
-            with whole_file(self.folder / "replay.pkl") as temporary:
-                model.save_replay_buffer(temporary)
-        write_card(self.folder, self.card)

@@ -1,7 +1,9 @@
-"""The commands as a user calls them: exit codes, one line of error, nothing half-written."""
+"""The commands as a user calls them: output, exit codes, and one line for every error."""
 
 from __future__ import annotations
 
+import json
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -10,19 +12,27 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hframe_gym.cli import main
+from hframe_gym import cli
+from hframe_gym.dynamics import simulate
+from hframe_gym.effects import EFFECTS
+from hframe_gym.identification import initial_state_of_recording
 from hframe_gym.machine import Machine
-from hframe_gym.recordings import load_recording
+from hframe_gym.recordings import load_recording, machine_to_dict
 
-Run = Callable[..., tuple[int, str, str]]
+Command = Callable[..., tuple[int, str, str]]
+
+ROOT = Path(__file__).parents[1]
+COMMANDS = ("simulate", "check", "identify", "report", "train", "evaluate", "machines", "effects", "kernel")
 
 
 @pytest.fixture
-def hframe_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+def hframe_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
+    """Return a function that runs the command in this process: exit code, standard output, standard error."""
+
     def run(*words: object) -> tuple[int, str, str]:
         monkeypatch.setattr(sys, "argv", ["hframe", *map(str, words)])
         try:
-            main()
+            cli.main()
             code = 0
         except SystemExit as stop:
             code = stop.code if isinstance(stop.code, int) else 0
@@ -32,68 +42,322 @@ def hframe_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixtur
     return run
 
 
-def test_simulate_keeps_times_and_columns(hframe_command: Run, tmp_path: Path, hframe: Machine) -> None:
-    source = Path("examples/rig_b/run_01.csv.gz")
+@pytest.fixture
+def diverging_machine(tmp_path: Path, hframe: Machine) -> Path:
+    """Return a machine.json whose belts push instead of pull once they are stretched by more than 1 um."""
+    contents = machine_to_dict(hframe)
+    contents["effects"] = [
+        {"name": "belt_hardening", "site": "belts", "parameters": {"h": {"value": -1e12, "unit": "1/m^2"}}}
+    ]
+    path = tmp_path / "diverging.json"
+    path.write_text(json.dumps(contents))
+    return path
+
+
+def assert_refused(result: tuple[int, str, str], *fragments: str, code: int = 2) -> None:
+    """Assert that a command failed with a code and one line on standard error that contains the fragments."""
+    exit_code, _, err = result
+    assert exit_code == code
+    assert err.startswith("hframe: ")
+    assert err.count("\n") == 1
+    for fragment in fragments:
+        assert fragment in err
+
+
+def test_simulate_keeps_times_and_columns(hframe_command: Command, tmp_path: Path, hframe: Machine) -> None:
+    source = ROOT / "examples/rig_b/run_01.csv.gz"
     code, _, _ = hframe_command("simulate", "--machine", "hframe", "--inputs", source, "--out", tmp_path / "p.csv")
     assert code == 0
-    given, predicted = load_recording(source, hframe), load_recording(tmp_path / "p.csv", hframe)
-    np.testing.assert_allclose(predicted.time_s, given.time_s, rtol=1e-9)
-    np.testing.assert_allclose(predicted.inputs, given.inputs, rtol=1e-8)
-    np.testing.assert_allclose(predicted.outputs[0], given.outputs[0], atol=1e-3)
+    measured, predicted = load_recording(source, hframe), load_recording(tmp_path / "p.csv", hframe)
+    np.testing.assert_allclose(predicted.time_s, measured.time_s, rtol=1e-9)
+    np.testing.assert_allclose(predicted.inputs, measured.inputs, rtol=1e-8)
+    lasers = [hframe.output_channels.index(channel) for channel in ("x_m", "y_m")]
+    np.testing.assert_allclose(predicted.outputs[0, lasers], measured.outputs[0, lasers], atol=1e-3)
+
+
+def test_simulate_starts_where_identification_starts(hframe_command: Command, tmp_path: Path, hframe: Machine) -> None:
+    source = ROOT / "examples/rig_b/run_01.csv.gz"
+    hframe_command("simulate", "--inputs", source, "--out", tmp_path / "p.csv")
+    recording = load_recording(source, hframe)
+    initial = initial_state_of_recording(hframe, recording)
+    expected = simulate(hframe, recording.time_s, recording.inputs, initial.state, offset=initial.offset)
+    np.testing.assert_allclose(
+        load_recording(tmp_path / "p.csv", hframe).outputs, expected.outputs, rtol=1e-6, atol=1e-9
+    )
 
 
 @pytest.mark.parametrize(
-    ("cells", "header", "place"),
+    ("cells", "header", "location"),
     [
         ({}, "time_s,v1_V,v2_V,phi1_rad,phi2_rad,x_m,w_m", "column w_m"),
         ({(4, "v2_V"): "oops"}, None, "row 4, column v2_V"),
         ({(4, "time_s"): "4.9"}, None, "row 4, column time_s"),
     ],
 )
-def test_simulate_refuses_in_one_line_and_writes_nothing(
+def test_simulate_refuses_a_faulty_recording_and_writes_nothing(
     cells: dict[tuple[int, str], str],
     header: str | None,
-    place: str,
-    hframe_command: Run,
+    location: str,
+    hframe_command: Command,
     write_run: Callable[..., Path],
     tmp_path: Path,
 ) -> None:
     path = write_run(cells=cells, **({"header": header} if header else {}))
     before = set(tmp_path.iterdir())
-    code, _, err = hframe_command("simulate", "--inputs", path, "--out", tmp_path / "p.csv")
-    assert code == 2
-    assert err.count("\n") == 1
-    assert str(path) in err
-    assert place in err
+    assert_refused(hframe_command("simulate", "--inputs", path, "--out", tmp_path / "p.csv"), str(path), location)
     assert set(tmp_path.iterdir()) == before
 
 
-def test_identify_refuses_before_it_writes(hframe_command: Run, write_run: Callable[..., Path], tmp_path: Path) -> None:
-    write_run("a.csv", cells={(4, "x_m"): "oops"})
-    code, _, err = hframe_command("identify", tmp_path, "--out", tmp_path / "out")
-    assert code == 2
-    assert "a.csv, row 4, column x_m" in err
+def test_simulate_refuses_inputs_that_make_the_motion_diverge(
+    hframe_command: Command, write_run: Callable[..., Path], tmp_path: Path
+) -> None:
+    path = write_run(cells={(row, "v1_V"): "1e30" for row in range(10, 21)})
+    result = hframe_command("simulate", "--inputs", path, "--out", tmp_path / "p.csv")
+    assert_refused(result, "machine 'hframe'", "check the inputs and the machine's parameters")
+    assert not (tmp_path / "p.csv").exists()
+
+
+def test_evaluate_refuses_a_machine_whose_motion_diverges(
+    hframe_command: Command, diverging_machine: Path, tmp_path: Path
+) -> None:
+    options = ("--machine", diverging_machine, "--episodes", 2, "--out", tmp_path / "out")
+    assert_refused(hframe_command("evaluate", "textbook-pid", *options), "machine 'hframe'")
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("command", ["machines", "effects"])
-def test_tables(command: str, hframe_command: Run) -> None:
-    code, out, _ = hframe_command(command)
-    assert code == 0
-    assert ("hframe" if command == "machines" else "stribeck") in out
+def test_identify_refuses_a_faulty_recording_before_it_writes(
+    hframe_command: Command, write_run: Callable[..., Path], tmp_path: Path
+) -> None:
+    write_run("a.csv", cells={(4, "x_m"): "oops"})
+    assert_refused(hframe_command("identify", tmp_path, "--out", tmp_path / "out"), "a.csv, row 4, column x_m")
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(
-    "command", ["simulate", "check", "identify", "report", "train", "evaluate", "machines", "effects"]
+    ("options", "fragments"),
+    [
+        (("pid", "--period", "0"), ("period", "positive")),
+        (("pid", "--period", "nan"), ("period", "positive")),
+        (("no-such-controller",), ("no-such-controller", "pid", "textbook-pid")),
+        (("no_such_module:pid",), ("no_such_module",)),
+        (("pid", "--task", "juggle"), ("juggle", "reach, track")),
+        (("pid", "--path", "circle"), ("--path circle", "reach")),
+        (("pid", "--task", "track", "--path", "triangle"), ("triangle", "circle")),
+        (("pid", "--randomize", "some"), ("some", "default, wide")),
+        (("pid", "--sensors", "some"), ("some", "state, rig, machine")),
+        (("pid", "--machine", "no_such_file.json"), ("no_such_file.json",)),
+    ],
 )
-def test_help_has_an_example(command: str, hframe_command: Run) -> None:
+def test_evaluate_refuses_wrong_options_in_one_line(
+    options: tuple[str, ...], fragments: tuple[str, ...], hframe_command: Command, tmp_path: Path
+) -> None:
+    assert_refused(hframe_command("evaluate", *options, "--out", tmp_path / "out"), *fragments)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "fragments"),
+    [
+        (("no-such-recipe",), ("no recipe for no-such-recipe on reach", "ppo on reach")),
+        (("ppo", "--task", "juggle"), ("no recipe for ppo on juggle",)),
+        (("ppo", "--machine", "axis"), ("axis",)),
+        (("ppo", "--randomize", "some"), ("some", "default, wide")),
+        (("ppo", "--resume"), ("nothing to resume",)),
+    ],
+)
+def test_train_refuses_wrong_options_in_one_line(
+    options: tuple[str, ...], fragments: tuple[str, ...], hframe_command: Command, tmp_path: Path
+) -> None:
+    assert_refused(hframe_command("train", *options, "--out", tmp_path / "out"), *fragments)
+
+
+@pytest.mark.parametrize("words", [("train", "ppo"), ("evaluate", "ppo", "--episodes", "2")])
+def test_missing_torch_is_reported_with_the_extra(
+    words: tuple[str, ...], hframe_command: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    for module in ("torch", "stable_baselines3", "stable_baselines3.ppo"):
+        monkeypatch.setitem(sys.modules, module, None)
+    result = hframe_command(*words, "--out", tmp_path / "out")
+    assert_refused(result, "pip install 'hframe_gym[agents]'")
+
+
+@pytest.mark.parametrize(
+    "contents", [None, '{"schema": 1', "[]", '{"schema": 1}'], ids=["missing", "truncated", "a list", "incomplete"]
+)
+def test_report_refuses_a_damaged_folder(contents: str | None, hframe_command: Command, tmp_path: Path) -> None:
+    if contents is not None:
+        (tmp_path / "report.json").write_text(contents)
+    assert_refused(hframe_command("report", tmp_path), str(tmp_path))
+
+
+@pytest.mark.parametrize("option", ["--inputs", "--machine"])
+@pytest.mark.parametrize("kind", ["missing", "binary", "folder"])
+def test_unreadable_files_are_named(option: str, kind: str, hframe_command: Command, tmp_path: Path) -> None:
+    path = tmp_path / ("file.csv" if option == "--inputs" else "file.json")
+    if kind == "binary":
+        path.write_bytes(bytes(range(256)))
+    elif kind == "folder":
+        path.mkdir()
+    others = () if option == "--inputs" else ("--inputs", ROOT / "examples/rig_b/run_01.csv.gz")
+    assert_refused(hframe_command("simulate", option, path, *others, "--out", tmp_path / "p.csv"), str(path))
+
+
+@pytest.mark.parametrize(
+    ("command", "options"), [("identify", (ROOT / "examples/rig_b",)), ("train", ("ppo",)), ("evaluate", ("pid",))]
+)
+def test_a_file_in_place_of_the_output_folder_is_refused(
+    command: str, options: tuple[object, ...], hframe_command: Command, tmp_path: Path
+) -> None:
+    (tmp_path / "file").touch()
+    assert_refused(hframe_command(command, *options, "--out", tmp_path / "file"), "--out", "must be a folder")
+
+
+def broken_table() -> None:
+    """Fail as a defect of the package would."""
+    raise KeyError("a defect")
+
+
+def test_an_internal_error_is_one_line_with_exit_code_1(
+    hframe_command: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hframe_gym.cli_tables.effect_table", broken_table)
+    assert_refused(hframe_command("effects"), "internal error", "HFRAME_DEBUG=1", "KeyError: 'a defect'", code=1)
+
+
+def test_debugging_shows_the_traceback_of_an_internal_error(
+    hframe_command: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hframe_gym.cli_tables.effect_table", broken_table)
+    monkeypatch.setenv("HFRAME_DEBUG", "1")
+    with pytest.raises(KeyError, match="a defect"):
+        hframe_command("effects")
+
+
+def test_evaluate_scores_and_warns_of_an_agent_trained_on_another_machine(
+    hframe_command: Command, tmp_path: Path
+) -> None:
+    options = ("--machine", "hframe-linear", "--episodes", 2, "--seed", 3, "--out", tmp_path)
+    code, out, err = hframe_command("evaluate", "ppo", "pid", *options)
+    assert code == 0
+    assert err.splitlines() == [
+        "hframe: warning: agent ppo: trained on machine 'hframe', evaluated on 'hframe-linear'. Its scores may be poor."
+    ]
+    scores = json.loads((tmp_path / "scores.json").read_text())
+    assert list(scores["controllers"]) == ["ppo", "pid"]
+    assert f"{scores['controllers']['pid']['settling_s']['0.2mm']['mean']:.3f}" in out
+
+
+def test_evaluate_does_not_warn_on_the_machine_of_the_training(hframe_command: Command, tmp_path: Path) -> None:
+    code, _, err = hframe_command("evaluate", "ppo", "--episodes", 2, "--out", tmp_path)
+    assert (code, err) == (0, "")
+
+
+PLUGIN = '''
+from dataclasses import dataclass
+import numpy as np
+from hframe_gym.controllers import CONTROLLERS, Controller
+from hframe_gym.envs import TASKS, Reach
+
+@CONTROLLERS.register("toy-zero")
+class Zero(Controller):
+    """Apply no voltage."""
+    def act(self, observation):
+        return np.zeros((len(observation["observation"]), len(self.machine.drives)))
+
+@TASKS.register("toy-reach")
+@dataclass(frozen=True)
+class ToyReach(Reach):
+    """Reach a point."""
+'''
+
+
+def test_evaluate_takes_a_controller_and_a_task_of_another_module(
+    hframe_command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "toy_plugin.py").write_text(PLUGIN)
+    monkeypatch.syspath_prepend(tmp_path)
+    options = ("--task", "toy_plugin:toy-reach", "--episodes", 2, "--out", tmp_path / "out")
+    code, _, err = hframe_command("evaluate", "toy_plugin:toy-zero", *options)
+    assert (code, err) == (0, "")
+    scores = json.loads((tmp_path / "out/scores.json").read_text())
+    assert scores["controllers"]["toy_plugin:toy-zero"]["success"]["1mm"] == 0.0
+
+
+def test_evaluate_follows_a_path(hframe_command: Command, tmp_path: Path) -> None:
+    options = ("--task", "track", "--path", "square", "--episodes", 2, "--out", tmp_path)
+    code, out, _ = hframe_command("evaluate", "pid", *options)
+    assert code == 0
+    scores = json.loads((tmp_path / "scores.json").read_text())
+    assert "square" in scores["task"]
+    assert f"{scores['controllers']['pid']['contour_mm']['rms']['mean']:.3f}" in out
+
+
+def test_machines_lists_the_built_in_machines(hframe_command: Command) -> None:
+    code, out, _ = hframe_command("machines")
+    assert code == 0
+    assert {"hframe", "hframe-linear", "axis"} <= set(out.split())
+
+
+def test_effects_keeps_every_name_complete_on_80_columns_and_in_a_pipe() -> None:
+    code = "import sys; sys.argv = ['hframe', 'effects']; from hframe_gym.cli import main; main()"
+    for columns in ({}, {"COLUMNS": "80"}):
+        environment = {**os.environ, "PYTHONPATH": str(ROOT), **columns}
+        run = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+        assert set(EFFECTS) <= set(run.stdout.split())
+        table = [line for line in run.stdout.splitlines() if line.startswith(("┃", "│"))]
+        assert max(map(len, table)) <= 80
+
+
+def test_kernel_prints_python_source(hframe_command: Command) -> None:
+    code, out, _ = hframe_command("kernel", "hframe")
+    assert code == 0
+    compile(out, "kernel", "exec")
+    assert out.count("\ndef ") > 3
+
+
+def test_version(hframe_command: Command) -> None:
+    code, out, _ = hframe_command("--version")
+    assert code == 0
+    assert out.startswith("hframe_gym 0.")
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_has_an_example(command: str, hframe_command: Command) -> None:
     code, out, _ = hframe_command(command, "--help")
     assert code == 0
     assert "Example" in out
     assert f"hframe {command}" in out
 
 
-def test_the_package_imports_without_the_extras() -> None:
+@pytest.mark.parametrize(
+    ("command", "choices"),
+    [
+        (
+            "evaluate",
+            (
+                "pid,",
+                "adaptive-pid,",
+                "textbook-pid,",
+                "residual,",
+                "reach,",
+                "track,",
+                "default,",
+                "wide,",
+                "state",
+                "rig",
+            ),
+        ),
+        ("train", ("ppo,", "residual,", "sac,", "sac_her", "adapt,", "identified")),
+    ],
+)
+def test_help_lists_the_registered_choices(command: str, choices: tuple[str, ...], hframe_command: Command) -> None:
+    _, out, _ = hframe_command(command, "--help")
+    words = out.replace("│", " ").split()
+    for choice in choices:
+        assert any(word.startswith(choice) for word in words), choice
+
+
+def test_the_package_imports_and_steps_without_the_extras() -> None:
     code = (
         "import sys\n"
         "for name in ('matplotlib', 'jinja2', 'pygame', 'torch', 'stable_baselines3', 'pyarrow'):\n"

@@ -1,21 +1,32 @@
-"""Recipes: what is in the files, and rates that change over a run."""
+"""Recipes: contents of the files, and rates that change during a run."""
 
 import pytest
-from hframe_gym.agents.recipe import Linear, load_recipe
+
+from hframe_gym.agents import load_recipe, recipe_names
+from hframe_gym.agents.recipe import LinearSchedule
+from hframe_gym.errors import InputError
 
 
 @pytest.mark.parametrize(("remaining", "rate"), [(1.0, 1e-3), (0.5, 6e-4), (0.0, 2e-4), (-0.1, 2e-4)])
-def test_rate_goes_from_first_to_last_and_stays(remaining, rate):
-    assert Linear(1e-3, 2e-4)(remaining) == pytest.approx(rate)
+def test_schedule_is_linear_and_constant_after_the_end(remaining, rate):
+    assert LinearSchedule(1e-3, 2e-4)(remaining) == pytest.approx(rate)
 
 
-def test_pairs_in_a_recipe_are_rates():
+def test_pairs_in_a_recipe_become_schedules():
     recipe = load_recipe("ppo", "reach")
     first, last = recipe.algorithm["learning_rate"]
-    assert recipe.settings["learning_rate"] == Linear(first, last)
-    assert recipe.settings["gamma"] == recipe.algorithm["gamma"]
+    assert recipe.algorithm_keywords["learning_rate"] == LinearSchedule(first, last)
+    assert recipe.algorithm_keywords["gamma"] == recipe.algorithm["gamma"]
 
 
-def test_recipes_are_listed_when_one_is_missing():
-    with pytest.raises(ValueError, match=r"ppo on reach, ppo on track, .*, sac_her on reach"):
+@pytest.mark.parametrize("name", recipe_names())
+def test_every_recipe_loads(name):
+    algorithm, task = name.rsplit("_", 1)
+    recipe = load_recipe(algorithm, task)
+    assert recipe.name == name
+    assert recipe.steps > 0
+
+
+def test_unknown_recipe_is_refused_with_a_list():
+    with pytest.raises(InputError, match=r"no recipe for ppo on juggle; .* ppo on reach, ppo on track, .*, sac_her on"):
         load_recipe("ppo", "juggle")

@@ -1,0 +1,101 @@
+"""Trained agents as controllers: agents in a folder, and the agents that come with the package.
+
+Importing this module registers both with `hframe_gym.evaluation.make_controller`; it is the plugin that the package
+declares in the entry-point group `hframe_gym.plugins`.
+"""
+
+from __future__ import annotations
+
+import warnings
+from importlib import resources
+from pathlib import Path
+
+from ..errors import InputError
+from ..evaluation import CONTROLLER_SOURCES, ControllerSource, Scenario
+from .agent import Agent
+
+
+@CONTROLLER_SOURCES.register("agents")
+class AgentSource(ControllerSource):
+    """Trained agents by folder, shipped agents by name."""
+
+    @staticmethod
+    def make(name: str, scenario: Scenario) -> Agent | None:
+        """Load an agent, and warn if it was trained on another machine or with another control period.
+
+        Args:
+            name: Folder of an agent, or the name of a shipped agent as in `shipped_agent_folder`.
+            scenario: Conditions under which the agent will run.
+
+        Returns:
+            The agent, or None if the name is neither a folder nor that of a shipped agent.
+
+        Raises:
+            InputError: If the folder holds no agent or its files are damaged.
+            ImportError: If the extra `agents` is not installed.
+        """
+        folder = Path(name) if Path(name).is_dir() else _find_shipped(name, scenario.task_name)
+        if folder is None:
+            return None
+        agent = Agent.load(folder)
+        mismatch = agent.mismatch(scenario.declared_machine, scenario.period)
+        if mismatch:
+            warnings.warn(mismatch, stacklevel=2)
+        return agent
+
+    @staticmethod
+    def describe(scenario: Scenario) -> str:
+        """Describe the accepted names.
+
+        Args:
+            scenario: Conditions under which the agent will run.
+
+        Returns:
+            A phrase for the message that a controller is unknown.
+        """
+        return f"the folder of a trained agent; or a shipped agent ({_shipped_names(scenario.task_name)})"
+
+
+def shipped_agent_folder(name: str, task: str) -> Path:
+    """Find an agent that comes with the package.
+
+    Args:
+        name: Name of the agent, or how it begins: "ppo" is the first of "ppo-seed0", "ppo-seed1", ...
+        task: Name of the task.
+
+    Returns:
+        The folder of the agent.
+
+    Raises:
+        InputError: If there is none; the message lists the agents of the task.
+    """
+    folder = _find_shipped(name, task)
+    if folder is None:
+        raise InputError(f"no shipped agent {name!r} for the task {task}; choose one of: {_shipped_names(task)}")
+    return folder
+
+
+def shipped_agent_names() -> tuple[str, ...]:
+    """List the agents that come with the package, for any task.
+
+    Returns:
+        Names without the seed, sorted.
+    """
+    return tuple(sorted({label.rpartition("-seed")[0] for label in _shipped_folders("*")}))
+
+
+def _find_shipped(name: str, task: str) -> Path | None:
+    """Return the folder of the first shipped agent that has a name or whose name begins with it and a hyphen."""
+    folders = _shipped_folders(task)
+    return next((f for label, f in folders.items() if label == name or label.startswith(f"{name}-")), None)
+
+
+def _shipped_names(task: str) -> str:
+    """List the shipped agents of a task for a message."""
+    return ", ".join(_shipped_folders(task)) or f"none for the task {task}"
+
+
+def _shipped_folders(task: str) -> dict[str, Path]:
+    """Return the folders of the shipped agents of a task by name, sorted."""
+    shipped = Path(str(resources.files(__package__))) / "shipped"
+    return {file.parent.name: file.parent for file in sorted(shipped.glob(f"{task}/*/agent.json"))}

@@ -1,0 +1,62 @@
+"""Agents as controllers: shipped agents by name, agents by folder, and the warning on another machine."""
+
+import shutil
+import warnings
+
+import pytest
+
+from hframe_gym.agents import Agent, shipped_agent_folder, shipped_agent_names
+from hframe_gym.agents.controller_source import AgentSource
+from hframe_gym.errors import InputError
+from hframe_gym.evaluation import Scenario, make_controller
+
+
+@pytest.mark.parametrize(("name", "expected"), [("ppo", "ppo-seed0"), ("sac-seed2", "sac-seed2")])
+@pytest.mark.parametrize("task", ["reach", "track"])
+def test_shipped_agents_are_found_by_name_and_by_prefix(name, expected, task):
+    folder = shipped_agent_folder(name, task)
+    assert (folder.name, folder.parent.name) == (expected, task)
+
+
+def test_names_of_the_shipped_agents():
+    assert shipped_agent_names() == ("ppo", "residual", "sac")
+
+
+def test_unknown_shipped_agent_is_refused_with_a_list():
+    with pytest.raises(InputError, match="no shipped agent 'pp' for the task reach; choose one of: ppo-seed0, "):
+        shipped_agent_folder("pp", "reach")
+
+
+def test_agents_are_controllers_by_name_and_by_folder(tmp_path):
+    copy = shutil.copytree(shipped_agent_folder("sac-seed1", "track"), tmp_path / "copy")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        by_name = make_controller("sac-seed1", Scenario(task="track"))
+        by_folder = make_controller(str(copy), Scenario(task="track"))
+    assert isinstance(by_name, Agent)
+    assert by_name.card == by_folder.card
+    assert by_name.card["task"] == "track"
+
+
+@pytest.mark.parametrize(
+    ("scenario", "text"),
+    [
+        (Scenario(machine="hframe-linear"), "trained on machine 'hframe', evaluated on 'hframe-linear'"),
+        (Scenario(period=0.002), "trained with a control period of 0.01 s, evaluated at 0.002 s"),
+    ],
+)
+def test_another_machine_or_period_than_in_training_gives_one_warning(scenario, text):
+    with pytest.warns(UserWarning, match=text) as caught:
+        make_controller("ppo", scenario)
+    assert len(caught) == 1
+
+
+def test_other_names_are_left_to_other_sources_and_listed(tmp_path):
+    assert AgentSource.make("no-such-agent", Scenario()) is None
+    with pytest.raises(InputError, match=r"'no-such-agent' is unknown.*pid.*a shipped agent \(ppo-seed0, "):
+        make_controller("no-such-agent", Scenario())
+
+
+def test_a_folder_without_an_agent_is_refused(tmp_path):
+    with pytest.raises(InputError, match=r"is not an agent: agent\.json is missing"):
+        make_controller(str(tmp_path), Scenario())

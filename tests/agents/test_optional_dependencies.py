@@ -1,0 +1,37 @@
+"""The extra `agents`: importing the package needs none of it, and a missing package is named with its extra."""
+
+import subprocess
+import sys
+
+import pytest
+
+from hframe_gym.agents import train
+from hframe_gym.agents.optional_dependencies import EXTRA_MODULES, import_optional, single_threaded_torch
+
+
+def test_importing_the_package_loads_neither_torch_nor_stable_baselines3():
+    code = (
+        "import sys\n"
+        "import hframe_gym.agents\n"
+        "loaded = {'torch', 'stable_baselines3', 'safetensors', 'tensorboard'} & set(sys.modules)\n"
+        "assert not loaded, loaded\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.parametrize("module", EXTRA_MODULES)
+def test_training_names_the_extra_of_a_missing_package(module, monkeypatch, tmp_path):
+    package = module.partition(".")[0]
+    monkeypatch.setitem(sys.modules, package, None)
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(ImportError, match=rf"need {package}: pip install 'hframe_gym\[agents\]'"):
+        train("ppo", steps=1, out=tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_torch_runs_on_one_thread_inside_the_block_only():
+    torch = import_optional("torch")
+    before = torch.get_num_threads()
+    with single_threaded_torch():
+        assert torch.get_num_threads() == 1
+    assert torch.get_num_threads() == before

@@ -1,0 +1,56 @@
+"""Residual actions: authority, history, and the base controller beneath the policy."""
+
+import numpy as np
+import pytest
+
+from hframe_gym.agents.residual_action import Authority, ResidualAction
+from hframe_gym.controllers import CONTROLLERS
+from hframe_gym.envs import HFrameVectorEnv, observation_space
+from hframe_gym.machine import BUILTIN_MACHINES
+from tests.agents.observations import rest_observation
+
+MACHINE = BUILTIN_MACHINES["hframe"]()
+
+
+@pytest.mark.parametrize(
+    ("distance", "fraction"), [(0.0, 0.06), (1e-3, 0.26), (0.1, 1.0)], ids=["at the goal", "near", "far"]
+)
+def test_authority_grows_with_the_distance(distance, fraction):
+    observation = rest_observation(MACHINE, (0.1 + distance, 0.0), (0.1, 0.0))
+    assert Authority(least=0.06)(observation, slice(4, 6)) == pytest.approx(fraction, rel=1e-3)
+
+
+def test_history_covers_one_period_and_is_cleared_by_a_reset():
+    envs = HFrameVectorEnv(3, randomize="none")
+    mapping = ResidualAction(MACHINE, 0.01, base="pid", least=0.1)
+    first, _ = envs.reset(seed=0)
+    augmented = mapping.augment(first)
+    assert np.array_equal(augmented["last_observation"], first["observation"])
+    assert not augmented["last_action"].any()
+    action = mapping.action(np.full((3, 2), 0.5))
+    second = envs.step(action)[0]
+    augmented = mapping.augment(second)
+    assert np.array_equal(augmented["last_observation"], first["observation"])
+    assert np.array_equal(augmented["last_action"], action.astype(np.float32))
+    mapping.reset(np.array([True, False, False]))
+    augmented = mapping.augment(second)
+    assert not augmented["last_action"][0].any()
+    assert np.array_equal(augmented["last_observation"][0], second["observation"][0])
+    assert augmented["last_action"][1:].any()
+    space = mapping.observation_space(observation_space(MACHINE))
+    assert space.contains({key: values[1] for key, values in augmented.items()})
+
+
+def test_the_base_controller_builds_on_the_action_that_was_applied():
+    """While friction holds the stage, the integral action of the base continues from the corrected voltage."""
+    observation = rest_observation(MACHINE, (0.1, 0.0), (0.10005, 0.0))
+    alone = CONTROLLERS.get("pid")(MACHINE, 0.01)
+    mapping = ResidualAction(MACHINE, 0.01, base="pid", least=1.0)
+    for _ in range(3):
+        action_alone = alone.act(observation)
+        mapping.augment(observation)
+        mapping.action(np.zeros((1, 2)))
+    mapping.augment(observation)
+    corrected = mapping.action(np.array([[0.05, -0.02]]))
+    increment = mapping.augment(observation)["base_action"] - corrected
+    assert increment == pytest.approx(alone.act(observation) - action_alone, rel=1e-3)
