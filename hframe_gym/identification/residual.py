@@ -54,11 +54,6 @@ class Dependence(NamedTuple):
     coordinate: str
     explained: float
 
-    @property
-    def share(self) -> float:
-        """Former name of `explained`, until all packages use the new one."""
-        return self.explained
-
 
 def simulation_error(machine: Machine, run: PreparedRecording, data: Dataset) -> Array:
     """Return measured minus simulated values of a run, less the sensors' zeros.
@@ -314,9 +309,3 @@ def _centered_mean(time_s: Array, values: Array, delay: float) -> Array:
     edges = np.concatenate([time_s - delay - period / 2, time_s - delay + period / 2])
     before, after = np.interp(edges, time_s, integral).reshape(2, -1)
     return (after - before) / period
-
-
-# Aliases until all packages use the new names.
-free_run_error = simulation_error
-variables = dependence_variables
-depends_on = rank_dependences
