@@ -38,25 +38,17 @@ _EXTREME_UNIFORMS = np.array([0.5 * 2.0**-53, 1.0 - 0.5 * 2.0**-53])
 
 @dataclass(frozen=True)
 class ParameterSpace:
-    """All N parameters of an environment that can be randomized: of the machine, its devices and the task.
+    """All N parameters of an environment that can be randomized, with their full names and limits, (N,) each.
 
-    Attributes:
-        machine_name: Name of the machine, for messages.
-        names: Full names, shape (N,): first `Machine.parameters`, then `Machine.device_parameters`, then `task.*`.
-        nominal: Values without randomization, shape (N,).
-        lower: Smallest value that each can be randomized to, shape (N,).
-        upper: Largest value that each can be randomized to, shape (N,).
-        machine_count: How many of them are `Machine.parameters`.
-        clipped: Indices of parameters whose samples are clipped to the limits without a message.
+    First come `Machine.parameters`, then `Machine.device_parameters`, then those of the task, `task.*`.
     """
 
-    machine_name: str
+    machine_name: str  # for messages
     names: tuple[str, ...]
-    nominal: Array
-    lower: Array
-    upper: Array
-    machine_count: int
-    clipped: frozenset[int]
+    nominal: Array  # values without randomization
+    lower: Array  # smallest value that each can be randomized to
+    upper: Array  # largest value that each can be randomized to
+    clipped: frozenset[int]  # indices of parameters whose samples are clipped to the limits without a message
 
     @classmethod
     def of(cls, machine: Machine, task_parameters: Mapping[str, float] | None = None) -> ParameterSpace:
@@ -90,7 +82,7 @@ class ParameterSpace:
         clipped = {names.index(free) for tied, (free, _) in machine.ties.items() if tied.endswith(".rest_length")}
         nominal = np.array(list(values.values()), np.float64)
         limits = np.array(lower), np.array(upper)
-        return cls(machine.name, names, nominal, *limits, len(machine.parameters), frozenset(clipped))
+        return cls(machine.name, names, nominal, *limits, frozenset(clipped))
 
 
 def _effect_and_belt_bounds(machine: Machine) -> dict[str, tuple[float, float]]:
@@ -319,7 +311,11 @@ class MachineSampler:
         return values[:, self.columns] / np.where(nominal == 0.0, 1.0, nominal)
 
     def normalized_bounds(self) -> dict[str, tuple[float, float]]:
-        """Return the smallest and the largest normalized value of each randomized parameter, by full name."""
+        """Return the bounds of the randomized parameters.
+
+        Returns:
+            Smallest and largest normalized value by full name.
+        """
         edges = np.sort(self.normalized(np.stack([self.low, self.high])), axis=0)
         return {name: (low, high) for name, (low, high) in zip(self.names, edges.T.tolist(), strict=True)}
 

@@ -9,9 +9,8 @@ import pytest
 import stable_baselines3.common.env_checker as sb3
 from gymnasium.utils import env_checker
 
-from hframe_gym.envs import HFrameEnv, register
-
-register()
+import hframe_gym  # noqa: F401  (registers the environments)
+from hframe_gym.envs import HFrameEnv
 
 CHOICES = {
     "sensors": ["state", "rig", "machine"],

@@ -6,6 +6,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+import hframe_gym  # noqa: F401  (registers the environments)
 from hframe_gym.dynamics import simulate
 from hframe_gym.dynamics.simulation import LONGEST_STEP
 from hframe_gym.envs import (
@@ -16,13 +17,11 @@ from hframe_gym.envs import (
     RandomizeParameter,
     Reach,
     Track,
-    register,
 )
 from hframe_gym.envs.domain_randomization import Uniform
 from hframe_gym.errors import InputError
 from hframe_gym.machine import BUILTIN_MACHINES
 
-register()
 FULL = np.array([1.0, -0.3], np.float32)
 
 

@@ -10,12 +10,12 @@ from gymnasium.utils import env_checker
 from scipy.integrate import quad
 from scipy.optimize import minimize_scalar
 
-from hframe_gym.envs import HFrameEnv, HFrameVectorEnv, Reach, Track, register
+import hframe_gym  # noqa: F401  (registers the environments)
+from hframe_gym.envs import HFrameEnv, HFrameVectorEnv, Reach, Track
 from hframe_gym.envs.tasks.curves import SHAPES, Polyline
 from hframe_gym.envs.tasks.track import arc_lengths
 from hframe_gym.errors import InputError
 
-register()
 WORKSPACE = np.array([[-0.28, 0.28], [-0.19, 0.19]])
 SHAPE_NAMES = ("circle", "square", "lissajous")
 

@@ -5,10 +5,9 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-from hframe_gym.envs import HFrameVectorEnv, register
+import hframe_gym  # noqa: F401  (registers the environments)
+from hframe_gym.envs import HFrameVectorEnv
 from hframe_gym.envs import batched_simulator as simulator_module
-
-register()
 
 
 def same(a, b, path=""):

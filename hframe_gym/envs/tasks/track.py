@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ...errors import InputError
-from ...recordings.path_file import read_path
+from ...recordings import read_path
 from ..counter_rng import compiled
 from .base import TASKS, Array, Metrics, Task
 from .curves import SHAPES, Curve, Polyline
