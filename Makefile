@@ -1,4 +1,4 @@
-# Every target makes what it needs; nothing is installed by hand.
+# Every target creates what it needs; nothing has to be installed manually.
 VENV := .venv
 BIN := $(VENV)/bin
 PYTHON ?= python3
@@ -6,7 +6,7 @@ INSTALLED := $(VENV)/.installed
 
 .PHONY: demo test check bench docs clean
 
-demo: $(INSTALLED)  ## fit a recorded rig, find what its model lacks, drive the corrected machine
+demo: $(INSTALLED)  ## identify a recorded rig, control the corrected machine
 	$(BIN)/hframe identify examples/rig_a --out out/demo
 	$(BIN)/hframe evaluate pid ppo --machine out/demo/machine.json --randomize none --episodes 32 --out out/demo/control
 	@echo "open out/demo/report.html, out/demo/control/pid.png and ppo.png"
@@ -20,11 +20,11 @@ check: $(INSTALLED) hframe_gym/agents  ## format, lint, docstrings, types, layer
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo
 
-bench: $(INSTALLED)  ## every number of RESULTS.md
+bench: $(INSTALLED)  ## all numbers of RESULTS.md
 	$(BIN)/pip install -q -c constraints.txt -e '.[bench]'
 	$(BIN)/python -m benchmarks
 
-docs: $(INSTALLED)  ## tables that are made from the code
+docs: $(INSTALLED)  ## generated tables and pages
 	$(BIN)/python -m tools.tables
 
 # mypy and import-linter look for hframe_gym.agents beside the package's other folders.
@@ -34,7 +34,7 @@ hframe_gym/agents:
 clean:
 	rm -rf $(VENV) out build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache hframe_gym/agents
 
-# torch first and by itself: another package's requirement would pull the build with GPU libraries.
+# torch comes first and separately: the requirement of another package would install the build with GPU libraries.
 $(INSTALLED): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install -q --disable-pip-version-check -c constraints.txt torch==2.13.0

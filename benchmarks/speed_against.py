@@ -2,9 +2,10 @@
 
     python -m benchmarks.speed_against PATH_OF_OTHER_CHECKOUT [--repeats 9] [--only MEASURE]
 
-Each checkout runs in a process of its own with the same interpreter. The processes take turns, so that other load on
-the machine meets both alike. A ratio is this checkout's rate over the other's: the median over the repetitions; the
-spread gives their extremes. One round before the first is not counted (it compiles the kernels).
+Each checkout runs in a separate process with the same interpreter. The processes take turns, so that other load on the
+machine affects both equally. A ratio is this checkout's rate divided by the other's: the median over the repetitions;
+the spread gives their extremes. Ratios are given in processor time (of all threads), which other programs hardly
+affect, and in wall time. One round before the first is not counted, because it compiles the kernels.
 
 Measures:
     kernel: integrator steps per second of a batch of 4096 stages on all cores (`KernelBatch` of that checkout's
@@ -14,7 +15,8 @@ Measures:
     rig: the same with the sensors and drives of the rig.
     single: environment steps per second of one environment by `gym.make`, resets included.
 
-Nothing is written to benchmarks/results/: a ratio belongs to two commits. The exit code is 1 if a ratio is below --bar.
+Nothing is written to benchmarks/results/, because a ratio belongs to two commits. The exit code is 1 if a ratio in
+processor time is below --bar.
 """
 
 from __future__ import annotations
@@ -22,12 +24,13 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import statistics
 import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
@@ -50,7 +53,10 @@ def kernel():
     except ImportError:
         from benchmarks.throughput import KernelBatch
     batch = KernelBatch(hframe_gym.load_machine("hframe"), COUNT)
-    return lambda: batch.rate(parallel=True, least=0.5)
+    def run():
+        begin = time.perf_counter()
+        return batch.rate(parallel=True, least=0.5) * (time.perf_counter() - begin)
+    return timed(run)
 
 def recording():
     machine = hframe_gym.load_machine("hframe")
@@ -85,11 +91,12 @@ def single():
     return timed(run)
 
 def timed(run):
-    def rate():
-        begin = time.perf_counter()
+    def rates():
+        clocks = time.process_time, time.perf_counter
+        begin = [clock() for clock in clocks]
         count = run()
-        return count / (time.perf_counter() - begin)
-    return rate
+        return [count / (clock() - start) for clock, start in zip(clocks, begin)]
+    return rates
 
 MAKE = {"kernel": kernel, "recording": recording, "vector": vector,
         "rig": lambda: vector(sensors="rig", drives="rig"), "single": single}
@@ -101,7 +108,7 @@ for line in sys.stdin:
     try:
         if name not in ready:
             ready[name] = MAKE[name]()
-        answer = {"rate": ready[name]()}
+        answer = {"rates": ready[name]()}
     except Exception as error:
         answer = {"error": f"{type(error).__name__}: {error}"}
     print(json.dumps(answer), file=answers, flush=True)
@@ -120,20 +127,20 @@ class Checkout:
         self._process = subprocess.Popen(
             [sys.executable, "-c", _WORKER],
             cwd=path,
-            env=os.environ | {"PYTHONPATH": str(path)},
+            env=os.environ | {"PYTHONPATH": os.pathsep.join([str(path), os.environ.get("PYTHONPATH", "")])},
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
         )
 
-    def rate(self, measure: str) -> float:
+    def rates(self, measure: str) -> tuple[float, float]:
         """Time a measure once.
 
         Args:
             measure: One of `MEASURES`.
 
         Returns:
-            Rate, 1/s.
+            Rates per second of processor time and of wall time, 1/s.
 
         Raises:
             RuntimeError: If the checkout cannot run the measure.
@@ -145,7 +152,8 @@ class Checkout:
         answer: dict[str, Any] = json.loads(self._process.stdout.readline() or '{"error": "the process ended"}')
         if "error" in answer:
             raise RuntimeError(f"{self.path}: {answer['error']}")
-        return float(answer["rate"])
+        processor, wall = answer["rates"]
+        return float(processor), float(wall)
 
     def close(self) -> None:
         """End the process."""
@@ -154,7 +162,7 @@ class Checkout:
         self._process.wait()
 
 
-def compare(this: Checkout, other: Checkout, measure: str, repeats: int) -> tuple[list[float], list[float]]:
+def compare(this: Checkout, other: Checkout, measure: str, repeats: int) -> NDArray[np.float64]:
     """Time a measure in both checkouts, alternating.
 
     Args:
@@ -164,16 +172,17 @@ def compare(this: Checkout, other: Checkout, measure: str, repeats: int) -> tupl
         repeats: Number of pairs.
 
     Returns:
-        Rates of this checkout and of the other, 1/s, one per pair.
+        Rates, 1/s, shape (repeats, 2, 2): pair; this and other checkout; processor and wall time.
     """
-    this.rate(measure), other.rate(measure)
+    this.rates(measure)
+    other.rates(measure)
     pairs = []
     for i in range(repeats):
-        # The order alternates too, so that a drift of the machine's speed cancels.
-        first = this.rate(measure) if i % 2 == 0 else None
-        second = other.rate(measure)
-        pairs.append((this.rate(measure) if first is None else first, second))
-    return [a for a, _ in pairs], [b for _, b in pairs]
+        # The order alternates as well, so that a drift of the machine's speed cancels.
+        order = (this, other) if i % 2 == 0 else (other, this)
+        rates = {checkout: checkout.rates(measure) for checkout in order}
+        pairs.append((rates[this], rates[other]))
+    return np.array(pairs)
 
 
 def main() -> None:
@@ -186,21 +195,22 @@ def main() -> None:
     arguments = parser.parse_args()
     this, other = Checkout(ROOT), Checkout(arguments.other.resolve())
     console = Console(width=110)
-    table = Table("measure", "this, 1/s", "other, 1/s", "ratio", "spread")
+    table = Table("measure", "this, 1/s", "other, 1/s", "ratio, processor time", "ratio, wall time")
     failed = False
     for measure in arguments.only or MEASURES:
         try:
-            ours, theirs = compare(this, other, measure, arguments.repeats)
+            rates = compare(this, other, measure, arguments.repeats)
         except RuntimeError as error:
-            table.add_row(measure, "", "", "skipped", str(error))
+            table.add_row(measure, "", "", "skipped", str(error).splitlines()[0])
             continue
-        ratios = [a / b for a, b in zip(ours, theirs, strict=True)]
-        ratio = statistics.median(ratios)
-        failed |= ratio < arguments.bar
-        rates = (f"{statistics.median(values):.4g}" for values in (ours, theirs))
-        table.add_row(measure, *rates, f"{ratio:.3f}", f"{min(ratios):.3f} to {max(ratios):.3f}")
-        console.print(f"{measure}: {ratio:.3f}", highlight=False)
-    this.close(), other.close()
+        ratios = rates[:, 0] / rates[:, 1]  # (repeats, clocks)
+        failed |= bool(np.median(ratios[:, 0]) < arguments.bar)
+        cells = [f"{value:.4g}" for value in np.median(rates[:, :, 1], axis=0)]
+        cells += [f"{np.median(r):.3f} ({r.min():.3f} to {r.max():.3f})" for r in ratios.T]
+        table.add_row(measure, *cells)
+        console.print(f"{measure}: {cells[2]}", highlight=False)
+    this.close()
+    other.close()
     console.print(table)
     sys.exit(1 if failed else 0)
 

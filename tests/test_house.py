@@ -1,6 +1,7 @@
 """Hold the limits on language, module size, function size and docstring sections."""
 
 import ast
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -35,6 +36,15 @@ def test_public_functions_have_all_docstring_sections(repository: House) -> None
     assert repository.undocumented == []
 
 
+def test_every_package_is_installed() -> None:
+    project = tomllib.loads((house.ROOT / "pyproject.toml").read_text("utf-8"))
+    packages = [path.parent for path in house.source_files(house.ROOT) if path.stem == "__init__"]
+    names = {".".join(folder.relative_to(house.ROOT).parts) for folder in packages}
+    assert set(project["tool"]["setuptools"]["packages"]) == {
+        name if name.startswith("hframe_gym") else f"hframe_gym.{name}" for name in names
+    }
+
+
 def _function(source: str) -> Function:
     node = ast.parse(source).body[0]
     assert isinstance(node, ast.FunctionDef)
@@ -48,6 +58,8 @@ def _function(source: str) -> Function:
         ("def f(x: int) -> int:\n    '''Return x.'''", ["Args", "Returns"]),
         ("def f(x: int) -> None:\n    '''Take x.\n\n    Args:\n        x: Value.\n    '''", []),
         ("def f(self) -> int:\n    '''Return one.\n\n    Returns:\n        One.\n    '''", []),
+        ("@app.command()\ndef f(x: int) -> None:\n    '''Print x.'''", []),
+        ("@app.command()\ndef f(x: int) -> None:\n    print(x)", ["docstring"]),
         ("@property\ndef f(self) -> int:\n    '''Return one.'''", []),
     ],
 )

@@ -28,6 +28,7 @@ _WORD = re.compile(rf"\b({'|'.join(WORDS)})\b", re.IGNORECASE)
 _Function = ast.FunctionDef | ast.AsyncFunctionDef
 # Decorated functions that read as attributes, or whose documentation is elsewhere.
 _EXEMPT_DECORATORS = ("property", "cached_property", "overload", "setter", "override")
+_COMMAND_DECORATORS = ("command", "callback")  # Typer prints the docstring; each option has its help text
 
 
 @dataclass(frozen=True)
@@ -62,11 +63,14 @@ class Function:
         Returns:
             Some of "docstring", "Args" and "Returns".
         """
-        if any(_last_name(decorator) in _EXEMPT_DECORATORS for decorator in self.node.decorator_list):
+        decorators = {_last_name(decorator) for decorator in self.node.decorator_list}
+        if decorators.intersection(_EXEMPT_DECORATORS):
             return []
         docstring = ast.get_docstring(self.node)
         if docstring is None:
             return ["docstring"]
+        if decorators.intersection(_COMMAND_DECORATORS):
+            return []
         missing = []
         if self._parameters() and not re.search(r"^Args:$", docstring, re.MULTILINE):
             missing.append("Args")
