@@ -53,7 +53,7 @@ class AdaptiveController(Controller):
         expected_friction: Voltages that estimated friction beyond the model's will need along the path, in this period
             and the next ones, divided by the rated voltages, and last the recent mean of that voltage, shape
             (B, 2 PERIODS_AHEAD + 2). Zero for a goal that does not move.
-        feature_sizes: Widths of what a policy on top of this controller may observe, by name.
+        feature_sizes: Widths of the attributes that a policy on top of this controller may observe, by name.
 
     Raises:
         InputError: If the machine cannot be controlled (see `MotionModel`) or the period is not positive.
@@ -68,7 +68,7 @@ class AdaptiveController(Controller):
         self.model = MotionModel(machine)
         self._dead_time, self._inversion = DeadTime(machine, period), InputInversion(machine)
         self._filter = MomentumFilter(self.model, period)
-        self.feature_sizes = {"expected": 2 * (PERIODS_AHEAD + 1), "learnt": 2 * len(self.model.mass) + 1}
+        self.feature_sizes = {"expected_friction": 2 * (PERIODS_AHEAD + 1), "estimates": 2 * len(self.model.mass) + 1}
         self._starts = EpisodeStarts()
         self._elapsed_s = np.zeros(0)
         self._state = self.expected_friction = np.zeros((0, 0))
@@ -174,7 +174,7 @@ class AdaptiveController(Controller):
     @property
     def told(self) -> dict[str, int]:
         """See `feature_sizes`."""
-        return self.feature_sizes
+        return {"expected": self.feature_sizes["expected_friction"], "learnt": self.feature_sizes["estimates"]}
 
     @property
     def expected(self) -> Array:

@@ -4,7 +4,6 @@ The adapter for stable-baselines3 is `hframe_gym.envs.sb3_vec_env.HFrameVecEnv`;
 needs an extra.
 """
 
-from ..registration import register_environments as register
 from .actuators import ACTUATOR_PRESETS, Actuators, ActuatorsLike
 from .batched_simulator import parameter_values
 from .config import EnvConfig, EnvOptions, MachineLike, as_machine
@@ -67,5 +66,4 @@ __all__ = [
     "observation_space",
     "observed_machine",
     "parameter_values",
-    "register",
 ]

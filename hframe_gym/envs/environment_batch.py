@@ -158,7 +158,14 @@ class EnvironmentBatch:
         return np.array(np.broadcast_to(values, (k, 2)))
 
     def randomized(self, index: Index) -> dict[str, Array]:
-        """Return the randomized parameters of environments index (k,), SI, (k,) each, by full name."""
+        """Return the randomized parameters.
+
+        Args:
+            index: Environments, shape (k,).
+
+        Returns:
+            Values by full name, SI, shape (k,) each.
+        """
         columns = zip(self.sampler.names, self.sampler.columns, strict=True)
         return {name: self._values[index, column] for name, column in columns}
 
@@ -253,7 +260,11 @@ class EnvironmentBatch:
             result.contour[index] = self.contour(index)
 
     def observe(self) -> Observation:
-        """Return the present observations of all environments as new arrays, first axis count."""
+        """Observe all environments as they are.
+
+        Returns:
+            New arrays, first axis count.
+        """
         observation, tool = self._blank()
         self.references.write(slice(None), observation)
         self.observations.write(0, self.simulator.blocks, observation, tool)
@@ -266,11 +277,25 @@ class EnvironmentBatch:
         return observation, tool
 
     def contour(self, index: Index | slice) -> Array | None:
-        """Return the distances of the true tool positions to their paths, m, shape (k,); None without a path."""
+        """Return the distances of the true tool positions to their paths.
+
+        Args:
+            index: Environments, shape (k,).
+
+        Returns:
+            Distances, m, shape (k,); None for a task without a path.
+        """
         return self.references.contour(index, self.simulator.tools()[index])
 
     def distance(self, index: Index) -> Array:
-        """Return the distances of the true tool positions of environments index (k,) to their goals, m, shape (k,)."""
+        """Return the distances of the true tool positions to their goals.
+
+        Args:
+            index: Environments, ascending, shape (k,).
+
+        Returns:
+            Distances, m, shape (k,).
+        """
         tool = np.empty((self.count, 2), np.float32)
         for first, last in block_ranges(index):
             self.observations.write_tool(first, last, tool)

@@ -38,6 +38,7 @@ class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]])
     As for `HFrameEnv`, with truncation after `max_episode_steps`. The autoreset modes are Gymnasium's: "NextStep"
     (the step after an episode's end resets and ignores its action), "SameStep" (the last step resets; `final_obs` and
     `final_info` hold the end of the episode) and "Disabled" (reset with options={"reset_mask": (num_envs,) bool}).
+    The columns of `parameters` in an info are read-only; a reset replaces them.
 
     ## Arguments
 

@@ -17,15 +17,11 @@ from numpy.typing import NDArray
 from ..atomic_files import write_text
 from ..controllers import Controller
 from ..dynamics import Equations, MotionPoint, NotFiniteError
-from ..envs import HFrameVectorEnv
-from ..envs.domain_randomization import RandomizationLike
-from ..envs.environment_batch import MachineLike
-from ..envs.sensors import SensorsLike
-from ..envs.tasks import TaskLike
+from ..envs import HFrameVectorEnv, MachineLike, RandomizationLike, SensorsLike, TaskLike
 from ..errors import InputError
 from ..machine import Machine
 from .metrics import score_episodes, stored_bounds
-from .scenario import Episodes, Scenario, make_controller
+from .scenario import Episodes, Scenario, make_controller, sampled_parameters
 
 Array = NDArray[np.float64]
 SAMPLES_PER_PERIOD = 10
@@ -158,9 +154,8 @@ class _Recorder:
         count, samples = scenario.episodes, scenario.periods * SAMPLES_PER_PERIOD + 1
         observation, info = self.envs.reset(seed=scenario.seed)
         machine = self.envs.batch.machine
-        loads = _Loads(machine, self._parameters())
+        loads = _Loads(machine, sampled_parameters(self.envs))
         rated = np.array([d.rated_voltage for d in machine.drives])
-        axes = [machine.coordinate_names.index(axis) for axis in ("x", "y")]
         travel = self._travel()
         position, goal = np.empty((2, count, samples, 2))
         contour = np.empty((count, samples)) if "contour_m" in info else None
@@ -169,7 +164,7 @@ class _Recorder:
         actions = np.zeros((count, len(rated)))
         controller.reset()
         for i in range(samples):
-            position[:, i], goal[:, i] = travel[:, axes], observation["desired_goal"]
+            position[:, i], goal[:, i] = self.envs.batch.simulator.tools(), observation["desired_goal"]
             if contour is not None:
                 contour[:, i] = info["contour_m"]
             if i == samples - 1:
@@ -184,14 +179,9 @@ class _Recorder:
         time_s = self.sample_s * np.arange(samples, dtype=np.float64)
         return Episodes(time_s, position, goal, contour, volts, rated, energy, peak)
 
-    def _parameters(self) -> Array:
-        """Return the sampled parameters of every episode (B, P or more), in the order of `Machine.parameters`."""
-        table = self.envs.batch.stages.parameters  # (blocks, P, lanes)
-        return np.asarray(table.transpose(0, 2, 1).reshape(-1, table.shape[1])[: self.scenario.episodes]).copy()
-
     def _travel(self) -> Array:
         """Return the true travel of all coordinates (B, n), m, in double precision."""
-        state = self.envs.batch.stages.state  # (blocks, states, lanes)
+        state = self.envs.batch.simulator.state  # (blocks, states, lanes)
         rows = state.transpose(0, 2, 1).reshape(-1, state.shape[1])[: self.scenario.episodes]
         return np.asarray(rows[:, : len(self.envs.batch.machine.coordinates)]).copy()
 
@@ -200,7 +190,7 @@ class _Loads:
     """Belt tensions and electrical energy of B machines with their sampled parameters (B, P)."""
 
     def __init__(self, machine: Machine, parameters: Array) -> None:
-        values = dict(zip(machine.parameters, parameters.T, strict=False))
+        values = dict(zip(machine.parameters, parameters.T, strict=True))
         # Hooke's law and Ohm's law; effects on belts and currents are not included.
         self._equations = Equations(machine.replace(effects=()), values)
         self._drives = range(len(machine.drives))

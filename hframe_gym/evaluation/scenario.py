@@ -15,15 +15,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..controllers import CONTROLLERS, Controller, OutputFeedbackController, StateEstimator, check_period
-from ..envs import HFrameVectorEnv
-from ..envs.domain_randomization import RandomizationLike
-from ..envs.environment_batch import MachineLike
-from ..effects import EFFECTS
-from ..envs.sensors import Sensors, SensorsLike, as_sensors, channels, sensed_entries
-from ..envs.tasks import Task, TaskLike, Track, as_task
+from ..envs import (
+    HFrameVectorEnv,
+    MachineLike,
+    RandomizationLike,
+    SensorsLike,
+    Task,
+    TaskLike,
+    as_machine,
+    as_task,
+    observed_machine,
+)
 from ..errors import InputError
-from ..machine import Machine, Sensor
-from ..recordings import load_machine
+from ..machine import Machine
 from ..registry import Registry
 
 Array = NDArray[np.float64]
@@ -79,27 +83,26 @@ class Scenario:
     @cached_property
     def declared_machine(self) -> Machine:
         """The machine as declared, loaded if a name or a path was given."""
-        return self.machine if isinstance(self.machine, Machine) else load_machine(self.machine)
+        return as_machine(self.machine)
 
     @property
     def task_name(self) -> str:
         """Name of the task, for example "reach"."""
-        return self.task if isinstance(self.task, str) else type(self.task).__name__.lower()
+        return as_task(self.task).name
 
     @property
-    def metrics(self) -> str | None:
-        """Name of the task's metric set in `METRICS`, or None for the default of `score_episodes`."""
-        return getattr(as_task(self.task), "metrics", None)
+    def metrics(self) -> str:
+        """Name of the task's metric set in `METRICS`."""
+        return as_task(self.task).metrics
 
     @property
     def controller_task(self) -> Task:
         """The task with its previewed goals one control period apart, over the same time ahead."""
         task = as_task(self.task)
-        if not isinstance(task, Track):
+        if not (dataclasses.is_dataclass(task) and hasattr(task, "previews") and hasattr(task, "preview_s")):
             return task
-        return dataclasses.replace(
-            task, preview_s=self.period, previews=max(1, round(task.previews * task.preview_s / self.period))
-        )
+        previews = max(1, round(task.previews * task.preview_s / self.period))
+        return dataclasses.replace(task, preview_s=self.period, previews=previews)
 
 
 @dataclass(frozen=True)
@@ -168,10 +171,22 @@ def episode_conditions(scenario: Scenario) -> EpisodeConditions:
         randomize=scenario.randomize,
     )
     observation, _ = envs.reset(seed=scenario.seed)
-    batch, indices = envs.batch, np.arange(scenario.episodes)
-    columns = [batch.stages.values(indices, i) for i in range(len(batch.machine.parameters))]
     goal = np.asarray(observation["desired_goal"], np.float64)
-    return EpisodeConditions(batch.machine, np.stack(columns, axis=1), batch.stages.tools().copy(), goal)
+    return EpisodeConditions(envs.batch.machine, sampled_parameters(envs), envs.batch.simulator.tools().copy(), goal)
+
+
+def sampled_parameters(envs: HFrameVectorEnv) -> Array:
+    """Return the parameters of the running episodes.
+
+    Args:
+        envs: Environment after a reset.
+
+    Returns:
+        Parameters in the order of `Machine.parameters`, shape (B, P).
+    """
+    indices = np.arange(envs.num_envs)
+    count = len(envs.batch.machine.parameters)
+    return np.stack([envs.batch.simulator.values(indices, i) for i in range(count)], axis=1)
 
 
 class ControllerSource(ABC):
@@ -265,31 +280,18 @@ def make_controller(
 def _make_registered(name: str, scenario: Scenario) -> Controller:
     """Make a controller that is registered, with a state estimator if it needs one."""
     controller_class = CONTROLLERS.get(name)
-    sensors = as_sensors(scenario.sensors)
     machine = scenario.declared_machine
-    if sensors is not None and controller_class.feedback == "state":
+    observed = observed_machine(machine, scenario.sensors)  # None: the full state
+    if observed is not None and controller_class.feedback == "state":
         raise InputError(
             f"controller {name!r} needs the full state, and sensors are {scenario.sensors!r}; choose sensors 'state', "
             "or a controller with a state estimator, such as pid"
         )
     try:
         controller = controller_class(machine, scenario.period)
-        if sensors is not None and controller_class.feedback == "estimated_state":
-            estimator = StateEstimator(_observed_machine(machine, sensors), scenario.period)
-            return OutputFeedbackController(controller, estimator)
+        if observed is not None and controller_class.feedback == "estimated_state":
+            return OutputFeedbackController(controller, StateEstimator(observed, scenario.period))
     except ValueError as error:
         raise InputError(str(error)) from None
     return controller
 
-
-def _observed_machine(machine: Machine, sensors: Sensors) -> Machine:
-    """Return the machine with those sensors that the environment simulates, in the order of its observation."""
-    names = [e.coordinate for e in sensed_entries(machine, sensors) if not e.velocity]
-    c = channels(machine, sensors)
-    declared, effects = [], []
-    for k, name in enumerate(names):
-        declared.append(Sensor(f"sensor{k}", {name: 1.0}, float(c.noise[k]), float(c.quanta[k])))
-        if np.isfinite(c.least[k]) or np.isfinite(c.most[k]):
-            effects.append(EFFECTS["sensor_range"].at(f"sensor{k}", low=float(c.least[k]), high=float(c.most[k])))
-    kept = tuple(e for e in machine.effects if e.definition.site != "sensor")
-    return dataclasses.replace(machine, sensors=tuple(declared), effects=(*kept, *effects))

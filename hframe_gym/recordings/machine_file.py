@@ -66,13 +66,14 @@ def load_machine(source: str | Path | Machine) -> Machine:
     if not path.is_file():
         raise InputError(f"machine {str(source)!r} is neither a file nor one of {', '.join(BUILTIN_MACHINES)}")
     try:
-        content = MachineFile.model_validate_json(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        content = MachineFile.model_validate_json(text)
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: not a UTF-8 text file ({error.reason}); save it as UTF-8") from None
     except ValidationError as error:
         first = error.errors()[0]
-        field = ".".join(map(str, first["loc"])) or "file"
-        raise InputError(f"{path}: {field}: {first['msg']}") from None
+        reason = "unknown field; delete it" if first["type"] == "extra_forbidden" else first["msg"]
+        raise InputError(f"{path}: {_field_name(first['loc'], text)}: {reason}") from None
     return _FileReader(path, content).machine()
 
 
@@ -138,6 +139,21 @@ def machine_to_dict(machine: Machine) -> dict[str, Any]:
         covariance = [[float(f"{value:.9g}") for value in row] for row in machine.uncertainty.covariance]
         content["uncertainty"] = {"names": list(machine.uncertainty.names), "covariance": covariance}
     return content
+
+
+def _field_name(location: tuple[int | str, ...], text: str) -> str:
+    """Return the dotted name of a field, with the names of components and channels instead of their indices."""
+    labels = []
+    value: Any = json.loads(text) if location else None
+    for key in location:
+        labels.append(str(key))
+        try:
+            value = value[key]
+        except (KeyError, IndexError, TypeError):  # the field is missing
+            value = None
+        if isinstance(key, int) and isinstance(value, dict):
+            labels[-1] = str(value.get("name", value.get("channel", key)))
+    return ".".join(labels) or "file"
 
 
 @dataclass(frozen=True)

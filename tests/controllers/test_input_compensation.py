@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hframe_gym.controllers import ModelBasedController
-from hframe_gym.controllers.dead_time import DeadTime
+from hframe_gym.controllers import DeadTime
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.evaluation import Scenario, rollout, scores

@@ -55,7 +55,7 @@ def change(path: list[Any], value: Any) -> Callable[[dict[str, Any]], None]:
         (change(["coordinates", 0, "mass", "value"], -1.0), "coordinates.x.mass: -1 must be positive"),
         (change(["coordinates", 0, "mass", "unit"], "g"), "coordinates.x.mass: unit is 'g', must be 'kg'"),
         (change(["coordinates", 2, "coulomb", "unit"], "N"), "coordinates.phi1.coulomb: unit is 'N', must be 'Nm'"),
-        (change(["coordinates", 0, "name"], "two words"), "coordinates.0.name"),
+        (change(["coordinates", 0, "name"], "two words"), "coordinates.two words.name"),
         (change(["coordinates", 1, "name"], "x"), "coordinates: two have the same name"),
         (change(["belts", 0, "extension"], {"z": 1.0}), "belts.left.extension: no coordinate is called 'z'"),
         (change(["drives", 0, "coordinate"], "z"), "drives.motor1.coordinate: no coordinate is called 'z'"),
@@ -64,7 +64,7 @@ def change(path: list[Any], value: Any) -> Callable[[dict[str, Any]], None]:
             change(["sensors", 0, "kind"], "magic"),
             "sensors.phi1_rad.kind: sensor kind 'magic' is unknown; choose one of encoder",
         ),
-        (change(["drives", 0, "converter_bits"], 40), "drives.0.converter_bits"),
+        (change(["drives", 0, "converter_bits"], 40), "drives.motor1.converter_bits"),
         (change(["sensors", 2, "range"], [0.1, -0.1]), "sensors.x_m.range: must be [lowest, highest]"),
         (change(["belts", 1, "name"], "left"), "must all differ; 'left' occurs twice"),
         (change(["ties"], {"x.mass": ["nothing", 1.0]}), "ties.x.mass: 'x.mass' and 'nothing' must be parameters"),
@@ -76,7 +76,8 @@ def change(path: list[Any], value: Any) -> Callable[[dict[str, Any]], None]:
             change(["uncertainty"], {"names": ["z.mass"], "covariance": [[1.0]]}),
             "uncertainty.names: the machine has no parameter z.mass",
         ),
-        (change(["surprise"], 1), "surprise"),
+        (change(["surprise"], 1), "surprise: unknown field; delete it"),
+        (change(["sensors", 1, "color"], "red"), "sensors.phi2_rad.color: unknown field; delete it"),
         (change(["schema"], 2), "schema"),
         (change(["effects"], [{"name": "magic", "site": "x", "parameters": {}}]), "effects.magic: no such effect"),
         (
@@ -107,7 +108,21 @@ def test_a_nan_in_the_file_is_refused(hframe: Machine, tmp_path: Path) -> None:
     content = machine_to_dict(hframe)
     content["coordinates"][0]["mass"]["value"] = float("nan")
     (tmp_path / "m.json").write_text(json.dumps(content))
-    with pytest.raises(InputError, match=r"coordinates\.0\.mass"):
+    with pytest.raises(InputError, match=r"coordinates\.x\.mass"):
+        load_machine(tmp_path / "m.json")
+
+
+def test_a_missing_field_is_named_with_its_component(hframe: Machine, tmp_path: Path) -> None:
+    content = machine_to_dict(hframe)
+    del content["drives"][1]["Kt"]
+    (tmp_path / "m.json").write_text(json.dumps(content))
+    with pytest.raises(InputError, match=r"drives\.motor2\.Kt: Field required"):
+        load_machine(tmp_path / "m.json")
+
+
+def test_a_file_that_is_not_json_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "m.json").write_text("{ // comment")
+    with pytest.raises(InputError, match=r"m\.json: file: Invalid JSON"):
         load_machine(tmp_path / "m.json")
 
 
