@@ -2,8 +2,9 @@
 
 from .criteria import SelectionCriteria
 from .dataset import Dataset, PreparedRecording, prepare
-from .estimation import Fit, FreeParameter, default_free_parameters, fit
+from .estimation import Fit, fit
 from .forward_selection import SelectedEffect, select_effects
+from .free_parameters import FreeParameter, default_free_parameters
 from .initial_state import initial_state_of_recording
 from .pipeline import hold_out, identify
 from .rest_measurement import InitialState, estimate_initial_state

@@ -18,6 +18,7 @@ from ..effects import EFFECTS, effect_sites
 from ..machine import AppliedEffect, Effect, Machine
 from .dataset import Dataset, TypicalScales
 from .free_parameters import FreeParameter
+from .screening import has_no_small_version
 from .sensor_properties import UNLIMITED
 
 Array = NDArray[np.float64]
@@ -81,11 +82,6 @@ class Candidate:
             values |= {n: c[n] * float(a) for n, c, a in zip(names, self.columns, amounts, strict=True)}
         bounds = {p.name: (p.lower, p.upper) for p in self.effect.parameters}
         return self.effect.at(self.site, **{n: float(np.clip(v, *bounds[n])) for n, v in values.items()})
-
-
-def has_no_small_version(effect: Effect) -> bool:
-    """Return whether an effect replaces a part of the model, so that it has no small amplitude to linearize around."""
-    return bool(effect.structure or effect.friction)
 
 
 def candidates(

@@ -244,7 +244,7 @@ def scales_of_motion(machine: Machine, positions: Array, velocities: Array, inpu
     travel = np.maximum(np.ptp(positions, axis=0), 1e-9)
     by_coordinate: dict[str, dict[str, float]] = {}
     for i, c in enumerate(machine.coordinates):
-        drive = force * (c.radius if c.kind == "rotary" else 1.0)
+        drive = force * c.travel_per_unit
         speed, distance = float(top_speed[i]), float(travel[i])
         by_coordinate[c.name] = {
             "force": drive,
@@ -261,8 +261,7 @@ def scales_of_motion(machine: Machine, positions: Array, velocities: Array, inpu
         by_coordinate[d.coordinate]["A"] = max(float(np.abs(current).max()), 1e-9)
     general: dict[str, float] = {}
     if machine.belts:
-        rows = np.array([machine.coefficients(b.extension) for b in machine.belts]) * machine.travel_per_unit
-        extension = positions @ rows.T  # (n, belts)
+        extension = positions @ machine.belt_matrix.T  # (n, belts)
         stiffness = np.array([b.EA / b.rest_length for b in machine.belts])
         largest = max(float(np.percentile(np.abs(extension), 99)), 1e-9)
         general = {"m": largest, "N": float(np.abs(extension * stiffness).max()), "1/m^2": 1.0 / largest**2}

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..machine import Machine
 from .dataset import Dataset, PreparedRecording
-from .free_parameters import FreeParameter, default_free_parameters, prior_precision, typical_force, values_at
+from .free_parameters import FreeParameter, prior_precision, values_at
 from .linearization import ResidualModel
 from .prediction import SEARCH_STEP, Mode, map_runs, predict, residuals
 
@@ -134,18 +134,3 @@ def prediction_cost(machine: Machine, data: Dataset, mode: Mode, *, longest_step
 
     total = sum(map_runs(of_run, data))
     return total if math.isfinite(total) else math.inf
-
-
-# Aliases until all packages use the new names.
-cost_of = prediction_cost
-over_runs = map_runs
-__all__ = [
-    "Fit",
-    "FreeParameter",
-    "cost_of",
-    "default_free_parameters",
-    "fit",
-    "over_runs",
-    "prediction_cost",
-    "typical_force",
-]

@@ -15,7 +15,7 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,14 +26,11 @@ from ..dynamics.simulation import Motion, simulate_batch
 from ..machine import AppliedEffect, Machine
 from .candidates import effect_parameters
 from .covariance import with_uncertainty
-from .dataset import Dataset
+from .dataset import Dataset, TypicalScales
 from .estimation import Fit, fit
-from .forward_selection import typical
+from .forward_selection import typical_scales
 from .linearization import NormalEquations, forward_differences
 from .prediction import POLISH_STEP, SEARCH_STEP
-
-if TYPE_CHECKING:
-    from .typical_scales import TypicalScales
 
 Array = NDArray[np.float64]
 
@@ -79,7 +76,11 @@ class ExperimentDesign:
         )
 
     def as_json(self) -> dict[str, Any]:
-        """Return the entry `next_experiment` of report.json."""
+        """Return the design without its voltages.
+
+        Returns:
+            The entry `next_experiment` of report.json.
+        """
         return {"separates": list(self.separates), "file": FILE, "why": self.why}
 
     def write(self, path: Path, machine: Machine) -> None:
@@ -115,7 +116,7 @@ def design_discriminating_experiment(
     alternatives = [r for r in rivals if r.label not in present and not r.definition.structure]
     if not alternatives or present[label].definition.structure:
         return None
-    rival_machine = fit_rival(current, label, alternatives[0], data, typical(current, data))
+    rival_machine = fit_rival(current, label, alternatives[0], data, typical_scales(current, data))
     return separate_machines(corrected, rival_machine, (label, alternatives[0].label), data)
 
 

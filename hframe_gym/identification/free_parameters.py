@@ -51,16 +51,37 @@ class FreeParameter:
     along: str = ""
 
     def value(self, theta: Array) -> Array:
-        """Return the parameter's value for theta, clipped to its bounds; same shape as theta."""
+        """Return the parameter's value, clipped to its bounds.
+
+        Args:
+            theta: Coordinates of the parameter, any shape.
+
+        Returns:
+            Values of the same shape, SI.
+        """
         raw = self.center * np.exp(theta) if self.scale is None else self.center + self.scale * theta
         return np.clip(raw, self.lower, self.upper)
 
     def theta(self, value: float) -> float:
-        """Return the theta that gives a value (the inverse of `value` inside the bounds)."""
+        """Return the theta that gives a value, the inverse of `value` inside the bounds.
+
+        Args:
+            value: Value of the parameter, SI.
+
+        Returns:
+            Its coordinate.
+        """
         return math.log(value / self.center) if self.scale is None else (value - self.center) / self.scale
 
     def slope(self, theta: float) -> float:
-        """Return the derivative of the value with respect to theta."""
+        """Return the derivative of the value with respect to theta.
+
+        Args:
+            theta: Coordinate of the parameter.
+
+        Returns:
+            Derivative, SI.
+        """
         return self.center * math.exp(theta) if self.scale is None else self.scale
 
 
@@ -70,6 +91,9 @@ def values_at(free: Sequence[FreeParameter], theta: Array) -> dict[str, float]:
     Args:
         free: Free parameters.
         theta: Their coordinates, shape (k,).
+
+    Returns:
+        Values, SI.
     """
     return {f.name: float(f.value(t)) for f, t in zip(free, theta, strict=True)}
 
@@ -93,7 +117,14 @@ def parameter_table(machine: Machine, free: Sequence[FreeParameter], thetas: Arr
 
 
 def second_difference_penalty(count: int) -> Array:
-    """Return D^T D for the second differences D of a curve's ordinates, shape (count, count)."""
+    """Return the penalty matrix of the second differences of a curve's ordinates.
+
+    Args:
+        count: Number of ordinates.
+
+    Returns:
+        D^T D with the second-difference operator D, shape (count, count).
+    """
     second_difference = np.diff(np.eye(count), n=2, axis=0)
     penalty: Array = second_difference.T @ second_difference
     return penalty
@@ -118,11 +149,17 @@ def prior_precision(free: Sequence[FreeParameter]) -> Array:
 
 
 def typical_force(machine: Machine) -> float:
-    """Return a tenth of the force of all drives at standstill and rated voltage, N of travel."""
+    """Return a tenth of the force of all drives at standstill and rated voltage.
+
+    Args:
+        machine: Machine with its drives.
+
+    Returns:
+        Force on belt travel, N.
+    """
     total = 0.0
     for drive in machine.drives:
-        coordinate = machine.coordinate(drive.coordinate)
-        total += drive.gain * drive.rated_voltage / (coordinate.radius if coordinate.kind == "rotary" else 1.0)
+        total += drive.gain * drive.rated_voltage / machine.coordinate(drive.coordinate).travel_per_unit
     return 0.1 * total
 
 
@@ -160,7 +197,7 @@ def _coordinate_parameters(machine: Machine) -> list[FreeParameter]:
     force = typical_force(machine)
     free = []
     for c in machine.coordinates:
-        radius = c.radius if c.kind == "rotary" else 1.0
+        radius = c.travel_per_unit
         free.append(FreeParameter(f"{c.name}.mass", c.mass, prior=_MASS_PRIOR))
         undeclared = {
             "viscous": _UNDECLARED_VISCOUS * force * radius**2,

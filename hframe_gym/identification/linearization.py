@@ -21,19 +21,32 @@ from ..dynamics.simulation import Motion
 from ..machine import Machine
 from .dataset import Dataset, PreparedRecording
 from .free_parameters import FreeParameter, parameter_table, values_at
-from .prediction import SEARCH_STEP, Mode, has_feedback, initial_state_of_run, map_runs, predict, residuals
+from .prediction import (
+    SEARCH_STEP,
+    InitialStateProjection,
+    Mode,
+    initial_state_projection,
+    map_runs,
+    predict,
+    residuals,
+)
 
 Array = NDArray[np.float64]
 
 # Forward difference in units of theta: far above rounding, far below the scale on which the residual bends.
 DIFFERENCE_STEP = 1e-4
-# Fraction of the motors' Coulomb friction that typically remains as belt tension when the stage has come to rest.
-_HELD_FRICTION = 0.1
-_SMALLEST_HELD_ANGLE = 1e-6  # rad; keeps the column of a motor without friction away from zero
 
 
 def forward_differences(values: Array, step: float = DIFFERENCE_STEP) -> Array:
-    """Return the differences of values (k + 1, ...) from the first one, per unit step, shape (k, ...)."""
+    """Return forward differences of values at an expansion point and at steps from it.
+
+    Args:
+        values: Values at the expansion point, then after each step, shape (k + 1, ...).
+        step: Size of the steps.
+
+    Returns:
+        Derivatives, shape (k, ...).
+    """
     differences: Array = (values[1:] - values[0]) / step
     return differences
 
@@ -71,6 +84,9 @@ class NormalEquations:
             residual: r, shape (rows,).
             responses: E transposed, shape (m, rows); default: none.
             count: Number of measured values (default: the number of rows).
+
+        Returns:
+            Products of all pairs of columns.
         """
         parts = [jacobian, residual[None]] if responses is None else [jacobian, responses, residual[None]]
         stacked = np.vstack(parts)
@@ -88,7 +104,14 @@ class NormalEquations:
 
     @classmethod
     def total(cls, parts: Iterable[NormalEquations]) -> NormalEquations:
-        """Sum the normal equations of several runs, of which there must be at least one."""
+        """Sum the normal equations of several runs.
+
+        Args:
+            parts: Normal equations of at least one run.
+
+        Returns:
+            Sums of all products and counts.
+        """
         fields = [list(values) for values in zip(*(vars(part).values() for part in parts), strict=True)]
         return cls(*(sum(values[1:], start=values[0]) for values in fields))
 
@@ -118,36 +141,6 @@ class NormalEquations:
             response_information=self.response_information - mimicked[:, :-1],
             response_gradient=self.response_gradient - mimicked[:, -1],
         )
-
-
-@dataclass(frozen=True)
-class InitialStateProjection:
-    """Projection that removes the unknown initial stretch of the belts from residuals.
-
-    Attributes:
-        directions: Orthonormal responses of the residual to the initial state, shape (rows, s).
-        weights: Fraction of each that is removed, between 0 (known by the prior) and 1 (unknown), shape (s,).
-    """
-
-    directions: Array
-    weights: Array
-
-    def __call__(self, residual: Array) -> Array:
-        """Project residuals (batch, rows), so that their squares are the costs at the optimal initial state."""
-        return residual - (residual @ self.directions) * self.weights @ self.directions.T
-
-
-def held_belt_angles(machine: Machine) -> dict[str, float]:
-    """Return, by motor coordinate with a sensor, the angle that friction typically holds in the belts at rest, rad."""
-    if not machine.belts:
-        return {}
-    stiffness = float(np.mean([b.EA / b.rest_length for b in machine.belts]))
-    measured = {s.coordinate for s in machine.sensors}
-    return {
-        c.name: max(_HELD_FRICTION * c.coulomb / c.radius**2 / stiffness, _SMALLEST_HELD_ANGLE)
-        for c in machine.coordinates
-        if c.kind == "rotary" and c.name in measured and c.name not in machine.sprung
-    }
 
 
 @dataclass(frozen=True)
@@ -192,11 +185,26 @@ class ResidualModel:
     rows_per_block: int = 1
 
     def machine_at(self, theta: Array) -> Machine:
-        """Return the machine with the parameters theta (k,)."""
+        """Return the machine at a value of theta.
+
+        Args:
+            theta: Free parameters, shape (k,).
+
+        Returns:
+            Machine with their values.
+        """
         return self.machine.replace(values_at(self.free, theta))
 
     def residuals(self, run: PreparedRecording, measurements: Array) -> Array:
-        """Return residuals (batch, rows) of predicted measurements (batch, n, sensors)."""
+        """Return the residuals of predicted measurements of a run.
+
+        Args:
+            run: Measured run.
+            measurements: Predicted values, shape (batch, n, sensors).
+
+        Returns:
+            Residuals in units of the noise, shape (batch, rows).
+        """
         return residuals(run, self.data, measurements, self.rows_per_block)
 
     def linearize_run(
@@ -218,7 +226,9 @@ class ResidualModel:
         residual = self.residuals(run, motion.readings)  # (k + 1, rows)
         expansion_motion = Motion(*(part[:1] for part in motion))
         extra = None if responses is None else responses(run, expansion_motion)
-        projection = self.initial_state_projection(machine, run)
+        projection = initial_state_projection(
+            machine, run, self.data, self.mode, longest_step=self.longest_step, rows_per_block=self.rows_per_block
+        )
         if projection is not None:
             residual = projection(residual)
             extra = None if extra is None else projection(extra)
@@ -230,6 +240,9 @@ class ResidualModel:
         Args:
             theta: Expansion point, shape (k,).
             responses: Function that returns additional columns of a run.
+
+        Returns:
+            Linearization with the summed normal equations.
         """
 
         def of_run(run: PreparedRecording) -> tuple[NormalEquations, InitialStateProjection | None]:
@@ -241,45 +254,6 @@ class ResidualModel:
         projections = {run.name: projection for run, (_, projection) in zip(self.data.runs, parts, strict=True)}
         equations = NormalEquations.total(equations for equations, _ in parts)
         return Linearization(self, self.machine_at(theta), equations, projections)
-
-    def initial_state_projection(self, machine: Machine, run: PreparedRecording) -> InitialStateProjection | None:
-        """Return the projection that removes the unknown initial belt stretch of a run.
-
-        Static friction holds an unknown stretch in the belts when a run begins, which encoders behind belts do not
-        resolve.  Its effect on the measurements is one column per motor and run; with a Gaussian prior of the size that
-        friction can hold, the column is eliminated from residual and Jacobian alike (variable projection).
-
-        Args:
-            machine: Machine at the expansion point.
-            run: Run to predict.
-
-        Returns:
-            The projection, or None in one-step mode (feedback forgets the initial state) and without belts.
-
-        References:
-            Golub and Pereyra (1973), variable projection.
-        """
-        held_angles = {} if has_feedback(self.mode) else held_belt_angles(machine)
-        if not held_angles:
-            return None
-        initial_state = initial_state_of_run(machine, run)
-        initial_states = np.tile(initial_state, (len(held_angles) + 1, 1))
-        for k, (name, angle) in enumerate(held_angles.items(), start=1):
-            initial_states[k, machine.coordinate_names.index(name)] += angle
-        motion = predict(
-            machine,
-            run,
-            self.mode,
-            period=self.data.period,
-            initial_state=initial_states,
-            longest_step=self.longest_step,
-        )
-        residual = self.residuals(run, motion.readings)
-        columns = (residual[1:] - residual[0]).T  # (rows, motors), in units of the prior's standard deviation
-        if not np.all(np.isfinite(columns)):
-            return None
-        directions, sizes, _ = np.linalg.svd(columns, full_matrices=False)
-        return InitialStateProjection(directions, 1.0 - 1.0 / np.sqrt(1.0 + sizes**2))
 
     def _predict(self, machine: Machine, run: PreparedRecording, thetas: Array, *, states: bool = False) -> Motion:
         """Predict a run for a batch of theta; `machine` determines where the run starts."""

@@ -16,7 +16,6 @@ from ..machine import Machine
 from .candidates import Candidate
 from .criteria import SelectionCriteria
 from .dataset import Dataset, PreparedRecording, TypicalScales
-from .effect_perturbation import MotionRecord, variable
 from .estimation import Fit, fit, prediction_cost
 from .forward_selection import Log, SelectedEffect, Selection, describe_gain, fit_with_candidate, typical_scales
 from .prediction import map_runs, predict
@@ -88,21 +87,23 @@ def table_variables(machine: Machine, data: Dataset) -> dict[str, Array]:
     Returns:
         Positions, velocities and distances travelled of the coordinates and the time, along all runs, shape (n,) each.
     """
-    quantities = ("position", "velocity", "path")
-    names = [f"{quantity} of {c}" for quantity in quantities for c in machine.coordinate_names] + ["time"]
 
     def in_run(run: PreparedRecording) -> dict[str, Array]:
         motion = predict(machine, run, "one_step", period=data.period, states=True)
-        record = MotionRecord(run.time_s, run.inputs, *(part[0] for part in motion))
-        return {name: variable(machine, definition(f"smooth_force[{name}]"), record) for name in names}
+        values: dict[str, Array] = {}
+        for i, c in enumerate(machine.coordinate_names):
+            position = motion.positions[0, :, i]
+            values[f"position of {c}"] = position
+            values[f"velocity of {c}"] = motion.velocities[0, :, i]
+            values[f"path of {c}"] = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(position)))])
+        return values | {"time": run.time_s}
 
     parts = list(map_runs(in_run, data))
-    return {name: np.concatenate([part[name] for part in parts]) for name in names}
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
 def _curve(variable_values: Array, values: Array, *, symmetric: bool) -> tuple[float, Array]:
-    """Return the fraction of the mean square that a curve over the variable explains beyond the mean, and the curve's
-    knots.
+    """Return the fraction of the mean square that a curve explains beyond the mean, and the curve's knots.
 
     Args:
         variable_values: Variable, shape (n,).
@@ -193,8 +194,7 @@ def add_tables(
 def _cross_validation(
     current: Fit, scored: ScoredCandidate, scales: TypicalScales, data: Dataset, criteria: SelectionCriteria
 ) -> float:
-    """Return the cost of data that a table was not fitted to, relative to the cost without it, over both halves of the
-    data.
+    """Return the cost of the data that a table was not fitted to, relative to the cost without the table.
 
     Two dozen values fit much that does not exist; a table against the wrong variable does not predict another run.
     """

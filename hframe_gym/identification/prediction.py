@@ -4,13 +4,15 @@ Two prediction modes:
 
 - `one_step`: a Luenberger observer feeds the difference of measured and predicted values back into position and
   velocity at every sample.  The error of a wrong model remains local in time.
-- `simulation`: the machine runs from its initial state without feedback.
+- `simulation`: the machine runs from its initial state without feedback.  The stretch that friction held in the belts
+  at the beginning is unknown and is projected out of the residual.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from typing import Literal, TypeVar
 
 import numpy as np
@@ -19,13 +21,11 @@ from numpy.typing import NDArray
 from ..dynamics.simulation import Motion, simulate_batch, threads
 from ..machine import Machine
 from .dataset import Dataset, PreparedRecording
-from .initial_state import settled
-from .static_equilibrium import static_equilibrium
+from .rest_measurement import sensor_zero_error
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
-# The last two are the former names of the modes; they go when no module uses them any more.
-Mode = Literal["one_step", "simulation", "innovations", "free"]
+Mode = Literal["one_step", "simulation"]
 
 SEARCH_STEP = 0.5e-3  # s; integration step of the search
 POLISH_STEP = 0.125e-3  # s; an input that changes inside a step costs a micrometer at twice this step
@@ -34,18 +34,34 @@ POLISH_STEP = 0.125e-3  # s; an input that changes inside a step costs a microme
 _ENCODER_BANDWIDTH = 60.0
 _LASER_BANDWIDTH = 25.0
 _LONGEST_OBSERVER_PERIOD = 5e-3  # s; limits the observer gains of slowly sampled recordings
-_INVERSION_ITERATIONS = 4  # each leaves a few hundredths of the error
-_INVERSION_TOLERANCE = 1e-6  # m or rad
+# Fraction of the motors' Coulomb friction that typically remains as belt tension when the stage has come to rest.
+_HELD_FRICTION = 0.1
+_SMALLEST_HELD_ANGLE = 1e-6  # rad; keeps the column of a motor without friction away from zero
 _BLOCK_S = 4e-3  # s; measurements respond more slowly than this to mechanical effects
 
 
 def has_feedback(mode: Mode) -> bool:
-    """Return whether a prediction mode feeds measurements back."""
-    return mode in ("one_step", "innovations")
+    """Return whether a prediction mode feeds measurements back.
+
+    Args:
+        mode: "one_step" or "simulation".
+
+    Returns:
+        Whether it does.
+    """
+    return mode == "one_step"
 
 
 def map_runs(function: Callable[[PreparedRecording], T], data: Dataset) -> Iterator[T]:
-    """Apply a function to every run, in parallel threads; results come in the order of the runs."""
+    """Apply a function to every run, in parallel threads.
+
+    Args:
+        function: Function of one run.
+        data: Runs.
+
+    Yields:
+        Results in the order of the runs.
+    """
     count = min(threads(), len(data.runs))
     if count == 1:
         yield from map(function, data.runs)
@@ -66,12 +82,12 @@ def observer_gains(machine: Machine, period: float) -> Array:
     """
     count = len(machine.coordinates)
     gains = np.zeros((2 * count, len(machine.sensors)))
-    has_motors = any(c.kind == "rotary" for c in machine.coordinates)
+    has_encoders = any(sensor.incremental for sensor in machine.sensors)
     for j, sensor in enumerate(machine.sensors):
         name = sensor.coordinate
         i = machine.coordinate_names.index(name)
-        slow = has_motors and machine.coordinate(name).kind == "linear"
-        bandwidth = _LASER_BANDWIDTH if slow else _ENCODER_BANDWIDTH
+        # A laser beside encoders only corrects what these cannot see.
+        bandwidth = _LASER_BANDWIDTH if has_encoders and not sensor.incremental else _ENCODER_BANDWIDTH
         rate = bandwidth * min(period, _LONGEST_OBSERVER_PERIOD)  # rad per sample
         gains[i, j] = 2 * rate / sensor.row[name]
         gains[count + i, j] = rate**2 / period / sensor.row[name]
@@ -101,21 +117,20 @@ def predict(
         parameters: Kernel parameters, shape (batch, parameters); default: those of the machine.
         extra_force: Force on every coordinate, N or Nm, held per sample, shape (batch, n, coordinates).
         extra_measurement: Value added to the sensors' output, channel units, shape (batch, n, sensors).
-        initial_state: Positions and velocities, shape (batch, 2 * coordinates); default: the run's, see
-            `initial_state_of_run`.
+        initial_state: Positions and velocities, shape (batch, 2 * coordinates); default: the machine's in this run.
         longest_step: Maximum integration step, s.
         states: Whether to return positions and velocities too.
 
     Returns:
         Predicted measurements (batch, n, sensors), with positions and velocities (batch, n, coordinates) on request.
     """
-    run_state = initial_state_of_run(machine, run)
+    run_state = run.initial_state(machine)
     measured = gains = None
     if has_feedback(mode):
-        count = len(run.start) // 2
-        encoders = [machine.coordinate(sensor.coordinate).kind == "rotary" for sensor in machine.sensors]
+        start = run.initial.position
+        encoders = [sensor.incremental for sensor in machine.sensors]
         # Encoders count from where the run starts, wherever the machine puts that.
-        displacement = machine.sensor_matrix[:, :count] @ (run_state[:count] - run.start[:count])
+        displacement = machine.sensor_matrix[:, : len(start)] @ (run_state[: len(start)] - start)
         measured = run.outputs + np.where(encoders, displacement, 0.0)
         if extra_measurement is not None:
             measured = measured - extra_measurement
@@ -136,80 +151,42 @@ def predict(
     return motion if extra_measurement is None else motion._replace(readings=motion.readings + extra_measurement)
 
 
-def initial_state_of_run(machine: Machine, run: PreparedRecording) -> Array:
-    """Return the state at rest from which a machine predicts a run.
-
-    Lasers determine the tool's position, the static equilibrium of the machine determines the motors' angles.  Encoders
-    whose zero is known beyond the belts' stretch determine their motors' angles instead, with two exceptions while
-    the encoder zeros have not been corrected with a fitted machine: eccentric pulleys, and all motors if an effect
-    changes the tool position that the sensors imply.  In both cases the effect was mistaken for a stretch of the belts.
+def mechanical_rows_per_block(data: Dataset) -> int:
+    """Return how many rows may be averaged where only the response to mechanical effects matters.
 
     Args:
-        machine: Machine that predicts.
-        run: Run whose initial rows are at rest.
+        data: Runs, for their sampling period.
 
     Returns:
-        Positions and zero velocities, shape (2 * coordinates,).
+        Number of rows in 4 ms, at least one.
     """
-    if not machine.belts:
-        return run.start
-    tool_position = position_from_measurements(machine, run)
-    position = static_equilibrium(machine, tool_position)
-    if run.zeroed or np.array_equal(tool_position, run.start[: len(run.start) // 2]):
-        excluded: list[str | None] = []
-        if not run.zeroed:
-            excluded = [machine.site_coordinate(e.site) for e in machine.effects if e.definition.behind]
-        for i, angle in encoder_angles(machine, run).items():
-            if machine.coordinate_names[i] not in excluded:
-                position[i] = angle
-    return np.concatenate([position, np.zeros_like(position)])
-
-
-def encoder_angles(machine: Machine, run: PreparedRecording) -> dict[int, float]:
-    """Return, by coordinate index, the angle that an encoder with a known zero gives for an ideal round pulley, rad."""
-    angles: dict[int, float] = {}
-    for j in np.flatnonzero(run.told):
-        i = machine.coordinate_names.index(machine.sensors[j].coordinate)
-        measured_angle = float(run.start[i])
-        angles[i] = measured_angle
-        for e in machine.effects:
-            if e.definition.behind and machine.site_coordinate(e.site) == machine.coordinate_names[i]:
-                angles[i] += float(e("behind", q=measured_angle, per_radius=1.0 / machine.radii[i]))
-    return angles
-
-
-def position_from_measurements(machine: Machine, run: PreparedRecording) -> Array:
-    """Return a run's initial positions (coordinates,) with the sensor effects of the machine's lasers inverted.
-
-    The inversion is a fixed-point iteration.  A measurement that no position explains, such as one beyond the end of a
-    sensor's range, leaves the position as it is.
-    """
-    position = run.start[: len(run.start) // 2].copy()
-    names = machine.coordinate_names
-    for e in machine.effects:
-        if not e.definition.reading or machine.coordinate(machine.site_coordinate(e.site) or "").kind != "linear":
-            continue
-        sensor = machine.sensors[machine.output_channels.index(e.site)]
-        index, other = names.index(sensor.coordinate), machine.across(sensor.coordinate)
-        measured = float(position[index])
-        across = position[names.index(other)] if other else 0.0
-        estimate = measured
-        for _ in range(_INVERSION_ITERATIONS):
-            estimate -= float(e("reading", r=estimate, across=across)) - measured
-        if abs(float(e("reading", r=estimate, across=across)) - measured) < _INVERSION_TOLERANCE:
-            position[index] = estimate
-    return position
-
-
-def mechanical_rows_per_block(data: Dataset) -> int:
-    """Return how many rows may be averaged where only the response to mechanical effects matters."""
     return max(1, round(_BLOCK_S / data.period))
+
+
+def prediction_error(run: PreparedRecording, data: Dataset, measurements: Array) -> Array:
+    """Return measured minus predicted values, less what the sensors' zeros explain.
+
+    Args:
+        run: Measured run.
+        data: Data set of the run, for the sensors' quanta.
+        measurements: Predicted values, shape (batch, n, sensors).
+
+    Returns:
+        Errors in channel units, shape (batch, n, sensors); arbitrary where a value was not measured.
+    """
+    measured = np.isfinite(run.outputs)
+    error: Array = run.outputs - measurements
+    if not measured.all():
+        error = np.where(measured, error, 0.0)
+    max_mean = np.where(data.behind_belts, np.inf, data.quantum / 2)
+    error -= sensor_zero_error(error, measured, run.initial.resting_rows, max_mean)
+    return error
 
 
 def residuals(run: PreparedRecording, data: Dataset, measurements: Array, rows_per_block: int = 1) -> Array:
     """Return measured minus predicted values in units of the noise.
 
-    Each channel's zero is estimated, see `sensor_offsets`.
+    The error that the sensors' zeros explain is removed, see `prediction_error`.
 
     Args:
         run: Measured run.
@@ -225,10 +202,7 @@ def residuals(run: PreparedRecording, data: Dataset, measurements: Array, rows_p
     measured = np.isfinite(run.outputs)
     counted = measured if run.rows is None else measured & run.rows[:, None]
     with np.errstate(over="ignore", invalid="ignore"):  # parameters that make a machine diverge cost infinitely much
-        error = run.outputs - measurements  # (batch, n, sensors)
-        if not measured.all():
-            error = np.where(measured, error, 0.0)
-        error -= sensor_offsets(run, data, error, measured)
+        error = prediction_error(run, data, measurements)
         error *= counted / data.noise
     batch, rows, sensors = error.shape
     if rows_per_block > 1:
@@ -238,32 +212,82 @@ def residuals(run: PreparedRecording, data: Dataset, measurements: Array, rows_p
     return error.reshape(batch, -1)
 
 
-def sensor_offsets(run: PreparedRecording, data: Dataset, error: Array, measured: NDArray[np.bool_]) -> Array:
-    """Return the part of prediction errors that the unknown zeros of the sensors explain.
+@dataclass(frozen=True)
+class InitialStateProjection:
+    """Projection that removes the unknown initial stretch of the belts from residuals.
 
-    It is the mean over the settled rows at rest.  These rows determine the zero of a quantized channel only to within
-    its quantum, so up to half a quantum of the mean error over the whole run is removed too, but not more: with
-    feedback, a constant force shows as just such a mean.  For an encoder behind belts the entire mean is removed,
-    because static friction holds an unknown stretch of the belts at rest.
+    Attributes:
+        directions: Orthonormal responses of the residual to the initial state, shape (rows, s).
+        weights: Fraction of each that is removed, between 0 (known by the prior) and 1 (unknown), shape (s,).
+    """
+
+    directions: Array
+    weights: Array
+
+    def __call__(self, residual: Array) -> Array:
+        """Project residuals (batch, rows), so that their squares are the costs at the optimal initial state."""
+        return residual - (residual @ self.directions) * self.weights @ self.directions.T
+
+
+def held_belt_angles(machine: Machine) -> dict[str, float]:
+    """Return the angles that static friction typically holds in the belts at rest.
 
     Args:
-        run: Measured run.
-        data: Data set of the run.
-        error: Measured minus predicted values, zero where not measured, shape (batch, n, sensors).
-        measured: Which values were measured, shape (n, sensors).
+        machine: Machine with or without belts.
 
     Returns:
-        Offsets in channel units, shape (batch, 1, sensors).
+        Angle in rad by name of each motor coordinate with a sensor; empty without belts.
     """
-    rest = settled(run.rest)
-    counts = np.maximum(measured.sum(axis=0), 1)
-    at_rest = error[:, rest].sum(axis=1) / np.maximum(measured[rest].sum(axis=0), 1)
-    remaining_mean = error.sum(axis=1) / counts - at_rest * (measured.sum(axis=0) / counts)
-    limit = np.where(data.behind_belts, np.inf, data.quantum / 2)
-    offsets: Array = (at_rest + np.clip(remaining_mean, -limit, limit))[:, None, :]
-    return offsets
+    if not machine.belts:
+        return {}
+    stiffness = float(np.mean([b.EA / b.rest_length for b in machine.belts]))
+    measured = {s.coordinate for s in machine.sensors}
+    return {
+        c.name: max(_HELD_FRICTION * c.coulomb / c.radius**2 / stiffness, _SMALLEST_HELD_ANGLE)
+        for c in machine.coordinates
+        if c.kind == "rotary" and c.name in measured and c.name not in machine.spring_loaded
+    }
 
 
-# Aliases until all packages use the new names.
-position_from_readings = position_from_measurements
-over_runs = map_runs
+def initial_state_projection(
+    machine: Machine,
+    run: PreparedRecording,
+    data: Dataset,
+    mode: Mode,
+    *,
+    longest_step: float = SEARCH_STEP,
+    rows_per_block: int = 1,
+) -> InitialStateProjection | None:
+    """Return the projection that removes the unknown initial belt stretch of a run.
+
+    Static friction holds an unknown stretch in the belts when a run begins, which encoders behind belts do not
+    resolve.  Its effect on the measurements is one column per motor and run; with a Gaussian prior of the size that
+    friction can hold, the column is eliminated from residual and Jacobian alike (variable projection).
+
+    Args:
+        machine: Machine that predicts.
+        run: Run to predict.
+        data: Data set of the run.
+        mode: "one_step" or "simulation".
+        longest_step: Maximum integration step, s.
+        rows_per_block: As of `residuals`.
+
+    Returns:
+        The projection, or None in one-step mode (feedback forgets the initial state) and without belts.
+
+    References:
+        Golub and Pereyra (1973), variable projection.
+    """
+    held_angles = {} if has_feedback(mode) else held_belt_angles(machine)
+    if not held_angles:
+        return None
+    initial_states = np.tile(run.initial_state(machine), (len(held_angles) + 1, 1))
+    for k, (name, angle) in enumerate(held_angles.items(), start=1):
+        initial_states[k, machine.coordinate_names.index(name)] += angle
+    motion = predict(machine, run, mode, period=data.period, initial_state=initial_states, longest_step=longest_step)
+    residual = residuals(run, data, motion.readings, rows_per_block)
+    columns = (residual[1:] - residual[0]).T  # (rows, motors), in units of the prior's standard deviation
+    if not np.all(np.isfinite(columns)):
+        return None
+    directions, sizes, _ = np.linalg.svd(columns, full_matrices=False)
+    return InitialStateProjection(directions, 1.0 - 1.0 / np.sqrt(1.0 + sizes**2))

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
+from ..dynamics import Equations, net_forces
 from ..machine import Machine
 from .dataset import Dataset, PreparedRecording
-from .effect_perturbation import MotionRecord, effects_force
-from .prediction import POLISH_STEP, map_runs, observer_gains, predict, sensor_offsets
+from .prediction import POLISH_STEP, map_runs, observer_gains, predict, prediction_error
 
 Array = NDArray[np.float64]
 
@@ -53,11 +54,6 @@ class Dependence(NamedTuple):
     coordinate: str
     explained: float
 
-    @property
-    def share(self) -> float:
-        """Former name of `explained`, until all packages use the new one."""
-        return self.explained
-
 
 def simulation_error(machine: Machine, run: PreparedRecording, data: Dataset) -> Array:
     """Return measured minus simulated values of a run, less the sensors' zeros.
@@ -71,9 +67,8 @@ def simulation_error(machine: Machine, run: PreparedRecording, data: Dataset) ->
         Errors in channel units, NaN where not measured, shape (n, sensors).
     """
     motion = predict(machine, run, "simulation", period=data.period, longest_step=POLISH_STEP)
-    measured = np.isfinite(run.outputs)
-    error = np.where(measured, run.outputs - motion.readings, 0.0)  # (1, n, sensors)
-    return np.where(measured, (error - sensor_offsets(run, data, error, measured))[0], np.nan)
+    error = prediction_error(run, data, motion.readings)[0]
+    return np.where(np.isfinite(run.outputs), error, np.nan)
 
 
 def channel_errors(machine: Machine, data: Dataset) -> dict[str, ChannelError]:
@@ -120,7 +115,16 @@ def force_residual(machine: Machine, run: PreparedRecording, data: Dataset) -> A
 
 
 def smooth_force_residual(machine: Machine, run: PreparedRecording, data: Dataset) -> Array:
-    """Return `force_residual` below 30 Hz, filtered without phase lag, shape (n, coordinates)."""
+    """Return `force_residual` below 30 Hz, filtered without phase lag.
+
+    Args:
+        machine: Machine that predicts.
+        run: Measured run.
+        data: Data set of the run.
+
+    Returns:
+        Force on every coordinate, N or Nm, shape (n, coordinates).
+    """
     return _low_pass(force_residual(machine, run, data), _RESIDUAL_CUTOFF, data.period)
 
 
@@ -218,6 +222,9 @@ def is_white(machine: Machine, data: Dataset) -> bool:
     Args:
         machine: Machine to simulate.
         data: Measured runs.
+
+    Returns:
+        Whether the block means of every channel shrink like those of white noise.
     """
     rows = max(2, round(_WHITENESS_BLOCK_S / data.period))
     errors = [simulation_error(machine, run, data) for run in data.runs]
@@ -271,36 +278,34 @@ def force_error(machine: Machine, data: Dataset) -> float | None:
     return float(np.sqrt(squared_error / squared_force)) if squared_force else None
 
 
-def _held_mean(time_s: Array, values: Array, late: float) -> Array:
-    """Mean of an input, held from each row until the next, over one period around each row, `late` seconds ago (n,).
+def _inverse_dynamics(
+    machine: Machine, run: PreparedRecording, position: Array, velocity: Array
+) -> tuple[Array, Array]:
+    """Return the forces of the drives and of the model along a measured motion, N or Nm, (n, coordinates) each.
 
-    A central difference sees the force around its row, half of which the row before still sets.
+    The drives are those of the machine without effects; what effects change, even at a drive, counts for the model.
+    """
+    delays = Equations(machine).voltage_delays()
+    mean_voltages = [_centered_mean(run.time_s, run.inputs[:, j], delay) for j, delay in enumerate(delays)]
+    motion = (run.time_s, position, velocity, np.column_stack(mean_voltages))
+    # The voltages are delayed already.
+    prompt = dataclasses.replace(machine, effects=tuple(e for e in machine.effects if not e.definition.delay))
+    coordinates = tuple(dataclasses.replace(c, viscous=0.0, coulomb=0.0) for c in machine.coordinates)
+    frictionless = dataclasses.replace(machine, coordinates=coordinates, effects=(), ties={})
+    drive = net_forces(frictionless, *motion)
+    mass = np.array([c.mass for c in machine.coordinates])
+    inertial = mass * np.gradient(velocity, run.time_s, axis=0)
+    return drive, inertial + drive - net_forces(prompt, *motion)
+
+
+def _centered_mean(time_s: Array, values: Array, delay: float) -> Array:
+    """Return the mean of a delayed, held input over one period around each sample, shape (n,).
+
+    A central difference of the measured motion sees the force around its sample, half of which the previous input
+    still determines.
     """
     period = float(np.median(np.diff(time_s)))
-    area = np.concatenate([[0.0], np.cumsum(values[:-1] * np.diff(time_s))])
-    edges = np.concatenate([time_s - late - period / 2, time_s - late + period / 2])
-    below, above = np.interp(edges, time_s, area).reshape(2, -1)
-    return (above - below) / period
-
-
-def _inverse_dynamics(machine: Machine, run: PreparedRecording, q: Array, v: Array) -> tuple[Array, Array]:
-    """(drive, model) forces (n, coordinates) along a measured motion, with the machine's effects."""
-    drive = np.zeros_like(q)
-    for j, d in enumerate(machine.drives):
-        i = machine.coordinate_names.index(d.coordinate)
-        late = [e("delay") for e in machine.effects if e.definition.delay and e.site in (d.name, "drives")]
-        drive[:, i] += d.gain * _held_mean(run.time_s, run.inputs[:, j], sum(late)) - d.back_emf * v[:, i]
-    mass, viscous, coulomb = (
-        np.array([getattr(c, key) for c in machine.coordinates]) for key in ("mass", "viscous", "coulomb")
-    )
-    model = mass * np.gradient(v, run.time_s, axis=0) + viscous * v + coulomb * np.sign(v)
-    motion = MotionRecord(run.time_s, run.inputs, q, v, q @ machine.sensor_matrix.T)
-    # What comes late is in the drives' force already.
-    prompt = machine.replace(effects=tuple(e for e in machine.effects if not e.definition.delay))
-    return drive, model - effects_force(prompt, motion)
-
-
-# Aliases until all packages use the new names.
-free_run_error = simulation_error
-variables = dependence_variables
-depends_on = rank_dependences
+    integral = np.concatenate([[0.0], np.cumsum(values[:-1] * np.diff(time_s))])
+    edges = np.concatenate([time_s - delay - period / 2, time_s - delay + period / 2])
+    before, after = np.interp(edges, time_s, integral).reshape(2, -1)
+    return (after - before) / period

@@ -23,7 +23,7 @@ from .criteria import SelectionCriteria
 from .dataset import Dataset
 from .experiment_design import FILE, ExperimentDesign
 from .forward_selection import SelectedEffect
-from .residual import ChannelError, Dependence, simulation_error, smooth_force_residual, variables
+from .residual import ChannelError, Dependence, dependence_variables, simulation_error, smooth_force_residual
 
 Array = NDArray[np.float64]
 Verdict = Literal["effect_found", "no_effect", "unexplained"]
@@ -44,7 +44,11 @@ class PredictionErrors:
     force: float | None
 
     def as_json(self) -> dict[str, Any]:
-        """Return the errors as in report.json."""
+        """Return the errors as in report.json.
+
+        Returns:
+            rmse and noise_ratio by channel, and force_error where there is one.
+        """
         content: dict[str, Any] = {c: {"rmse": e.rmse, "noise_ratio": e.noise_ratio} for c, e in self.channels.items()}
         return content if self.force is None else content | {"force_error": self.force}
 
@@ -97,7 +101,11 @@ class IdentificationResult:
     criteria: SelectionCriteria = field(default_factory=SelectionCriteria)
 
     def as_json(self) -> dict[str, Any]:
-        """Return the content of report.json, schema 1."""
+        """Return the content of report.json, schema 1.
+
+        Returns:
+            Plain data that JSON can hold.
+        """
         return {
             "schema": SCHEMA,
             "verdict": self.verdict,
@@ -188,7 +196,7 @@ def plot_data(result: IdentificationResult) -> dict[str, Array]:
         strongest = result.dependence[0]
         i = result.declared.machine.coordinate_names.index(strongest.coordinate)
         data = result.fitted
-        by_run = [variables(result.before.machine, run, data)[strongest.variable] for run in data.runs]
+        by_run = [dependence_variables(result.before.machine, run, data)[strongest.variable] for run in data.runs]
         thin = max(1, sum(map(len, by_run)) // _MAX_POINTS)
         curves["force/variable"] = np.concatenate(by_run)[::thin]
         for name in ("before", "after"):
@@ -204,7 +212,7 @@ def _coverage(result: IdentificationResult) -> dict[str, Array]:
     linear = [c.name for c in machine.coordinates if c.kind == "linear"]
     coordinates = linear or machine.coordinate_names
     names = [f"{quantity} of {c}" for quantity in ("position", "velocity") for c in coordinates]
-    by_run = [variables(machine, run, data) for run in data.runs]
+    by_run = [dependence_variables(machine, run, data) for run in data.runs]
     thin = max(1, sum(len(run.time_s) for run in data.runs) // _MAX_POINTS)
     return {
         name: np.concatenate([values[name] for values in by_run])[::thin] for name in (*names, *machine.input_channels)

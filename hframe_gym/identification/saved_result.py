@@ -167,7 +167,7 @@ def _load_curves(path: Path) -> dict[str, Array]:
     if not path.is_file():
         raise _damaged(path, "is missing")
     try:
-        with np.load(path) as file:
+        with path.open("rb") as handle, np.load(handle) as file:
             curves = dict(file)
     except (
         OSError,

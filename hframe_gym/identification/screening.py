@@ -12,6 +12,7 @@ machine's prediction is the column.
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
@@ -19,11 +20,11 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..dynamics import Equations, net_forces
 from ..dynamics.simulation import Motion, parameter_batch
 from ..effects import EFFECTS, effect_sites
-from ..machine import Effect, Machine
-from .dataset import Dataset, PreparedRecording
-from .effect_perturbation import EffectPerturbation, MotionRecord, addition
+from ..machine import AppliedEffect, Effect, Machine
+from .dataset import Dataset, PreparedRecording, TypicalScales
 from .estimation import Fit
 from .free_parameters import prior_precision, second_difference_penalty
 from .linearization import DIFFERENCE_STEP, ResidualModel, Responses
@@ -31,14 +32,26 @@ from .prediction import mechanical_rows_per_block, predict
 
 if TYPE_CHECKING:
     from .candidates import Candidate
-    from .typical_scales import TypicalScales
 
 Array = NDArray[np.float64]
 
 _COLUMNS_AT_ONCE = 64  # bounds the memory of long recordings
 _MIMICKED = 1e-6  # fraction of a column's square below which the machine's parameters explain it entirely
 _RIDGE = 1e-9
+_SMALL_FRACTION = 1e-4  # of a column's typical amplitude
 _FITTED_STRUCTURES = 3
+
+
+class Perturbation(NamedTuple):
+    """What the columns of candidates add along a motion.
+
+    Attributes:
+        force: Force on every coordinate, N or Nm, shape (columns, n, coordinates).
+        measurement: Change of the sensors' output, channel units, shape (columns, n, sensors).
+    """
+
+    force: Array
+    measurement: Array
 
 
 class ScoredCandidate(NamedTuple):
@@ -71,8 +84,7 @@ def screen(fit: Fit, candidates: Sequence[Candidate], data: Dataset) -> list[Sco
     model = _screening_model(fit, data)
 
     def responses(run: PreparedRecording, motion: Motion) -> Array:
-        record = MotionRecord(run.time_s, run.inputs, *(part[0] for part in motion))
-        return _perturbation_responses(model, run, candidate_perturbations(fit.machine, candidates, record))
+        return _perturbation_responses(model, run, candidate_perturbations(fit.machine, candidates, run, motion))
 
     equations = model.linearize(fit.theta, responses).normal_equations
     ridge = np.diag(_RIDGE * np.diag(equations.information))
@@ -88,28 +100,66 @@ def screen(fit: Fit, candidates: Sequence[Candidate], data: Dataset) -> list[Sco
 
 
 def candidate_perturbations(
-    machine: Machine, candidates: Sequence[Candidate], motion: MotionRecord
-) -> EffectPerturbation:
-    """Return the perturbations of all columns of some candidates, in order.
+    machine: Machine, candidates: Sequence[Candidate], run: PreparedRecording, motion: Motion
+) -> Perturbation:
+    """Return what all columns of some candidates would add along a motion, in order.
+
+    This is an approximation in three respects: the motion is that of the machine without the candidate, the machine's
+    present effects do not interact with it, and forces are held from each sample to the next.
 
     Args:
         machine: Machine that moves.
         candidates: Candidates; neighbors of the same effect and site are evaluated together.
-        motion: Motion of the machine.
+        run: Run with the sample times and voltages of the motion.
+        motion: Motion of the machine, a batch of one.
 
     Returns:
-        Forces (columns, n, coordinates) and changes of measurements (columns, n, sensors).
+        Forces and changes of measurements.
     """
-    forces, readings = [], []
+    # Ties refer to the parameters of effects; the machine's tables already hold their values.
+    bare = dataclasses.replace(machine, effects=(), ties={})
+    record = (run.time_s, motion.positions[0], motion.velocities[0], run.inputs)
+    bare_force = net_forces(bare, *record)
+    forces, measurements = [], []
     for _, group in itertools.groupby(candidates, key=lambda c: c.label):
         members = list(group)
-        columns = [column for c in members for column in c.columns]
-        parameters = {name: np.array([column[name] for column in columns]) for name in columns[0]}
-        perturbation = addition(machine, members[0].effect, members[0].site, parameters, motion)
-        untouched = np.zeros((len(columns), *motion.readings.shape))
-        forces.append(perturbation.force)
-        readings.append(untouched if perturbation.reading is None else perturbation.reading)
-    return EffectPerturbation(np.concatenate(forces), np.concatenate(readings))
+        effect, columns = members[0].effect, [column for c in members for column in c.columns]
+        force = np.zeros((len(columns), *motion.positions.shape[1:]))
+        measurement = np.zeros((len(columns), *motion.readings.shape[1:]))
+        # A small amplitude keeps the response linear: a Coulomb level cannot become negative, and the force of an
+        # eccentric pulley contains the product of belt travel and lever arm.
+        fraction = _SMALL_FRACTION if effect.coulomb or effect.belt_travel else 1.0
+        scales = {name: fraction if name in effect.amplitudes else 1.0 for name in columns[0]}
+        parameters = {name: np.array([[scale * column[name]] for column in columns]) for name, scale in scales.items()}
+        perturbed = dataclasses.replace(bare, effects=(AppliedEffect(effect, members[0].site, parameters),))
+        if effect.measurement or effect.measurement_delay:
+            measurement += _measurement_change(perturbed, run, motion)
+        else:
+            force += (net_forces(perturbed, *record) - bare_force) / fraction
+        forces.append(force)
+        measurements.append(measurement)
+    return Perturbation(np.concatenate(forces), np.concatenate(measurements))
+
+
+def _measurement_change(machine: Machine, run: PreparedRecording, motion: Motion) -> Array:
+    """Return the change of the measurements by a machine's effects on sensors, shape (columns or 1, n, sensors).
+
+    A measurement delay d is approximated to first order: the measurement changes by -d times its rate.
+    """
+    positions = list(motion.positions[0].T)
+    effect_free = Equations(dataclasses.replace(machine, effects=())).sensor_readings(positions)
+    equations = Equations(machine)
+    changes = [
+        np.atleast_2d(measured - ideal - delay * np.gradient(values, run.time_s))
+        for measured, ideal, delay, values in zip(
+            equations.sensor_readings(positions),
+            effect_free,
+            equations.measurement_delays(),
+            motion.readings[0].T,
+            strict=True,
+        )
+    ]
+    return np.stack(np.broadcast_arrays(*changes), axis=-1)
 
 
 def _screening_model(fit: Fit, data: Dataset) -> ResidualModel:
@@ -117,7 +167,7 @@ def _screening_model(fit: Fit, data: Dataset) -> ResidualModel:
     return ResidualModel(fit.machine, fit.free, data, fit.mode, rows_per_block=mechanical_rows_per_block(data))
 
 
-def _perturbation_responses(model: ResidualModel, run: PreparedRecording, added: EffectPerturbation) -> Array:
+def _perturbation_responses(model: ResidualModel, run: PreparedRecording, perturbation: Perturbation) -> Array:
     """Return the derivatives of a run's residual with respect to perturbations, shape (columns, rows)."""
 
     def residual(force: Array, measurement: Array | None) -> Array:
@@ -126,19 +176,18 @@ def _perturbation_responses(model: ResidualModel, run: PreparedRecording, added:
             run,
             model.mode,
             period=model.data.period,
-            extra_force=DIFFERENCE_STEP * force,
-            extra_measurement=None if measurement is None else DIFFERENCE_STEP * measurement,
+            extra_force=force,
+            extra_measurement=measurement,
             longest_step=model.longest_step,
         )
         return model.residuals(run, motion.readings)
 
     # The unperturbed residual comes from the same kernel, the one that takes extra forces.
-    unperturbed = residual(np.zeros_like(added.force[:1]), None)
+    unperturbed = residual(np.zeros_like(perturbation.force[:1]), None)
     columns = []
-    for first in range(0, len(added.force), _COLUMNS_AT_ONCE):
-        part = slice(first, first + _COLUMNS_AT_ONCE)
-        measurement = None if added.reading is None else added.reading[part]
-        columns.append((residual(added.force[part], measurement) - unperturbed) / DIFFERENCE_STEP)
+    for first in range(0, len(perturbation.force), _COLUMNS_AT_ONCE):
+        force, measurement = (DIFFERENCE_STEP * part[first : first + _COLUMNS_AT_ONCE] for part in perturbation)
+        columns.append((residual(force, measurement) - unperturbed) / DIFFERENCE_STEP)
     return np.vstack(columns)
 
 
@@ -173,7 +222,14 @@ def _score(candidate: Candidate, information: Array, gradient: Array, before: Ar
 
 
 def has_no_small_version(effect: Effect) -> bool:
-    """Return whether an effect replaces a part of the machine, so that it cannot be linearized around zero."""
+    """Return whether an effect replaces a part of the machine, so that it cannot be linearized around zero.
+
+    Args:
+        effect: Definition of the effect.
+
+    Returns:
+        True for structural effects and those that replace dry friction.
+    """
     return bool(effect.structure or effect.friction)
 
 
@@ -199,7 +255,7 @@ def screen_structures(current: Fit, data: Dataset, scale: TypicalScales, minimum
         for site in effect_sites(effect, machine):
             if f"{effect.name}@{site}" in present:
                 continue
-            starting_values = _starting_values(effect, scale.of(machine.site_coordinate(site) or ""))
+            starting_values = _starting_values(effect, scale.of(machine.coordinate_of_site(site) or ""))
             variants = [machine.with_effects(effect.at(site, **values)) for values in starting_values]
             gains = _structure_gains(variants, current, data)
             if gains.max() > minimum_gain * data.count:
@@ -239,7 +295,3 @@ def _structure_responses(model: ResidualModel, variant: Machine, table: Array) -
         return model.residuals(run, moved.readings) - model.residuals(run, motion.readings)
 
     return responses
-
-
-# Aliases until all packages use the new names.
-additions = candidate_perturbations

@@ -1,31 +1,84 @@
+"""Tests of prepared recordings: noise, rows that count, typical scales."""
+
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
 from hframe_gym.identification import prepare
-from hframe_gym.identification.dataset import quantum_of
-from hframe_gym.machine import Machine
+from hframe_gym.identification.dataset import scales_of_motion, with_all_measurements
+from hframe_gym.identification.estimation import prediction_cost
+from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording
 
-
-def test_a_quantum_is_found_and_noise_has_none() -> None:
-    rng = np.random.default_rng(0)
-    smooth = np.cumsum(rng.normal(0, 2e-3, 3000))
-    assert quantum_of(np.round(smooth / 5e-4) * 5e-4) == pytest.approx(5e-4)
-    assert quantum_of(smooth) == 0.0
-    assert quantum_of(np.full(100, np.nan)) == 0.0
+pytestmark = pytest.mark.unit
+QUANTUM = 5.2e-4
 
 
-def test_noise_comes_from_the_resting_rows_else_from_the_declaration(hframe: Machine) -> None:
+def resting(outputs: np.ndarray, name: str = "run") -> Recording:
+    """Return a run without voltage."""
+    return Recording(name, np.arange(len(outputs)) * 1e-3, np.zeros((len(outputs), 2)), outputs)
+
+
+def test_noise_comes_from_the_resting_rows_or_from_the_declaration(hframe: Machine) -> None:
     rng = np.random.default_rng(1)
     outputs = np.zeros((400, 4))
     outputs[:, 2] = rng.normal(0, 35e-6, 400)
     outputs[:, 3] = rng.normal(0, 12e-6, 400)
-    time = np.arange(400) * 1e-3
-    resting = Recording("r", time, np.zeros((400, 2)), outputs)
-    noise = prepare([resting], hframe).noise
+    noise = prepare([resting(outputs)], hframe).noise
     assert noise[2] == pytest.approx(35e-6, rel=0.1)
     assert noise[3] == pytest.approx(12e-6, rel=0.1)
-    driven = Recording("r", time, np.ones((400, 2)), outputs)
+    driven = Recording("run", np.arange(400) * 1e-3, np.ones((400, 2)), outputs)
     assert prepare([driven], hframe).noise[2] == hframe.sensors[2].noise
+
+
+def test_the_quantum_is_that_of_the_moving_runs(hframe: Machine) -> None:
+    """Half of the runs rest; the encoders' noise follows from the quantum."""
+    rng = np.random.default_rng(2)
+    runs = []
+    for k in range(4):
+        outputs = np.zeros((500, 4))
+        if k % 2:
+            outputs[:, :2] = np.round(np.cumsum(rng.normal(0, 2e-3, (500, 2)), axis=0) / QUANTUM) * QUANTUM
+        runs.append(resting(outputs, f"run_{k}"))
+    data = prepare(runs, hframe)
+    np.testing.assert_allclose(data.quantum[:2], QUANTUM)
+
+
+def test_only_the_rows_that_count_enter_the_cost(hframe: Machine) -> None:
+    outputs = np.tile([0.0, 0.0, 0.01, 0.02], (300, 1))
+    outputs[200:, 2] += 1e-3
+    data = prepare([resting(outputs, f"run_{i}") for i in range(2)], hframe)
+    late = np.arange(300) >= 200
+    parts = [data.with_rows([~late] * 2), data.with_rows([late] * 2)]
+    assert sum(part.count for part in parts) == data.count
+    costs = [prediction_cost(hframe, part, "simulation") for part in parts]
+    assert sum(costs) == pytest.approx(prediction_cost(hframe, data, "simulation"))
+    assert min(costs) > 0.0
+
+
+def test_runs_are_chosen_by_name_and_all_measurements_return(hframe: Machine) -> None:
+    complete = [resting(np.tile([0.0, 0.0, 0.01, 0.02], (50, 1)), f"run_{i}") for i in range(3)]
+    blank = [Recording(r.name, r.time_s, r.inputs, r.outputs.copy()) for r in complete]
+    for run in blank:
+        run.outputs[20:, 2] = np.nan
+    data = prepare(blank, hframe).with_runs(["run_1"])
+    assert [run.name for run in data.runs] == ["run_1"]
+    assert data.count == 50 * 4 - 30
+    restored = with_all_measurements(data, complete)
+    assert restored.count == 50 * 4
+    np.testing.assert_allclose(restored.runs[0].outputs[:, 2], 0.01, atol=1e-9)
+
+
+def test_typical_scales_of_an_axis() -> None:
+    """The axis moves over 0.2 m at up to 0.5 m/s; its typical force is a tenth of the force at rated voltage."""
+    axis = BUILTIN_MACHINES["axis"]()
+    positions = np.linspace(-0.1, 0.1, 100)[:, None]
+    velocities = np.full((100, 1), 0.5)
+    scales = scales_of_motion(axis, positions, velocities, [np.zeros((100, 1))]).of("x")
+    drive = axis.drives[0]
+    assert scales["force"] == pytest.approx(0.1 * drive.gain * drive.rated_voltage)
+    assert scales["speed"] == pytest.approx(0.5)
+    assert scales["position"] == pytest.approx(0.2)
+    assert scales["viscous"] == pytest.approx(scales["force"] / 0.5)
+    assert scales["stiffness"] == pytest.approx(scales["force"] / 0.2)

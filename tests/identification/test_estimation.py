@@ -12,7 +12,7 @@ from hframe_gym.identification import Dataset, default_free_parameters, fit, pre
 from hframe_gym.identification.estimation import prediction_cost
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import load_recordings
-from tools.make_examples import TRUTH
+from tools.make_examples import TRUE_RIG
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -29,19 +29,19 @@ def test_fit_recovers_the_parameters_of_the_reference_simulator(hframe: Machine,
     fitted = fit(hframe, default_free_parameters(hframe), data, "simulation", theta=first_fit.theta)
     assert fitted.chi2 < 1.1
     # Voltages determine forces only in units of the first motor's gain.
-    gains = [k * g for k, g in zip(TRUTH.torque_constant, TRUTH.drive_gain, strict=True)]
+    gains = [k * g for k, g in zip(TRUE_RIG.torque_constant, TRUE_RIG.drive_gain, strict=True)]
     unit = gains[0] / hframe.drives[0].Kt
     values = fitted.machine.parameters
     for i, name in enumerate(("x", "y", "phi1", "phi2")):
-        assert values[f"{name}.mass"] * unit == pytest.approx(TRUTH.mass[i], rel=0.01)
-        assert values[f"{name}.coulomb"] * unit == pytest.approx(TRUTH.coulomb[i], rel=0.01)
+        assert values[f"{name}.mass"] * unit == pytest.approx(TRUE_RIG.mass[i], rel=0.01)
+        assert values[f"{name}.coulomb"] * unit == pytest.approx(TRUE_RIG.coulomb[i], rel=0.01)
     assert values["motor2.Kt"] * unit == pytest.approx(gains[1], rel=0.01)
 
 
 @pytest.mark.unit
 def test_fit_reports_the_cost_of_its_machine(hframe: Machine, data: Dataset) -> None:
     """In one-step mode no initial state is projected out, so the cost is that of a plain prediction."""
-    two_runs = data.only([run.name for run in data.runs[:2]])
+    two_runs = data.with_runs([run.name for run in data.runs[:2]])
     fitted = fit(hframe, default_free_parameters(hframe), two_runs, "one_step", iterations=3)
     assert fitted.cost == pytest.approx(prediction_cost(fitted.machine, two_runs, "one_step"), rel=1e-9)
     assert fitted.cost < prediction_cost(hframe, two_runs, "one_step")
@@ -51,7 +51,7 @@ def test_fit_reports_the_cost_of_its_machine(hframe: Machine, data: Dataset) -> 
 @pytest.mark.unit
 def test_a_tight_prior_keeps_the_declared_parameters(hframe: Machine, data: Dataset) -> None:
     tight = [dataclasses.replace(f, prior=1e-9) for f in default_free_parameters(hframe)]
-    fitted = fit(hframe, tight, data.only([data.runs[0].name]), "one_step")
+    fitted = fit(hframe, tight, data.with_runs([data.runs[0].name]), "one_step")
     for parameter in tight:
         assert fitted.values[parameter.name] == pytest.approx(hframe.parameters[parameter.name], rel=1e-6, abs=1e-9)
     np.testing.assert_allclose(fitted.theta, 0.0, atol=1e-8)

@@ -1,4 +1,4 @@
-"""Tests of the initial state of a machine: static equilibrium against the independent simulator, inverted readings, zeros."""
+"""Tests of a machine's initial state: static equilibrium, inverted readings, zeros, simulation of recordings."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ def measured_runs(machine: Machine, zeros: tuple[float, float]) -> list[Recordin
 
 
 def simulated_rmse(machine: Machine, recording: Recording) -> np.ndarray:
-    """Return the errors (sensors,) of the simulation from the initial state of the recording, as `hframe simulate` does."""
+    """Return the simulation's errors (sensors,) from the recording's initial state, as in `hframe simulate`."""
     initial = initial_state_of_recording(machine, recording)
     trajectory = simulate(machine, recording.time_s, recording.inputs, initial.state, offset=initial.offset)
     return np.asarray(np.sqrt(np.mean((recording.outputs - trajectory.outputs) ** 2, axis=0)))

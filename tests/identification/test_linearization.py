@@ -140,23 +140,6 @@ def test_costs_agree_with_the_linearization_at_its_expansion_point(
     assert cost == pytest.approx(linearization.normal_equations.cost, rel=1e-9)
 
 
-def test_initial_stretch_is_projected_out_of_a_simulation(hframe: Machine, hframe_runs: Dataset) -> None:
-    """The projection shrinks the directions of the initial angles by their weights."""
-    run = hframe_runs.runs[0]
-    model = ResidualModel(hframe, default_free_parameters(hframe)[:1], hframe_runs, "simulation")
-    projection = model.initial_state_projection(hframe, run)
-    assert projection is not None
-    np.testing.assert_allclose(projection.directions.T @ projection.directions, np.eye(2), atol=1e-9)
-    assert np.all((projection.weights > 0) & (projection.weights < 1))
-    direction = projection.directions[:, :1].T
-    np.testing.assert_allclose(projection(direction), direction * (1 - projection.weights[0]), atol=1e-9)
-
-
-def test_one_step_prediction_needs_no_projection(hframe: Machine, hframe_runs: Dataset) -> None:
-    model = ResidualModel(hframe, default_free_parameters(hframe)[:1], hframe_runs, "one_step")
-    assert model.initial_state_projection(hframe, hframe_runs.runs[0]) is None
-
-
 def test_forward_differences_are_per_unit_step() -> None:
     values = np.array([[1.0, 1.0], [1.5, 1.0], [1.0, 0.0]])
     np.testing.assert_allclose(forward_differences(values, 0.5), [[1.0, 0.0], [0.0, -2.0]])

@@ -1,4 +1,4 @@
-"""The whole loop on recordings of an independent simulator: the planted effect, and none where there is none."""
+"""Tests of identification on recordings of an independent simulator, with and without an undeclared effect."""
 
 from __future__ import annotations
 
@@ -10,22 +10,31 @@ import numpy as np
 import pytest
 
 from hframe_gym.errors import InputError
-from hframe_gym.identification import IdentificationResult, hold_out, identify
+from hframe_gym.identification import IdentificationResult, SelectionCriteria, hold_out, identify, write_result
 from hframe_gym.identification.report import build_report
-from hframe_gym.identification.result_output import write_answer
 from hframe_gym.machine import BUILTIN_MACHINES
 from hframe_gym.recordings import Recording, load_machine, load_recordings
 from tools.make_examples import RIGS
 
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
 
 @pytest.fixture(scope="module")
-def found() -> IdentificationResult:
+def log() -> list[str]:
+    """Return the lines that the identification of rig_a reported."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def result(log: list[str]) -> IdentificationResult:
+    """Return the result for rig_a, which has Stribeck friction at x. It is immutable."""
     machine = BUILTIN_MACHINES["hframe"]()
-    return identify(load_recordings("examples/rig_a", machine), machine)
+    return identify(load_recordings(EXAMPLES / "rig_a", machine), machine, log=log.append)
 
 
-def test_the_planted_effect_is_named_and_removes_the_error(found: IdentificationResult) -> None:
-    report = found.as_json()
+@pytest.mark.oracle
+def test_the_undeclared_effect_is_identified_and_removes_the_error(result: IdentificationResult) -> None:
+    report = result.as_json()
     assert report["verdict"] == "effect_found"
     [effect] = report["effects"]
     assert (effect["name"], effect["site"]) == ("stribeck_friction", "x")
@@ -41,44 +50,59 @@ def test_the_planted_effect_is_named_and_removes_the_error(found: Identification
     assert report["residual"]["depends_on"][0]["variable"] == "velocity of x"
 
 
+@pytest.mark.oracle
+def test_each_decision_is_reported_in_words(result: IdentificationResult, log: list[str]) -> None:
+    assert result.effects
+    text = "\n".join(log)
+    assert "stribeck_friction@x reduces chi-squared per sample from " in text
+    assert "(one-step prediction)" in text
+    assert log[-1] == "verdict: effect_found"
+
+
+@pytest.mark.oracle
 def test_the_twin_has_no_effect() -> None:
     machine = BUILTIN_MACHINES["hframe"]()
-    answer = identify(load_recordings("examples/rig_b", machine), machine)
-    assert answer.verdict == "no_effect"
-    assert answer.found == ()
-    ratios = [e.noise_ratio for e in answer.before.held_out.channels.values()]
+    result = identify(load_recordings(EXAMPLES / "rig_b", machine), machine)
+    assert result.verdict == "no_effect"
+    assert result.effects == ()
+    ratios = [e.noise_ratio for e in result.before.held_out.channels.values()]
     assert all(r is not None and r < 1.1 for r in ratios)
 
 
-def test_a_channel_that_was_never_measured_is_null_and_the_rest_stands(tmp_path: Path) -> None:
+@pytest.mark.oracle
+def test_a_channel_that_was_never_measured_is_null_in_the_report(tmp_path: Path) -> None:
     machine = BUILTIN_MACHINES["hframe"]()
     recordings = []
-    for r in load_recordings("examples/rig_b", machine):
+    for r in load_recordings(EXAMPLES / "rig_b", machine):
         outputs = r.outputs.copy()
         outputs[:, 3] = np.nan
         recordings.append(dataclasses.replace(r, outputs=outputs))
-    answer = identify(recordings, machine)
-    assert answer.verdict == "no_effect"
-    write_answer(answer, tmp_path)
+    result = identify(recordings, machine)
+    assert result.verdict == "no_effect"
+    write_result(result, tmp_path)
     build_report(tmp_path)
     report = json.loads((tmp_path / "report.json").read_text())
     assert report["after"]["held_out"]["y_m"] == {"rmse": None, "noise_ratio": None}
     assert report["after"]["held_out"]["x_m"]["noise_ratio"] < 1.1
 
 
-def test_held_out_runs_are_never_fitted(found: IdentificationResult) -> None:
-    fitted, judged = ({r.name for r in data.runs} for data in (found.fitted, found.held_out))
-    assert not fitted & judged
-    assert len(fitted | judged) == 8
+@pytest.mark.oracle
+def test_held_out_runs_are_never_fitted(result: IdentificationResult) -> None:
+    fitted, held_out = ({r.name for r in data.runs} for data in (result.fitted, result.held_out))
+    assert not fitted & held_out
+    assert len(fitted | held_out) == 8
 
 
-def test_the_folder_is_complete_and_its_machine_runs(found: IdentificationResult, tmp_path: Path) -> None:
-    write_answer(found, tmp_path)
+@pytest.mark.oracle
+def test_the_folder_is_complete_and_its_machine_is_the_corrected_one(
+    result: IdentificationResult, tmp_path: Path
+) -> None:
+    write_result(result, tmp_path)
     page = build_report(tmp_path)
     assert json.loads((tmp_path / "report.json").read_text())["schema"] == 1
     text = page.read_text()
     assert "stribeck friction at x" in text
-    assert "http" not in text.replace("http-equiv", "")
+    assert "://" not in text  # self-contained
     assert {p.name for p in (tmp_path / "plots").iterdir()} == {
         "coverage.png",
         "error_by_channel.png",
@@ -86,11 +110,12 @@ def test_the_folder_is_complete_and_its_machine_runs(found: IdentificationResult
         "residual_force.png",
     }
     machine = load_machine(tmp_path / "machine.json")
-    assert machine.parameters == found.after.machine.parameters
+    assert machine.parameters == result.after.machine.parameters
     assert machine.uncertainty is not None
 
 
-def test_hold_out_takes_every_fourth_and_refuses_nonsense() -> None:
+@pytest.mark.unit
+def test_every_fourth_run_is_held_out_and_impossible_choices_are_refused() -> None:
     runs = [Recording(f"run_{i}", *[None] * 3) for i in range(1, 9)]  # type: ignore[arg-type]
     assert hold_out(runs) == ("run_4", "run_8")
     assert hold_out(runs[:2]) == ("run_2",)
@@ -99,3 +124,12 @@ def test_hold_out_takes_every_fourth_and_refuses_nonsense() -> None:
         hold_out(runs, ["run_9"])
     with pytest.raises(InputError, match="at least one must be left"):
         hold_out(runs[:1])
+
+
+@pytest.mark.oracle
+def test_criteria_are_passed_to_the_search_and_written_to_the_report() -> None:
+    machine = BUILTIN_MACHINES["hframe"]()
+    criteria = SelectionCriteria(max_effects=0, explained_chi2=1e9)
+    result = identify(load_recordings(EXAMPLES / "rig_a", machine)[:4], machine, criteria=criteria)
+    assert result.verdict == "no_effect"
+    assert result.as_json()["criteria"]["max_effects"] == 0

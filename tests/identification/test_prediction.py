@@ -9,12 +9,12 @@ import pytest
 
 from hframe_gym.identification import Dataset, prepare
 from hframe_gym.identification.prediction import (
-    has_feedback,
+    initial_state_projection,
     map_runs,
     observer_gains,
     predict,
+    prediction_error,
     residuals,
-    sensor_offsets,
 )
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording
@@ -72,15 +72,15 @@ def test_extra_measurement_is_added_to_the_prediction(axis: Machine, data: Datas
     np.testing.assert_allclose(shifted - plain, extra, atol=1e-15)
 
 
-def test_offset_is_the_mean_at_rest_and_at_most_half_a_quantum_of_the_rest(axis: Machine, data: Dataset) -> None:
+def test_prediction_error_is_relative_to_the_rows_at_rest(data: Dataset) -> None:
     run = data.runs[0]
-    measured = np.ones((len(run.time_s), 1), bool)
-    error = np.full((1, len(run.time_s), 1), 3e-3)
-    np.testing.assert_allclose(sensor_offsets(run, data, error, measured), 3e-3)
-    error[:, run.rest :] += 1e-3
-    np.testing.assert_allclose(sensor_offsets(run, data, error, measured), 3e-3)
+    shift = np.full((1, *run.outputs.shape), 3e-3)
+    shift[:, run.initial.resting_rows :] += 1e-3
+    error = prediction_error(run, data, run.outputs - shift)[0]
+    np.testing.assert_allclose(error[: run.initial.resting_rows], 0.0, atol=1e-12)
+    np.testing.assert_allclose(error[run.initial.resting_rows :], 1e-3, atol=1e-12)
     quantized = dataclasses.replace(data, quantum=np.array([0.4e-3]))
-    np.testing.assert_allclose(sensor_offsets(run, quantized, error, measured), 3.2e-3)
+    np.testing.assert_allclose(prediction_error(run, quantized, run.outputs - shift)[0], error - 0.2e-3, atol=1e-12)
 
 
 def test_values_that_were_not_measured_leave_no_residual(axis: Machine, data: Dataset) -> None:
@@ -97,7 +97,7 @@ def test_values_that_were_not_measured_leave_no_residual(axis: Machine, data: Da
 def test_blocks_keep_the_size_of_slow_residuals_and_of_white_noise(data: Dataset) -> None:
     run = data.runs[0]
     slow = np.sin(2 * np.pi * run.time_s / 0.6)[None, :, None] * 1e-5
-    slow[:, : run.rest] = 0.0
+    slow[:, : run.initial.resting_rows] = 0.0
     full, blocks = (residuals(run, data, run.outputs + slow, rows) for rows in (1, 4))
     assert blocks.shape == (1, full.shape[1] // 4)
     assert np.sum(blocks**2) == pytest.approx(np.sum(full**2), rel=0.01)
@@ -110,6 +110,18 @@ def test_results_of_runs_keep_their_order(axis: Machine) -> None:
     assert list(map_runs(lambda run: run.name, data)) == ["long", "short"]
 
 
-def test_only_one_step_prediction_has_feedback() -> None:
-    assert has_feedback("one_step")
-    assert not has_feedback("simulation")
+def test_initial_stretch_is_projected_out_of_a_simulation(hframe: Machine) -> None:
+    """The projection shrinks the directions of the two initial motor angles by their weights."""
+    data = prepare([recorded(hframe)], hframe)
+    projection = initial_state_projection(hframe, data.runs[0], data, "simulation")
+    assert projection is not None
+    np.testing.assert_allclose(projection.directions.T @ projection.directions, np.eye(2), atol=1e-9)
+    assert np.all((projection.weights > 0) & (projection.weights < 1))
+    direction = projection.directions[:, :1].T
+    np.testing.assert_allclose(projection(direction), direction * (1 - projection.weights[0]), atol=1e-9)
+
+
+def test_no_projection_with_feedback_or_without_belts(hframe: Machine, axis: Machine, data: Dataset) -> None:
+    hframe_data = prepare([recorded(hframe)], hframe)
+    assert initial_state_projection(hframe, hframe_data.runs[0], hframe_data, "one_step") is None
+    assert initial_state_projection(axis, data.runs[0], data, "simulation") is None

@@ -1,4 +1,4 @@
-"""Tests of what the sensors measure at rest: position, zeros of the sensors, and what is said where nothing measures it."""
+"""Tests of what the sensors measure at rest: position, zeros, and the warning where nothing measures it."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_encoders_alone_are_assumed_to_count_from_zero_with_a_warning(hframe: Ma
 
 
 def test_a_laser_that_measures_nothing_at_rest_is_replaced_by_its_later_measurements(hframe: Machine) -> None:
-    """The encoders were switched on at an unknown angle; without the later rows the position would be off by decimeters."""
+    """The encoders were switched on at an unknown angle; without the later rows the error would be decimeters."""
     start, zeros = np.array([0.14, -0.03]), np.array([2.0, -5.0])
     path = start + np.outer(np.linspace(0.0, 1.0, 300), [-0.2, 0.05])
     path[:50] = start

@@ -10,7 +10,8 @@ import pytest
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, Fit, default_free_parameters, fit, prepare, screen
 from hframe_gym.identification.candidates import Candidate
-from hframe_gym.identification.screening import has_no_small_version
+from hframe_gym.identification.prediction import predict
+from hframe_gym.identification.screening import candidate_perturbations, has_no_small_version
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording
 
@@ -77,6 +78,48 @@ def test_amount_stays_within_the_bounds_of_the_parameter(axis: Machine) -> None:
         gains.append(screen(fitted, [candidate("sensor_delay", "x_m", d=1e-3)], shifted)[0].gain)
     assert gains[0] == 0.0
     assert gains[1] > 0.5 * data.count
+
+
+@pytest.mark.parametrize(
+    ("name", "site", "column", "amplitude"),
+    [
+        ("cogging", "motor", {"A": 0.2, "n": 90.0, "p": 0.4}, "A"),
+        ("position_friction", "x", {"A": 5.0, "L": 0.02, "p": 0.4}, "A"),  # five times the Coulomb friction
+        ("sensor_delay", "x_m", {"d": 1e-3}, "d"),
+    ],
+)
+def test_response_predicts_the_simulation_with_a_small_effect(
+    axis: Machine, name: str, site: str, column: dict[str, float], amplitude: str
+) -> None:
+    data = prepare([recorded(axis)], axis)
+    run, fraction = data.runs[0], 1e-3
+    motion = predict(axis, run, "simulation", period=data.period, states=True)
+    perturbation = candidate_perturbations(axis, [candidate(name, site, **column)], run, motion)
+    perturbed = predict(
+        axis,
+        run,
+        "simulation",
+        period=data.period,
+        extra_force=fraction * perturbation.force,
+        extra_measurement=fraction * perturbation.measurement,
+    )
+    machine = axis.with_effects(EFFECTS[name].at(site, **{**column, amplitude: fraction * column[amplitude]}))
+    exact = predict(machine, run, "simulation", period=data.period)
+    change = exact.readings - motion.readings
+    error = perturbed.readings - exact.readings
+    assert np.abs(change).max() > 1e-7
+    assert np.abs(error).max() < 0.03 * np.abs(change).max()
+
+
+def test_columns_of_several_candidates_keep_their_order(axis: Machine) -> None:
+    data = prepare([recorded(axis)], axis)
+    motion = predict(axis, data.runs[0], "one_step", period=data.period, states=True)
+    perturbation = candidate_perturbations(axis, CANDIDATES, data.runs[0], motion)
+    np.testing.assert_allclose(perturbation.force[0], 0.1)
+    viscous = axis.coordinates[0].viscous
+    np.testing.assert_allclose(perturbation.force[1], -0.1 * viscous * np.abs(motion.velocities[0]), atol=1e-12)
+    np.testing.assert_allclose(perturbation.force[2], -10.0 * motion.positions[0], atol=1e-12)
+    assert not perturbation.measurement.any()
 
 
 def test_no_candidates_give_no_scores(axis: Machine) -> None:

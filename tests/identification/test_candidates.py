@@ -1,0 +1,57 @@
+"""Tests of the candidates: periods of the missing force, ends of ranges, effects at their sites."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hframe_gym.effects import EFFECTS
+from hframe_gym.identification.candidates import Candidate, effect_parameters, periodogram_peaks, slow_rates
+from hframe_gym.identification.dataset import TypicalScales
+from hframe_gym.machine import Machine
+
+pytestmark = pytest.mark.unit
+
+
+def motion(rate: float, *, friction: bool) -> np.ndarray:
+    """Return position, velocity and the force of a sine of position, beside viscous and dry friction, (n, 3)."""
+    time_s = np.arange(6000) * 1e-3
+    position = 0.2 * np.sin(2 * np.pi * 0.37 * time_s) + 0.05 * np.sin(2 * np.pi * 1.7 * time_s)
+    velocity = np.gradient(position, time_s)
+    wave = 0.3 * np.sin(rate * position + 0.4) * (np.sign(velocity) if friction else 1.0)
+    noise = np.random.default_rng(0).normal(0.0, 0.2, len(time_s))
+    return np.column_stack([position, velocity, wave + 2.0 * velocity + 1.5 * np.sign(velocity) + noise])
+
+
+@pytest.mark.parametrize("friction", [False, True])
+@pytest.mark.parametrize("rate", [100.0, 583.0])
+def test_the_rate_of_a_sine_is_the_first_peak(rate: float, friction: bool) -> None:
+    data = motion(rate, friction=friction)
+    resolution = 2 * np.pi / np.ptp(data[:, 0])
+    peaks = periodogram_peaks(data, friction=friction)
+    assert abs(peaks - rate).min() < 0.5 * resolution
+    assert abs(peaks[0] - rate) < 0.5 * resolution
+
+
+def test_a_coordinate_that_rests_has_no_periods() -> None:
+    assert len(periodogram_peaks(np.zeros((100, 3)), friction=False)) == 0
+    assert len(slow_rates(np.zeros(100))) == 0
+
+
+def test_a_candidate_combines_sine_and_cosine_to_amplitude_and_phase() -> None:
+    cogging = EFFECTS["cogging"]
+    columns = tuple({"A": 0.5, "n": 50.0, "p": phase} for phase in (0.0, np.pi / 2))
+    effect = Candidate(cogging, "motor1", columns, {}).applied((3.0, 4.0))
+    assert effect.parameters["A"] == pytest.approx(2.5)
+    assert effect.parameters["p"] == pytest.approx(np.arctan2(4.0, 3.0))
+
+
+def test_free_parameters_start_at_the_effects_values(hframe: Machine) -> None:
+    effect = EFFECTS["stribeck_friction"].at("x", dF=0.8, vs=0.02)
+    scales = TypicalScales({"x": {"force": 10.0, "speed": 0.5}}, {})
+    free = {f.name: f for f in effect_parameters(effect, hframe, scales)}
+    assert set(free) == {"stribeck_friction@x.dF", "stribeck_friction@x.vs"}
+    for name, value in (("dF", 0.8), ("vs", 0.02)):
+        parameter = free[f"stribeck_friction@x.{name}"]
+        assert parameter.value(np.zeros(1)) == pytest.approx([value])
+    assert free["stribeck_friction@x.dF"].scale is not None  # may change its sign

@@ -1,0 +1,112 @@
+"""Tests of what the recordings alone show of the sensors: quantum, noise, ends of the range."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hframe_gym.identification import SelectionCriteria
+from hframe_gym.identification.sensor_properties import (
+    blank_saturated,
+    quantum_of,
+    range_effects,
+    saturation_ranges,
+    sensor_noise,
+    sensor_quantum,
+)
+from hframe_gym.machine import Machine
+from hframe_gym.recordings import Recording
+
+pytestmark = pytest.mark.unit
+QUANTUM = 5.2e-4
+RADIUS = 0.0194
+NOISE = np.array([1.5e-4, 1.5e-4, 2e-5, 2e-5])
+
+
+def moving_encoder(seed: int, rows: int = 3000) -> np.ndarray:
+    """Return the measurements of an encoder that moves at random, rad."""
+    path = np.cumsum(np.random.default_rng(seed).normal(0, 2e-3, rows))
+    return np.asarray(np.round(path / QUANTUM) * QUANTUM)
+
+
+def test_a_quantized_channel_shows_its_quantum_and_a_noisy_one_none() -> None:
+    smooth = np.cumsum(np.random.default_rng(0).normal(0, 2e-3, 3000))
+    assert quantum_of(moving_encoder(0)) == pytest.approx(QUANTUM)
+    assert quantum_of(smooth) == 0.0
+    assert quantum_of(np.full(100, np.nan)) == 0.0
+
+
+@pytest.mark.parametrize("resting", [1, 2, 3, 5])
+def test_resting_runs_do_not_count_for_the_quantum(resting: int) -> None:
+    """The median over all runs is half the quantum where half of the runs rest, and zero where most do."""
+    channel = [moving_encoder(1), moving_encoder(2), *[np.full(3000, 0.7)] * resting]
+    assert sensor_quantum(channel, 0.0) == pytest.approx(QUANTUM)
+
+
+def test_a_sensor_that_never_moves_has_its_declared_resolution() -> None:
+    assert sensor_quantum([np.full(3000, 0.7)] * 4, 1e-3) == 1e-3
+
+
+@pytest.mark.parametrize("every", [2, 5])
+def test_blank_cells_of_a_slow_encoder_do_not_change_the_quantum(every: int) -> None:
+    channel = []
+    for seed in range(4):
+        values = moving_encoder(seed)
+        values[np.arange(len(values)) % every != 0] = np.nan
+        channel.append(values if seed % 2 else np.where(np.isfinite(values), 0.7, np.nan))
+    assert sensor_quantum(channel, 0.0) == pytest.approx(QUANTUM)
+
+
+def test_noise_is_that_of_the_resting_rows_and_not_of_a_slow_creep() -> None:
+    rng = np.random.default_rng(1)
+    creep = 1e-3 * np.linspace(0.0, 1.0, 400) ** 2
+    channel = [creep + rng.normal(0, 35e-6, 400) for _ in range(3)]
+    assert sensor_noise(channel, [400] * 3, 0.0, 1.0) == pytest.approx(35e-6, rel=0.1)
+
+
+def test_noise_without_resting_rows_is_the_declared_one_or_that_of_third_differences() -> None:
+    rng = np.random.default_rng(2)
+    channel = [np.sin(np.arange(3000) * 1e-3) + rng.normal(0, 35e-6, 3000)]
+    assert sensor_noise(channel, [1], 0.0, 2e-5) == 2e-5
+    assert sensor_noise(channel, [1], 0.0, 0.0) == pytest.approx(35e-6, rel=0.1)
+    assert sensor_noise(channel, [1], 1.0, 2e-5) == pytest.approx(1 / np.sqrt(12))
+    assert sensor_noise([np.full(50, np.nan)], [1], 0.0, 0.0) == 1.0
+
+
+def moving_runs(limit: float = 0.1) -> list[Recording]:
+    """Return runs along x in which the laser saturates at a limit, m."""
+    rng = np.random.default_rng(4)
+    time_s = np.arange(2000) * 1e-3
+    recordings = []
+    for k in range(2):
+        x = 0.16 * np.sin(2 * np.pi * time_s * (1 + k))
+        turned = np.round(np.column_stack([-x, x]) / RADIUS / QUANTUM) * QUANTUM
+        lasers = np.column_stack([np.minimum(x, limit), np.zeros_like(x)]) + rng.normal(0, 2e-5, (2000, 2))
+        recordings.append(Recording(f"run_{k}", time_s, np.zeros((2000, 2)), np.hstack([turned, lasers])))
+    return recordings
+
+
+def test_a_saturated_laser_is_recognized_and_blanked(hframe: Machine) -> None:
+    recordings = moving_runs()
+    ranges = saturation_ranges(recordings, hframe, NOISE, SelectionCriteria())
+    assert list(ranges) == ["x_m"]
+    low, high = ranges["x_m"]
+    assert high == pytest.approx(0.1, abs=2e-5)
+    assert low < -1.0
+    blanked = blank_saturated(recordings[0], ranges, hframe, NOISE, SelectionCriteria())
+    saturated = recordings[0].outputs[:, 2] > 0.1 - 80e-6
+    assert np.isnan(blanked.outputs[saturated, 2]).all()
+    assert np.isfinite(blanked.outputs[~saturated, 2]).mean() > 0.99
+    [effect] = range_effects(ranges)
+    assert effect.label == "sensor_range@x_m"
+    assert effect.parameters["high"] == high
+
+
+def test_a_coordinate_that_rests_is_not_saturated(hframe: Machine) -> None:
+    """One motor that rests while the other drives the stage is normal."""
+    assert saturation_ranges(moving_runs(limit=1.0), hframe, NOISE, SelectionCriteria()) == {}
+
+
+def test_the_thresholds_of_saturation_can_be_set(hframe: Machine) -> None:
+    strict = SelectionCriteria(min_saturated_fraction=0.9)
+    assert saturation_ranges(moving_runs(), hframe, NOISE, strict) == {}
