@@ -74,11 +74,7 @@ class AdaptiveController(Controller):
         self._state = self.expected_friction = np.zeros((0, 0))
 
     def reset(self, mask: Mask | None = None) -> None:
-        """Start a new episode on some stages or all.
-
-        Args:
-            mask: Stages to reset, shape (B,). Default: all.
-        """
+        """Start a new episode on some stages or all."""
         for controller in self._controllers():
             controller.reset(mask)
         self._starts.reset(mask)
@@ -118,11 +114,7 @@ class AdaptiveController(Controller):
         return actions
 
     def replace_last_action(self, actions: Array) -> None:
-        """Correct the voltages that were sent last.
-
-        Args:
-            actions: Actions that were applied, in [-1, 1], shape (B, 2).
-        """
+        """Correct the voltages that were sent last."""
         self._dead_time.replace_last(actions * self.model.rated)
         for controller in self._controllers():
             controller.replace_last_action(actions)
@@ -152,9 +144,7 @@ class AdaptiveController(Controller):
         """Update `expected_friction` by the previewed goals."""
         starts = self._starts.mask
         previous = self.expected_friction.reshape(len(starts), PERIODS_AHEAD + 1, 2)
-        recent = np.where(
-            starts[:, None], 0.0, previous[:, -1] + RECENT_WEIGHT * (previous[:, 0] - previous[:, -1])
-        )
+        recent = np.where(starts[:, None], 0.0, previous[:, -1] + RECENT_WEIGHT * (previous[:, 0] - previous[:, -1]))
         if "preview" in observation:
             path = np.concatenate([observation["desired_goal"], observation["preview"]], axis=1, dtype=np.float64)
             goals = self._dead_time.delayed_goals(path.reshape(len(path), -1, 2))[:, : PERIODS_AHEAD + 2]

@@ -1,6 +1,6 @@
 """Controller interface and registry.
 
-A controller runs a batch of stages at once. To add one, subclass `Controller` in a module of its own and register it:
+A controller runs a batch of stages at once. To add one, subclass `Controller` in a new module and register it:
 
     @CONTROLLERS.register("my-controller")
     class MyController(Controller):
@@ -86,14 +86,14 @@ class Controller(ABC):
             Voltages divided by the rated voltages, in [-1, 1], shape (B, drives).
         """
 
-    def reset(self, mask: Mask | None = None) -> None:
+    def reset(self, mask: Mask | None = None) -> None:  # noqa: B027  (optional)
         """Start a new episode: clear the memory of some stages or of all.
 
         Args:
             mask: Stages to reset, shape (B,). Default: all; the batch size may then change.
         """
 
-    def replace_last_action(self, actions: Array) -> None:
+    def replace_last_action(self, actions: Array) -> None:  # noqa: B027  (optional)
         """Correct the controller's memory where other actions were applied than those that `act` returned last.
 
         Args:
@@ -167,16 +167,35 @@ class Estimator(Protocol):
     channels: int
 
     def reset(self, mask: Mask | None = None) -> None:
-        """Start a new episode on the stages of mask (B,), or on all."""
+        """Start a new episode.
+
+        Args:
+            mask: Stages to reset, shape (B,). Default: all.
+        """
 
     def update(self, measurements: Array) -> Array:
-        """Return states (B, 2 n), m and m/s, for measurements (B, channels)."""
+        """Estimate the state at the time of new measurements.
+
+        Args:
+            measurements: Measurements in the channels' units, shape (B, channels).
+
+        Returns:
+            Travel and its velocity, m and m/s, shape (B, 2 n).
+        """
 
     def send(self, volts: Array) -> None:
-        """Record the voltages (B, drives) of the period that begins, V."""
+        """Record the voltages of the period that begins.
+
+        Args:
+            volts: Voltages, V, shape (B, drives).
+        """
 
     def replace_last(self, volts: Array) -> None:
-        """Replace the voltages (B, drives) that were sent last, V."""
+        """Replace the voltages that were sent last.
+
+        Args:
+            volts: Voltages, V, shape (B, drives).
+        """
 
 
 class OutputFeedbackController(Controller):
@@ -194,11 +213,7 @@ class OutputFeedbackController(Controller):
         self.controller, self.estimator = controller, estimator
 
     def reset(self, mask: Mask | None = None) -> None:
-        """Start a new episode on some stages or all.
-
-        Args:
-            mask: Stages to reset, shape (B,). Default: all.
-        """
+        """Start a new episode on some stages or all."""
         self.controller.reset(mask)
         self.estimator.reset(mask)
 
@@ -211,6 +226,9 @@ class OutputFeedbackController(Controller):
 
         Returns:
             Voltages divided by the rated voltages, in [-1, 1], shape (B, drives).
+
+        Raises:
+            InputError: If a measurement is not finite.
         """
         model = self.estimator.model
         state = self.estimator.update(observation["observation"][:, : self.estimator.channels])
@@ -219,10 +237,6 @@ class OutputFeedbackController(Controller):
         return actions
 
     def replace_last_action(self, actions: Array) -> None:
-        """Correct the voltages that were sent last.
-
-        Args:
-            actions: Actions that were applied, in [-1, 1], shape (B, drives).
-        """
+        """Correct the voltages that were sent last."""
         self.controller.replace_last_action(actions)
         self.estimator.replace_last(actions * self.estimator.model.rated)

@@ -74,7 +74,11 @@ class DeadTime:
         return self._sent[:, 0]
 
     def mean_arrived(self) -> Array:
-        """Return the mean voltages at the motors over the last period, V, shape (B, drives)."""
+        """Compute the mean voltages at the motors over the last period.
+
+        Returns:
+            Voltages, V, shape (B, drives).
+        """
         earlier = self._remainder_s / self.period  # fraction of the period with the voltage of one period before
         return (1.0 - earlier) * self._sent[:, self._whole_periods] + earlier * self._sent[:, self._whole_periods + 1]
 
@@ -123,7 +127,7 @@ class DeadTime:
         """
         if self.delay_s == 0.0:
             return state
-        # During the remainder the voltages still arrive that were sent before those of the last whole periods.
+        # During the remainder the voltages still arrive that were sent before those of the last complete periods.
         times = np.concatenate([[0.0], self._remainder_s + self.period * np.arange(self._whole_periods + 1)])
         volts = self._sent[:, [*range(self._whole_periods, -1, -1), 0]]
         if self._remainder_s == 0.0:

@@ -92,11 +92,7 @@ class ModelBasedController(Controller):
         self._settling = self._moving = self._elapsed = np.zeros(0, np.intp)
 
     def reset(self, mask: Mask | None = None) -> None:
-        """Start a new episode on some stages or all.
-
-        Args:
-            mask: Stages to reset, shape (B,). Default: all.
-        """
+        """Start a new episode on some stages or all."""
         self._starts.reset(mask)
 
     def act(self, observation: Mapping[str, NDArray[Any]]) -> Array:
@@ -127,11 +123,7 @@ class ModelBasedController(Controller):
         return volts / self.model.rated
 
     def replace_last_action(self, actions: Array) -> None:
-        """Correct the voltages that were sent last.
-
-        Args:
-            actions: Actions that were applied, in [-1, 1], shape (B, 2).
-        """
+        """Correct the voltages that were sent last."""
         self._dead_time.replace_last(actions * self.model.rated)
 
     def _begin_period(self, state: Array) -> None:

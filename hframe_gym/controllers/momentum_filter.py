@@ -71,9 +71,7 @@ class MomentumFilter:
         n, moving_mass = len(self.model.mass), self.model.mass[:, None] * self.model.rigid**2
         return 1.0 + self.estimates[:, n:-1] @ (moving_mass / moving_mass.sum(axis=0))
 
-    def update(
-        self, before: Array, after: Array, volts: Array, effect_force: Array, starts: NDArray[np.bool_]
-    ) -> None:
+    def update(self, before: Array, after: Array, volts: Array, effect_force: Array, starts: NDArray[np.bool_]) -> None:
         """Update the estimates by one control period.
 
         Args:

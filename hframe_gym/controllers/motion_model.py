@@ -311,7 +311,11 @@ class MotionModel:
         return (viscous + momentum) @ self.rigid / period - volts @ self.force_per_volt.T
 
     def top_speed(self) -> Array:
-        """Return the steady velocity along x and y alone at rated voltage, m/s, shape (2,); zero if friction holds."""
+        """Compute the steady velocity along x and along y alone at rated voltage.
+
+        Returns:
+            Velocities, m/s, shape (2,); zero where friction holds the axis.
+        """
         push = np.abs(self.force_per_volt) @ self.rated
         friction = np.abs(self.rigid.T) @ self.coulomb
         return np.maximum(push - friction, 0.0) / np.maximum((self.rigid**2).T @ self.viscous, 1e-9)

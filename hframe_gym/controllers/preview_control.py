@@ -49,9 +49,7 @@ class PreviewGains:
     def __init__(
         self, model: MotionModel, grid: OperatingPointGrid, period: float, horizon: int, change_weight: float
     ) -> None:
-        gains = [
-            self._solve(model, *model.discretize(point, period), horizon, change_weight) for point in grid.points
-        ]
+        gains = [self._solve(model, *model.discretize(point, period), horizon, change_weight) for point in grid.points]
         self.state, self.last, self.goal, self.force = (np.stack(g) for g in zip(*gains, strict=True))
 
     @staticmethod

@@ -57,11 +57,7 @@ class TextbookPID(Controller):
         self._axes = np.array([machine.coordinate_names.index(axis) for axis in AXES])
 
     def reset(self, mask: Mask | None = None) -> None:
-        """Clear the integrators of some stages or all.
-
-        Args:
-            mask: Stages to reset, shape (B,). Default: all.
-        """
+        """Clear the integrators of some stages or all."""
         if mask is None or not len(self._integral_force):
             self._integral_force = np.zeros((0, 2))
         else:

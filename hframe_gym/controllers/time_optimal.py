@@ -44,9 +44,25 @@ EFFORT_WEIGHT_S = 1e-6  # s, weight of the mean squared voltage: selects one of 
 LONGEST_S, LARGEST_TRAVEL_M, LARGEST_SPEED = 5.0, 5.0, 10.0  # s, m, m/s: bounds of the search
 # By default IPOPT starts so far inside the voltage limits that T first grows fourfold; the last barrier of 1e-7 s per
 # limit leaves T at most 0.05 ms above its minimum.
-IPOPT_OPTIONS = {"mu_init": 1e-3, "mu_target": 1e-7, "tol": 1e-6, "max_iter": 600, "print_level": 0, "sb": "yes"}
+IPOPT_OPTIONS: dict[str, Any] = {
+    "mu_init": 1e-3,
+    "mu_target": 1e-7,
+    "tol": 1e-6,
+    "max_iter": 600,
+    "print_level": 0,
+    "sb": "yes",
+}
 # Hooks of an effect that enter the collocation equations, and CasADi's operations that switch between branches.
-DIFFERENTIATED_HOOKS = ("force", "coulomb", "friction", "viscous", "tension", "energy_slope", "belt_travel", "lever_arm")
+DIFFERENTIATED_HOOKS = (
+    "force",
+    "coulomb",
+    "friction",
+    "viscous",
+    "tension",
+    "energy_slope",
+    "belt_travel",
+    "lever_arm",
+)
 SWITCHING_OPERATIONS = (ca.OP_FMIN, ca.OP_FMAX, ca.OP_IF_ELSE_ZERO, ca.OP_SIGN, ca.OP_COPYSIGN, ca.OP_LT, ca.OP_LE)
 INITIAL_GUESSES = (1.0, 1.6, 0.8)  # of T, in times of the rigid stage; tried in turn until one converges
 
@@ -84,12 +100,6 @@ class TimeOptimalReach:
         intervals: Numbers of intervals of the motion and of the hold.
         reversal_speed: Speed v0 of the smoothed friction, m/s.
 
-    Attributes:
-        machine: As given.
-        band: As given, m.
-        intervals: As given.
-        reversal_speed: As given, m/s.
-
     Raises:
         InputError: If the machine has an effect that is not supported.
     """
@@ -106,9 +116,8 @@ class TimeOptimalReach:
         self.machine = machine
         self.band, self.intervals, self.reversal_speed = band, intervals, reversal_speed
         self._axes = [i for i, c in enumerate(machine.coordinates) if c.kind == "linear"]
-        count = len(machine.coordinates)
-        columns = [rest_state(machine, row)[:count] for row in np.eye(len(self._axes))]
-        self._rigid = np.stack(columns, axis=1) * machine.travel_per_unit[:, None]  # travel per metre of each axis
+        positions = [np.split(rest_state(machine, row), 2)[0] for row in np.eye(len(self._axes))]
+        self._rigid = np.stack(positions, axis=1) * machine.travel_per_unit[:, None]  # travel per metre of each axis
         self._points = np.array(ca.collocation_points(DEGREE, "radau"))
         self._build()
 
@@ -133,10 +142,9 @@ class TimeOptimalReach:
             unknowns += [action, *inner]
             limits += [(-1.0, 1.0)] * drives + state_limits * DEGREE
             slope = ca.horzcat(state, *inner) @ slopes
-            equalities += [
-                slope[:, j] - length * model.rate(z, action, begin + float(self._points[j]) * length)
-                for j, z in enumerate(inner)
-            ]
+            for j, z in enumerate(inner):
+                time = begin + float(self._points[j]) * length
+                equalities.append(slope[:, j] - length * model.rate(z, action, time))
             inequalities += [excess for z in inner for excess in model.current_excess(z, action)]
             effort += ca.dot(action, action) / ((moving + holding) * drives)
             state = inner[-1]
@@ -150,8 +158,7 @@ class TimeOptimalReach:
             "g": ca.vertcat(*equalities, *inequalities),
             "p": ca.vertcat(start, goal, parameters),
         }
-        options: Any = {"print_time": False, "ipopt": IPOPT_OPTIONS}
-        self._solver: Any = ca.nlpsol("time_optimal", "ipopt", problem, options)
+        self._solver: Any = ca.nlpsol("time_optimal", "ipopt", problem, {"print_time": False, "ipopt": IPOPT_OPTIONS})
         low, high = np.array(limits).T
         lowest = np.repeat([0.0, -np.inf], [ca.vertcat(*equalities).numel(), len(inequalities)])
         self._bounds = {"lbx": low, "ubx": high, "lbg": lowest, "ubg": np.zeros(len(lowest))}
@@ -263,8 +270,8 @@ class _SymbolicModel:
     def current_excess(self, state: Any, action: Any) -> list[Any]:
         """Return expressions that are not positive where the drives' currents are within their limits."""
         voltages, point = self._voltages(action), self._point(state, 0.0)
-        currents = ((self._equations.ohmic_current(j, point, voltages[j]), limit) for j, limit in self._current_limits)
-        return [(current / limit) ** 2 - 1.0 for current, limit in currents]
+        current = self._equations.ohmic_current
+        return [(current(j, point, voltages[j]) / limit) ** 2 - 1.0 for j, limit in self._current_limits]
 
     def static_excess(self, state: Any, time: Any) -> list[Any]:
         """Return expressions that are not positive where static friction holds each coordinate that is not driven."""
@@ -312,12 +319,8 @@ def check_supported(machine: Machine) -> None:
                 f"machine {machine.name!r}: time-optimal motions do not support {effect.label}: {reason}; leave the "
                 "effect out"
             )
-    products = [s.channel for s in machine.sensors if any("*" in key for key in s.row)]
-    if products:
-        raise InputError(
-            f"machine {machine.name!r}: time-optimal motions do not support a tool whose position is a product of "
-            f"coordinates ({', '.join(products)})"
-        )
+    if any("*" in key for sensor in machine.sensors for key in sensor.row):
+        raise InputError(f"machine {machine.name!r}: time-optimal motions do not support a bridge that yaws")
 
 
 def _unsupported_because(effect: AppliedEffect) -> str:

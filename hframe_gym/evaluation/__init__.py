@@ -6,12 +6,17 @@ from .metrics import (
     BOUND_BAND,
     METRICS,
     StoredBounds,
+    condition_digests,
     mean_with_interval,
     ratio_of_means,
     score_episodes,
     settling_times,
     stored_bounds,
 )
+
+# Aliases until all packages use the new names.
+from .metrics import known_bounds as known_bounds
+from .metrics import scores as scores
 from .runner import Evaluation, evaluate, rollout, write_scores
 from .scenario import (
     CONTROLLER_SOURCES,
@@ -36,6 +41,7 @@ __all__ = [
     "Evaluation",
     "Scenario",
     "StoredBounds",
+    "condition_digests",
     "episode_conditions",
     "evaluate",
     "load_plugins",

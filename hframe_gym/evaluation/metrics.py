@@ -1,7 +1,7 @@
 """Metrics of recorded episodes, with confidence intervals over the episodes, and the time-optimal bounds.
 
-A metric set is a function registered in `METRICS`; a task names its set by an attribute `metrics`. To give a task of
-your own its own metrics, register a function with the signature of `reach_metrics`.
+A metric set is a function registered in `METRICS`; a task names its set by an attribute `metrics`. To give a new task
+other metrics, register a function with the signature of `reach_metrics`.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ def reach_metrics(episodes: Episodes, bound_s: Array | None, seed: int) -> dict[
 
 @METRICS.register("track")
 def track_metrics(episodes: Episodes, bound_s: Array | None, seed: int) -> dict[str, Any]:
-    """Compute contour error (to the path), tracking error (to the goal on it), delay and success over whole episodes.
+    """Compute contour error (to the path), tracking error (to the goal on it), delay and success of complete episodes.
 
     Success is the fraction of episodes that never leave a band around the path.
 
@@ -141,7 +141,7 @@ def settling_times(error: Array, time_s: Array, band: float) -> tuple[Array, NDA
     """Compute settling times.
 
     The settling time is the first sample after which the error never leaves the band. An episode that ends outside the
-    band fails and counts its whole length.
+    band fails and counts in full.
 
     Args:
         error: Distance to the goal, m, shape (B, n).
@@ -176,7 +176,14 @@ def overshoot(position: Array, goal: Array) -> Array:
 
 
 def tracking_delay(episodes: Episodes) -> Array:
-    """Compute the delay of the tool behind its goal, s, shape (B,): the time shift that fits best, to first order."""
+    """Compute the delay of the tool behind its goal: the time shift that fits best, to first order.
+
+    Args:
+        episodes: Recorded episodes.
+
+    Returns:
+        Delay, s, shape (B,).
+    """
     velocity = np.gradient(episodes.goal, episodes.time_s, axis=1)
     lag = np.sum((episodes.goal - episodes.position) * velocity, axis=(1, 2))
     return np.asarray(lag / np.maximum(np.sum(velocity**2, axis=(1, 2)), 1e-12))
@@ -235,7 +242,16 @@ def ratio_to_bound(times: Array, bound_s: Array, seed: int) -> dict[str, Any] | 
 
 
 def ratio_of_means(times: Array, bound: Array, seed: int) -> dict[str, Any]:
-    """Compute the mean of times (B,) over the mean of bounds (B,), with its 95 % percentile-bootstrap interval."""
+    """Compute the ratio of mean settling time to mean bound.
+
+    Args:
+        times: Settling times, s, shape (B,).
+        bound: Bounds, s, shape (B,).
+        seed: Seed of the bootstrap.
+
+    Returns:
+        `mean`, and `ci95` with the limits of its 95 % percentile-bootstrap interval over the episodes.
+    """
     index = np.random.default_rng(seed).integers(len(times), size=(BOOTSTRAP_RESAMPLES, len(times)))
     ratios = times[index].mean(axis=1) / bound[index].mean(axis=1)
     return {"mean": float(times.mean() / bound.mean()), "ci95": np.quantile(ratios, [0.025, 0.975]).tolist()}
@@ -256,8 +272,8 @@ class StoredBounds(NamedTuple):
 def condition_digests(conditions: EpisodeConditions) -> list[str]:
     """Return 16 hexadecimal digits that identify each episode's conditions, with all values to nine digits.
 
-    A stored bound is found by this digest, so that it applies to every seed, control period and sensor preset that meets
-    the same conditions, and to no other.
+    A stored bound is found by this digest, so that it applies to every seed, control period and sensor preset with the
+    same conditions, and to no other.
 
     Args:
         conditions: Conditions of B episodes.
@@ -314,3 +330,12 @@ def stored_bounds(scenario: Scenario) -> StoredBounds:
         "randomize 'default' and seeds 0 to 511 and 1000 to 1511 (see docs/bound.md)"
     )
     return StoredBounds(None if missing == len(times) else times, reason)
+
+
+# Aliases until all packages use the new names.
+settling, JUDGED, RESAMPLES, scores = settling_times, BOUND_BAND, BOOTSTRAP_RESAMPLES, score_episodes
+
+
+def known_bounds(scenario: Scenario) -> Array | None:
+    """See `stored_bounds`."""
+    return stored_bounds(scenario).times_s

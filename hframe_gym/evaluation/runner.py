@@ -150,32 +150,36 @@ class _Recorder:
 
     def run(self, controller: Controller) -> Episodes:
         """Record the episodes of a controller."""
-        scenario = self.scenario
+        scenario, simulator = self.scenario, self.envs.batch.simulator
         count, samples = scenario.episodes, scenario.periods * SAMPLES_PER_PERIOD + 1
         observation, info = self.envs.reset(seed=scenario.seed)
         machine = self.envs.batch.machine
         loads = _Loads(machine, sampled_parameters(self.envs))
         rated = np.array([d.rated_voltage for d in machine.drives])
-        travel = self._travel()
         position, goal = np.empty((2, count, samples, 2))
         contour = np.empty((count, samples)) if "contour_m" in info else None
         volts = np.empty((count, scenario.periods, len(rated)))
-        energy, peak = np.zeros(count), loads.largest_tension(travel)
-        actions = np.zeros((count, len(rated)))
-        controller.reset()
-        for i in range(samples):
-            position[:, i], goal[:, i] = self.envs.batch.simulator.tools(), observation["desired_goal"]
+        energy, peak = np.zeros(count), np.zeros(count)
+
+        def record(sample: int) -> None:
+            position[:, sample], goal[:, sample] = simulator.tools(), observation["desired_goal"]
             if contour is not None:
-                contour[:, i] = info["contour_m"]
-            if i == samples - 1:
-                break
-            if i % SAMPLES_PER_PERIOD == 0:
-                actions = np.clip(controller.act(observation), -1.0, 1.0)
-                volts[:, i // SAMPLES_PER_PERIOD] = actions * rated
-            observation, _, _, _, info = self.envs.step(actions)
-            before, travel = travel, self._travel()
-            energy += loads.energy(before, travel, actions * rated, self.sample_s)
-            peak = np.maximum(peak, loads.largest_tension(travel))
+                contour[:, sample] = info["contour_m"]
+
+        controller.reset()
+        record(0)
+        travel = [self._travel()]
+        for k in range(scenario.periods):
+            actions = np.clip(controller.act(observation), -1.0, 1.0)
+            volts[:, k] = actions * rated
+            for sample in range(k * SAMPLES_PER_PERIOD + 1, (k + 1) * SAMPLES_PER_PERIOD + 1):
+                observation, _, _, _, info = self.envs.step(actions)
+                record(sample)
+                travel.append(self._travel())
+            in_period = np.stack(travel)
+            energy += loads.energy(in_period, volts[:, k], self.sample_s)
+            peak = np.maximum(peak, loads.largest_tension(in_period))
+            travel = travel[-1:]
         time_s = self.sample_s * np.arange(samples, dtype=np.float64)
         return Episodes(time_s, position, goal, contour, volts, rated, energy, peak)
 
@@ -193,19 +197,26 @@ class _Loads:
         values = dict(zip(machine.parameters, parameters.T, strict=True))
         # Hooke's law and Ohm's law; effects on belts and currents are not included.
         self._equations = Equations(machine.replace(effects=()), values)
-        self._drives = range(len(machine.drives))
 
     def largest_tension(self, travel: Array) -> Array:
-        """Return the largest tension (B,) beyond pretension, N, at travel (B, n), m."""
-        belts = self._equations.belt_states(MotionPoint(list(travel.T), list(np.zeros_like(travel).T)))
-        return np.asarray(np.max(np.abs([np.zeros(len(travel)), *(belt.tension for belt in belts)]), axis=0))
+        """Return the largest tension (B,) beyond pretension, N, over samples of the travel (k, B, n), m."""
+        belts = self._equations.belt_states(_points(travel, np.zeros_like(travel)))
+        tensions = np.abs([np.zeros(travel.shape[:2]), *(belt.tension for belt in belts)])  # (belts, k, B)
+        return np.asarray(tensions.max(axis=(0, 1)))
 
-    def energy(self, before: Array, after: Array, volts: Array, time_s: float) -> Array:
-        """Return the energy (B,) that the drives draw, J, while travel changes from `before` to `after` (B, n)."""
+    def energy(self, travel: Array, volts: Array, sample_s: float) -> Array:
+        """Return the energy (B,) that the drives draw, J, over samples of the travel (k, B, n), with volts (B, d)."""
         # The current is linear in the speed, whose mean is distance over time.
-        mean = MotionPoint(list(after.T), list((after - before).T / time_s))
-        power = [self._equations.ohmic_current(j, mean, volts[:, j]) * volts[:, j] for j in self._drives]
-        return np.asarray(np.sum(power, axis=0) * time_s)
+        mean = _points(travel[1:], np.diff(travel, axis=0) / sample_s)
+        energy = np.zeros(len(volts))
+        for j in range(volts.shape[1]):
+            energy += (self._equations.ohmic_current(j, mean, volts[:, j]) * volts[:, j]).sum(axis=0) * sample_s
+        return energy
+
+
+def _points(travel: Array, speed: Array) -> MotionPoint:
+    """Return the points of a motion, travel and speed of shape (k, B, n)."""
+    return MotionPoint(list(np.moveaxis(travel, -1, 0)), list(np.moveaxis(speed, -1, 0)))
 
 
 def write_scores(folder: str | Path, scores: Mapping[str, Any]) -> Path:

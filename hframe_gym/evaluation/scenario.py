@@ -214,7 +214,14 @@ class ControllerSource(ABC):
     @staticmethod
     @abstractmethod
     def describe(scenario: Scenario) -> str:
-        """Describe what names this source accepts, to complete "controller 'x' is unknown; choose ..."."""
+        """Describe the names that this source accepts.
+
+        Args:
+            scenario: Conditions under which the controller will run.
+
+        Returns:
+            A phrase that completes "controller 'x' is unknown; choose ...".
+        """
 
 
 CONTROLLER_SOURCES: Registry[type[ControllerSource]] = Registry("controller source")
@@ -294,4 +301,3 @@ def _make_registered(name: str, scenario: Scenario) -> Controller:
     except ValueError as error:
         raise InputError(str(error)) from None
     return controller
-

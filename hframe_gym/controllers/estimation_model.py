@@ -1,0 +1,148 @@
+"""What the state estimator estimates and measures: the estimated parameters, and the measurement equation."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..dynamics import Equations
+from ..errors import InputError
+from ..machine import Machine
+from .base import Mask
+from .motion_model import MotionModel
+
+Array = NDArray[np.float64]
+# Prior standard deviations of the logarithms of parameter ratios: friction is hardly known before it is measured,
+# masses are weighed, motors have data sheets. A resistance has the effect of a Kt and is not estimated beside it.
+PARAMETER_STD = {"mass": 0.1, "coulomb": 0.4, "viscous": 0.2, "EA": 0.1, "Kt": 0.05, "Ke": 0.05}
+COMMON_BELT_STD = 0.17  # of the error that all belts have in common because they are cut from one piece
+LARGEST_RATIO = 4.0  # largest ratio of a parameter to its declared value, or the inverse
+SMALLEST_NOISE_M = 1e-7  # m, floor of the measurement noise in travel, also for sensors declared without noise
+
+
+class AugmentedParameters:
+    """Parameters of a machine that are estimated with its state: nonzero masses, friction, EA and motor constants.
+
+    Each is estimated as the logarithm of its ratio to the declared value, so that it cannot change sign. A belt's EA
+    also absorbs the error of its length.
+
+    Args:
+        machine: Machine with the declared values.
+
+    Attributes:
+        names: Full names of the k parameters.
+        covariance: Prior covariance of the logarithms, shape (k, k).
+    """
+
+    def __init__(self, machine: Machine) -> None:
+        values = machine.parameters
+        components = [*machine.coordinate_names, *(b.name for b in machine.belts), *(d.name for d in machine.drives)]
+        candidates = [f"{component}.{key}" for component in components for key in PARAMETER_STD]
+        self.names = tuple(name for name in candidates if values.get(name, 0.0) != 0.0)
+        self._columns = [list(values).index(name) for name in self.names]
+        self._declared = np.array(list(values.values()))
+        keys = [name.rpartition(".")[2] for name in self.names]
+        belts = np.array([key == "EA" for key in keys], np.float64)
+        std = np.array([PARAMETER_STD[key] for key in keys], np.float64)
+        self.covariance: Array = np.diag(std**2) + COMMON_BELT_STD**2 * np.outer(belts, belts)
+
+    def ratios(self, logarithms: Array) -> Array:
+        """Return ratios to the declared values.
+
+        Args:
+            logarithms: Their logarithms, shape (B, k).
+
+        Returns:
+            Ratios between 1 / LARGEST_RATIO and LARGEST_RATIO, shape (B, k).
+        """
+        return np.exp(self.clip(logarithms))
+
+    def clip(self, logarithms: Array) -> Array:
+        """Clip logarithms to those of ratios between 1 / LARGEST_RATIO and LARGEST_RATIO.
+
+        Args:
+            logarithms: Logarithms, shape (B, k).
+
+        Returns:
+            Clipped logarithms, shape (B, k).
+        """
+        return np.clip(logarithms, -np.log(LARGEST_RATIO), np.log(LARGEST_RATIO))
+
+    def parameters(self, logarithms: Array) -> Array:
+        """Return all parameters of machines with certain ratios.
+
+        Args:
+            logarithms: Logarithms of the ratios, shape (B, k).
+
+        Returns:
+            Parameters in the order of `Machine.parameters`, shape (B, P).
+        """
+        rows = np.tile(self._declared, (len(logarithms), 1))
+        rows[:, self._columns] *= self.ratios(logarithms)
+        return rows
+
+
+class MeasurementModel:
+    """Linear measurement equation of a machine's declared sensors, scaled to belt travel.
+
+    Args:
+        model: Model of the machine whose `sensors`, with their ranges and delays, supply the measurements.
+
+    Attributes:
+        channels: Number of sensors.
+        matrix: H of z = H (travel, velocity), m, shape (channels, 2 n).
+        variance: Noise variance, the quantization's included, m^2, shape (channels,).
+
+    Raises:
+        InputError: If the sensors do not determine the tool's position.
+    """
+
+    def __init__(self, model: MotionModel) -> None:
+        machine = model.machine
+        names = machine.coordinate_names
+        self.channels = len(machine.sensors)
+        ranges = {e.site: e.parameters for e in machine.effects if e.name == "sensor_range"}
+        unlimited = dataclasses.replace(machine, effects=tuple(e for e in machine.effects if e.name != "sensor_range"))
+        equations = Equations(unlimited)
+        zeros = np.zeros(len(names))
+        readings = [np.array(equations.sensor_readings(q), np.float64) for q in (zeros, *np.eye(len(names)))]
+        rows = (np.stack(readings[1:], axis=1) - readings[0][:, None]) / machine.travel_per_unit
+        lengths = np.linalg.norm(rows, axis=1)  # channel's unit per travel
+        self._unit = 1.0 / np.where(lengths > 0.0, lengths, 1.0)  # m per channel's unit
+        positions = rows * self._unit[:, None]
+        # To first order in a sensor's delay d, it measures travel - d * velocity.
+        delays = np.array(equations.measurement_delays(), np.float64)
+        self.matrix: Array = np.hstack([positions, -delays[:, None] * positions])
+        self._low = np.array([ranges.get(s.channel, {}).get("low", -np.inf) for s in machine.sensors])
+        self._high = np.array([ranges.get(s.channel, {}).get("high", np.inf) for s in machine.sensors])
+        noise = np.array([np.hypot(s.noise, s.resolution / np.sqrt(12.0)) for s in machine.sensors])
+        self.variance: Array = (noise * self._unit) ** 2 + SMALLEST_NOISE_M**2
+        if np.linalg.matrix_rank(positions @ model.rigid) < model.rigid.shape[1]:
+            raise InputError(
+                f"machine {machine.name!r}: its sensors ({', '.join(machine.output_channels) or 'none'}) do not "
+                "determine the position of the tool"
+            )
+
+    def to_travel(self, measurements: Array) -> Array:
+        """Convert measurements to travel.
+
+        Args:
+            measurements: Measurements in the channels' units, shape (B, channels).
+
+        Returns:
+            Measurements in travel, m, shape (B, channels).
+        """
+        return measurements * self._unit
+
+    def in_range(self, measurements: Array) -> Mask:
+        """Test whether measurements lie within their sensors' ranges.
+
+        Args:
+            measurements: Measurements in the channels' units, shape (B, channels).
+
+        Returns:
+            Whether each measurement is valid, shape (B, channels).
+        """
+        return (measurements > self._low) & (measurements < self._high)
