@@ -9,14 +9,13 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..atomic_files import atomic_file, write_text
 from ..controllers import Controller
-from ..controllers.base import Feedback
 from ..envs import action_space, observation_space
 from ..errors import InputError
 from ..machine import Machine
@@ -58,10 +57,12 @@ def policy_keywords(policy: Mapping[str, Any], features: Mapping[str, Any]) -> d
     Raises:
         ImportError: If the extra `agents` is not installed.
     """
-    extractor = import_optional("stable_baselines3") and import_optional(f"{__package__}.feature_extractor")
+    import_optional("stable_baselines3")
+    from .feature_extractor import LogScaleFeatures
+
     return {
         **policy,
-        "features_extractor_class": extractor.LogScaleFeatures,
+        "features_extractor_class": LogScaleFeatures,
         "features_extractor_kwargs": dict(features),
     }
 
@@ -76,7 +77,7 @@ class Agent(Controller):
         card: Contents of agent.json; may have more entries, which are not saved.
     """
 
-    feedback: ClassVar[Feedback] = "observation"
+    feedback = "observation"
 
     def __init__(self, policy: Any, mapping: ResidualAction | None, machine: Machine, card: Mapping[str, Any]) -> None:
         super().__init__(machine, card["period"])

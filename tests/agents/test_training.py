@@ -20,6 +20,14 @@ from hframe_gym.machine import BUILTIN_MACHINES
 
 pytestmark = pytest.mark.train
 
+EPISODES = 32  # of an evaluation; enough here and faster than the 256 of a real run
+
+
+@pytest.fixture(autouse=True)
+def short_evaluations(monkeypatch):
+    """Evaluate on fewer episodes."""
+    monkeypatch.setattr("hframe_gym.agents.training.EVALUATION_EPISODES", EPISODES)
+
 
 def ignore(line):
     """Discard a line of the log."""
@@ -34,7 +42,7 @@ def test_ppo_learns_and_the_best_agent_of_the_curve_is_saved(tmp_path):
     assert json.loads((tmp_path / "card.json").read_text()) == card
     kept = next(row for row in card["curve"] if row["steps"] == card["kept"])
     assert ranking_cost(kept) == min(map(ranking_cost, card["curve"]))
-    scenario = Scenario(randomize="default", episodes=256, seed=1_000_000)
+    scenario = Scenario(randomize="default", episodes=EPISODES, seed=1_000_000)
     assert score_agent(Agent.load(tmp_path), scenario).items() <= kept.items()
 
 
