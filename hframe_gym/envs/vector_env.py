@@ -116,8 +116,7 @@ class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]])
     def travel(self) -> Array:
         """True belt travel of all coordinates in full precision, m, shape (num_envs, coordinates)."""
         count = len(self.machine.coordinates)
-        rows: Array = self.batch.simulator.state[:, :count].transpose(0, 2, 1).reshape(-1, count)
-        return rows[: self.num_envs].copy()
+        return self.batch.simulator.state[:, :count].transpose(0, 2, 1).reshape(-1, count)[: self.num_envs].copy()
 
     # -- reset -----------------------------------------------------------------------------------------------------
 
