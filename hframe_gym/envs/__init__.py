@@ -20,7 +20,16 @@ from .domain_randomization import (
 )
 from .hframe_env import HFrameEnv, HFrameTrackEnv
 from .rewards import REWARDS, Reward, RewardLike
-from .sensors import SENSOR_PRESETS, DeclaredSensors, Encoders, Lasers, Sensors, SensorsLike, observed_machine
+from .sensors import (
+    SENSOR_PRESETS,
+    DeclaredSensors,
+    Encoders,
+    Lasers,
+    Sensors,
+    SensorsLike,
+    as_sensors,
+    observed_machine,
+)
 from .spaces import SignalSpec, action_space, observation_space
 from .tasks import TASKS, Reach, Task, TaskLike, Track, as_task
 from .vector_env import HFrameTrackVectorEnv, HFrameVectorEnv
@@ -62,6 +71,7 @@ __all__ = [
     "Uniform",
     "action_space",
     "as_machine",
+    "as_sensors",
     "as_task",
     "observation_space",
     "observed_machine",

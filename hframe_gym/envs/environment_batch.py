@@ -75,6 +75,7 @@ class EnvironmentBatch:
         sampler: Samples their parameters.
         references: The goals.
         observations: Builds observations.
+        values: All parameters of the running episodes, in the order of `sampler.space.names`, shape (count, N).
         clipped: Action entries outside [-1, 1] in this episode, shape (count,).
 
     Raises:
@@ -116,7 +117,7 @@ class EnvironmentBatch:
         self._edges = self.workspace.astype(np.float32)
         self.references = ReferenceTrajectories(self.task, count, config.period)
         self.clipped = np.zeros(count, np.int64)
-        self._values = np.tile(self.sampler.space.nominal, (count, 1))
+        self.values = np.tile(self.sampler.space.nominal, (count, 1))
         self._was_reset = False
 
     @property
@@ -143,7 +144,7 @@ class EnvironmentBatch:
         parameters = {name: values[:, names.index(f"task.{name}")] for name in self.task.parameters}
         position, plan = self.task.begin(self.workspace, uniforms, parameters)
         self.clipped[index] = 0
-        self._values[index] = values
+        self.values[index] = values
         self.references.begin(index, plan if targets is None else self.task.aim(targets))
         self.simulator.reset(index, position if starts is None else starts, values)
         self.observations.begin(index, keys, values, self.sampler, self.elapsed)
@@ -167,7 +168,7 @@ class EnvironmentBatch:
             Values by full name, SI, shape (k,) each.
         """
         columns = zip(self.sampler.names, self.sampler.columns, strict=True)
-        return {name: self._values[index, column] for name, column in columns}
+        return {name: self.values[index, column] for name, column in columns}
 
     # -- step ------------------------------------------------------------------------------------------------------
 

@@ -163,3 +163,15 @@ def test_invalid_masks_are_refused():
         envs.reset(options={"reset_mask": [True, False, False]})
     with pytest.raises(ValueError, match="reset_mask"):
         envs.reset(options={"reset_mask": np.zeros(3, bool)})
+
+
+def test_parameters_and_travel_are_those_of_the_episodes(hframe):
+    envs = HFrameVectorEnv(11, randomize="default")
+    _, info = envs.reset(seed=0, options={"start": (0.05, -0.02)})
+    observation, *_ = envs.step(np.full((11, 2), 0.5, np.float32))
+    column = list(envs.machine.parameters).index("x.mass")
+    np.testing.assert_array_equal(envs.parameters[:, column], info["parameters"]["x.mass"])
+    np.testing.assert_array_equal(envs.travel[:, :2].astype(np.float32), observation["achieved_goal"])
+    np.testing.assert_allclose(
+        envs.travel[:, 2:] / hframe.travel_per_unit[2:], observation["observation"][:, 2:4], rtol=1e-6
+    )
