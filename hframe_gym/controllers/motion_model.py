@@ -211,6 +211,8 @@ class MotionModel:
         Returns:
             Forces on each coordinate, N, shape (B, n).
         """
+        if not self._with_effects.machine.effects:
+            return np.zeros((len(state), len(self.mass)))
         return _stack(self._balance(state, elapsed_s).held, state)
 
     def friction_force(self, state: Array, elapsed_s: Array) -> Array:
@@ -223,6 +225,8 @@ class MotionModel:
         Returns:
             Forces on each coordinate, N, shape (B, n).
         """
+        if not self._with_effects.machine.effects:
+            return -self.coulomb * self._direction(state)
         level = _stack(self._balance(state, elapsed_s).coulomb, state)
         return self._effect_viscous_force(state) - level * self._direction(state)
 

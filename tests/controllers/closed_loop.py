@@ -1,4 +1,4 @@
-"""Stages in a closed loop, stepped by the kernel alone, so that a controller's tests need nothing above the machine."""
+"""Closed loops of a controller and simulated machines, without environments."""
 
 from __future__ import annotations
 
@@ -9,19 +9,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hframe_gym.controllers import Controller
-from hframe_gym.dynamics.kernel import in_blocks, kernel_for
-from hframe_gym.dynamics.simulation import parameter_batch
+from hframe_gym.dynamics import rollout
 from hframe_gym.machine import Machine, rest_state
 
 Array = NDArray[np.float64]
-STEPS = 40  # of the integrator, a control period of 10 ms
-PERIOD = 0.01  # s
-PREVIEW = 10  # goals ahead
+PERIOD = 0.01  # control period, s
+PREVIEW = 10  # previewed goals
 
 
 @dataclass(frozen=True)
 class ClosedLoop:
-    """error (B, m + 1), m, of the tool after each control period; actions (B, m, 2)."""
+    """Recorded closed loop of B stages over m control periods.
+
+    Attributes:
+        error: Distance to the goal at the start and after each control period, m, shape (B, m + 1).
+        actions: Actions, shape (B, m, 2).
+    """
 
     error: Array
     actions: Array
@@ -35,64 +38,71 @@ def closed_loop(
     *,
     changes: Mapping[str, Array] | None = None,
     periods: int = 120,
-    sense: Callable[[Array], Array] | None = None,
+    measure: Callable[[Array], Array] | None = None,
 ) -> ClosedLoop:
-    """Run stages of a machine, with other parameters in changes (B,) by name, from rest at start (B, 2).
+    """Run a controller on stages that start at rest.
 
-    goal (B, 2), or (B, periods + 1 + PREVIEW, 2) of one that moves, at the beginning of each period.
+    Args:
+        controller: Controller; it is reset first.
+        machine: Machine; effects with a memory or a dead time are not supported.
+        start: Tool positions at the start, m, shape (B, 2).
+        goal: Constant goals, m, shape (B, 2), or moving goals at the start of each period and ahead, shape
+            (B, periods + 1 + PREVIEW, 2).
+        changes: Parameters of the stages that differ from the machine's, by name, each of shape (B,).
+        periods: Number of control periods, m.
+        measure: Measurements for full states (B, 8). Default: the full state.
+
+    Returns:
+        Errors and actions.
     """
-    kernel = kernel_for(machine)
-    count, n = len(start), len(machine.coordinates)
-    table = parameter_batch(machine, dict(changes or {}))
-    parameters = in_blocks(np.ascontiguousarray(np.broadcast_to(table, (count, table.shape[1]))))
-    scale = np.tile(machine.radii, 2)
-    travel = np.array([rest_state(machine, point) for point in start]) * scale
-    state = in_blocks(np.hstack([travel, np.zeros((count, 1))]))
-    derived = np.zeros((len(state), len(kernel.layout.derived), state.shape[2]))
-    kernel.prepare_blocks(parameters, PERIOD / STEPS, 0, len(state), derived)
+    parameters = np.tile(list(machine.parameters.values()), (len(start), 1))
+    for name, values in (changes or {}).items():
+        parameters[:, list(machine.parameters).index(name)] = values
+    state = np.array([rest_state(machine, point) for point in start])
     rated = np.array([d.rated_voltage for d in machine.drives])
     controller.reset()
     errors, actions = [], []
     for k in range(periods + 1):
-        now = goal if goal.ndim == 2 else goal[:, k]
-        values = state.transpose(0, 2, 1).reshape(-1, 2 * n + 1)[:count, : 2 * n] / scale
-        errors.append(np.linalg.norm(values[:, :2] - now, axis=1))
-        if k < periods:
-            seen = {"observation": values if sense is None else sense(values), "desired_goal": now}
-            if goal.ndim == 3:
-                seen["preview"] = goal[:, k + 1 : k + 1 + PREVIEW].reshape(count, -1)
-            actions.append(controller.act(seen))
-            volts = in_blocks(actions[-1] * rated)
-            kernel.advance_blocks(state, parameters, derived, volts, PERIOD / STEPS, STEPS, 0, len(state))
+        present_goal = goal if goal.ndim == 2 else goal[:, k]
+        errors.append(np.linalg.norm(state[:, :2] - present_goal, axis=1))
+        if k == periods:
+            break
+        observation = {"observation": state if measure is None else measure(state), "desired_goal": present_goal}
+        if goal.ndim == 3:
+            observation["preview"] = goal[:, k + 1 : k + 1 + PREVIEW].reshape(len(start), -1)
+        actions.append(controller.act(observation))
+        volts = np.repeat((actions[-1] * rated)[:, None], 2, axis=1)
+        times = PERIOD * np.arange(2)
+        state = rollout(machine, times, volts, parameters=parameters, start=state, velocities=True)[:, -1]
     return ClosedLoop(np.stack(errors, axis=1), np.stack(actions, axis=1))
 
 
 def random_stages(machine: Machine, count: int, seed: int) -> dict[str, Array]:
-    """Parameters (count,) by name, drawn as the environment does by default."""
+    """Sample parameters (count,) by name, in the ranges of the randomization "default"."""
     rng = np.random.default_rng(seed)
-    shared = rng.uniform(0.7, 1.3, count)
+    stiffness_ratio = rng.uniform(0.7, 1.3, count)
     changes = {}
     for name, value in machine.parameters.items():
         key = name.rpartition(".")[2]
-        span = {"rest_length": (0.85, 1.2), "coulomb": (0.5, 2.0), "mass": (0.9, 1.2)}.get(key)
+        ratio_range = {"rest_length": (0.85, 1.2), "coulomb": (0.5, 2.0), "mass": (0.9, 1.2)}.get(key)
         if key == "EA":
-            changes[name] = value * shared
-        elif span is not None:
-            changes[name] = value * rng.uniform(*span, count)
+            changes[name] = value * stiffness_ratio
+        elif ratio_range is not None:
+            changes[name] = value * rng.uniform(*ratio_range, count)
     return changes
 
 
 def random_points(count: int, seed: int) -> Array:
-    """Points (count, 2) of the workspace, m."""
+    """Sample points (count, 2) of the workspace, m."""
     return np.random.default_rng(seed).uniform([-0.25, -0.16], [0.25, 0.16], (count, 2))
 
 
 def circles(count: int, seed: int, periods: int = 120, radius: float = 0.025, speed: float = 0.3) -> Array:
-    """Goals (count, periods + 1 + PREVIEW, 2) on circles that begin at rest, m."""
+    """Sample goals (count, periods + 1 + PREVIEW, 2), m, that start at rest and follow circles."""
     rng = np.random.default_rng(seed)
-    centre, phase = rng.uniform([-0.2, -0.12], [0.2, 0.12], (count, 2)), rng.uniform(0.0, 2.0 * np.pi, count)
-    t = PERIOD * np.arange(periods + 1 + PREVIEW)
-    u = np.minimum(t / 0.2, 1.0)
-    way = speed * (0.2 * (u**3 - 0.5 * u**4) + np.maximum(t - 0.2, 0.0))
-    angle = phase[:, None] + way / radius
-    return centre[:, None] + radius * np.stack([np.cos(angle), np.sin(angle)], axis=2)
+    center, phase = rng.uniform([-0.2, -0.12], [0.2, 0.12], (count, 2)), rng.uniform(0.0, 2.0 * np.pi, count)
+    time = PERIOD * np.arange(periods + 1 + PREVIEW)
+    ramp = np.minimum(time / 0.2, 1.0)
+    distance = speed * (0.2 * (ramp**3 - 0.5 * ramp**4) + np.maximum(time - 0.2, 0.0))
+    angle = phase[:, None] + distance / radius
+    return center[:, None] + radius * np.stack([np.cos(angle), np.sin(angle)], axis=2)

@@ -1,33 +1,37 @@
+"""Tests of the textbook PID."""
+
 from __future__ import annotations
 
 import numpy as np
-from closed_loop import PERIOD, closed_loop, random_points
 
-from hframe_gym.controllers import TextbookPID
+from hframe_gym.controllers import ModelBasedController, TextbookPID
 from hframe_gym.machine import Machine
+from tests.controllers.closed_loop import PERIOD, closed_loop, random_points
 
 
-def test_settles_the_nominal_machine_slower_than_the_model_based_one(hframe: Machine, pid: object) -> None:
+def test_settles_the_nominal_machine_more_slowly_than_the_model_based_controller(
+    hframe: Machine, model_based: ModelBasedController
+) -> None:
     start, goal = random_points(32, 1), random_points(32, 2)
-    plain = closed_loop(TextbookPID(hframe, PERIOD), hframe, start, goal)
-    model = closed_loop(pid, hframe, start, goal)  # type: ignore[arg-type]
-    assert plain.error[:, -1].max() < 2e-4
-    assert np.abs(plain.actions).max() <= 1.0
-    assert np.sum(plain.error > 2e-4) > 1.3 * np.sum(model.error > 2e-4)
+    textbook = closed_loop(TextbookPID(hframe, PERIOD), hframe, start, goal)
+    reference = closed_loop(model_based, hframe, start, goal)
+    assert textbook.error[:, -1].max() < 2e-4
+    assert np.abs(textbook.actions).max() <= 1.0
+    assert np.sum(textbook.error > 2e-4) > 1.3 * np.sum(reference.error > 2e-4)
 
 
-def test_gains_follow_the_machine(hframe: Machine) -> None:
+def test_gains_depend_on_the_machine(hframe: Machine) -> None:
     heavier = TextbookPID(hframe.replace({"x.mass": 8.0}), PERIOD)
     assert heavier.proportional[0] > TextbookPID(hframe, PERIOD).proportional[0]
 
 
-def test_reset_forgets_the_integral(hframe: Machine) -> None:
+def test_reset_clears_the_integrators_of_the_mask(hframe: Machine) -> None:
     controller = TextbookPID(hframe, PERIOD)
-    seen = {"observation": np.zeros((2, 8)), "desired_goal": np.full((2, 2), 1e-3)}
-    first = controller.act(seen)
-    second = controller.act(seen)
+    observation = {"observation": np.zeros((2, 8)), "desired_goal": np.full((2, 2), 1e-3)}
+    first = controller.act(observation)
+    second = controller.act(observation)
     assert not np.array_equal(first, second)
     controller.reset(np.array([True, False]))
-    third = controller.act(seen)
+    third = controller.act(observation)
     np.testing.assert_array_equal(third[0], first[0])
     assert not np.array_equal(third[1], first[1])
