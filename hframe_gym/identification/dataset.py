@@ -57,32 +57,6 @@ class PreparedRecording:
         """
         return model_initial_state(machine, self.initial)
 
-    # Aliases until all packages use the new names.
-    @property
-    def start(self) -> Array:
-        """Alias of initial.state."""
-        return self.initial.state
-
-    @property
-    def rest(self) -> int:
-        """Alias of initial.resting_rows."""
-        return self.initial.resting_rows
-
-    @property
-    def offset(self) -> Array:
-        """Alias of initial.offset."""
-        return self.initial.offset
-
-    @property
-    def told(self) -> NDArray[np.bool_]:
-        """Alias of initial.offset_known."""
-        return self.initial.offset_known
-
-    @property
-    def zeroed(self) -> bool:
-        """Alias of initial.offsets_refined."""
-        return self.initial.offsets_refined
-
 
 @dataclass(frozen=True)
 class Dataset:
@@ -133,9 +107,8 @@ class Dataset:
         pairs = zip(self.runs, rows, strict=True)
         return dataclasses.replace(self, runs=tuple(dataclasses.replace(run, rows=counted) for run, counted in pairs))
 
-    # Aliases until all packages use the new names.
+    # Alias until all packages use the new name.
     only = with_runs
-    judged = with_rows
 
 
 def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:
@@ -266,8 +239,3 @@ def scales_of_motion(machine: Machine, positions: Array, velocities: Array, inpu
         largest = max(float(np.percentile(np.abs(extension), 99)), 1e-9)
         general = {"m": largest, "N": float(np.abs(extension * stiffness).max()), "1/m^2": 1.0 / largest**2}
     return TypicalScales(by_coordinate, general)
-
-
-# Aliases until all packages use the new names.
-shown = with_all_measurements
-references = scales_of_motion

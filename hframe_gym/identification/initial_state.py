@@ -27,7 +27,6 @@ from .rest_measurement import (
     max_zero_means,
     rigid_basis,
     sensor_zero_error,
-    settled_rows,
 )
 from .sensor_properties import blank_saturated, sensor_noise, sensor_quantum
 
@@ -246,8 +245,3 @@ def _corrected_position(machine: Machine, state: Array, error: Array) -> Array:
     moved = state.copy()
     moved[: len(rigid)] += rigid @ np.linalg.lstsq(machine.sensor_matrix[fixed] @ rigid, mean, rcond=1e-9)[0]
     return moved
-
-
-# Aliases until all packages use the new names.
-resting_rows = count_resting_rows
-settled = settled_rows

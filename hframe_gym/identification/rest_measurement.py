@@ -309,9 +309,3 @@ def behind_belts(machine: Machine) -> NDArray[np.bool_]:
     """
     pulleys = [s.incremental and machine.coordinate(s.coordinate).kind == "rotary" for s in machine.sensors]
     return np.array(pulleys) & bool(machine.belts)
-
-
-# Aliases until all packages use the new names.
-resting_rows = count_resting_rows
-settled = settled_rows
-Zeros = EncoderZeros
