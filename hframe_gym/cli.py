@@ -298,10 +298,10 @@ def kernel(
 
     Example:  hframe kernel hframe
     """
-    from .dynamics.kernel import generate
+    from .dynamics import kernel_source_text
     from .recordings import load_machine
 
-    sys.stdout.write(generate(load_machine(machine))[0] + "\n")
+    sys.stdout.write(kernel_source_text(load_machine(machine)))
 
 
 def _print_warning(message: Warning | str, *_args: Any, **_keywords: Any) -> None:
