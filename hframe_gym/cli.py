@@ -126,7 +126,7 @@ def identify(
 
     Example:  hframe identify examples/rig_a --out out/rig_a
     """
-    from .cli_tables import identification_table
+    from .cli_support import identification_table
     from .data_validation import recording_warnings
     from .identification import identify as run_identification
     from .identification import write_result
@@ -237,7 +237,7 @@ def evaluate(
 
     Example:  hframe evaluate pid textbook-pid --episodes 64 --out out/scores
     """
-    from .cli_tables import score_table, unknown_bound_reasons
+    from .cli_support import score_table, unknown_bound_reasons
     from .evaluation import evaluate as run_evaluation
     from .evaluation import write_scores
     from .recordings import load_machine
@@ -273,7 +273,7 @@ def machines() -> None:
 
     Example:  hframe machines
     """
-    from .cli_tables import machine_table
+    from .cli_support import machine_table
 
     console.print(machine_table())
 
@@ -284,7 +284,7 @@ def effects() -> None:
 
     Example:  hframe effects
     """
-    from .cli_tables import effect_table
+    from .cli_support import effect_table
 
     console.print(effect_table())
     _log("If none of them fits: smooth_force[VARIABLE] and smooth_friction[VARIABLE], lookup tables.")

@@ -220,14 +220,14 @@ def broken_table() -> None:
 def test_an_internal_error_is_one_line_with_exit_code_1(
     hframe_command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hframe_gym.cli_tables.effect_table", broken_table)
+    monkeypatch.setattr("hframe_gym.cli_support.effect_table", broken_table)
     assert_refused(hframe_command("effects"), "internal error", "HFRAME_DEBUG=1", "KeyError: 'a defect'", code=1)
 
 
 def test_debugging_shows_the_traceback_of_an_internal_error(
     hframe_command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hframe_gym.cli_tables.effect_table", broken_table)
+    monkeypatch.setattr("hframe_gym.cli_support.effect_table", broken_table)
     monkeypatch.setenv("HFRAME_DEBUG", "1")
     with pytest.raises(KeyError, match="a defect"):
         hframe_command("effects")

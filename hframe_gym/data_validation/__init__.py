@@ -1,8 +1,8 @@
 """Validation of recordings before identification (`hframe check`)."""
 
 from .checks import check_recordings, recording_warnings
+from .excitation import CramerRaoBound, cramer_rao_bounds
 from .findings import Finding, print_findings, write_findings
-from .identifiability import CramerRaoBound, cramer_rao_bounds
 
 __all__ = [
     "CramerRaoBound",

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from ..identification import Dataset, estimate_initial_state, prepare
 from ..machine import Machine, stiffness_matrix
 from ..recordings import GAP_PERIODS, Recording
-from .excitation import check_excitation, constant_inputs
+from .excitation import check_excitation, check_parameters, constant_inputs
 from .findings import Finding, Severity
-from .identifiability import check_parameters
 from .wiring import check_wiring, rigid_prediction
 
 Array = NDArray[np.float64]

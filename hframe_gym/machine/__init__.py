@@ -17,8 +17,7 @@ from .components import (
     Uncertainty,
 )
 from .effect import AppliedEffect, Effect, EffectParameter
-from .kinematics import rest_state, rigid_motions
-from .linearization import StateSpace, linearize, mode_frequencies, stiffness_matrix
+from .linearization import StateSpace, linearize, mode_frequencies, rest_state, rigid_motions, stiffness_matrix
 from .machine import SIMULATORS, Machine, Simulator, Trajectory
 from .presets import BUILTIN_MACHINES, with_constant_stiffness
 
