@@ -56,8 +56,8 @@ class SelectionCriteria:
         cross_validation_blocks: Number of blocks into which a single run is divided for cross-validation.
         max_drift: Simulation error relative to the standard deviation of the signal from which one-step prediction
             decides instead.
-        max_simulation_chi2: Chi-squared per sample up to which a simulation is close enough to the data for a search of
-            its own.
+        max_simulation_chi2: Chi-squared per sample up to which a simulation is close enough to the data for a separate
+            search.
         explained_chi2: Chi-squared per sample below which the model explains the data.
         explained_fraction: Fraction of the initial chi-squared per sample below which the model explains the data,
             where the initial value is large.
@@ -121,5 +121,9 @@ class SelectionCriteria:
         return "\n".join(f"{name} = {value:g}" for name, value in self.as_json().items())
 
     def as_json(self) -> dict[str, float]:
-        """Return the thresholds by name, for report.json."""
+        """Return the thresholds as in report.json.
+
+        Returns:
+            Value by name.
+        """
         return dataclasses.asdict(self)

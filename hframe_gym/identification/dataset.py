@@ -57,32 +57,6 @@ class PreparedRecording:
         """
         return model_initial_state(machine, self.initial)
 
-    # Aliases until all packages use the new names.
-    @property
-    def start(self) -> Array:
-        """Alias of initial.state."""
-        return self.initial.state
-
-    @property
-    def rest(self) -> int:
-        """Alias of initial.resting_rows."""
-        return self.initial.resting_rows
-
-    @property
-    def offset(self) -> Array:
-        """Alias of initial.offset."""
-        return self.initial.offset
-
-    @property
-    def told(self) -> NDArray[np.bool_]:
-        """Alias of initial.offset_known."""
-        return self.initial.offset_known
-
-    @property
-    def zeroed(self) -> bool:
-        """Alias of initial.offsets_refined."""
-        return self.initial.offsets_refined
-
 
 @dataclass(frozen=True)
 class Dataset:
@@ -133,9 +107,8 @@ class Dataset:
         pairs = zip(self.runs, rows, strict=True)
         return dataclasses.replace(self, runs=tuple(dataclasses.replace(run, rows=counted) for run, counted in pairs))
 
-    # Aliases until all packages use the new names.
+    # Alias until all packages use the new name.
     only = with_runs
-    judged = with_rows
 
 
 def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:
@@ -244,7 +217,7 @@ def scales_of_motion(machine: Machine, positions: Array, velocities: Array, inpu
     travel = np.maximum(np.ptp(positions, axis=0), 1e-9)
     by_coordinate: dict[str, dict[str, float]] = {}
     for i, c in enumerate(machine.coordinates):
-        drive = force * (c.radius if c.kind == "rotary" else 1.0)
+        drive = force * c.travel_per_unit
         speed, distance = float(top_speed[i]), float(travel[i])
         by_coordinate[c.name] = {
             "force": drive,
@@ -261,14 +234,8 @@ def scales_of_motion(machine: Machine, positions: Array, velocities: Array, inpu
         by_coordinate[d.coordinate]["A"] = max(float(np.abs(current).max()), 1e-9)
     general: dict[str, float] = {}
     if machine.belts:
-        rows = np.array([machine.coefficients(b.extension) for b in machine.belts]) * machine.travel_per_unit
-        extension = positions @ rows.T  # (n, belts)
+        extension = positions @ machine.belt_matrix.T  # (n, belts)
         stiffness = np.array([b.EA / b.rest_length for b in machine.belts])
         largest = max(float(np.percentile(np.abs(extension), 99)), 1e-9)
         general = {"m": largest, "N": float(np.abs(extension * stiffness).max()), "1/m^2": 1.0 / largest**2}
     return TypicalScales(by_coordinate, general)
-
-
-# Aliases until all packages use the new names.
-shown = with_all_measurements
-references = scales_of_motion

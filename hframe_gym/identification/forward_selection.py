@@ -64,17 +64,6 @@ class SelectedEffect:
         effect = next(e for e in machine.effects if e.label == self.effect.label)
         return dataclasses.replace(self, effect=effect)
 
-    # Aliases until all packages use the new names.
-    @property
-    def saved(self) -> float:
-        """Alias of gain."""
-        return self.gain
-
-    @property
-    def lacking(self) -> Machine:
-        """Alias of machine_without."""
-        return self.machine_without
-
 
 Selection = tuple[Fit, tuple[SelectedEffect, ...]]
 
@@ -350,7 +339,3 @@ def typical_scales(current: Fit, data: Dataset) -> TypicalScales:
         np.concatenate([getattr(m, key)[0] for m in motions]) for key in ("positions", "velocities")
     )
     return scales_of_motion(current.machine, positions, velocities, [run.inputs for run in data.runs])
-
-
-# Aliases until all packages use the new names.
-typical = typical_scales

@@ -25,9 +25,8 @@ from .rest_measurement import (
     count_resting_rows,
     estimate_initial_state,
     max_zero_means,
-    rigid_motions,
+    rigid_basis,
     sensor_zero_error,
-    settled_rows,
 )
 from .sensor_properties import blank_saturated, sensor_noise, sensor_quantum
 
@@ -41,7 +40,7 @@ def static_equilibrium(machine: Machine, position: Array) -> Array:
     """Return the positions at rest under the forces of a machine's effects, with the tool at a given position.
 
     Static friction carries the load up to the Coulomb level. Any excess force displaced the carriage; it came to rest
-    at the far end of its first swing, at twice the displacement of the excess, or where the belts carry the whole
+    at the far end of its first swing, at twice the displacement of the excess, or where the belts carry the entire
     force.
 
     Args:
@@ -241,13 +240,8 @@ def _corrected_position(machine: Machine, state: Array, error: Array) -> Array:
     fixed = np.array([not s.incremental for s in machine.sensors]) & np.isfinite(error).any(axis=0)
     if not fixed.any():
         return state
-    rigid = rigid_motions(machine)
+    rigid = rigid_basis(machine)
     mean = np.array([np.nanmedian(error[:, j]) for j in np.flatnonzero(fixed)])
     moved = state.copy()
     moved[: len(rigid)] += rigid @ np.linalg.lstsq(machine.sensor_matrix[fixed] @ rigid, mean, rcond=1e-9)[0]
     return moved
-
-
-# Aliases until all packages use the new names.
-resting_rows = count_resting_rows
-settled = settled_rows

@@ -216,8 +216,3 @@ def _halves(data: Dataset, *, by_run: bool, blocks: int) -> tuple[Dataset, Datas
     parts = 2 if len(data.runs) > 1 else blocks
     first = [(np.arange(len(run.time_s)) * parts // len(run.time_s) + k) % 2 == 0 for k, run in enumerate(data.runs)]
     return data.with_rows(first), data.with_rows([~rows for rows in first])
-
-
-# Aliases until all packages use the new names.
-tables = table_candidates
-variables = table_variables

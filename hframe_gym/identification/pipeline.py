@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Sequence
 
@@ -96,34 +97,9 @@ def identify(
         log(f"refitted machine: chi-squared per sample {before.chi2:.4g} (simulation)")
     log("searching for effects")
     verdict, after, selected = _Search(base, before, data, criteria, log).run()
-    refined = refine_encoder_offsets(data, after.machine)
-    corrected, selected = _corrected(after, selected, ranges, refined, f"{machine.name}-identified")
-    if selected and verdict == "no_effect":
-        verdict = "effect_found"
-    log(f"verdict: {verdict}")
-    experiments = (
-        design_discriminating_experiment(after, corrected, s.effect.label, s.rival_effects, refined) for s in selected
-    )
-    declared, refitted, final = (
-        ModelEvaluation(m, _errors(m, refine_encoder_offsets(validation, m, data)))
-        for m in (machine, before.machine.replace(name=f"{machine.name}-refitted"), corrected)
-    )
-    validation = refine_encoder_offsets(validation, corrected, data)
-    return IdentificationResult(
-        verdict=verdict,
-        declared=declared,
-        before=refitted,
-        after=final,
-        effects=selected,
-        gains={s.effect.label: _held_out_gain(s, corrected, validation, before.mode) for s in selected},
-        dependence=tuple(rank_dependences(before.machine, data)[:_MAX_DEPENDENCES]),
-        white=is_white(corrected, validation),
-        fitted=data,
-        held_out=validation,
-        seconds=time.perf_counter() - began,
-        experiment=next(filter(None, experiments), None),
-        criteria=criteria,
-    )
+    result = _result(verdict, machine, before, after, selected, ranges, data, validation, criteria)
+    log(f"verdict: {result.verdict}")
+    return dataclasses.replace(result, seconds=time.perf_counter() - began)
 
 
 def _prepare(
@@ -141,6 +117,46 @@ def _prepare(
         for warning in run.initial.warnings:
             log(f"warning: {warning}")
     return everything, ranges
+
+
+def _result(
+    verdict: Verdict,
+    machine: Machine,
+    before: Fit,
+    after: Fit,
+    selected: tuple[SelectedEffect, ...],
+    ranges: dict[str, Range],
+    data: Dataset,
+    validation: Dataset,
+    criteria: SelectionCriteria,
+) -> IdentificationResult:
+    """Evaluate declared, refitted and corrected machine on the held-out runs, and propose an experiment."""
+    refined = refine_encoder_offsets(data, after.machine)
+    corrected, selected = _corrected(after, selected, ranges, refined, f"{machine.name}-identified")
+    refitted = before.machine.replace(name=f"{machine.name}-refitted")
+    declared_evaluation, refitted_evaluation, corrected_evaluation = (
+        ModelEvaluation(m, _errors(m, refine_encoder_offsets(validation, m, data)))
+        for m in (machine, refitted, corrected)
+    )
+    experiments = (
+        design_discriminating_experiment(after, corrected, s.effect.label, s.rival_effects, refined) for s in selected
+    )
+    validation = refine_encoder_offsets(validation, corrected, data)
+    return IdentificationResult(
+        verdict="effect_found" if selected and verdict == "no_effect" else verdict,
+        declared=declared_evaluation,
+        before=refitted_evaluation,
+        after=corrected_evaluation,
+        effects=selected,
+        gains={s.effect.label: _held_out_gain(s, corrected, validation, before.mode) for s in selected},
+        dependence=tuple(rank_dependences(before.machine, data)[:_MAX_DEPENDENCES]),
+        white=is_white(corrected, validation),
+        fitted=data,
+        held_out=validation,
+        seconds=0.0,
+        experiment=next(filter(None, experiments), None),
+        criteria=criteria,
+    )
 
 
 def _corrected(

@@ -73,12 +73,26 @@ class EncoderZeros(NamedTuple):
 
     @classmethod
     def unknown(cls, machine: Machine) -> EncoderZeros:
-        """Return zeros that are all unknown."""
+        """Return zeros that are all unknown.
+
+        Args:
+            machine: Machine with the sensors.
+
+        Returns:
+            Zeros of all sensors.
+        """
         return cls(np.full(len(machine.sensors), np.nan), np.zeros(len(machine.sensors), np.bool_))
 
 
 def count_resting_rows(recording: Recording) -> int:
-    """Return the number of rows at rest; the row of the first input change still measures the position at rest."""
+    """Return the number of rows at rest; the row of the first input change still measures the position at rest.
+
+    Args:
+        recording: The run.
+
+    Returns:
+        Number of rows, at least 1.
+    """
     changes = np.flatnonzero(np.any(recording.inputs != recording.inputs[0], axis=1))
     if np.any(recording.inputs[0]):
         return 1  # The machine is driven from its first row on; only that row is certainly at rest.
@@ -86,7 +100,14 @@ def count_resting_rows(recording: Recording) -> int:
 
 
 def settled_rows(resting_rows: int) -> slice:
-    """Return the later half of the resting rows: a vibration from before the recording has decayed there."""
+    """Return the later half of the resting rows: a vibration from before the recording has decayed there.
+
+    Args:
+        resting_rows: Number of rows at rest at the beginning of a run.
+
+    Returns:
+        Slice of the rows.
+    """
     return slice(resting_rows // 2, resting_rows)
 
 
@@ -115,7 +136,7 @@ def estimate_initial_state(recording: Recording, machine: Machine, zeros: Encode
     site = [machine.coordinate_names.index(s.coordinate) for s in machine.sensors]
     fixed = np.array([not s.incremental for s in machine.sensors])
     known = np.isfinite(zeros.offset)
-    rigid = rigid_motions(machine)
+    rigid = rigid_basis(machine)
     seen = machine.sensor_matrix @ rigid  # (sensors, rigid motions)
     position_measured = _rank(seen[(fixed | known) & measured]) == _rank(seen) or not fixed.any()
 
@@ -147,8 +168,15 @@ def estimate_initial_state(recording: Recording, machine: Machine, zeros: Encode
     )
 
 
-def rigid_motions(machine: Machine) -> Array:
-    """Return a basis of the displacements that stretch neither belts nor springs, shape (coordinates, motions)."""
+def rigid_basis(machine: Machine) -> Array:
+    """Return a basis of the displacements that stretch neither belts nor springs.
+
+    Args:
+        machine: Machine.
+
+    Returns:
+        Displacements in the coordinates' units, shape (coordinates, motions).
+    """
     if not machine.belts:
         return np.eye(len(machine.coordinates))
     constraints = [machine.coefficients(b.extension) for b in machine.belts]
@@ -218,7 +246,7 @@ def common_encoder_zeros(initial: Sequence[InitialState], machine: Machine, quan
     offsets = np.array(positioned if len(positioned) >= _MIN_RUNS_FOR_ZERO else [state.offset for state in initial])
     median = np.median(offsets, axis=0)
     spread = 1.4826 * np.median(np.abs(offsets - median), axis=0)
-    friction = sum(c.coulomb / (c.radius if c.kind == "rotary" else 1.0) for c in machine.coordinates)
+    friction = sum(c.coulomb / c.travel_per_unit for c in machine.coordinates)
     for j, sensor in enumerate(machine.sensors):
         c = machine.coordinate(sensor.coordinate)
         held = 2 * friction / _mean_stiffness(machine) / c.radius
@@ -238,8 +266,8 @@ def sensor_zero_error(error: Array, measured: NDArray[np.bool_], resting_rows: i
 
     It is the mean over the settled resting rows, because a sensor counts from where it was switched on. Those rows
     determine the zero of a quantized channel only to within its quantum, so up to half a quantum of the mean over the
-    whole run is added; not more, because in one-step prediction a constant force causes such a mean. An encoder behind
-    belts loses its whole mean: friction holds an unknown stretch of the belts at rest.
+    complete run is added; not more, because in one-step prediction a constant force causes such a mean. An encoder
+    behind belts loses its entire mean: friction holds an unknown stretch of the belts at rest.
 
     Args:
         error: Measured minus predicted, 0 where not measured, shape (batch, n, sensors).
@@ -258,17 +286,26 @@ def sensor_zero_error(error: Array, measured: NDArray[np.bool_], resting_rows: i
 
 
 def max_zero_means(machine: Machine, quanta: Array) -> Array:
-    """Return the part of a run's mean error that a zero may explain: half a quantum, or anything behind belts."""
+    """Return the part of a run's mean error that a zero may explain: half a quantum, or anything behind belts.
+
+    Args:
+        machine: Machine with the sensors.
+        quanta: Quanta of the sensors, in their units, shape (sensors,).
+
+    Returns:
+        Limits in the sensors' units, shape (sensors,).
+    """
     return np.where(behind_belts(machine), np.inf, quanta / 2)
 
 
 def behind_belts(machine: Machine) -> NDArray[np.bool_]:
-    """Return which sensors are encoders on pulleys, with elastic belts between them and the tool, shape (sensors,)."""
+    """Return which sensors are encoders on pulleys, with elastic belts between them and the tool.
+
+    Args:
+        machine: Machine with the sensors.
+
+    Returns:
+        True for such an encoder, shape (sensors,).
+    """
     pulleys = [s.incremental and machine.coordinate(s.coordinate).kind == "rotary" for s in machine.sensors]
     return np.array(pulleys) & bool(machine.belts)
-
-
-# Aliases until all packages use the new names.
-resting_rows = count_resting_rows
-settled = settled_rows
-Zeros = EncoderZeros

@@ -44,7 +44,11 @@ class PredictionErrors:
     force: float | None
 
     def as_json(self) -> dict[str, Any]:
-        """Return the errors as in report.json."""
+        """Return the errors as in report.json.
+
+        Returns:
+            rmse and noise_ratio by channel, and force_error where there is one.
+        """
         content: dict[str, Any] = {c: {"rmse": e.rmse, "noise_ratio": e.noise_ratio} for c, e in self.channels.items()}
         return content if self.force is None else content | {"force_error": self.force}
 
@@ -97,7 +101,11 @@ class IdentificationResult:
     criteria: SelectionCriteria = field(default_factory=SelectionCriteria)
 
     def as_json(self) -> dict[str, Any]:
-        """Return the content of report.json, schema 1."""
+        """Return the content of report.json, schema 1.
+
+        Returns:
+            Plain data that JSON can hold.
+        """
         return {
             "schema": SCHEMA,
             "verdict": self.verdict,

@@ -141,7 +141,7 @@ def _positions_from_encoders(recording: Recording, machine: Machine) -> Array:
     count = len(machine.coordinates)
     if not encoders or not machine.belts:
         return np.full((len(recording.time_s), count), np.nan)
-    extension = np.array([machine.coefficients(b.extension) for b in machine.belts]) * machine.travel_per_unit
+    extension = machine.belt_matrix
     rows = np.vstack([machine.sensor_matrix[encoders], extension])
     angles = recording.outputs[:, encoders] - recording.outputs[0, encoders]
     measured = np.hstack([angles, np.zeros((len(angles), len(extension)))])
