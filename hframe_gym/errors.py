@@ -1,5 +1,9 @@
-"""What goes wrong with input from outside."""
+"""The error of faulty input."""
 
 
 class InputError(ValueError):
-    """A file or an argument is at fault: one line that names the file and the row, column or parameter."""
+    """A file or an argument is invalid.
+
+    The message is one line that names the file, the row, column or field, and what to do. Commands print it and exit
+    with code 2.
+    """

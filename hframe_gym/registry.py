@@ -1,7 +1,7 @@
-"""Registries: named parts (controllers, tasks, rewards, sensor kinds, ...) that modules add by a decorator.
+"""Registries of named parts, such as controllers, tasks, rewards and sensor kinds.
 
-A name of the form `package.module:name` imports the module first, so a part defined outside the package is available
-to every command and to `gym.make` without changing a file of the package.
+A name of the form `package.module:name` imports the module first. A part that is defined outside the package is
+therefore available to every command and to `gym.make` without any change inside the package.
 """
 
 from __future__ import annotations
@@ -77,7 +77,9 @@ class Registry(Generic[T]):
         return tuple(self._parts)
 
     def __contains__(self, name: object) -> bool:
+        """Return whether a name is registered."""
         return name in self._parts
 
     def __iter__(self) -> Iterator[str]:
+        """Iterate over the registered names."""
         return iter(self._parts)

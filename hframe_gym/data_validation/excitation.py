@@ -1,4 +1,4 @@
-"""What the inputs excite: amplitude over breakaway, both directions, frequencies, travel, speeds."""
+"""Excitation: amplitude relative to friction, directions, frequencies, travel and speeds in recordings."""
 
 from __future__ import annotations
 
@@ -8,167 +8,184 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..identification import Dataset
-from ..machine import Machine, mode_frequencies
+from ..machine import Machine, mode_frequencies, rigid_motions
 from ..recordings import Recording
 from .findings import Finding
-from .rigid_kinematics import directions, readings
-
-_NARROW = 0.3  # of a coordinate's range: travel below that leaves what depends on position untold
-_ONE_SIDED = 0.15  # share of the moving time in the rarer direction
-_SLOW = 0.1  # of the top speed
-_SLOW_SHARE = 0.05  # of the moving time that should be slow, for friction at low speed
-_WINDOW = 0.02  # s, over which speed is measured
+from .wiring import sensor_motions
 
 Array = NDArray[np.float64]
 
-
-def inputs(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
-    """Inputs that never move in a run, or go beyond the rated voltage."""
-    found = []
-    for recording in recordings:
-        for channel, values in zip(machine.input_channels, recording.inputs.T, strict=True):
-            if np.ptp(values) == 0.0:
-                found.append(
-                    Finding("advice", recording.name, channel, f"never moves, it is {values[0]:.4g} V throughout")
-                )
-    for j, d in enumerate(machine.drives):
-        largest = max(float(np.abs(r.inputs[:, j]).max()) for r in recordings)
-        if largest > 1.2 * d.rated_voltage:
-            message = f"reaches {largest:.4g} V, rated {d.rated_voltage:.4g} V: other units, or a share in percent?"
-            found.append(Finding("advice", "", d.channel, message))
-    return found
+_OVERVOLTAGE = 1.2  # times the rated voltage, above which the column's unit is doubted
+_NARROW_TRAVEL = 0.3  # of a coordinate's range; less does not determine what depends on position
+_WIDE_TRAVEL = 1.05  # of a coordinate's range; more contradicts the declared range
+_ONE_SIDED = 0.15  # of the moving time in the rarer direction; less does not determine direction-dependent friction
+_SLOW = 0.1  # of the top speed; motion below is slow
+_SLOW_TIME = 0.05  # of the moving time that should be slow, to determine friction at low speed
+_MOVING = 0.01  # of the top speed; motion below is rest
+_WINDOW = 0.02  # s, time over which speed is measured
+_TOP_PERCENTILE = 99  # of the speeds; the maximum would be noise
+_MODE_MARGIN = 0.7  # of the lowest belt mode; power above excites the belts
+_MODE_POWER = 1e-3  # of the total power that should be near or above the lowest belt mode
 
 
-def drive_over_breakaway(recording: Recording, machine: Machine) -> dict[str, Array]:
-    """Force of all drives along each rigid direction over the dry friction met in it, (n,), by coordinate.
+def check_excitation(recordings: Sequence[Recording], data: Dataset, machine: Machine) -> list[Finding]:
+    """Check whether the inputs excite what identification has to estimate.
 
-    Directions without friction are left out.
+    Args:
+        recordings: Runs as recorded.
+        data: The same runs, prepared.
+        machine: Declared machine.
+
+    Returns:
+        Findings about all runs together.
     """
+    findings = constant_inputs(recordings, machine) + _overvoltage(recordings, machine)
+    if rigid_motions(machine):
+        findings += _amplitude(recordings, machine) + _coverage(data, machine)
+    return findings + _frequencies(recordings, machine)
+
+
+def constant_inputs(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
+    """Report inputs that never change in a run.
+
+    Args:
+        recordings: Runs as recorded.
+        machine: Declared machine.
+
+    Returns:
+        Advice by run and channel.
+    """
+    return [
+        Finding("advice", recording.name, channel, f"never changes, it is {values[0]:.4g} V throughout")
+        for recording in recordings
+        for channel, values in zip(machine.input_channels, recording.inputs.T, strict=True)
+        if np.ptp(values) == 0.0
+    ]
+
+
+def _overvoltage(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
+    """Report inputs far above the rated voltage."""
+    findings = []
+    for column, drive in enumerate(machine.drives):
+        largest = max(float(np.abs(recording.inputs[:, column]).max()) for recording in recordings)
+        if largest > _OVERVOLTAGE * drive.rated_voltage:
+            rated = f"rated {drive.rated_voltage:.4g} V"
+            message = f"reaches {largest:.4g} V, {rated}: is the column in another unit or in %?"
+            findings.append(Finding("advice", "", drive.channel, message))
+    return findings
+
+
+def _amplitude(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
+    """Report the drive force relative to Coulomb friction along each rigid motion, forward and backward."""
     coulomb = np.array([c.coulomb for c in machine.coordinates])
-    found = {}
-    for name, motion in directions(machine).items():
+    findings = []
+    for name, motion in rigid_motions(machine).items():
         friction = float(np.abs(motion) @ coulomb)
-        if friction > 0:
-            gains = [d.gain * motion[machine.coordinate_names.index(d.coordinate)] for d in machine.drives]
-            found[name] = recording.inputs @ np.array(gains) / friction
-    return found
-
-
-def amplitude(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
-    """How far the drives go beyond breakaway in each direction, forwards and backwards."""
-    ratios = [drive_over_breakaway(r, machine) for r in recordings]
-    found = []
-    for name in ratios[0]:
-        push = np.concatenate([r[name] for r in ratios])
-        high, low = float(push.max()), float(push.min())
-        above = float(np.mean(np.abs(push) > 1.0))
-        message = f"driven at {low:+.3g} to {high:+.3g} times breakaway, above it for {100 * above:.0f} % of the time"
+        if friction == 0.0:
+            continue
+        gains = np.array([d.gain * motion[machine.coordinate_names.index(d.coordinate)] for d in machine.drives])
+        ratio = np.concatenate([r.inputs @ gains for r in recordings]) / friction  # (rows of all runs,)
+        high, low = float(ratio.max()), float(ratio.min())
+        above = 100 * float(np.mean(np.abs(ratio) > 1.0))
+        message = f"drive force {low:+.3g} to {high:+.3g} times Coulomb friction, above it {above:.0f} % of the time"
         if max(high, -low) < 1.0:
-            found.append(Finding("advice", "", name, f"{message}: it never breaks away"))
+            findings.append(Finding("advice", "", name, f"{message}: it never breaks away"))
         elif min(high, -low) < 1.0:
-            found.append(Finding("advice", "", name, f"{message}: in one direction only"))
+            findings.append(Finding("advice", "", name, f"{message}: in one direction only"))
         else:
-            found.append(Finding("note", "", name, message))
-    return found
+            findings.append(Finding("note", "", name, message))
+    return findings
 
 
-def frequencies(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
-    """Where the inputs' power lies, against the machine's lowest belt mode."""
-    found = []
+def _frequencies(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
+    """Report the spectrum of each input relative to the machine's lowest belt mode."""
+    findings = []
     modes = [float(f) for f in mode_frequencies(machine) if f > 0]
-    for j, channel in enumerate(machine.input_channels):
+    for column, channel in enumerate(machine.input_channels):
         grids, powers = [], []
-        for r in recordings:
-            values = r.inputs[:, j] - r.inputs[:, j].mean()
+        for recording in recordings:
+            values = recording.inputs[:, column] - recording.inputs[:, column].mean()
             if len(values) > 8 and np.any(values):
-                period = float(np.median(np.diff(r.time_s)))
+                period = float(np.median(np.diff(recording.time_s)))
                 grids.append(np.fft.rfftfreq(len(values), period))
                 powers.append(np.abs(np.fft.rfft(values * np.hanning(len(values)))) ** 2 * period / len(values))
         if not grids:
             continue
-        order = np.argsort(frequency := np.concatenate(grids))
-        share = np.cumsum(np.concatenate(powers)[order])
-        half, most = (float(frequency[order][np.searchsorted(share, p * share[-1])]) for p in (0.5, 0.95))
-        message = f"half its power below {half:.3g} Hz, 95 % below {most:.3g} Hz"
-        near = float(np.interp(modes[0] * 0.7, frequency[order], share / share[-1])) if modes else 0.0
-        if modes and 1 - near < 1e-3:
-            message += f"; nearly nothing near the lowest belt mode ({modes[0]:.1f} Hz): belts are told badly"
-            found.append(Finding("advice", "", channel, message))
+        frequency, power = np.concatenate(grids), np.concatenate(powers)
+        order = np.argsort(frequency)
+        frequency, power_below = frequency[order], np.cumsum(power[order])
+        half, most = (float(frequency[np.searchsorted(power_below, p * power_below[-1])]) for p in (0.5, 0.95))
+        message = f"half of its power is below {half:.3g} Hz, 95 % below {most:.3g} Hz"
+        fraction = power_below / power_below[-1]
+        below_mode = float(np.interp(modes[0] * _MODE_MARGIN, frequency, fraction)) if modes else 0.0
+        if modes and 1 - below_mode < _MODE_POWER:
+            message += f"; almost none near the lowest belt mode ({modes[0]:.1f} Hz): belts are poorly identifiable"
+            findings.append(Finding("advice", "", channel, message))
         else:
-            found.append(Finding("note", "", channel, message))
-    return found
+            findings.append(Finding("note", "", channel, message))
+    return findings
 
 
-def coverage(data: Dataset, machine: Machine) -> list[Finding]:
-    """Travel, speeds, directions and slow motion of each coordinate that leads a rigid direction."""
-    found = []
-    M = readings(machine)
-    names = list(directions(machine))
-    travels: list[list[Array]] = [[] for _ in names]
-    speeds: list[list[Array]] = [[] for _ in names]
+def _coverage(data: Dataset, machine: Machine) -> list[Finding]:
+    """Report travel, speeds, directions and slow motion along each rigid motion."""
+    M = sensor_motions(machine)  # (sensors, motions)
+    names = list(rigid_motions(machine))
+    travels: list[Array] = []
+    speeds: list[Array] = []
     for run in data.runs:
-        known = np.isfinite(run.outputs).any(axis=0)
-        if np.linalg.matrix_rank(M[known]) < len(names) or len(run.time_s) < 3:
+        measured = np.isfinite(run.outputs).any(axis=0)
+        if np.linalg.matrix_rank(M[measured]) < len(names) or len(run.time_s) < 3:
             continue
-        size = np.linalg.norm(M[known], axis=1)
-        amount = (run.outputs[:, known] / size) @ np.linalg.pinv(M[known] / size[:, None]).T
+        size = np.linalg.norm(M[measured], axis=1)
+        travel = (run.outputs[:, measured] / size) @ np.linalg.pinv(M[measured] / size[:, None]).T  # (n, motions)
         period = float(np.median(np.diff(run.time_s)))
-        window = max(1, min(len(amount) - 1, round(_WINDOW / period)))
+        window = max(1, min(len(travel) - 1, round(_WINDOW / period)))
         elapsed = run.time_s[window:] - run.time_s[:-window]
-        speed = (amount[window:] - amount[:-window]) / elapsed[:, None]
-        for k in range(len(names)):
-            travels[k].append(amount[:, k])
-            speeds[k].append(speed[:, k])
-    for k, name in enumerate(names):
-        if travels[k]:
-            found += _travel(name, np.concatenate(travels[k]), machine)
-            found += _speed(name, np.concatenate(speeds[k]), machine)
-    return found
+        travels.append(travel)
+        speeds.append((travel[window:] - travel[:-window]) / elapsed[:, None])
+    findings = []
+    for k, name in enumerate(names if travels else ()):
+        findings += _check_travel(name, np.concatenate([t[:, k] for t in travels]), machine)
+        findings += _check_speed(name, np.concatenate([s[:, k] for s in speeds]), machine)
+    return findings
 
 
-def _travel(name: str, travel: Array, machine: Machine) -> list[Finding]:
-    c = machine.coordinate(name)
+def _check_travel(name: str, travel: Array, machine: Machine) -> list[Finding]:
+    """Report the travel of a coordinate relative to its range."""
+    coordinate = machine.coordinate(name)
     low, high = float(np.nanmin(travel)), float(np.nanmax(travel))
-    message = f"travels from {low:.4g} to {high:.4g} {c.unit('position')}"
-    if c.range is None:
+    message = f"travels from {low:.4g} to {high:.4g} {coordinate.unit('position')}"
+    if coordinate.range is None:
         return [Finding("note", "", name, message)]
-    share = (high - low) / (c.range[1] - c.range[0])
-    if share > 1.05:
-        return [Finding("advice", "", name, f"{message}, more than its declared range {list(c.range)}")]
-    message += f", {100 * share:.0f} % of its range"
-    if share < _NARROW:
-        return [Finding("advice", "", name, f"{message}: what depends on position is told badly")]
+    fraction = (high - low) / (coordinate.range[1] - coordinate.range[0])
+    if fraction > _WIDE_TRAVEL:
+        return [Finding("advice", "", name, f"{message}, more than its declared range {list(coordinate.range)}")]
+    message += f", {100 * fraction:.0f} % of its range"
+    if fraction < _NARROW_TRAVEL:
+        message += ": effects that depend on position are poorly identifiable"
+        return [Finding("advice", "", name, message)]
     return [Finding("note", "", name, message)]
 
 
-def _speed(name: str, speed: Array, machine: Machine) -> list[Finding]:
+def _check_speed(name: str, speed: Array, machine: Machine) -> list[Finding]:
+    """Report speeds of a coordinate, and whether it moves in both directions and slowly."""
     speed = speed[np.isfinite(speed)]
     if len(speed) == 0:
         return []
     unit = machine.coordinate(name).unit("speed")
-    top = float(np.percentile(np.abs(speed), 99))
-    moving = np.abs(speed) > 0.01 * top
-    if top == 0.0 or not moving.any():
+    top = float(np.percentile(np.abs(speed), _TOP_PERCENTILE))
+    moving = speed[np.abs(speed) > _MOVING * top]
+    if top == 0.0 or len(moving) == 0:
         return []
-    backward = float(np.mean(speed[moving] < 0))
-    slow = float(np.mean(np.abs(speed[moving]) < _SLOW * top))
-    found = [
-        Finding("note", "", name, f"speeds to {top:.3g} {unit}, {100 * slow:.0f} % of the motion below a tenth of it")
-    ]
+    backward = float(np.mean(moving < 0))
+    slow = float(np.mean(np.abs(moving) < _SLOW * top))
+    message = f"speeds up to {top:.3g} {unit}, {100 * slow:.0f} % of the motion below a tenth of it"
+    findings = [Finding("note", "", name, message)]
     if min(backward, 1 - backward) < _ONE_SIDED:
-        message = (
-            f"moves {'backwards' if backward > 0.5 else 'forwards'} {100 * max(backward, 1 - backward):.0f} % of the"
-        )
-        found.append(Finding("advice", "", name, f"{message} time: friction that differs by direction is told badly"))
-    if slow < _SLOW_SHARE:
-        message = f"only {100 * slow:.1f} % of the motion is slow: friction at low speed is told badly"
-        found.append(Finding("advice", "", name, message))
-    return found
-
-
-def all_of(recordings: Sequence[Recording], data: Dataset, machine: Machine) -> list[Finding]:
-    """Everything there is to say of the excitation."""
-    found = inputs(recordings, machine)
-    if directions(machine):
-        found += amplitude(recordings, machine) + coverage(data, machine)
-    return found + frequencies(recordings, machine)
+        direction, percent = ("backward" if backward > 0.5 else "forward"), 100 * max(backward, 1 - backward)
+        message = f"moves {direction} {percent:.0f} % of the time: direction-dependent friction is poorly identifiable"
+        findings.append(Finding("advice", "", name, message))
+    if slow < _SLOW_TIME:
+        message = f"only {100 * slow:.1f} % of the motion is slow: friction at low speed is poorly identifiable"
+        findings.append(Finding("advice", "", name, message))
+    return findings

@@ -1,18 +1,36 @@
-"""One thing to say about recordings."""
+"""Findings about recordings, and their output on a terminal and as JSON."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import json
+import re
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Literal
 
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from ..atomic_files import write_text
+
 Severity = Literal["fault", "advice", "note"]
+
+_SCHEMA_VERSION = 1
+_STYLES: dict[Severity, str] = {"fault": "bold red", "advice": "yellow", "note": "dim"}
 
 
 @dataclass(frozen=True)
 class Finding:
-    """fault: probably a mistake in the data; advice: costs identification something; note: how the data are.
+    """One statement about recordings.
 
-    run: the recording's name, or "" where it is about all of them.  channel: a column, coordinate or parameter, or "".
+    Attributes:
+        severity: "fault" for a probable mistake in the data, "advice" for something that impairs identification, "note"
+            for a property of the data.
+        run: Name of the recording, or "" if the finding is about all of them.
+        channel: Column, coordinate or parameter, or "".
+        message: What was found, as one sentence.
     """
 
     severity: Severity
@@ -21,5 +39,57 @@ class Finding:
     message: str
 
     def __str__(self) -> str:
-        where = ", ".join(part for part in (self.run, self.channel) if part)
-        return f"{self.severity}: {where}: {self.message}" if where else f"{self.severity}: {self.message}"
+        """Return the finding as one line."""
+        subject = ", ".join(part for part in (self.run, self.channel) if part)
+        return f"{self.severity}: {subject}: {self.message}" if subject else f"{self.severity}: {self.message}"
+
+
+def group_findings(findings: Sequence[Finding]) -> list[Finding]:
+    """Merge findings that differ only in the run and in numbers.
+
+    Args:
+        findings: Findings in any order.
+
+    Returns:
+        One finding per group, with the first run of the group and the number of further runs, in the order of first
+        occurrence. Findings about all runs are not merged.
+    """
+    groups: dict[tuple[str, str, str], list[Finding]] = {}
+    for finding in findings:
+        text = re.sub(r"\d[\d.e+-]*", "#", finding.message) if finding.run else finding.message
+        groups.setdefault((finding.severity, finding.channel, text), []).append(finding)
+    return [
+        group[0] if len(group) == 1 else replace(group[0], run=f"{group[0].run} and {len(group) - 1} more runs")
+        for group in groups.values()
+    ]
+
+
+def print_findings(findings: Sequence[Finding], console: Console) -> None:
+    """Print findings, as a table on a terminal and as lines elsewhere, and their number by severity.
+
+    Args:
+        findings: Findings in the order of printing.
+        console: Console to print on.
+    """
+    if console.is_terminal:
+        table = Table("", "run", "channel", "finding", box=None)
+        for finding in group_findings(findings):
+            severity = f"[{_STYLES[finding.severity]}]{finding.severity}[/]"
+            table.add_row(severity, finding.run, finding.channel, escape(finding.message))
+        console.print(table, soft_wrap=False)
+    else:
+        for finding in group_findings(findings):
+            console.print(str(finding), markup=False, highlight=False)
+    counts = (f"{sum(finding.severity == kind for finding in findings)} {kind}" for kind in _STYLES)
+    console.print(", ".join(counts), markup=False, highlight=False)
+
+
+def write_findings(findings: Sequence[Finding], path: Path) -> None:
+    """Write findings as JSON: `{"schema": 1, "findings": [{"severity", "run", "channel", "message"}, ...]}`.
+
+    Args:
+        findings: Findings in the order of writing.
+        path: File to write; it appears complete or not at all.
+    """
+    content = {"schema": _SCHEMA_VERSION, "findings": [asdict(f) for f in findings]}
+    write_text(path, json.dumps(content, indent=1) + "\n")

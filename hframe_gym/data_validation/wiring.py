@@ -1,8 +1,8 @@
-"""Signs, swaps and units: the one mistake that would make the data fit the machine's geometry and its own simulation.
+"""Signs, swapped channels, units and ratios: mistakes in the wiring that contradict the machine model.
 
-Geometry alone cannot tell swapped encoders from a laser that counts backwards; the simulated motion under the recorded
-voltages can.  Every single mistake (a channel negated, two of a kind swapped) is undone in turn, and the one whose data
-then agree best is named.
+Rigid kinematics (belts that do not stretch) alone cannot distinguish swapped encoders from a laser that counts
+backwards; the motion that the machine simulates under the recorded voltages can. Therefore each single mistake (one
+channel negated, two channels swapped) is corrected in turn, and the correction that fits the data best is reported.
 """
 
 from __future__ import annotations
@@ -15,198 +15,265 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..dynamics import rollout
-from ..identification import Dataset
-from ..identification.dataset import PreparedRecording
-from ..machine import Machine
+from ..identification import Dataset, PreparedRecording
+from ..machine import Machine, rigid_motions
 from .findings import Finding
-from .rigid_kinematics import from_others, readings
-
-_WINDOW = 0.02  # s, over which motion is compared
-_ROWS = 20_000  # of a run: enough to tell a sign
-_GOOD = 0.7  # agreement at which nothing is wrong
-_MISFIT = 0.2  # relative error of the geometry at which nothing is wrong
-_BETTER = 0.2  # by which undoing a mistake must improve the agreement
-_TIE = 0.05
-_RATIO = 0.02  # of the pulley's radius or gear
-_FACTOR = 8.0  # between measured and simulated speed, beyond which a unit is wrong
-_UNITS = ((1000.0, "millimetres under a name in m"), (57.3, "degrees under a name in rad"), (0.001, "in km or krad"))
 
 Array = NDArray[np.float64]
 
+_WINDOW = 0.02  # s, time over which motion is compared; long enough to average out noise
+_MAX_ROWS = 20_000  # rows of a run that are simulated; enough to determine a sign
+_STEP = 1e-3  # s, integration step; the comparison needs no accuracy
+_GOOD_AGREEMENT = 0.7  # correlation of measured and simulated speed above which no mistake is suspected
+_POOR_AGREEMENT = 0.35  # correlation below which the machine itself is doubted
+_GOOD_MISFIT = 0.2  # relative misfit of the rigid kinematics below which no mistake is suspected
+_IMPROVEMENT = 0.2  # minimum improvement of the score that makes a correction credible
+_TIE = 0.05  # corrections whose scores differ by less are equally likely
+_RATIO_TOLERANCE = 0.02  # relative error of a pulley radius or gear ratio that is not reported
+_MAX_RATIO_ERROR = 0.5  # a larger relative error is no wrong radius but another mistake
+_RATIO_CORRELATION = 0.9  # minimum correlation at which a ratio is reported
+_MIN_ROWS = 10  # rows that a correlation or slope needs
+_SPEED_FACTOR = 8.0  # factor between measured and simulated speed beyond which a unit is suspected
+# Suspected unit by kind of the coordinate: value per m or rad, and its name.
+_SUSPECTS = {"linear": ((1000.0, "millimeters"), (0.001, "kilometers")), "rotary": ((180 / np.pi, "degrees"),)}
 
-def motion(outputs: Array, time_s: Array) -> Array:
-    """Change (rows, channels) of each channel over a window: speed, with the noise averaged down."""
+
+def sensor_motions(machine: Machine) -> Array:
+    """Return the reading of each sensor per unit of each rigid motion.
+
+    Args:
+        machine: Machine.
+
+    Returns:
+        Readings, shape (sensors, motions), with the motions in the order of `rigid_motions`.
+    """
+    motions = np.array(list(rigid_motions(machine).values())).reshape(-1, len(machine.coordinates))
+    return machine.sensor_matrix @ motions.T
+
+
+def rigid_prediction(outputs: Array, channel: int, machine: Machine) -> tuple[Array, Array] | None:
+    """Predict one channel from the others by rigid kinematics.
+
+    Args:
+        outputs: Measurements, shape (n, sensors), NaN where not measured.
+        channel: Index of the sensor to predict.
+        machine: Machine.
+
+    Returns:
+        Predicted measurements up to a constant, shape (n,), and the weights of the channels, shape (sensors,). None if
+        the measured channels do not determine this one.
+    """
+    M = sensor_motions(machine)
+    others = [k for k in range(len(M)) if k != channel and np.isfinite(outputs[:, k]).any()]
+    if not others or M.shape[1] == 0:
+        return None
+    size = np.linalg.norm(M[others], axis=1)
+    scaled = M[others] / size[:, None]
+    other_weights = M[channel] @ np.linalg.pinv(scaled)
+    if not np.allclose(other_weights @ scaled, M[channel], atol=1e-9 * max(1.0, float(np.abs(M[channel]).max()))):
+        return None
+    weights = np.zeros(len(M))
+    weights[others] = other_weights / size
+    return (outputs[:, others] / size) @ other_weights, weights
+
+
+def check_wiring(data: Dataset, machine: Machine) -> list[Finding]:
+    """Check signs, swapped channels, units and ratios.
+
+    Args:
+        data: Prepared runs that move.
+        machine: Declared machine.
+
+    Returns:
+        Findings about all runs together.
+    """
+    output_corrections, input_corrections = _single_corrections(machine)
+    inputs_as_recorded = np.eye(len(machine.drives))
+    transforms = np.array([inputs_as_recorded, *input_corrections.values()])
+    runs = [_first_rows(run) for run in data.runs]
+    measured = np.concatenate([_speeds(run.outputs, run.time_s) for run in runs])  # (rows, sensors)
+    simulated = np.concatenate(  # (transforms, rows, sensors)
+        [_speeds(_simulate_outputs(machine, run, transforms), run.time_s) for run in runs], axis=1
+    )
+    findings = _signs_and_swaps(measured, simulated, output_corrections, list(input_corrections), machine)
+    return findings + _units(measured, simulated[0], data, machine) + _ratios(data, machine)
+
+
+def _speeds(outputs: Array, time_s: Array) -> Array:
+    """Return the change of each channel over a window, shape (..., rows, channels), proportional to the mean speed."""
     period = float(np.median(np.diff(time_s)))
     window = max(1, min(len(time_s) - 1, round(_WINDOW / period)))
     return (outputs[..., window:, :] - outputs[..., :-window, :])[..., :: max(1, window // 4), :]
 
 
-def mistakes(machine: Machine) -> tuple[dict[str, Array], dict[str, Array]]:
-    """What may be wrong, by description: matrices that undo it, on the outputs and on the inputs."""
-    kinds = [machine.coordinate(next(iter(s.row))).kind for s in machine.sensors]
-    return (
-        _undo(
-            machine.output_channels,
-            [k if len(s.row) == 1 else s.channel for k, s in zip(kinds, machine.sensors, strict=True)],
-        ),
-        _undo(machine.input_channels, ["drive"] * len(machine.drives)),
-    )
+def _first_rows(run: PreparedRecording) -> PreparedRecording:
+    """Return a run with at most `_MAX_ROWS` rows."""
+    if len(run.time_s) <= _MAX_ROWS:
+        return run
+    rows = slice(_MAX_ROWS)
+    return dataclasses.replace(run, time_s=run.time_s[rows], inputs=run.inputs[rows], outputs=run.outputs[rows])
 
 
-def _undo(channels: Sequence[str], kinds: Sequence[str]) -> dict[str, Array]:
-    found = {}
+def _simulate_outputs(machine: Machine, run: PreparedRecording, transforms: Array) -> Array:
+    """Simulate outputs, shape (transforms, n, sensors), for the inputs multiplied by each matrix.
+
+    The simulation starts at the center of the workspace: a position in a wrong unit would be far outside.
+    """
+    inputs = np.einsum("vij,nj->vni", transforms, run.inputs)
+    return rollout(machine, run.time_s, inputs, longest_step=_STEP) @ machine.sensor_matrix.T
+
+
+def _single_corrections(machine: Machine) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Return the corrections of all single mistakes, by description: matrices on the outputs and on the inputs."""
+    groups = []
+    for sensor in machine.sensors:
+        # A sensor of several coordinates cannot be swapped with another one.
+        groups.append(machine.coordinate(sensor.coordinate).kind if len(sensor.row) == 1 else sensor.channel)
+    outputs = _corrections(machine.output_channels, groups)
+    return outputs, _corrections(machine.input_channels, ["drive"] * len(machine.drives))
+
+
+def _corrections(channels: Sequence[str], groups: Sequence[str]) -> dict[str, Array]:
+    """Return matrices that negate one channel or swap two channels of one group, by description."""
+    corrections = {}
     for j, channel in enumerate(channels):
-        negated = np.eye(len(channels))
-        negated[j, j] = -1.0
-        found[f"{channel} has its sign the wrong way round"] = negated
-    for i, j in combinations(range(len(channels)), 2):
-        if kinds[i] == kinds[j]:
+        negation = np.eye(len(channels))
+        negation[j, j] = -1.0
+        corrections[f"{channel} has the wrong sign"] = negation
+    for first, second in combinations(range(len(channels)), 2):
+        if groups[first] == groups[second]:
             order = list(range(len(channels)))
-            order[i], order[j] = j, i
-            found[f"{channels[i]} and {channels[j]} are swapped"] = np.eye(len(channels))[order]
-    return found
+            order[first], order[second] = second, first
+            corrections[f"{channels[first]} and {channels[second]} are swapped"] = np.eye(len(channels))[order]
+    return corrections
 
 
-def wiring(data: Dataset, machine: Machine) -> list[Finding]:
-    """The single swap or sign that would make measured and simulated motion agree, or that they do not."""
-    outputs, inputs = mistakes(machine)
-    variants = np.array([np.eye(len(machine.drives)), *inputs.values()])
-    pairs = [
-        (motion(r.outputs, r.time_s), motion(_simulated(machine, r, variants), r.time_s)) for r in map(_head, data.runs)
-    ]
-    measured = np.concatenate([m for m, _ in pairs])
-    simulated = np.concatenate([s for _, s in pairs], axis=1)
-    same = np.eye(len(machine.sensors))
-    as_is = _score(measured, simulated[0], same, machine)
-    agreement, misfit = _agreement(measured, simulated[0]), _misfit(measured, machine)
-    if as_is is None or (agreement > _GOOD and misfit < _MISFIT):
+def _signs_and_swaps(
+    measured: Array, simulated: Array, output_corrections: dict[str, Array], input_labels: list[str], machine: Machine
+) -> list[Finding]:
+    """Report the single correction that makes measured and simulated speeds agree, or that none does."""
+    unchanged = np.eye(len(machine.sensors))
+    initial_score = _score(measured, simulated[0], unchanged, machine)
+    agreement, misfit = _agreement(measured, simulated[0]), _rigid_misfit(measured, machine)
+    if initial_score is None or (agreement > _GOOD_AGREEMENT and misfit < _GOOD_MISFIT):
         return []
-    scores = {name: _score(measured, simulated[0], undo, machine) for name, undo in outputs.items()}
-    scores |= {name: _score(measured, simulated[i + 1], same, machine) for i, name in enumerate(inputs)}
-    known = {name: s for name, s in scores.items() if s is not None}
-    best = max(known.values())
-    if best > as_is + _BETTER:
-        likely = [name for name, s in known.items() if s > best - _TIE]
+    all_scores = {
+        label: _score(measured, simulated[0], matrix, machine) for label, matrix in output_corrections.items()
+    }
+    all_scores |= {
+        label: _score(measured, simulated[i], unchanged, machine) for i, label in enumerate(input_labels, start=1)
+    }
+    scores = {label: score for label, score in all_scores.items() if score is not None}
+    best = max(scores.values())
+    if best > initial_score + _IMPROVEMENT:
+        likely = [label for label, score in scores.items() if score > best - _TIE]
         return [Finding("fault", "", "", " or ".join(likely))]
-    if agreement < _GOOD / 2:
+    if agreement < _POOR_AGREEMENT:
         message = (
-            f"measured and simulated speeds hardly agree (correlation {agreement:.2f}): is this the right machine?"
+            f"measured and simulated speeds do not agree (correlation {agreement:.2f}): is the machine file that of "
+            "the recorded machine?"
         )
         return [Finding("advice", "", "", message)]
     return []
 
 
-def sizes(data: Dataset, machine: Machine) -> list[Finding]:
-    """Channels whose measured speed is many times, or a small part of, what the machine simulates: a wrong unit."""
-    found = []
-    one = np.eye(len(machine.drives))[None]
-    pairs = [
-        (motion(r.outputs, r.time_s), motion(_simulated(machine, r, one), r.time_s)[0]) for r in map(_head, data.runs)
-    ]
-    measured, simulated = (np.concatenate(side) for side in zip(*pairs, strict=True))
-    for j, channel in enumerate(machine.output_channels):
-        known = np.isfinite(measured[:, j])
-        size = float(np.std(simulated[known, j])) if known.any() else 0.0
-        if size > 0:
-            factor = float(np.std(measured[known, j])) / size
-            near = [what for unit, what in _UNITS if 1 / _FACTOR < factor / unit < _FACTOR]
-            if factor > _FACTOR:
-                message = f"moves {factor:.3g} times as fast as the machine simulates: {near[0] if near else 'gain?'}"
-                found.append(Finding("fault", "", channel, message))
-            elif factor < 1 / _FACTOR and not _still(measured[known, j], data, j):
-                message = (
-                    f"moves at {factor:.2g} of the speed that the machine simulates: wrong unit, gain, or blocked?"
-                )
-                found.append(Finding("fault", "", channel, message))
-    return found
-
-
-def ratios(data: Dataset, machine: Machine) -> list[Finding]:
-    """Slope of each rotary channel over what the lasers make of it: a pulley's radius or a gear not as declared."""
-    found = []
+def _units(measured: Array, simulated: Array, data: Dataset, machine: Machine) -> list[Finding]:
+    """Report channels whose measured speed is a multiple or a fraction of the simulated one: a wrong unit."""
+    findings = []
     for j, sensor in enumerate(machine.sensors):
-        coordinate = machine.coordinate(next(iter(sensor.row)))
-        if coordinate.kind != "rotary":
+        rows = np.isfinite(measured[:, j])
+        size = float(np.std(simulated[rows, j])) if rows.any() else 0.0
+        if size == 0.0:
             continue
-        pairs = []
-        for run in data.runs:
-            alone = run.outputs.copy()
-            rotary = [
-                k for k, s in enumerate(machine.sensors) if machine.coordinate(next(iter(s.row))).kind == "rotary"
+        factor = float(np.std(measured[rows, j])) / size
+        unit = machine.coordinate(sensor.coordinate).unit("position")
+        if factor > _SPEED_FACTOR:
+            suspects = [
+                name
+                for value, name in _SUSPECTS[machine.coordinate(sensor.coordinate).kind]
+                if 1 / _SPEED_FACTOR < factor / value < _SPEED_FACTOR
             ]
-            alone[:, rotary] = np.nan  # the lasers alone: encoders share the mistake
-            expected = from_others(alone, j, machine)
-            if expected is not None:
-                both = np.column_stack([run.outputs[:, j], expected])
-                pairs.append(both - np.nanmean(both, axis=0))  # whole travels: fast motion also stretches the belts
-        rows = np.concatenate(pairs) if pairs else np.zeros((0, 2))
-        rows = rows[np.isfinite(rows).all(axis=1)]
-        if len(rows) < 10 or not np.any(rows[:, 1]):
-            continue
-        slope = float(rows[:, 0] @ rows[:, 1] / (rows[:, 1] @ rows[:, 1]))
-        if _RATIO < abs(slope - 1) < 0.5 and _correlation(rows[:, 0], rows[:, 1]) > 0.9:
-            message = (
-                f"turns {100 * (slope - 1):+.1f} % against the carriage: a radius of {coordinate.radius / slope:.4g} m "
-                f"in place of {coordinate.radius:.4g} m, or a gear so much off"
-            )
-            found.append(Finding("fault", "", sensor.channel, message))
-    return found
+            cause = f"is the column in {suspects[0]}, not in {unit}?" if suspects else "is its unit or gain wrong?"
+            message = f"moves {factor:.3g} times as fast as the machine simulates: {cause}"
+            findings.append(Finding("fault", "", sensor.channel, message))
+        elif factor < 1 / _SPEED_FACTOR and not _is_resting(measured[rows, j], data, j):
+            message = f"moves at {factor:.2g} of the simulated speed: is its unit or gain wrong, or is it blocked?"
+            findings.append(Finding("fault", "", sensor.channel, message))
+    return findings
 
 
-def _head(run: PreparedRecording) -> PreparedRecording:
-    if len(run.time_s) <= _ROWS:
-        return run
-    rows = slice(_ROWS)
-    return dataclasses.replace(run, time_s=run.time_s[rows], inputs=run.inputs[rows], outputs=run.outputs[rows])
+def _ratios(data: Dataset, machine: Machine) -> list[Finding]:
+    """Report rotary channels that turn too far for the travel that the linear sensors measure.
 
-
-def _simulated(machine: Machine, run: PreparedRecording, variants: Array) -> Array:
-    """Outputs (variants, n, sensors) of the free run with the inputs transformed by each matrix.
-
-    From the middle of the workspace: a position in the wrong unit would be far outside.
+    Complete travels are compared, because fast motion also stretches the belts.
     """
-    inputs = np.einsum("vij,nj->vni", variants, run.inputs)
-    return rollout(machine, run.time_s, inputs, longest_step=1e-3) @ machine.sensor_matrix.T
+    findings = []
+    rotary = [j for j, s in enumerate(machine.sensors) if machine.coordinate(s.coordinate).kind == "rotary"]
+    for column in rotary:
+        parts = []
+        for run in data.runs:
+            linear_only = run.outputs.copy()
+            linear_only[:, rotary] = np.nan  # other encoders may have the same mistake
+            prediction = rigid_prediction(linear_only, column, machine)
+            if prediction is not None:
+                both = np.column_stack([run.outputs[:, column], prediction[0]])
+                parts.append(both - np.nanmean(both, axis=0))
+        rows = np.concatenate(parts) if parts else np.zeros((0, 2))
+        rows = rows[np.isfinite(rows).all(axis=1)]
+        if len(rows) < _MIN_ROWS or not np.any(rows[:, 1]):
+            continue
+        angle, predicted = rows.T
+        slope = float(angle @ predicted / (predicted @ predicted))
+        if _RATIO_TOLERANCE < abs(slope - 1) < _MAX_RATIO_ERROR and _correlation(angle, predicted) > _RATIO_CORRELATION:
+            sensor = machine.sensors[column]
+            radius = machine.coordinate(sensor.coordinate).radius
+            message = (
+                f"turns {100 * (slope - 1):+.1f} % too far for the carriage's travel: the pulley has a radius of "
+                f"{radius / slope:.4g} m instead of {radius:.4g} m, or a gear ratio is wrong by that factor"
+            )
+            findings.append(Finding("fault", "", sensor.channel, message))
+    return findings
 
 
-def _score(measured: Array, simulated: Array, undo: Array, machine: Machine) -> float | None:
-    """Agreement with the simulation less the geometry's misfit, one mistake undone; None where nothing moves."""
-    known = np.isfinite(measured).any(axis=0)
-    blank = np.abs(undo) @ (~known).astype(float) > 0
-    repaired = np.where(blank, np.nan, np.nan_to_num(measured) @ undo.T)
-    repaired[~np.isfinite(measured).all(axis=1) & known.all()] = np.nan
-    agreement = _agreement(repaired, simulated)
-    return None if np.isnan(agreement) else agreement - _misfit(repaired, machine)
+def _score(measured: Array, simulated: Array, correction: Array, machine: Machine) -> float | None:
+    """Return agreement with the simulation minus rigid misfit after a correction, or None if nothing moves."""
+    available = np.isfinite(measured).any(axis=0)
+    missing = np.abs(correction) @ (~available).astype(float) > 0
+    corrected = np.where(missing, np.nan, np.nan_to_num(measured) @ correction.T)
+    corrected[~np.isfinite(measured).all(axis=1) & available.all()] = np.nan
+    agreement = _agreement(corrected, simulated)
+    return None if np.isnan(agreement) else agreement - _rigid_misfit(corrected, machine)
 
 
 def _agreement(measured: Array, simulated: Array) -> float:
-    """Mean correlation of measured and simulated speed over the channels that move."""
-    found = []
-    for z, s in zip(measured.T, simulated.T, strict=True):
-        known = np.isfinite(z) & np.isfinite(s)
-        if known.sum() > 10 and np.any(z[known]) and np.any(s[known]):
-            found.append(_correlation(z[known], s[known]))
-    return float(np.mean(found)) if found else float("nan")
+    """Return the mean correlation of measured and simulated speeds over the channels that move, or NaN."""
+    correlations = []
+    for measured_speed, simulated_speed in zip(measured.T, simulated.T, strict=True):
+        rows = np.isfinite(measured_speed) & np.isfinite(simulated_speed)
+        if rows.sum() > _MIN_ROWS and np.any(measured_speed[rows]) and np.any(simulated_speed[rows]):
+            correlations.append(_correlation(measured_speed[rows], simulated_speed[rows]))
+    return float(np.mean(correlations)) if correlations else float("nan")
 
 
 def _correlation(a: Array, b: Array) -> float:
-    """Of two speeds around zero, not around their means: a constant speed has a sign too."""
+    """Return the correlation about zero, not about the means: a constant speed has a sign too."""
     return float(a @ b / np.sqrt((a @ a) * (b @ b)))
 
 
-def _misfit(measured: Array, machine: Machine) -> float:
-    """Share of the measured motion, in travel, that no rigid motion explains."""
-    M = readings(machine)
-    known = np.isfinite(measured).any(axis=0) & (np.linalg.norm(M, axis=1) > 0)
-    rows = measured[:, known]
+def _rigid_misfit(measured: Array, machine: Machine) -> float:
+    """Return the fraction of the measured motion, in travel, that no rigid motion explains."""
+    M = sensor_motions(machine)
+    used = np.isfinite(measured).any(axis=0) & (np.linalg.norm(M, axis=1) > 0)
+    rows = measured[:, used]
     rows = rows[np.isfinite(rows).all(axis=1)]
-    size = np.linalg.norm(M[known], axis=1)
+    size = np.linalg.norm(M[used], axis=1)
     scaled = rows / size
-    basis = M[known] / size[:, None]
-    left = scaled - scaled @ np.linalg.pinv(basis).T @ basis.T
+    basis = M[used] / size[:, None]
+    residual = scaled - scaled @ np.linalg.pinv(basis).T @ basis.T
     total = float(np.sum(scaled**2))
-    return float(np.sqrt(np.sum(left**2) / total)) if total else 0.0
+    return float(np.sqrt(np.sum(residual**2) / total)) if total else 0.0
 
 
-def _still(values: Array, data: Dataset, j: int) -> bool:
-    return bool(np.ptp(values) < max(10 * data.noise[j], 3 * data.quantum[j]))
+def _is_resting(changes: Array, data: Dataset, channel: int) -> bool:
+    """Return whether changes of a channel are within its noise and quantum."""
+    return bool(np.ptp(changes) < max(10 * data.noise[channel], 3 * data.quantum[channel]))

@@ -1,9 +1,9 @@
-"""Recordings made ready for a machine: starts known, offsets removed, the sensors' noise estimated."""
+"""Recordings prepared for identification, and the typical size of the quantities in them."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,43 +11,87 @@ from numpy.typing import NDArray
 
 from ..machine import Machine
 from ..recordings import Recording, fill_gaps
-from .initial_state import common_zeros, estimate_initial_state
+from .initial_state import encoder_zero_errors, model_initial_state, refine_offsets
+from .rest_measurement import InitialState, behind_belts, common_encoder_zeros, estimate_initial_state
+from .sensor_properties import sensor_noise, sensor_quantum
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class PreparedRecording:
-    """One recording of a machine.
+    """One recording of a machine, with its initial state.
 
-    time_s (n,); inputs (n, drives) V; outputs (n, sensors) with the resting offset removed, NaN where not measured;
-    start (2 coordinates,), with the stretch of the belts that encoders told of; told (sensors,): which did; offset
-    (sensors,), the one removed; zeroed: whether a fitted machine has put the encoders' zeros right; rows (n,): those
-    that count, where not all do.
+    Attributes:
+        name: Name of the run.
+        time_s: Sample times, s, shape (n,).
+        inputs: Drive voltages, V, shape (n, drives).
+        outputs: Measurements minus the sensors' zeros, in the sensors' units, shape (n, sensors); NaN where not measured.
+        initial: Measured initial state.
+        rows: Rows that count in the residual, shape (n,). Default: all.
     """
 
     name: str
     time_s: Array
     inputs: Array
     outputs: Array
-    start: Array
-    rest: int
-    offset: Array
-    told: NDArray[np.bool_]
-    zeroed: bool = False
+    initial: InitialState
     rows: NDArray[np.bool_] | None = None
 
     @property
     def count(self) -> int:
-        """How many numbers were measured."""
+        """Number of measured values that count."""
         counted = self.outputs if self.rows is None else self.outputs[self.rows]
         return int(np.isfinite(counted).sum())
+
+    def initial_state(self, machine: Machine) -> Array:
+        """Return the initial state of a machine in this run.
+
+        Args:
+            machine: Machine with its effects.
+
+        Returns:
+            Positions and velocities, in the coordinates' units, shape (2 * coordinates,).
+        """
+        return model_initial_state(machine, self.initial)
+
+    # Aliases until all packages use the new names.
+    @property
+    def start(self) -> Array:
+        """Alias of initial.state."""
+        return self.initial.state
+
+    @property
+    def rest(self) -> int:
+        """Alias of initial.resting_rows."""
+        return self.initial.resting_rows
+
+    @property
+    def offset(self) -> Array:
+        """Alias of initial.offset."""
+        return self.initial.offset
+
+    @property
+    def told(self) -> NDArray[np.bool_]:
+        """Alias of initial.offset_known."""
+        return self.initial.offset_known
+
+    @property
+    def zeroed(self) -> bool:
+        """Alias of initial.offsets_refined."""
+        return self.initial.offsets_refined
 
 
 @dataclass(frozen=True)
 class Dataset:
-    """Runs of one rig; for each sensor (sensors,) the standard deviation of its noise, its quantum (0: none), and
-    whether belts are between it and the carriage."""
+    """Prepared recordings of one rig.
+
+    Attributes:
+        runs: The recordings.
+        noise: Standard deviations of the sensors' noise, in their units, shape (sensors,).
+        quantum: Quanta of the sensors, in their units, 0 where there is none, shape (sensors,).
+        behind_belts: Whether elastic belts lie between a sensor and the tool, shape (sensors,).
+    """
 
     runs: tuple[PreparedRecording, ...]
     noise: Array
@@ -56,6 +100,7 @@ class Dataset:
 
     @property
     def count(self) -> int:
+        """Number of measured values that count."""
         return sum(run.count for run in self.runs)
 
     @property
@@ -63,93 +108,176 @@ class Dataset:
         """Median sampling period, s."""
         return float(np.median(np.concatenate([np.diff(run.time_s) for run in self.runs])))
 
-    def only(self, names: Sequence[str]) -> Dataset:
-        """The runs of these names, with the same noise."""
+    def with_runs(self, names: Sequence[str]) -> Dataset:
+        """Return the data set of some of the runs, with the same noise.
+
+        Args:
+            names: Names of the runs to keep.
+
+        Returns:
+            Reduced copy.
+        """
         return dataclasses.replace(self, runs=tuple(run for run in self.runs if run.name in names))
 
-    def judged(self, rows: Sequence[NDArray[np.bool_]]) -> Dataset:
-        """The same runs, of which only these rows (n,) count."""
-        return dataclasses.replace(
-            self, runs=tuple(dataclasses.replace(run, rows=own) for run, own in zip(self.runs, rows, strict=True))
-        )
+    def with_rows(self, rows: Sequence[NDArray[np.bool_]]) -> Dataset:
+        """Return the same runs, with only some of their rows in the residual.
 
+        Args:
+            rows: Rows that count, by run, each of shape (n,).
 
-def shown(data: Dataset, recordings: Sequence[Recording]) -> Dataset:
-    """The same runs with all that their recordings show, also what was kept out of a fit."""
-    outputs = {r.name: fill_gaps(r).outputs for r in recordings}
-    runs = tuple(dataclasses.replace(run, outputs=outputs[run.name] - run.offset) for run in data.runs)
-    return dataclasses.replace(data, runs=runs)
+        Returns:
+            Copy with these rows.
+        """
+        pairs = zip(self.runs, rows, strict=True)
+        return dataclasses.replace(self, runs=tuple(dataclasses.replace(run, rows=counted) for run, counted in pairs))
+
+    # Aliases until all packages use the new names.
+    only = with_runs
+    judged = with_rows
 
 
 def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:
-    """Runs ready for fitting a machine of this shape."""
+    """Prepare recordings for fitting a machine: fill gaps, estimate initial states, zeros and noise.
+
+    Args:
+        recordings: Runs of one rig.
+        machine: Machine with the rig's coordinates, belts and sensors.
+
+    Returns:
+        Data set with one prepared recording per run.
+    """
     recordings = [fill_gaps(recording) for recording in recordings]
-    quanta = np.array([_quantum(recordings, j, machine) for j in range(len(machine.sensors))])
-    zeros = common_zeros([estimate_initial_state(recording, machine) for recording in recordings], machine, quanta)
-    starts = [estimate_initial_state(recording, machine, zeros) for recording in recordings]
-    runs = []
-    for recording, start in zip(recordings, starts, strict=True):
-        outputs = recording.outputs - start.offset
-        runs.append(
-            PreparedRecording(
-                recording.name,
-                recording.time_s,
-                recording.inputs,
-                outputs,
-                start.state,
-                start.rows,
-                start.offset,
-                zeros.stretched,
-            )
-        )
-    noise = np.array([_noise(recordings, runs, j, machine, quanta[j]) for j in range(len(machine.sensors))])
-    belted = [bool(machine.belts) and machine.coordinate(s.coordinate).kind == "rotary" for s in machine.sensors]
-    return Dataset(tuple(runs), noise, quanta, np.array(belted))
+    channels = [[recording.outputs[:, j] for recording in recordings] for j in range(len(machine.sensors))]
+    quanta = np.array([sensor_quantum(c, s.resolution) for c, s in zip(channels, machine.sensors, strict=True)])
+    separate = [estimate_initial_state(recording, machine) for recording in recordings]
+    zeros = common_encoder_zeros(separate, machine, quanta)
+    initial = [estimate_initial_state(recording, machine, zeros) for recording in recordings]
+    rows = [state.resting_rows for state in initial]
+    noise = [
+        sensor_noise(channel, rows, quantum, sensor.noise)
+        for channel, quantum, sensor in zip(channels, quanta, machine.sensors, strict=True)
+    ]
+    runs = tuple(
+        PreparedRecording(r.name, r.time_s, r.inputs, r.outputs - state.offset, state)
+        for r, state in zip(recordings, initial, strict=True)
+    )
+    return Dataset(runs, np.array(noise), quanta, behind_belts(machine))
 
 
-def quantum_of(values: Array) -> float:
-    """The step of a quantised channel: the smallest change that nearly all changes are multiples of; 0 if none."""
-    steps = np.abs(np.diff(values[np.isfinite(values)]))
-    steps = steps[steps > 0]
-    if len(steps) < 10:
-        return 0.0
-    smallest = float(np.percentile(steps, 2))
-    fraction = np.abs(steps / smallest - np.rint(steps / smallest))
-    return smallest if np.mean(fraction < 0.1) > 0.95 else 0.0
+def with_all_measurements(data: Dataset, recordings: Sequence[Recording]) -> Dataset:
+    """Return a data set with all measurements, including the saturated ones that a fit leaves out.
+
+    Args:
+        data: Prepared data set.
+        recordings: Recordings that it was made from, and possibly others.
+
+    Returns:
+        Copy with all outputs.
+    """
+    outputs = {r.name: fill_gaps(r).outputs for r in recordings}
+    runs = (dataclasses.replace(run, outputs=outputs[run.name] - run.initial.offset) for run in data.runs)
+    return dataclasses.replace(data, runs=tuple(runs))
 
 
-def _quantum(recordings: Sequence[Recording], j: int, machine: Machine) -> float:
-    step = float(np.median([quantum_of(recording.outputs[:, j]) for recording in recordings]))
-    return step or machine.sensors[j].resolution
+def refine_encoder_offsets(data: Dataset, machine: Machine, reference: Dataset | None = None) -> Dataset:
+    """Correct the encoders' zeros by a fitted machine, see `encoder_zero_errors`.
+
+    Args:
+        data: Data set to correct.
+        machine: Fitted machine.
+        reference: Data set that the machine was fitted to, from which the errors are estimated. Default: `data`.
+
+    Returns:
+        Corrected copy; `data` itself where no encoder kept its zero or the machine has no effects.
+    """
+    runs = (data if reference is None else reference).runs
+    if not machine.effects or not any(np.any(run.initial.offset_known) for run in data.runs):
+        return data
+    errors = encoder_zero_errors(machine, [run.initial for run in runs])
+    corrected = (
+        dataclasses.replace(run, initial=refine_offsets(run.initial, machine, errors), outputs=run.outputs - errors)
+        for run in data.runs
+    )
+    return dataclasses.replace(data, runs=tuple(corrected))
 
 
-def _noise(
-    recordings: Sequence[Recording], runs: Sequence[PreparedRecording], j: int, machine: Machine, quantum: float
-) -> float:
-    """Standard deviation of sensor j from the resting rows if there are any, at least its quantum's."""
-    channel = [recording.outputs[:, j] for recording in recordings]
-    deviations, rows = 0.0, 0
-    for values, run in zip(channel, runs, strict=True):
-        first = values[: run.rest]
-        resting = first[np.isfinite(first)]
-        if len(resting) >= 10:
-            # Around a parabola: a stage that still creeps to rest is no noise.
-            rows_of = np.linspace(-1.0, 1.0, len(resting))
-            left = resting - np.polynomial.polynomial.polyval(
-                rows_of, np.polynomial.polynomial.polyfit(rows_of, resting, 2)
-            )
-            deviations += float(np.sum(left**2))
-            rows += len(resting) - 3
-    least, declared = quantum / np.sqrt(12), machine.sensors[j].noise
-    if rows >= 30:
-        return max(float(np.sqrt(deviations / rows)), least) or declared or _difference_noise(channel)
-    return max(least, declared or _difference_noise(channel))
+@dataclass(frozen=True)
+class TypicalScales:
+    """Typical sizes of physical quantities on a machine in its recordings, by unit.
+
+    Attributes:
+        by_coordinate: Sizes by coordinate and by unit, in the coordinates' units.
+        general: Sizes by unit of quantities that belong to no coordinate.
+    """
+
+    by_coordinate: Mapping[str, Mapping[str, float]]
+    general: Mapping[str, float]
+
+    def of(self, coordinate: str) -> Mapping[str, float]:
+        """Return the sizes that apply at a coordinate.
+
+        Args:
+            coordinate: Name of the coordinate; an unknown name gives the general sizes.
+
+        Returns:
+            Size by unit.
+        """
+        return {**self.general, **self.by_coordinate.get(coordinate, {})}
 
 
-def _difference_noise(channel: Sequence[Array]) -> float:
-    """Noise from third differences, which smooth motion hardly has (von Neumann 1941)."""
-    parts = [np.diff(values, n=3) for values in channel]
-    spread = np.concatenate([p[np.isfinite(p)] for p in parts])
-    if len(spread) == 0:
-        return 1.0
-    return max(1.4826 * float(np.median(np.abs(spread))) / np.sqrt(20.0), 1e-12)
+def typical_force(machine: Machine) -> float:
+    """Return a tenth of the force of all drives together at rated voltage and rest, N of belt travel."""
+    total = 0.0
+    for d in machine.drives:
+        c = machine.coordinate(d.coordinate)
+        total += d.gain * d.rated_voltage / (c.radius if c.kind == "rotary" else 1.0)
+    return 0.1 * total
+
+
+def scales_of_motion(
+    machine: Machine, positions: Array, velocities: Array, inputs: Sequence[Array]
+) -> TypicalScales:
+    """Return the typical sizes of the quantities in a motion.
+
+    Args:
+        machine: Machine that moved.
+        positions: Positions along all runs, in the coordinates' units, shape (n, coordinates).
+        velocities: Velocities along all runs, shape (n, coordinates).
+        inputs: Drive voltages by run, V, each of shape (n, drives).
+
+    Returns:
+        Typical sizes by coordinate and unit.
+    """
+    force = typical_force(machine)
+    top_speed = np.maximum(np.percentile(np.abs(velocities), 99, axis=0), 1e-9)
+    travel = np.maximum(np.ptp(positions, axis=0), 1e-9)
+    by_coordinate: dict[str, dict[str, float]] = {}
+    for i, c in enumerate(machine.coordinates):
+        drive = force * (c.radius if c.kind == "rotary" else 1.0)
+        speed, distance = float(top_speed[i]), float(travel[i])
+        by_coordinate[c.name] = {
+            "force": drive,
+            "speed": speed,
+            "position": distance,
+            "viscous": drive / speed,
+            "drag": drive / speed**2,
+            "stiffness": drive / distance,
+        }
+    voltages = np.concatenate(list(inputs))
+    for j, d in enumerate(machine.drives):
+        i = machine.coordinate_names.index(d.coordinate)
+        current = (voltages[:, j] - d.Ke * d.gear_ratio * velocities[:, i]) / d.resistance
+        by_coordinate[d.coordinate]["A"] = max(float(np.abs(current).max()), 1e-9)
+    general: dict[str, float] = {}
+    if machine.belts:
+        rows = np.array([machine.row(b.extension) for b in machine.belts]) * machine.radii
+        extension = positions @ rows.T  # (n, belts)
+        stiffness = np.array([b.EA / b.rest_length for b in machine.belts])
+        largest = max(float(np.percentile(np.abs(extension), 99)), 1e-9)
+        general = {"m": largest, "N": float(np.abs(extension * stiffness).max()), "1/m^2": 1.0 / largest**2}
+    return TypicalScales(by_coordinate, general)
+
+
+# Aliases until all packages use the new names.
+shown = with_all_measurements
+references = scales_of_motion

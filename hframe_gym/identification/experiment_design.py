@@ -1,9 +1,12 @@
-"""The next experiment: voltages on which two machines that explain the recordings equally well differ most.
+"""Design the next experiment: voltages for which two equally good machines predict the most different motions.
 
-A family of plain excitations (alternating steps, ramps through breakaway, staircases, chirps, random steps), along
-every combination of the drives and at several amplitudes, is run through both machines.  Those that keep both inside
-the travel compete; the difference that counts is what is left when the second machine's parameters have followed the
-new run as far as the old ones let them (optimal discrimination in the sense of Atkinson and Fedorov 1975, linearised).
+A family of excitations (alternating steps, ramps through breakaway, staircases, chirps, random steps), along every
+combination of the drives and at several amplitudes, is simulated with both machines.  Those that keep both machines
+inside the travel compete.  The difference that counts is the one that remains when the second machine's parameters
+adapt to the new run as far as their covariance allows: optimal discrimination between models, linearized.
+
+References:
+    Atkinson and Fedorov (1975), "The design of experiments for discriminating between two rival models".
 """
 
 from __future__ import annotations
@@ -12,7 +15,7 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,26 +29,36 @@ from .covariance import with_uncertainty
 from .dataset import Dataset
 from .estimation import Fit, fit
 from .forward_selection import typical
+from .linearization import NormalEquations, forward_differences
 from .prediction import POLISH_STEP, SEARCH_STEP
-from .typical_scales import TypicalScales
+
+if TYPE_CHECKING:
+    from .typical_scales import TypicalScales
 
 Array = NDArray[np.float64]
+
 FILE = "next_experiment.csv"
-# Below this many standard deviations of the sensors' noise nothing is promised.
-LEAST_SIGMA = 10.0
-_SECONDS, _REST = 3.0, 0.15  # of a run, and at rest at either end
-_AMPLITUDES = (0.05, 0.1, 0.2, 0.35, 0.6, 1.0)  # of the rated voltage
-_MARGIN = 0.1  # of the travel, kept free at either end
+# Difference of the predictions, in standard deviations of the sensors' noise, below which no experiment is proposed.
+MINIMUM_SIGMA = 10.0
+_DURATION_S, _REST_S = 3.0, 0.15  # of the run, and at rest at either end
+_AMPLITUDES = (0.05, 0.1, 0.2, 0.35, 0.6, 1.0)  # fractions of the rated voltage
+_TRAVEL_MARGIN = 0.1  # fraction of the travel that remains free at either end
 _FINALISTS = 8
-_STEP = 0.1  # forward difference, in standard deviations of a parameter
+_DIFFERENCE_STEP = 0.1  # in standard deviations of a parameter
+_HOLD_TIMES_S = (0.02, 0.05, 0.15, 0.4)  # of random steps
 
 
 @dataclass(frozen=True)
 class ExperimentDesign:
-    """Voltages (n, drives) at times (n,), from rest at zero, and what they are expected to tell.
+    """Voltages of the proposed run and the difference that they should show.
 
-    separates: labels of the two effects.  sigma: root of the sum of squared differences of all readings, in units of
-    the sensors' noise; rms: the same a reading; channel: the output that shows most of it.
+    Attributes:
+        separates: Labels of the two effects.
+        time_s: Sample times, s, shape (n,).
+        inputs: Drive voltages, V, shape (n, drives); the run starts at rest at zero.
+        sigma: Root of the sum of squared differences of all predicted values, in standard deviations of the noise.
+        rms: Root mean square of the same differences.
+        channel: Output channel with the largest difference.
     """
 
     separates: tuple[str, str]
@@ -57,18 +70,25 @@ class ExperimentDesign:
 
     @property
     def why(self) -> str:
+        """Purpose of the run, for the report."""
         first, second = self.separates
         return (
-            f"{first} and {second} explain the recordings equally well. On this run they should differ by "
-            f"{self.sigma:.3g} standard deviations of the sensors' noise in all, {self.rms:.2g} a reading, most in "
-            f"{self.channel}, even with the parameters of {second} refitted. Begin at rest at zero."
+            f"{first} and {second} explain the recordings equally well. On this run their predictions should differ by "
+            f"{self.sigma:.3g} standard deviations of the sensors' noise in total ({self.rms:.2g} rms per measured "
+            f"value, most in {self.channel}), even after a refit of the parameters of {second}. Start at rest at zero."
         )
 
     def as_json(self) -> dict[str, Any]:
+        """Return the entry `next_experiment` of report.json."""
         return {"separates": list(self.separates), "file": FILE, "why": self.why}
 
     def write(self, path: Path, machine: Machine) -> None:
-        """Write the voltages in the recordings' format, whole."""
+        """Write the voltages as an input recording.
+
+        Args:
+            path: CSV file to write; it appears only when it is complete.
+            machine: Machine that names the input channels.
+        """
         with whole_file(path) as temporary:
             header = ",".join(["time_s", *machine.input_channels])
             table = np.column_stack([self.time_s, self.inputs])
@@ -76,88 +96,132 @@ class ExperimentDesign:
 
 
 def design_discriminating_experiment(
-    after: Fit, corrected: Machine, label: str, rivals: Sequence[AppliedEffect], data: Dataset
+    current: Fit, corrected: Machine, label: str, rivals: Sequence[AppliedEffect], data: Dataset
 ) -> ExperimentDesign | None:
-    """The run that tells the effect `label` of the corrected machine from the best of its rivals, as they were fitted.
+    """Design the run that separates an identified effect from its best rival.
 
-    after: the corrected machine's fit.  None where there is no rival, where one of the two changes the machine's
-    tables, or where no run is sure to tell them apart.
+    Args:
+        current: Fit of the corrected machine.
+        corrected: Corrected machine with its uncertainty.
+        label: Label of the identified effect.
+        rivals: Effects that explain the data equally well, as they were fitted, best first.
+        data: Runs that were fitted.
+
+    Returns:
+        The run, or None if there is no rival, if one of the two effects is structural, or if no run that was tried
+        separates them.
     """
-    present = {e.label: e for e in after.machine.effects}
-    others = [r for r in rivals if r.label not in present and not r.definition.structure]
-    if not others or present[label].definition.structure:
+    present = {e.label: e for e in current.machine.effects}
+    alternatives = [r for r in rivals if r.label not in present and not r.definition.structure]
+    if not alternatives or present[label].definition.structure:
         return None
-    rival = rival_of(after, label, others[0], data, typical(after, data))
-    return next_experiment(corrected, rival, (label, others[0].label), data)
+    rival_machine = fit_rival(current, label, alternatives[0], data, typical(current, data))
+    return separate_machines(corrected, rival_machine, (label, alternatives[0].label), data)
 
 
-def rival_of(after: Fit, label: str, rival: AppliedEffect, data: Dataset, scale: TypicalScales) -> Machine:
-    """The machine with a rival in the place of the effect `label`, everything fitted anew, with its covariance."""
-    others = tuple(e for e in after.machine.effects if e.label != label)
-    machine = after.machine.replace(effects=others, uncertainty=None).with_effects(rival)
-    kept = [f for f in after.free if f.name in machine.parameters and not f.name.startswith(f"{label}.")]
-    theta = [t for f, t in zip(after.free, after.theta, strict=True) if f in kept]
+def fit_rival(current: Fit, label: str, rival: AppliedEffect, data: Dataset, scale: TypicalScales) -> Machine:
+    """Fit the machine with a rival in place of an identified effect.
+
+    Args:
+        current: Fit of the corrected machine.
+        label: Label of the effect to replace.
+        rival: Effect that replaces it.
+        data: Runs to fit.
+        scale: Typical values, for the rival's free parameters.
+
+    Returns:
+        The fitted machine with its uncertainty.
+    """
+    remaining = tuple(e for e in current.machine.effects if e.label != label)
+    machine = current.machine.replace(effects=remaining, uncertainty=None).with_effects(rival)
+    kept = [f for f in current.free if f.name in machine.parameters and not f.name.startswith(f"{label}.")]
+    kept_theta = [t for f, t in zip(current.free, current.theta, strict=True) if f in kept]
     names = {f.name for f in kept}
-    own = [f for f in effect_parameters(rival, machine, scale) if f.name not in names]
-    start = np.concatenate([theta, np.zeros(len(own))])
-    return with_uncertainty(fit(machine, kept + own, data, after.mode, theta=start, longest_step=POLISH_STEP), data)
+    added = [f for f in effect_parameters(rival, machine, scale) if f.name not in names]
+    theta = np.concatenate([kept_theta, np.zeros(len(added))])
+    rival_fit = fit(machine, kept + added, data, current.mode, theta=theta, longest_step=POLISH_STEP)
+    return with_uncertainty(rival_fit, data)
 
 
-def next_experiment(first: Machine, second: Machine, labels: tuple[str, str], data: Dataset) -> ExperimentDesign | None:
-    """The run that tells two fitted machines apart best, or None where none that was tried is sure to.
+def separate_machines(
+    first: Machine, second: Machine, labels: tuple[str, str], data: Dataset
+) -> ExperimentDesign | None:
+    """Design the run whose predictions by two machines differ most.
 
-    data: the recordings behind both, for the sensors' noise, the sampling period and, where a machine declares no
-    range, the travel.  Machines may differ in their effects, not in their sensors and drives.
+    Args:
+        first: One machine.
+        second: The other, whose parameters adapt to the new run within their uncertainty.  The machines may differ in
+            their effects, but not in their sensors and drives.
+        labels: Labels of the effects that distinguish them.
+        data: Recordings behind both, for the sensors' noise, the sampling period and, where a machine declares no
+            range, the travel.
+
+    Returns:
+        The run, or None if none that was tried exceeds MINIMUM_SIGMA.
     """
-    rows = round(_SECONDS / data.period)
+    rows = round(_DURATION_S / data.period)
     time_s: Array = np.arange(rows, dtype=np.float64) * data.period
-    waves = _waves(time_s, len(first.drives))
-    rated = np.array([d.rated_voltage for d in first.drives])
-    low, high = _reach(first, data)
-    ranked: list[tuple[float, Array]] = []
-    for amplitude in _AMPLITUDES:
-        inputs = amplitude * rated * waves
-        motions = [simulate_batch(m, time_s, inputs, longest_step=SEARCH_STEP) for m in (first, second)]
-        inside = np.all([_inside(motion, low, high) for motion in motions], axis=0)
-        difference = _difference(motions[0].readings, motions[1].readings, time_s, data)
-        size = np.where(inside & np.isfinite(difference).all(axis=1), np.square(difference).sum(axis=1), 0.0)
-        ranked += [(float(s), inputs[k]) for k, s in enumerate(size) if s >= LEAST_SIGMA**2]
-    ranked.sort(key=lambda r: -r[0])
-    finals = [(inputs, _adapted(first, second, time_s, inputs, data)) for _, inputs in ranked[:_FINALISTS]]
-    if not finals:
+    finalists = [
+        (inputs, _unexplained_difference(first, second, time_s, inputs, data))
+        for inputs in _largest_differences(first, second, time_s, data)
+    ]
+    if not finalists:
         return None
-    inputs, left = max(finals, key=lambda f: float(np.square(f[1]).sum()))
-    by_channel = np.square(left).reshape(rows, -1).sum(axis=0)
+    inputs, difference = max(finalists, key=lambda f: float(np.square(f[1]).sum()))
+    by_channel = np.square(difference).reshape(rows, -1).sum(axis=0)
     total = float(by_channel.sum())
-    if not total >= LEAST_SIGMA**2:
+    if not total >= MINIMUM_SIGMA**2:
         return None
     return ExperimentDesign(
         separates=labels,
         time_s=time_s,
         inputs=inputs,
         sigma=float(np.sqrt(total)),
-        rms=float(np.sqrt(total / left.size)),
+        rms=float(np.sqrt(total / difference.size)),
         channel=first.output_channels[int(np.argmax(by_channel))],
     )
 
 
-def _waves(time_s: Array, drives: int) -> Array:
-    """Excitations (B, n, drives) between -1 and 1: every form along every combination of the drives, up to its sign."""
-    signs = [s for s in itertools.product((-1.0, 0.0, 1.0), repeat=drives) if next((v for v in s if v), 0.0) > 0.0]
-    forms = _forms(time_s)
-    together = [form[:, None] * np.array(s) for form in forms for s in signs]
+def _largest_differences(first: Machine, second: Machine, time_s: Array, data: Dataset) -> list[Array]:
+    """Return the inputs (n, drives) that keep both machines inside the travel with the largest differences."""
+    waves = _excitations(time_s, len(first.drives))
+    rated = np.array([d.rated_voltage for d in first.drives])
+    low, high = _travel(first, data)
+    ranked: list[tuple[float, Array]] = []
+    for amplitude in _AMPLITUDES:
+        inputs = amplitude * rated * waves  # (batch, n, drives)
+        motions = [simulate_batch(m, time_s, inputs, longest_step=SEARCH_STEP) for m in (first, second)]
+        inside = np.all([_stays_inside(motion, low, high) for motion in motions], axis=0)
+        difference = _difference(motions[0].readings, motions[1].readings, data)
+        admissible = inside & np.isfinite(difference).all(axis=1)
+        squares = np.where(admissible, np.square(difference).sum(axis=1), 0.0)
+        ranked += [(float(s), inputs[k]) for k, s in enumerate(squares) if s >= MINIMUM_SIGMA**2]
+    ranked.sort(key=lambda r: -r[0])
+    return [inputs for _, inputs in ranked[:_FINALISTS]]
+
+
+def _excitations(time_s: Array, drives: int) -> Array:
+    """Return excitations (batch, n, drives) in [-1, 1]: every form along every combination of drives up to sign."""
+    directions = [
+        signs
+        for signs in itertools.product((-1.0, 0.0, 1.0), repeat=drives)
+        if next((sign for sign in signs if sign), 0.0) > 0.0
+    ]
+    common = [form[:, None] * np.array(signs) for form in _forms(time_s) for signs in directions]
     rng = np.random.default_rng(0)
-    apart = [np.stack([_random(time_s, hold, rng) for _ in range(drives)], axis=1) for hold in (0.02, 0.05, 0.15, 0.4)]
-    moving = (time_s >= _REST) & (time_s < time_s[-1] - _REST)
-    return np.array(together + apart) * moving[:, None]
+    independent = [
+        np.stack([_random_steps(time_s, hold, rng) for _ in range(drives)], axis=1) for hold in _HOLD_TIMES_S
+    ]
+    moving = (time_s >= _REST_S) & (time_s < time_s[-1] - _REST_S)
+    return np.array(common + independent) * moving[:, None]
 
 
 def _forms(time_s: Array) -> list[Array]:
-    """Alternating steps, ramps, staircases of growing steps, slow sines and chirps, (n,) each.
+    """Return alternating steps, ramps, staircases of growing steps, slow sines and chirps, shape (n,) each.
 
-    Phases are such that the stage goes as far one way as the other.
+    Their phases let the stage travel equally far to both sides.
     """
-    t, length = time_s - _REST, time_s[-1] - 2 * _REST
+    t, length = time_s - _REST_S, time_s[-1] - 2 * _REST_S
     steps = [np.sign(np.cos(2 * np.pi * t / period)) for period in (0.15, 0.4, 0.9, 1.8)]
     ramps = [signal.sawtooth(2 * np.pi * t / period + np.pi / 2, 0.5) for period in (0.6, 1.3)]
     stairs = [np.sign(np.cos(2 * np.pi * t / period)) * np.ceil(8 * t / length) / 8 for period in (0.3, 0.7)]
@@ -166,13 +230,17 @@ def _forms(time_s: Array) -> list[Array]:
     return steps + ramps + stairs + sines + chirps
 
 
-def _random(time_s: Array, hold: float, rng: np.random.Generator) -> Array:
+def _random_steps(time_s: Array, hold: float, rng: np.random.Generator) -> Array:
+    """Return uniform random levels in [-1, 1], shape (n,), each held for `hold` seconds."""
     levels = rng.uniform(-1.0, 1.0, int(time_s[-1] / hold) + 2)
     return levels[(time_s / hold).astype(int)]
 
 
-def _reach(machine: Machine, data: Dataset) -> tuple[Array, Array]:
-    """Where coordinates may go (coordinates,) each: their range, else half of what the recordings span either way."""
+def _travel(machine: Machine, data: Dataset) -> tuple[Array, Array]:
+    """Return lower and upper limits of all coordinates, shape (coordinates,) each, infinite where there is none.
+
+    A coordinate without a declared range may move half of the recorded span to either side.
+    """
     low = np.full(len(machine.coordinates), -np.inf)
     high = -low
     for j, sensor in enumerate(machine.sensors):
@@ -181,47 +249,60 @@ def _reach(machine: Machine, data: Dataset) -> tuple[Array, Array]:
         if coordinate.range is not None:
             low[i], high[i] = coordinate.range
         elif not machine.belts:
-            readings = np.concatenate([run.outputs[:, j] for run in data.runs])
-            known = readings[np.isfinite(readings)]
-            span = float(np.ptp(known)) / abs(sensor.row[sensor.coordinate]) if len(known) else 0.0
+            values = np.concatenate([run.outputs[:, j] for run in data.runs])
+            values = values[np.isfinite(values)]
+            span = float(np.ptp(values)) / abs(sensor.row[sensor.coordinate]) if len(values) else 0.0
             low[i], high[i] = -span / 2, span / 2
     return low, high
 
 
-def _inside(motion: Motion, low: Array, high: Array) -> NDArray[np.bool_]:
-    """Which runs (B,) keep a margin to the ends of the travel."""
-    finite = np.isfinite(low)
-    margin = _MARGIN * (high[finite] - low[finite])
-    places = motion.positions[:, :, : len(low)][:, :, finite]
-    return np.all((places > low[finite] + margin) & (places < high[finite] - margin), axis=(1, 2))
+def _stays_inside(motion: Motion, low: Array, high: Array) -> NDArray[np.bool_]:
+    """Return which motions of a batch keep a margin to the limits of the travel, shape (batch,)."""
+    limited = np.isfinite(low)
+    margin = _TRAVEL_MARGIN * (high[limited] - low[limited])
+    positions = motion.positions[:, :, : len(low)][:, :, limited]
+    inside = (positions > low[limited] + margin) & (positions < high[limited] - margin)
+    return np.all(inside, axis=(1, 2))
 
 
-def _difference(one: Array, other: Array, time_s: Array, data: Dataset) -> Array:
-    """Difference of readings (B, n, sensors), less what the sensors' zeros take up, in units of the noise, (B, n s)."""
-    difference = one - other
-    difference = difference - np.where(data.behind_belts, difference.mean(axis=1), difference[:, 0])[:, None, :]
+def _difference(first: Array, second: Array, data: Dataset) -> Array:
+    """Return the difference of predictions (batch, n, sensors) in units of the noise, shape (batch, n * sensors).
+
+    The part that the unknown zeros of the sensors absorb is removed.
+    """
+    difference = first - second
+    offset = np.where(data.behind_belts, difference.mean(axis=1), difference[:, 0])
+    difference = difference - offset[:, None, :]
     return (difference / data.noise).reshape(len(difference), -1)
 
 
-def _adapted(first: Machine, second: Machine, time_s: Array, inputs: Array, data: Dataset) -> Array:
-    """The difference (n sensors,) that is left when the second machine's parameters follow, within their covariance."""
-    parameters, directions = _spread(second)
-    table = np.vstack([parameters, parameters + _STEP * directions])
-    truth = simulate_batch(first, time_s, inputs, longest_step=POLISH_STEP, states=False).readings
-    readings = simulate_batch(second, time_s, inputs, parameters=table, longest_step=POLISH_STEP, states=False).readings
-    missed = _difference(truth, readings, time_s, data)
-    columns = (missed[1:] - missed[0]) / _STEP
-    weight = np.linalg.inv(np.eye(len(columns)) + columns @ columns.T) @ (columns @ missed[0])
-    return missed[0] - weight @ columns
+def _unexplained_difference(first: Machine, second: Machine, time_s: Array, inputs: Array, data: Dataset) -> Array:
+    """Return the difference (n * sensors,) that remains when the second machine's parameters adapt to the first.
+
+    The parameters are linear combinations with unit prior variance, so the prior's precision is the identity.
+    """
+    parameters, directions = _covariance_root(second)
+    table = np.vstack([parameters, parameters + _DIFFERENCE_STEP * directions])
+    reference = simulate_batch(first, time_s, inputs, longest_step=POLISH_STEP, states=False).readings
+    predicted = simulate_batch(
+        second, time_s, inputs, parameters=table, longest_step=POLISH_STEP, states=False
+    ).readings
+    differences = _difference(reference, predicted, data)  # (k + 1, n * sensors)
+    jacobian, difference = forward_differences(differences, _DIFFERENCE_STEP), differences[0]
+    equations = NormalEquations.from_rows(jacobian, difference)
+    adaptation = np.linalg.solve(equations.information + np.eye(len(jacobian)), equations.gradient)
+    remaining: Array = difference - adaptation @ jacobian
+    return remaining
 
 
-def _spread(machine: Machine) -> tuple[Array, Array]:
-    """A machine's parameters (P,) and the columns of a root of their covariance, (k, P)."""
+def _covariance_root(machine: Machine) -> tuple[Array, Array]:
+    """Return a machine's parameters (P,) and a root of their covariance, one direction per row (k, P)."""
     names = list(machine.parameters)
     values = np.array(list(machine.parameters.values()))
     if machine.uncertainty is None:
         return values, np.zeros((0, len(values)))
-    size, axes = np.linalg.eigh(machine.uncertainty.covariance)
-    directions = np.zeros((len(size), len(values)))
-    directions[:, [names.index(n) for n in machine.uncertainty.names]] = (axes * np.sqrt(np.maximum(size, 0.0))).T
+    variances, axes = np.linalg.eigh(machine.uncertainty.covariance)
+    directions = np.zeros((len(variances), len(values)))
+    columns = [names.index(name) for name in machine.uncertainty.names]
+    directions[:, columns] = (axes * np.sqrt(np.maximum(variances, 0.0))).T
     return values, directions

@@ -1,114 +1,258 @@
-"""Where a run starts: its resting rows, the state they mean, and what each sensor's zero is.
+"""The initial state of a run for a given machine.
 
-A run starts at rest; the rows before its first input change are its resting position.  Belts are taken as unstretched
-there.  Encoders count from wherever they were switched on and lasers from where they were mounted, so what the resting
-readings differ from the state's is a constant offset of the run.
+`rest_measurement` estimates the position from the measurements alone. A machine with effects knows more: an effect on a reading is
+inverted, and pulleys are in static equilibrium with the forces that act at rest.
+
+Every command takes its initial states from here: identification from `model_initial_state`, ``hframe simulate`` from
+`initial_state_of_recording`.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import null_space
 
-from ..machine import Machine
+from ..dynamics import simulate_batch
+from ..machine import Machine, rest_state
+from ..machine.linearization import stiffness_matrix
 from ..recordings import Recording
+from .criteria import SelectionCriteria
+from .effect_perturbation import MotionRecord, effects_force
+from .rest_measurement import (
+    InitialState,
+    count_resting_rows,
+    estimate_initial_state,
+    max_zero_means,
+    rigid_motions,
+    sensor_zero_error,
+    settled_rows,
+)
+from .sensor_properties import blank_saturated, sensor_noise, sensor_quantum
 
 Array = NDArray[np.float64]
-_RUNS_FOR_A_ZERO = 3
-# Weight of a sensor that is used only where nothing else tells.
-_LAST = 1e-6
+_POSITION_CORRECTIONS = 3  # Simulations that refine a position which no sensor measures at rest.
+_INVERSION_STEPS = 4  # Each leaves a few hundredths of the error.
+_INVERSION_TOLERANCE = 1e-6  # m
 
 
-class InitialState(NamedTuple):
-    """state (2 coordinates,), at rest; offset (sensors,): reading minus what the state would read; rows at rest."""
+def static_equilibrium(machine: Machine, position: Array) -> Array:
+    """Return the positions at rest under the forces of a machine's effects, with the tool at a given position.
 
-    state: Array
-    offset: Array
-    rows: int
+    Static friction carries the load up to the Coulomb level. Any excess force displaced the carriage; it came to rest at the far
+    end of its first swing, at twice the displacement of the excess, or where the belts carry the whole force.
 
+    Args:
+        machine: Machine with its effects.
+        position: Positions of the machine's first coordinates, the linear ones among them, in their units.
 
-def resting_rows(recording: Recording) -> int:
-    """Number of rows until the first input change takes effect: the row of the change itself still shows rest."""
-    changed = np.flatnonzero(np.any(recording.inputs != recording.inputs[0], axis=1))
-    idle = not np.any(recording.inputs[0])
-    if not idle:
-        # The machine is driven from its first row on; only that row is surely at rest.
-        return 1
-    return int(changed[0]) + 1 if len(changed) else len(recording.time_s)
-
-
-def settled(rows: int) -> slice:
-    """The later half of the resting rows: what still swung when the recording began has come to rest."""
-    return slice(rows // 2, rows)
-
-
-def estimate_initial_state(recording: Recording, machine: Machine, zeros: Zeros | None = None) -> InitialState:
-    """The resting state of a run and the sensors' offsets.
-
-    Sensors on linear coordinates place the machine where they can; encoders only where nothing else does, or where
-    their zero is known.  Belts are unstretched unless such encoders tell of a stretch.
+    Returns:
+        Positions in the coordinates' units, shape (coordinates,).
     """
-    rows = resting_rows(recording)
-    resting = recording.outputs[settled(rows)]
-    known = np.asarray(np.isfinite(resting).any(axis=0))
-    reading = np.array([np.nanmean(resting[:, j]) if known[j] else np.nan for j in range(resting.shape[1])])
-    zeros = zeros or Zeros.unknown(machine)
-    count = len(machine.coordinates)
-    rigid = np.eye(count)
-    if machine.belts:
-        rows_held = [machine.row(b.extension) for b in machine.belts]
-        rows_held += [machine.row({name: 1.0}) for name in machine.sprung]
-        rigid = null_space(np.array(rows_held)) / machine.radii[:, None]
-    place = [machine.coordinate_names.index(s.coordinate) for s in machine.sensors]
-    linear = np.array([machine.coordinates[i].kind == "linear" for i in place])
-    told = np.isfinite(zeros.offset)
-    # An encoder's angle is as sure as a laser's place when it is turned into travel.
-    weight = np.where(linear, 1.0, np.where(told & ~zeros.stretched, machine.radii[place], _LAST))
-    angle = reading - np.where(told, zeros.offset, 0.0)
-    position = np.zeros(count)
-    if known.any():
-        rows_of = machine.sensor_matrix[known] @ rigid
-        amount = np.linalg.lstsq(weight[known, None] * rows_of, weight[known] * angle[known], rcond=1e-12)[0]
-        position = rigid @ amount
-    for j in np.flatnonzero(told & known & zeros.stretched):
-        position[place[j]] = angle[j] / machine.sensors[j].row[machine.sensors[j].coordinate]
-    offset = np.where(told, zeros.offset, np.where(known, reading - machine.sensor_matrix @ position, 0.0))
-    return InitialState(np.concatenate([position, np.zeros(count)]), offset, rows)
+    names = machine.coordinate_names
+    linear = np.array([c.kind == "linear" for c in machine.coordinates])
+    given = position[: len(names)]
+    at_rest = rest_state(machine, given[linear[: len(given)]])[: len(names)]
+    if not any(e.definition.force for e in machine.effects):
+        return at_rest
+    force = _force_at_rest(machine, at_rest)[linear]
+    friction = np.array([c.coulomb for c in machine.coordinates])[linear]
+    rotary = ~linear & ~np.isin(names, machine.sprung)
+    stiffness = stiffness_matrix(machine, at_rest)[np.ix_(linear, rotary)]
+    carried = np.sign(force) * np.clip(2.0 * (np.abs(force) - friction), 0.0, np.abs(force))
+    at_rest[rotary] += np.linalg.lstsq(stiffness, carried, rcond=None)[0]
+    return at_rest
 
 
-class Zeros(NamedTuple):
-    """offset (sensors,): zeros of the encoders that have kept theirs from run to run, NaN for all others; stretched
-    (sensors,): whether those encoders tell of belts that rest stretched."""
+def _force_at_rest(machine: Machine, position: Array) -> Array:
+    """Return the force of the effects on each coordinate of a machine at rest (coordinates,), N or Nm."""
+    positions = np.tile(position, (2, 1))
+    motion = MotionRecord(
+        np.array([0.0, 1e-3]),
+        np.zeros((2, len(machine.drives))),
+        positions,
+        np.zeros_like(positions),
+        np.zeros((2, len(machine.sensors))),
+    )
+    return effects_force(machine, motion)[0]
 
-    offset: Array
-    stretched: NDArray[np.bool_]
 
-    @classmethod
-    def unknown(cls, machine: Machine) -> Zeros:
-        return cls(np.full(len(machine.sensors), np.nan), np.zeros(len(machine.sensors), np.bool_))
+def model_initial_state(machine: Machine, initial: InitialState) -> Array:
+    """Return the initial state of a machine whose effects change the static equilibrium or the sensors' readings.
 
+    Encoders with a known zero determine the angles of their pulleys; the other pulleys are in static equilibrium. So are an
+    eccentric pulley, and all pulleys where an effect changes the reading of a laser, until a machine with that effect has refined
+    the zeros: before, the apparent stretch of the belts was the effect.
 
-def common_zeros(starts: Sequence[InitialState], machine: Machine, quanta: Array) -> Zeros:
-    """What a session's encoders tell beyond their single runs.
+    Args:
+        machine: Machine with its effects; structural effects may have added coordinates.
+        initial: Measured initial state.
 
-    An encoder behind belts whose zero differs from run to run by no more than friction can hold as stretch has kept it;
-    one that was switched on anew for every run differs by turns.  quanta (sensors,): of the sensors.
+    Returns:
+        Positions and velocities, in the coordinates' units, shape (2 * coordinates,).
     """
-    zeros = Zeros.unknown(machine)
-    if not machine.belts or len(starts) < _RUNS_FOR_A_ZERO:
-        return zeros
-    offsets = np.array([s.offset for s in starts])
-    middle = np.median(offsets, axis=0)
-    spread = 1.4826 * np.median(np.abs(offsets - middle), axis=0)
-    stiffness = float(np.mean([b.EA / b.rest_length for b in machine.belts]))
-    friction = sum(c.coulomb / (c.radius if c.kind == "rotary" else 1.0) for c in machine.coordinates)
+    if not machine.belts:
+        return initial.state
+    measured = position_from_measurements(machine, initial)
+    position = static_equilibrium(machine, measured)
+    if initial.offsets_refined or np.array_equal(measured, initial.position):
+        eccentric = [machine.site_coordinate(e.site) for e in machine.effects if e.definition.behind]
+        for i, angle in encoder_angles(machine, initial).items():
+            if initial.offsets_refined or machine.coordinate_names[i] not in eccentric:
+                position[i] = angle
+    return np.concatenate([position, np.zeros_like(position)])
+
+
+def encoder_angles(machine: Machine, initial: InitialState) -> dict[int, float]:
+    """Return the angles of the pulleys whose encoders have a known zero.
+
+    The angle of an eccentric pulley is that of a concentric one with the same belt travel.
+
+    Args:
+        machine: Machine with its effects.
+        initial: Measured initial state.
+
+    Returns:
+        Angle in rad by index of the coordinate.
+    """
+    angles: dict[int, float] = {}
+    for j in np.flatnonzero(initial.offset_known):
+        i = machine.coordinate_names.index(machine.sensors[j].coordinate)
+        angles[i] = measured = float(initial.state[i])
+        for e in machine.effects:
+            if e.definition.behind and machine.site_coordinate(e.site) == machine.coordinate_names[i]:
+                angles[i] += float(e("behind", q=measured, per_radius=1.0 / machine.radii[i]))
+    return angles
+
+
+def position_from_measurements(machine: Machine, initial: InitialState) -> Array:
+    """Return the positions at rest for which a machine's lasers read what was measured.
+
+    The effects on the readings (skew, scale) are inverted. A reading beyond the end of a sensor's range has no inverse; there
+    other sensors determined the position, and it is kept.
+
+    Args:
+        machine: Machine with its effects.
+        initial: Measured initial state.
+
+    Returns:
+        Positions in the coordinates' units, shape (coordinates,).
+    """
+    position = initial.position.copy()
+    names = machine.coordinate_names
+    for e in machine.effects:
+        if not e.definition.reading or machine.sensor(e.site).incremental:
+            continue
+        sensor = machine.sensor(e.site)
+        i, other = names.index(sensor.coordinate), machine.across(sensor.coordinate)
+        measured, across = float(position[i]), position[names.index(other)] if other else 0.0
+        inverse = measured
+        for _ in range(_INVERSION_STEPS):
+            inverse -= float(e("reading", r=inverse, across=across)) - measured
+        if abs(float(e("reading", r=inverse, across=across)) - measured) < _INVERSION_TOLERANCE:
+            position[i] = inverse
+    return position
+
+
+def encoder_zero_errors(machine: Machine, initial: Sequence[InitialState]) -> Array:
+    """Return by how much the known zeros of the encoders are wrong according to a fitted machine.
+
+    `common_encoder_zeros` assumes that the belts are unstretched on average. A force that acts at rest, from a cable or a tilt,
+    stretches them in one direction, and a machine with that force predicts by how much. The error is the median over the runs of
+    the measured angle minus the angle in static equilibrium; friction adds to it in either direction.
+
+    Args:
+        machine: Fitted machine.
+        initial: Initial states of the runs.
+
+    Returns:
+        Errors in the sensors' units, shape (sensors,); 0 where the zero is not known.
+    """
+    errors = np.zeros(len(machine.sensors))
+    if not machine.belts:
+        return errors
+    runs = [
+        (encoder_angles(machine, state), static_equilibrium(machine, position_from_measurements(machine, state)))
+        for state in initial
+    ]
     for j, sensor in enumerate(machine.sensors):
-        c = machine.coordinate(sensor.coordinate)
-        if c.kind == "rotary" and spread[j] < max(2 * friction / stiffness / c.radius, 2 * quanta[j]):
-            zeros.offset[j] = middle[j]
-            zeros.stretched[j] = spread[j] > max(quanta[j], 0.1e-3)
-    return zeros
+        i = machine.coordinate_names.index(sensor.coordinate)
+        excess = [angles[i] - equilibrium[i] for angles, equilibrium in runs if i in angles]
+        if excess:
+            errors[j] = sensor.row[sensor.coordinate] * float(np.median(excess))
+    return errors
+
+
+def refine_offsets(initial: InitialState, machine: Machine, errors: Array) -> InitialState:
+    """Return an initial state whose encoder zeros are corrected.
+
+    Args:
+        initial: Measured initial state.
+        machine: Machine that the recordings were prepared for.
+        errors: Errors of the zeros in the sensors' units, shape (sensors,), see `encoder_zero_errors`.
+
+    Returns:
+        Corrected copy with `offsets_refined`.
+    """
+    state = initial.state.copy()
+    for j in np.flatnonzero(errors):
+        sensor = machine.sensors[j]
+        state[machine.coordinate_names.index(sensor.coordinate)] -= errors[j] / sensor.row[sensor.coordinate]
+    return dataclasses.replace(initial, state=state, offset=initial.offset + errors, offsets_refined=True)
+
+
+def initial_state_of_recording(machine: Machine, recording: Recording) -> InitialState:
+    """Determine the initial state from which a machine is simulated over a recording.
+
+    This is the initial state that identification uses, for a single run: measurements beyond a sensor's range do not count, effects
+    on readings are inverted, pulleys are in static equilibrium. The offsets are those of the simulation from that state, so that
+    `simulate(..., offset=initial.offset)` minus the recording is the error that identification reports.
+
+    Args:
+        machine: Machine, declared or identified.
+        recording: The run; outputs may be missing.
+
+    Returns:
+        Initial state of the machine and the sensors' offsets. `warnings` says what could not be determined.
+    """
+    criteria = SelectionCriteria()
+    rows = count_resting_rows(recording)
+    channels = [[recording.outputs[:, j]] for j in range(len(machine.sensors))]
+    quanta = np.array([sensor_quantum(c, s.resolution) for c, s in zip(channels, machine.sensors, strict=True)])
+    noise = [sensor_noise(c, [rows], q, s.noise) for c, q, s in zip(channels, quanta, machine.sensors, strict=True)]
+    ends = {e.site: (e.parameters["low"], e.parameters["high"]) for e in machine.effects if e.name == "sensor_range"}
+    usable = blank_saturated(recording, ends, machine, np.array(noise), criteria)
+    initial = estimate_initial_state(usable, machine)
+    state = model_initial_state(machine, initial)
+    measured = np.isfinite(recording.outputs)
+
+    def readings(state: Array) -> Array:
+        return simulate_batch(machine, recording.time_s, recording.inputs, start=state, states=False).readings
+
+    if not initial.position_measured:
+        for _ in range(_POSITION_CORRECTIONS):
+            state = _corrected_position(machine, state, usable.outputs - readings(state)[0])
+    error = np.where(measured, recording.outputs - readings(state), 0.0)
+    if not np.isfinite(error).all():
+        return dataclasses.replace(initial, state=state)
+    offset = sensor_zero_error(error, measured, rows, max_zero_means(machine, quanta))[0, 0]
+    return dataclasses.replace(initial, state=state, offset=offset)
+
+
+def _corrected_position(machine: Machine, state: Array, error: Array) -> Array:
+    """Return the state moved rigidly by the median error (n, sensors) of the sensors with a fixed zero."""
+    fixed = np.array([not s.incremental for s in machine.sensors]) & np.isfinite(error).any(axis=0)
+    if not fixed.any():
+        return state
+    rigid = rigid_motions(machine)
+    mean = np.array([np.nanmedian(error[:, j]) for j in np.flatnonzero(fixed)])
+    moved = state.copy()
+    moved[: len(rigid)] += rigid @ np.linalg.lstsq(machine.sensor_matrix[fixed] @ rigid, mean, rcond=1e-9)[0]
+    return moved
+
+
+# Aliases until all packages use the new names.
+resting_rows = count_resting_rows
+settled = settled_rows

@@ -1,7 +1,7 @@
-"""The fallback for what no entry of the library explains: a table of a force or a friction level against one variable.
+"""Nonparametric candidates: a table of a force or a friction level against one variable.
 
-The missing force of every coordinate is held against every variable; the best few pairs are screened as tables, and the
-best of them is fitted.  The table is named as what it is.
+They are the fallback for what no effect of the library explains. The missing force of every coordinate is compared with every
+variable; the best pairs become candidates. The report names a table as a table, not as a physical effect.
 """
 
 from __future__ import annotations
@@ -14,97 +14,208 @@ from numpy.typing import NDArray
 from ..effects.smooth_table import KNOTS, definition
 from ..machine import Machine
 from .candidates import Candidate
-from .dataset import Dataset, PreparedRecording
+from .criteria import SelectionCriteria
+from .dataset import Dataset, PreparedRecording, TypicalScales
 from .effect_perturbation import MotionRecord, variable
-from .estimation import over_runs
+from .estimation import Fit, cost_of, fit, over_runs
+from .forward_selection import Log, SelectedEffect, Selection, describe_gain, fit_with_candidate, typical_scales
 from .prediction import predict
 from .residual import missing_force
-from .typical_scales import TypicalScales
+from .screening import ScoredCandidate, screen
 
 Array = NDArray[np.float64]
 _BINS = 96
-_TRIED = 3  # a coordinate
+_MIN_SAMPLES = 20  # Samples that make the mean of a bin usable.
 
 
-class Curve(NamedTuple):
-    """A table's effect and site, and knots where its curve bends."""
+class Table(NamedTuple):
+    """A proposed table.
+
+    Attributes:
+        effect: Name of the effect, with the variable in brackets.
+        site: Coordinate that the table acts on.
+        knots: Values of the variable at the table's knots, denser where the curve bends, shape (knots,).
+    """
 
     effect: str
     site: str
     knots: Array
 
 
-def tables(machine: Machine, data: Dataset, scale: TypicalScales) -> list[Candidate]:
-    """The most promising tables as candidates, a column for each knot."""
-    missing = missing_force(machine, data)
-    along = variables(machine, data)
-    curves = []
-    for site, motion in missing.items():
+def table_candidates(
+    machine: Machine, data: Dataset, scales: TypicalScales, criteria: SelectionCriteria
+) -> list[Candidate]:
+    """Return the most promising tables as candidates, with one column per knot.
+
+    Args:
+        machine: Current machine.
+        data: Prepared recordings.
+        scales: Typical sizes on this machine.
+        criteria: Decision thresholds.
+
+    Returns:
+        For each coordinate the best tables, and one against time: a force that is missing on one coordinate shows on the others
+        too, and the position of a run distinguishes runs as well as time does.
+    """
+    motion_and_force = missing_force(machine, data)
+    variables = table_variables(machine, data)
+    ranked: list[tuple[float, Table]] = []
+    for site, motion in motion_and_force.items():
         force, direction = motion[:, 2], np.sign(motion[:, 1])
         if not np.any(force):
             continue
-        size = float(np.mean(force**2)) * (machine.radii[machine.coordinate_names.index(site)] ** -2)
-        for name, values in along.items():
-            for kind, wave in (("smooth_force", force), ("smooth_friction", -force * direction)):
-                share, knots = _curve(values, wave, both=name.startswith("velocity"))
-                curves.append((share * size, Curve(f"{kind}[{name}]", site, knots)))
-    curves.sort(key=lambda c: -c[0])
-    # Of each coordinate the best, and one against time: what is missing on one shows on the others too, and where a run
-    # was tells all runs apart.
-    tried = []
-    for site in missing:
-        own = [curve for _, curve in curves if curve.site == site]
-        tried += own[:_TRIED] + [curve for curve in own[_TRIED:] if curve.effect.endswith("[time]")][:1]
-    return [_candidate(curve, scale) for curve in tried]
+        power = float(np.mean(force**2)) * (machine.radii[machine.coordinate_names.index(site)] ** -2)
+        for name, values in variables.items():
+            for kind, curve in (("smooth_force", force), ("smooth_friction", -force * direction)):
+                fraction, knots = _curve(values, curve, symmetric=name.startswith("velocity"))
+                ranked.append((fraction * power, Table(f"{kind}[{name}]", site, knots)))
+    ranked.sort(key=lambda entry: -entry[0])
+    count = criteria.max_tables_per_coordinate
+    chosen: list[Table] = []
+    for site in motion_and_force:
+        at_site = [table for _, table in ranked if table.site == site]
+        chosen += at_site[:count] + [table for table in at_site[count:] if table.effect.endswith("[time]")][:1]
+    return [_candidate(table, scales) for table in chosen]
 
 
-def variables(machine: Machine, data: Dataset) -> dict[str, Array]:
-    """Every variable that a table may be against, along all runs (n,)."""
-    names = [f"{what} of {c}" for what in ("position", "velocity", "path") for c in machine.coordinate_names] + ["time"]
+def table_variables(machine: Machine, data: Dataset) -> dict[str, Array]:
+    """Return every variable that a table may depend on.
 
-    def of(run: PreparedRecording) -> dict[str, Array]:
+    Args:
+        machine: Current machine.
+        data: Prepared recordings.
+
+    Returns:
+        Positions, velocities and distances travelled of the coordinates and the time, along all runs, shape (n,) each.
+    """
+    quantities = ("position", "velocity", "path")
+    names = [f"{quantity} of {c}" for quantity in quantities for c in machine.coordinate_names] + ["time"]
+
+    def in_run(run: PreparedRecording) -> dict[str, Array]:
         motion = predict(machine, run, "innovations", period=data.period, states=True)
-        known = MotionRecord(run.time_s, run.inputs, *(part[0] for part in motion))
-        return {name: variable(machine, definition(f"smooth_force[{name}]"), known) for name in names}
+        record = MotionRecord(run.time_s, run.inputs, *(part[0] for part in motion))
+        return {name: variable(machine, definition(f"smooth_force[{name}]"), record) for name in names}
 
-    parts = list(over_runs(of, data))
+    parts = list(over_runs(in_run, data))
     return {name: np.concatenate([part[name] for part in parts]) for name in names}
 
 
-def _curve(by: Array, values: Array, *, both: bool) -> tuple[float, Array]:
-    """Share of the mean square of values that bins of `by` explain beyond their mean, and knots by their bends.
+def _curve(variable_values: Array, values: Array, *, symmetric: bool) -> tuple[float, Array]:
+    """Return the fraction of the mean square that a curve over the variable explains beyond the mean, and the curve's knots.
 
-    both: as far to one side of zero as to the other: what was fast one way will be the other way.
+    Args:
+        variable_values: Variable, shape (n,).
+        values: Force or friction level, shape (n,).
+        symmetric: Whether the knots extend equally far to both sides of zero, as for a velocity.
+
+    Returns:
+        Fraction between 0 and 1, and knots of shape (knots,).
     """
-    low, high = np.percentile(by, [0.05, 99.95])
-    if both:
+    low, high = np.percentile(variable_values, [0.05, 99.95])
+    if symmetric:
         high = max(high, -low)
         low = -high
     if not high > low:
         return 0.0, np.linspace(-1.0, 1.0, KNOTS)
     edges = np.linspace(low, high, _BINS + 1)
-    index = np.clip(np.searchsorted(edges, by) - 1, 0, _BINS - 1)
+    index = np.clip(np.searchsorted(edges, variable_values) - 1, 0, _BINS - 1)
     count = np.bincount(index, minlength=_BINS)
     mean = np.bincount(index, values, _BINS) / np.maximum(count, 1)
     total = float(np.sum(values**2))
-    level = float(values.mean())
-    known = count > 20
-    share = float(np.sum(count[known] * (mean[known] - level) ** 2)) / max(total, 1e-300)
-    centres = 0.5 * (edges[1:] + edges[:-1])
-    smooth = (
-        np.convolve(np.interp(centres, centres[known], mean[known]), [0.25, 0.5, 0.25], "same") if known.any() else mean
-    )
-    bend = np.abs(np.gradient(np.gradient(smooth)))
-    density = np.sqrt(bend / max(float(bend.max()), 1e-300)) + 0.15
+    usable = count > _MIN_SAMPLES
+    fraction = float(np.sum(count[usable] * (mean[usable] - values.mean()) ** 2)) / max(total, 1e-300)
+    centers = 0.5 * (edges[1:] + edges[:-1])
+    smooth = mean
+    if usable.any():
+        smooth = np.convolve(np.interp(centers, centers[usable], mean[usable]), [0.25, 0.5, 0.25], "same")
+    curvature = np.abs(np.gradient(np.gradient(smooth)))
+    density = np.sqrt(curvature / max(float(curvature.max()), 1e-300)) + 0.15
     cumulative = np.concatenate([[0.0], np.cumsum(density)])
     knots = np.interp(np.linspace(0.0, cumulative[-1], KNOTS), cumulative, edges)
-    return share, knots
+    return fraction, knots
 
 
-def _candidate(curve: Curve, scale: TypicalScales) -> Candidate:
-    effect = definition(curve.effect)
-    own = scale.of(curve.site)
-    knots = {f"k{i:02d}": float(k) for i, k in enumerate(curve.knots)}
+def _candidate(table: Table, scales: TypicalScales) -> Candidate:
+    """Return a table as a candidate whose columns are the values at its knots."""
+    effect = definition(table.effect)
+    at_site = scales.of(table.site)
+    knots = {f"k{i:02d}": float(k) for i, k in enumerate(table.knots)}
     zero = {f"f{i:02d}": 0.0 for i in range(KNOTS)}
-    size = effect.parameter("f00").scale * own["force"]
-    return Candidate(effect, curve.site, tuple({**knots, **zero, name: size} for name in zero), own)
+    size = effect.parameter("f00").scale * at_site["force"]
+    return Candidate(effect, table.site, tuple({**knots, **zero, name: size} for name in zero), at_site)
+
+
+def add_tables(
+    current: Fit,
+    selected: tuple[SelectedEffect, ...],
+    data: Dataset,
+    *,
+    criteria: SelectionCriteria,
+    max_tables: int,
+    log: Log,
+) -> Selection:
+    """Add tables for what the effects leave, in the mode of the current fit.
+
+    Args:
+        current: Fit of the machine with the effects selected so far.
+        selected: Effects selected so far.
+        data: Prepared recordings to fit.
+        criteria: Decision thresholds.
+        max_tables: Largest number of tables to add.
+        log: Called with a line of text for every table that is decided on.
+
+    Returns:
+        Fit of the machine with the tables, and all effects and tables.
+    """
+    for _ in range(max_tables):
+        scales = typical_scales(current, data)
+        ranked = screen(current, table_candidates(current.machine, data, scales, criteria), data)
+        excess = current.chi2 - criteria.one_step_floor
+        enough = max(criteria.min_table_gain, criteria.min_table_gain_fraction * excess)
+        proposed = (s for s in ranked[: criteria.max_screened_tables] if s.gain > enough * data.count)
+        limit = criteria.max_table_cross_validation
+        chosen = next((s for s in proposed if _cross_validation(current, s, scales, data, criteria) < limit), None)
+        if chosen is None:
+            break
+        trial = fit_with_candidate(current, chosen, scales, data)
+        best = fit(trial.machine, trial.free, data, current.mode, theta=trial.theta)
+        effect = best.machine.effects[-1]
+        gain = (current.cost - best.cost) / data.count
+        log(f"  {effect.label} {describe_gain(current, best)}")
+        if gain < enough:
+            break
+        selected = (*selected, SelectedEffect(effect, (), gain, current.machine))
+        current = best
+    return current, tuple(s.with_values(current.machine) for s in selected)
+
+
+def _cross_validation(
+    current: Fit, scored: ScoredCandidate, scales: TypicalScales, data: Dataset, criteria: SelectionCriteria
+) -> float:
+    """Return the cost of data that a table was not fitted to, relative to the cost without it, over both halves of the data.
+
+    Two dozen values fit much that does not exist; a table against the wrong variable does not predict another run.
+    """
+    by_run = scored.candidate.effect.against != "time"
+    halves = _halves(data, by_run=by_run, blocks=criteria.cross_validation_blocks)
+    with_table = without_table = 0.0
+    for fitted, validation in (halves, halves[::-1]):
+        trial = fit_with_candidate(current, scored, scales, fitted)
+        with_table += cost_of(trial.machine, validation, current.mode)
+        without_table += cost_of(current.machine, validation, current.mode)
+    return with_table / without_table
+
+
+def _halves(data: Dataset, *, by_run: bool, blocks: int) -> tuple[Dataset, Dataset]:
+    """Return every other run and the rest; or every other part of each run, where there is one run or runs differ in the variable."""
+    if by_run and len(data.runs) > 1:
+        names = [run.name for run in data.runs]
+        return data.with_runs(names[0::2]), data.with_runs(names[1::2])
+    parts = 2 if len(data.runs) > 1 else blocks
+    first = [(np.arange(len(run.time_s)) * parts // len(run.time_s) + k) % 2 == 0 for k, run in enumerate(data.runs)]
+    return data.with_rows(first), data.with_rows([~rows for rows in first])
+
+
+# Aliases until all packages use the new names.
+tables = table_candidates
+variables = table_variables

@@ -1,4 +1,4 @@
-"""The loop: recordings -> fit -> residual -> trace -> verdict, each arrow a function on plain data."""
+"""Identification from recordings to a verdict: prepare, refit, select effects, evaluate on held-out runs."""
 
 from __future__ import annotations
 
@@ -11,46 +11,44 @@ from ..errors import InputError
 from ..machine import Machine
 from ..recordings import Recording
 from .covariance import with_uncertainty
-from .dataset import Dataset, prepare, shown
-from .encoder_offsets import with_zeros, zero_errors
+from .criteria import SelectionCriteria
+from .dataset import Dataset, prepare, refine_encoder_offsets, with_all_measurements
 from .estimation import Fit, default_free_parameters, fit
 from .experiment_design import design_discriminating_experiment
-from .forward_selection import LEAST_GAIN, LEAST_INNOVATION, SelectedEffect, add_tables, least, prune_effects, trace
+from .forward_selection import Log, SelectedEffect, Selection, minimum_gain, prune_effects, select_effects
+from .nonparametric import add_tables
 from .prediction import POLISH_STEP, Mode
 from .residual import channel_errors, depends_on, force_error, is_white
 from .result import IdentificationResult, ModelEvaluation, PredictionErrors, Verdict
-from .sensor_saturation import blank_saturated, range_effects, saturation_ranges
+from .sensor_properties import Range, blank_saturated, range_effects, saturation_ranges
 
-# A free run this far off, over the signal's own size, has drifted: then innovations judge, and the force error.
-_DRIFT = 0.3
-# Cost a sample up to which what is left is the sensors' noise.
-_EXPLAINED = 1.5
-# Where no free run can judge it, an effect must account for this share of all that was missed.
-_LEAST_UNJUDGED = 0.01
-# Up to here a free run is near enough to the data for its own search.
-_NEAR = 50.0
-# ... or this share of the cost before, where that was large.
-_NEXT_TO_NOTHING = 1e-4
-# A table is named as what it is: it may stand where it leaves no more than this share of the best named cost.
-_TABLED = 0.02
-# Named effects that take less than this off what is missed are no explanation.
-_MOSTLY = 0.25
-
-Say = Callable[[str], None]
+_HOLD_OUT_EVERY = 4  # Every fourth run is held out.
+_MAX_DEPENDENCES = 6  # Variables that the report lists for the residual force.
 
 
 def hold_out(recordings: Sequence[Recording], chosen: Sequence[str] = ()) -> tuple[str, ...]:
-    """Names of the runs kept for judging: those asked for, else every fourth, at least one.
+    """Choose the runs that are held out for the evaluation.
 
-    Raises InputError for an unknown run or when no run would be left to fit.
+    Args:
+        recordings: All runs.
+        chosen: Names of the runs to hold out. Default: every fourth, at least one.
+
+    Returns:
+        Names of the held-out runs.
+
+    Raises:
+        InputError: If a run is unknown or no run is left to fit.
     """
     names = [r.name for r in recordings]
     unknown = [c for c in chosen if c not in names]
     if unknown:
-        raise InputError(f"--hold-out {unknown[0]}: no such run; there are {', '.join(names)}")
-    kept = tuple(chosen) or tuple(names[3::4]) or tuple(names[-1:])
+        raise InputError(f"--hold-out {unknown[0]}: no such run; the runs are {', '.join(names)}")
+    kept = tuple(chosen) or tuple(names[_HOLD_OUT_EVERY - 1 :: _HOLD_OUT_EVERY]) or tuple(names[-1:])
     if len(set(kept)) >= len(names):
-        raise InputError(f"{len(names)} run(s), {len(set(kept))} held out: at least one must be left to fit")
+        raise InputError(
+            f"{len(names)} run(s), {len(set(kept))} held out: at least one must be left to fit; split the recording into "
+            "several runs or hold out fewer"
+        )
     return kept
 
 
@@ -59,159 +57,241 @@ def identify(
     machine: Machine,
     *,
     held_out: Sequence[str] = (),
-    say: Callable[[str], None] = lambda line: None,
+    criteria: SelectionCriteria | None = None,
+    log: Log | None = None,
+    say: Log | None = None,  # Alias of log until all packages use the new names.
 ) -> IdentificationResult:
-    """Fit the machine to its recordings, find what it lacks, and judge on runs that nothing was fitted to.
+    """Identify the effects that a machine's model lacks.
 
-    held_out: names of the runs to judge on (default: every fourth).  say: called with a line at each stage.
+    The machine's parameters are fitted to the recordings. Effects are selected that reduce the remaining error, and declared,
+    refitted and corrected machine are evaluated by simulating the held-out runs, which nothing was fitted to.
 
-    Raises InputError when the runs cannot be split.
+    Args:
+        recordings: Runs of one rig, at least two.
+        machine: Machine as declared.
+        held_out: Names of the runs to evaluate on. Default: every fourth.
+        criteria: Decision thresholds. Default: `SelectionCriteria()`.
+        log: Called with a line of text at each stage. Default: nothing is reported.
+
+    Returns:
+        Verdict, machines, selected effects and their errors on the held-out runs.
+
+    Raises:
+        InputError: If the runs cannot be divided into fitted and held-out ones.
     """
     began = time.perf_counter()
-    everything = prepare(recordings, machine)
-    ranges = saturation_ranges(recordings, machine, everything.noise)
-    if ranges:
-        say(f"stuck at the ends of a range: {', '.join(ranges)}")
-        noise = everything.noise
-        everything = prepare([blank_saturated(r, ranges, machine, noise) for r in recordings], machine)
+    criteria = criteria or SelectionCriteria()
+    log = log or say or (lambda line: None)
     kept = hold_out(recordings, held_out)
-    judge = shown(everything.only(kept), recordings)
-    data = everything.only([r.name for r in recordings if r.name not in kept])
-    say(f"fitting {machine.name} to {len(data.runs)} runs, {len(judge.runs)} held out")
+    everything, ranges = _prepare(recordings, machine, criteria, log)
+    validation = with_all_measurements(everything.with_runs(kept), recordings)
+    data = everything.with_runs([r.name for r in recordings if r.name not in kept])
+    log(f"fitting {machine.name} to {len(data.runs)} runs, {len(validation.runs)} held out")
     base = fit(machine, default_free_parameters(machine), data, "innovations")
-    before = _polish(base, data)
-    mode = before.mode
-    say(f"refitted: chi2 a sample {base.chi2:.4g} by innovations, {before.chi2:.4g} in {mode} run")
-    say("searching for effects")
-    verdict, after, found = _explain(base, before, data, say)
-    say(f"verdict: {verdict}")
-    own = _from_zeros(after.machine, data, data)
-    fitted = with_uncertainty(after, own).replace(name=f"{machine.name}-identified")
-    # One range a sensor: what the fit has found of its ends goes with what the readings show.
-    ends = range_effects(ranges, [f.effect for f in found])
-    labels = {e.label for e in ends}
-    fitted = fitted.replace(effects=tuple(e for e in fitted.effects if e.label not in labels))
-    found = tuple(f for f in found if f.effect.label not in labels)
-    corrected = fitted.with_effects(*ends)
-    found += tuple(SelectedEffect(e, (), 0.0, fitted) for e in ends)
-    if found and verdict == "no_effect":
+    before = _refined(base, data, _mode(base, data, criteria))
+    log(f"refitted machine: chi-squared per sample {base.chi2:.4g} (one-step prediction)")
+    if _simulates(before):
+        log(f"refitted machine: chi-squared per sample {before.chi2:.4g} (simulation)")
+    log("searching for effects")
+    verdict, after, selected = _Search(base, before, data, criteria, log).run()
+    refined = refine_encoder_offsets(data, after.machine)
+    corrected, selected = _corrected(after, selected, ranges, refined, f"{machine.name}-identified")
+    if selected and verdict == "no_effect":
         verdict = "effect_found"
-    refitted = before.machine.replace(name=f"{machine.name}-refitted")
+    log(f"verdict: {verdict}")
     experiments = (
-        design_discriminating_experiment(after, corrected, f.effect.label, f.rival_effects, own) for f in found
+        design_discriminating_experiment(after, corrected, s.effect.label, s.rival_effects, refined) for s in selected
     )
-    stages = [ModelEvaluation(m, _errors(m, _from_zeros(m, judge, data))) for m in (machine, refitted, corrected)]
-    judge = _from_zeros(corrected, judge, data)
+    declared, refitted, final = (
+        ModelEvaluation(m, _errors(m, refine_encoder_offsets(validation, m, data)))
+        for m in (machine, before.machine.replace(name=f"{machine.name}-refitted"), corrected)
+    )
+    validation = refine_encoder_offsets(validation, corrected, data)
     return IdentificationResult(
         verdict=verdict,
-        declared=stages[0],
-        before=stages[1],
-        after=stages[2],
-        found=found,
-        gains={f.effect.label: _gain(f, corrected, judge, mode) for f in found},
-        dependence=tuple(depends_on(before.machine, data)[:6]),
-        white=is_white(corrected, judge),
+        declared=declared,
+        before=refitted,
+        after=final,
+        effects=selected,
+        gains={s.effect.label: _held_out_gain(s, corrected, validation, before.mode) for s in selected},
+        dependence=tuple(depends_on(before.machine, data)[:_MAX_DEPENDENCES]),
+        white=is_white(corrected, validation),
         fitted=data,
-        held_out=judge,
+        held_out=validation,
         seconds=time.perf_counter() - began,
         experiment=next(filter(None, experiments), None),
+        criteria=criteria,
     )
 
 
-def _from_zeros(machine: Machine, runs: Dataset, data: Dataset) -> Dataset:
-    """Runs that start where a machine fitted to `data` takes the encoders' zeros to be."""
-    return with_zeros(runs, machine, zero_errors(machine, data))
+def _prepare(
+    recordings: Sequence[Recording], machine: Machine, criteria: SelectionCriteria, log: Log
+) -> tuple[Dataset, dict[str, Range]]:
+    """Prepare all recordings without saturated measurements; return them and the ranges of the sensors that saturate."""
+    everything = prepare(recordings, machine)
+    ranges = saturation_ranges(recordings, machine, everything.noise, criteria)
+    if ranges:
+        log(f"saturated at the end of the range: {', '.join(ranges)}")
+        noise = everything.noise
+        usable = [blank_saturated(r, ranges, machine, noise, criteria) for r in recordings]
+        everything = prepare(usable, machine)
+    for run in everything.runs:
+        for warning in run.initial.warnings:
+            log(f"warning: {warning}")
+    return everything, ranges
 
 
-def _polish(fitted: Fit, data: Dataset, mode: Mode | None = None) -> Fit:
-    """The fit refined in free run, at the finer step; by innovations where the free run drifts away."""
-    if mode is None:
-        errors = channel_errors(fitted.machine, data)
-        outputs = np.concatenate([run.outputs for run in data.runs])
-        worst = 0.0
-        for channel, values in zip(fitted.machine.output_channels, outputs.T, strict=True):
-            rmse = errors[channel].rmse
-            if rmse is not None:
-                worst = max(worst, rmse / max(float(np.nanstd(values)), 1e-12))
-        mode = "free" if worst < _DRIFT else "innovations"
+def _corrected(
+    after: Fit, selected: tuple[SelectedEffect, ...], ranges: dict[str, Range], data: Dataset, name: str
+) -> tuple[Machine, tuple[SelectedEffect, ...]]:
+    """Return the machine with its uncertainty and the ranges of saturated sensors, one range per sensor, and all its effects."""
+    fitted = with_uncertainty(after, data).replace(name=name)
+    limits = range_effects(ranges, [s.effect for s in selected])
+    labels = {e.label for e in limits}
+    fitted = fitted.replace(effects=tuple(e for e in fitted.effects if e.label not in labels))
+    selected = tuple(s for s in selected if s.effect.label not in labels)
+    selected += tuple(SelectedEffect(e, (), 0.0, fitted) for e in limits)
+    return fitted.with_effects(*limits), selected
+
+
+def _simulates(fitted: Fit) -> bool:
+    """Return whether a fit is one of the simulation, not of the one-step prediction."""
+    return fitted.mode == "free"
+
+
+def _mode(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> Mode:
+    """Return the mode that decides: simulation, or one-step prediction where the simulation drifts away."""
+    errors = channel_errors(fitted.machine, data)
+    outputs = np.concatenate([run.outputs for run in data.runs])
+    largest = 0.0
+    for channel, values in zip(fitted.machine.output_channels, outputs.T, strict=True):
+        rmse = errors[channel].rmse
+        if rmse is not None:
+            largest = max(largest, rmse / max(float(np.nanstd(values)), 1e-12))
+    return "free" if largest < criteria.max_drift else "innovations"
+
+
+def _refined(fitted: Fit, data: Dataset, mode: Mode) -> Fit:
+    """Return the fit refined in a mode, at the finer integration step."""
     return fit(fitted.machine, fitted.free, data, mode, theta=fitted.theta, longest_step=POLISH_STEP)
 
 
-def _explain(base: Fit, before: Fit, data: Dataset, say: Say) -> tuple[Verdict, Fit, tuple[SelectedEffect, ...]]:
-    """Named effects if they explain the residual; else a table, alone or beside them; else nothing."""
-    free = before.mode == "free"
-    near = free and before.chi2 < _NEAR
-    polished: dict[tuple[str, ...], Fit] = {(): before}
+class _Search:
+    """The search for effects that explain the residual of the refitted machine.
 
-    def settled(traced: Fit, found: tuple[SelectedEffect, ...]) -> tuple[Fit, tuple[SelectedEffect, ...]]:
-        """Polished, completed where a free run shows what innovations cannot, and rid of what is idle."""
-        now = polished.get(_labels(traced)) or _polish(traced, data, before.mode)
-        runs = _from_zeros(now.machine, data, data) if free else data
-        if runs is not data:
-            now = _polish(now, runs, "free")
-        if free and now.chi2 < _NEAR:
-            now, found = trace(now, found, runs, say, LEAST_GAIN)
-        return prune_effects(now, found, runs, say, longest_step=POLISH_STEP)
+    Args:
+        base: Machine refitted in one-step prediction.
+        before: Machine refitted in the mode that decides.
+        data: Prepared recordings to fit.
+        criteria: Decision thresholds.
+        log: Called with a line of text at each stage.
+    """
 
-    def done(traced: Fit) -> bool:
-        """Whether a free run is explained, or shows that the last effect is none: innovations keep other traces."""
-        if not free or traced.chi2 > _NEAR:
+    def __init__(self, base: Fit, before: Fit, data: Dataset, criteria: SelectionCriteria, log: Log) -> None:
+        self._base, self._before, self._data = base, before, data
+        self._criteria, self._log = criteria, log
+        self._refined: dict[tuple[str, ...], Fit] = {(): before}  # by labels of the effects
+        self._simulation = _simulates(before)
+        self._close = self._simulation and before.chi2 < criteria.max_simulation_chi2
+
+    def run(self) -> tuple[Verdict, Fit, tuple[SelectedEffect, ...]]:
+        """Return verdict, fit and effects: effects of the library if they explain the residual, else a table, else nothing."""
+        base, before, criteria = self._base, self._before, self._criteria
+        min_gain = criteria.min_gain_one_step
+        if not self._simulation:
+            min_gain = max(min_gain, criteria.min_gain_fraction_unverified * base.chi2)
+        selected_one_step = select_effects(
+            base, (), self._data, criteria=criteria, min_gain=min_gain, log=self._log, finished=self._finished
+        )
+        after, effects = self._completed(*selected_one_step)
+        if self._close and selected_one_step[1] and not self._explains(after):
+            alternative, others = self._completed(before, ())
+            if alternative.cost < after.cost:
+                after, effects = alternative, others
+        if self._explains(after):
+            return ("effect_found", after, effects) if effects else ("no_effect", before, ())
+        tabled = self._with_tables(selected_one_step, after)
+        if tabled is not None:
+            return "effect_found", *tabled
+        if effects and after.cost < criteria.max_partial_cost_fraction * before.cost:
+            return "effect_found", after, effects
+        return "unexplained", before, ()
+
+    def _completed(self, fitted: Fit, effects: tuple[SelectedEffect, ...]) -> Selection:
+        """Return the fit refined, with effects that only the simulation shows, and without superfluous ones."""
+        criteria, data, log = self._criteria, self._data, self._log
+        current = self._refined.get(_labels(fitted)) or _refined(fitted, data, self._before.mode)
+        if self._simulation:
+            refined_data = refine_encoder_offsets(data, current.machine)
+            if refined_data is not data:
+                data = refined_data
+                current = _refined(current, data, self._before.mode)
+            if current.chi2 < criteria.max_simulation_chi2:
+                gain = criteria.min_gain_simulation
+                current, effects = select_effects(current, effects, data, criteria=criteria, min_gain=gain, log=log)
+        return prune_effects(current, effects, data, criteria=criteria, log=log, longest_step=POLISH_STEP)
+
+    def _finished(self, fitted: Fit) -> bool:
+        """Return whether the simulation is explained, or shows that the last effect is not real."""
+        if not self._simulation or fitted.chi2 > self._criteria.max_simulation_chi2:
             return False
-        last = polished.get(_labels(traced)[:-1])
-        now = polished[_labels(traced)] = _polish(traced, data, before.mode)
-        idle = near and last is not None and (last.cost - now.cost) / data.count < least(now, LEAST_GAIN)
-        return now.chi2 < _EXPLAINED or idle
+        labels = _labels(fitted)
+        previous = self._refined.get(labels[:-1])
+        current = self._refined[labels] = _refined(fitted, self._data, self._before.mode)
+        if current.chi2 < self._criteria.explained_chi2:
+            return True
+        if not self._close or previous is None:
+            return False
+        gain = (previous.cost - current.cost) / self._data.count
+        return gain < minimum_gain(current, self._criteria.min_gain_simulation, self._criteria)
 
-    smallest = LEAST_INNOVATION if free else max(LEAST_INNOVATION, _LEAST_UNJUDGED * base.chi2)
-    traced, named = trace(base, (), data, say, smallest, done)
-    after, found = settled(traced, named)
-    if near and named and not _explains(after, before):
-        again, others = settled(before, ())
-        if again.cost < after.cost:
-            after, found = again, others
-    if _explains(after, before):
-        return ("effect_found", after, found) if found else ("no_effect", before, ())
-    say("searching for what has no name here")
-    for start, beside, most in ((base, (), 1), (traced, named, 2)):
-        tabled, more = add_tables(start, beside, data, say, most)
-        if len(more) > len(beside):
-            # No search beside a table: what its straight pieces leave looks like many a small effect.
-            now = _polish(tabled, data, before.mode)
-            candidate, kept = prune_effects(now, more, data, say, longest_step=POLISH_STEP)
-            if kept and (_explains(candidate, before) or candidate.cost < _TABLED * min(before.cost, after.cost)):
-                return "effect_found", candidate, kept
-    if found and after.cost < _MOSTLY * before.cost:
-        return "effect_found", after, found
-    return "unexplained", before, ()
+    def _with_tables(self, selected: Selection, after: Fit) -> Selection | None:
+        """Return a model with a table alone, or with tables beside the selected effects, if it explains the residual."""
+        criteria, data, log = self._criteria, self._data, self._log
+        log("no known effect explains the residual; searching for a table of force or friction")
+        for start, effects, count in ((self._base, (), 1), (*selected, 2)):
+            fitted, more = add_tables(start, effects, data, criteria=criteria, max_tables=count, log=log)
+            if len(more) > len(effects):
+                # No further search beside a table: what its straight pieces leave looks like many a small effect.
+                refined = _refined(fitted, data, self._before.mode)
+                candidate, kept = prune_effects(
+                    refined, more, data, criteria=criteria, log=log, longest_step=POLISH_STEP
+                )
+                limit = criteria.max_table_cost_fraction * min(self._before.cost, after.cost)
+                if kept and (self._explains(candidate) or candidate.cost < limit):
+                    return candidate, kept
+        return None
+
+    def _explains(self, after: Fit) -> bool:
+        """Return whether a fit leaves only the sensors' noise, or a negligible part of the initial residual."""
+        criteria = self._criteria
+        return after.chi2 < max(criteria.explained_chi2, criteria.explained_fraction * self._before.chi2)
 
 
 def _labels(fitted: Fit) -> tuple[str, ...]:
+    """Return the labels of a fitted machine's effects."""
     return tuple(e.label for e in fitted.machine.effects)
 
 
-def _explains(after: Fit, before: Fit) -> bool:
-    """Whether what is left is the sensors' noise, or next to nothing of what was missed."""
-    return after.chi2 < max(_EXPLAINED, _NEXT_TO_NOTHING * before.chi2)
-
-
 def _errors(machine: Machine, data: Dataset) -> PredictionErrors:
+    """Return the errors of a machine on a data set."""
     return PredictionErrors(channel_errors(machine, data), force_error(machine, data))
 
 
-def _gain(found: SelectedEffect, machine: Machine, judge: Dataset, mode: Mode) -> float:
-    """Share of the held-out squared error that the machine without this one effect has and with it has not.
+def _held_out_gain(selected: SelectedEffect, machine: Machine, validation: Dataset, mode: Mode) -> float:
+    """Return the fraction of the held-out squared error that this effect alone removes.
 
-    Where the free run drifts it is the error of the force, if the machine has one.
+    The error is that of the simulation; where the simulation drifts, it is the error of the drives' force, if the machine has one.
     """
 
-    def cost(m: Machine) -> float:
-        force = force_error(m, judge) if mode == "innovations" else None
+    def squared_error(m: Machine) -> float:
+        force = force_error(m, validation) if mode == "innovations" else None
         if force is not None:
             return force**2
-        return float(
-            np.mean([e.noise_ratio**2 for e in channel_errors(m, judge).values() if e.noise_ratio is not None])
-        )
+        ratios = [e.noise_ratio for e in channel_errors(m, validation).values() if e.noise_ratio is not None]
+        return float(np.mean(np.square(ratios)))
 
-    others = tuple(e for e in machine.effects if e.label != found.effect.label)
-    without = found.lacking if found.effect.definition.structure else machine.replace(effects=others)
-    return 1.0 - cost(machine) / cost(without)
+    others = tuple(e for e in machine.effects if e.label != selected.effect.label)
+    structural = selected.effect.definition.structure
+    without = selected.machine_without if structural else machine.replace(effects=others)
+    return 1.0 - squared_error(machine) / squared_error(without)

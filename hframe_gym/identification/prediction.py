@@ -1,44 +1,78 @@
-"""What a machine predicts for a run, for a batch of parameter values at once, and what is left.
+"""Predict a run with a machine, for a batch of parameter values at once, and compare it with the measurements.
 
-`innovations`: at every row the measured minus the predicted reading is fed back into position and velocity, so that a
-wrong model's error stays local in time.  `free run`: nothing is fed back.
+Two prediction modes:
+
+- `one_step`: a Luenberger observer feeds the difference of measured and predicted values back into position and
+  velocity at every sample.  The error of a wrong model remains local in time.
+- `simulation`: the machine runs from its initial state without feedback.
 """
 
 from __future__ import annotations
 
-from typing import Literal
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..dynamics.simulation import Motion, simulate_batch
+from ..dynamics.simulation import Motion, simulate_batch, threads
 from ..machine import Machine
 from .dataset import Dataset, PreparedRecording
 from .initial_state import settled
 from .static_equilibrium import static_equilibrium
 
 Array = NDArray[np.float64]
-Mode = Literal["innovations", "free"]
+T = TypeVar("T")
+# The last two are the former names of the modes; they go when no module uses them any more.
+Mode = Literal["one_step", "simulation", "innovations", "free"]
 
-# Bandwidth of the feedback, rad/s: encoders are quiet, the slower lasers' noise must not shake the model.
-_ENCODER_RATE = 60.0
-_LASER_RATE = 25.0
-SEARCH_STEP = 0.5e-3  # s
-_INVERSIONS, _INVERTED = 4, 1e-6  # steps, of which each leaves a few hundredths, and m or rad
-_COARSE = 4e-3  # s; what an effect does to the readings is slower
-POLISH_STEP = 0.125e-3  # s; an input that changes inside a step costs a micrometre at twice that
+SEARCH_STEP = 0.5e-3  # s; integration step of the search
+POLISH_STEP = 0.125e-3  # s; an input that changes inside a step costs a micrometer at twice this step
+
+# Observer bandwidth, rad/s.  Encoders are quiet; the noise of lasers must not shake the model.
+_ENCODER_BANDWIDTH = 60.0
+_LASER_BANDWIDTH = 25.0
+_LONGEST_OBSERVER_PERIOD = 5e-3  # s; limits the observer gains of slowly sampled recordings
+_INVERSION_ITERATIONS = 4  # each leaves a few hundredths of the error
+_INVERSION_TOLERANCE = 1e-6  # m or rad
+_BLOCK_S = 4e-3  # s; measurements respond more slowly than this to mechanical effects
+
+
+def has_feedback(mode: Mode) -> bool:
+    """Return whether a prediction mode feeds measurements back."""
+    return mode in ("one_step", "innovations")
+
+
+def map_runs(function: Callable[[PreparedRecording], T], data: Dataset) -> Iterator[T]:
+    """Apply a function to every run, in parallel threads; results come in the order of the runs."""
+    count = min(threads(), len(data.runs))
+    if count == 1:
+        yield from map(function, data.runs)
+        return
+    with ThreadPoolExecutor(count) as pool:
+        yield from pool.map(function, data.runs)
 
 
 def observer_gains(machine: Machine, period: float) -> Array:
-    """Gains (2 coordinates, sensors) of the output injection at a sampling period, s: critically damped observers."""
+    """Return the observer gains of one-step prediction: critically damped, one observer per sensor.
+
+    Args:
+        machine: Machine whose sensors feed back.
+        period: Sampling period, s.
+
+    Returns:
+        Corrections of positions, then velocities, per unit of measurement error, shape (2 * coordinates, sensors).
+    """
     count = len(machine.coordinates)
     gains = np.zeros((2 * count, len(machine.sensors)))
-    geared = any(c.kind == "rotary" for c in machine.coordinates)
+    has_motors = any(c.kind == "rotary" for c in machine.coordinates)
     for j, sensor in enumerate(machine.sensors):
         name = sensor.coordinate
         i = machine.coordinate_names.index(name)
-        slow = geared and machine.coordinate(name).kind == "linear"
-        rate = (_LASER_RATE if slow else _ENCODER_RATE) * min(period, 5e-3)
+        slow = has_motors and machine.coordinate(name).kind == "linear"
+        bandwidth = _LASER_BANDWIDTH if slow else _ENCODER_BANDWIDTH
+        rate = bandwidth * min(period, _LONGEST_OBSERVER_PERIOD)  # rad per sample
         gains[i, j] = 2 * rate / sensor.row[name]
         gains[count + i, j] = rate**2 / period / sensor.row[name]
     return gains
@@ -52,130 +86,184 @@ def predict(
     period: float,
     parameters: Array | None = None,
     extra_force: Array | None = None,
-    extra_reading: Array | None = None,
-    start: Array | None = None,
+    extra_measurement: Array | None = None,
+    initial_state: Array | None = None,
     longest_step: float = SEARCH_STEP,
     states: bool = False,
 ) -> Motion:
-    """The machine's readings over a run, with its motion if asked, for a batch of parameters or additions.
+    """Predict the measurements of a run for a batch of parameters or perturbations.
 
-    start (B, 2 coordinates) in place of the run's own; extra_force (B, n, coordinates); extra_reading (B, n, sensors):
-    what the sensors show beyond the machine's readings.
+    Args:
+        machine: Machine that predicts; it also determines where the run starts.
+        run: Run to predict.
+        mode: "one_step" or "simulation".
+        period: Sampling period, s.
+        parameters: Kernel parameters, shape (batch, parameters); default: those of the machine.
+        extra_force: Force on every coordinate, N or Nm, held per sample, shape (batch, n, coordinates).
+        extra_measurement: Value added to the sensors' output, channel units, shape (batch, n, sensors).
+        initial_state: Positions and velocities, shape (batch, 2 * coordinates); default: the run's, see
+            `initial_state_of_run`.
+        longest_step: Maximum integration step, s.
+        states: Whether to return positions and velocities too.
+
+    Returns:
+        Predicted measurements (batch, n, sensors), with positions and velocities (batch, n, coordinates) on request.
     """
-    observed = mode == "innovations"
-    own = initial_state_of_run(machine, run)
-    measured = None
-    if observed:
-        known = len(run.start) // 2
+    run_state = initial_state_of_run(machine, run)
+    measured = gains = None
+    if has_feedback(mode):
+        count = len(run.start) // 2
         encoders = [machine.coordinate(sensor.coordinate).kind == "rotary" for sensor in machine.sensors]
-        # Encoders count from where the run starts, wherever that is.
-        away = np.where(encoders, machine.sensor_matrix[:, :known] @ (own[:known] - run.start[:known]), 0.0)
-        measured = run.outputs + away
-        if extra_reading is not None:
-            measured = measured - extra_reading
+        # Encoders count from where the run starts, wherever the machine puts that.
+        displacement = machine.sensor_matrix[:, :count] @ (run_state[:count] - run.start[:count])
+        measured = run.outputs + np.where(encoders, displacement, 0.0)
+        if extra_measurement is not None:
+            measured = measured - extra_measurement
+        gains = observer_gains(machine, period)
     motion = simulate_batch(
         machine,
         run.time_s,
         run.inputs,
         parameters=parameters,
-        start=own if start is None else start,
+        start=run_state if initial_state is None else initial_state,
         extra_force=extra_force,
         measured=measured,
-        gains=observer_gains(machine, period) if observed else None,
+        gains=gains,
         longest_step=longest_step,
         states=states,
         parallel=False,
     )
-    return motion if extra_reading is None else motion._replace(readings=motion.readings + extra_reading)
+    return motion if extra_measurement is None else motion._replace(readings=motion.readings + extra_measurement)
 
 
 def initial_state_of_run(machine: Machine, run: PreparedRecording) -> Array:
-    """The run's resting state.
+    """Return the state at rest from which a machine predicts a run.
 
-    Encoders that tell of a stretch place their pulleys; all others stand where belts hold what the machine's effects
-    do at rest.  So does a pulley that runs out of true, and so do all where an effect changes what sensors tell of the
-    place, until that effect's machine has put the zeros right: before, what seemed a stretch was the effect.
+    Lasers determine the tool's position, the static equilibrium of the machine determines the motors' angles.  Encoders
+    whose zero is known beyond the belts' stretch determine their motors' angles instead, with two exceptions while
+    the encoder zeros have not been corrected with a fitted machine: eccentric pulleys, and all motors if an effect
+    changes the tool position that the sensors imply.  In both cases the effect was mistaken for a stretch of the belts.
+
+    Args:
+        machine: Machine that predicts.
+        run: Run whose initial rows are at rest.
+
+    Returns:
+        Positions and zero velocities, shape (2 * coordinates,).
     """
     if not machine.belts:
         return run.start
-    known = len(run.start) // 2
-    place = position_from_readings(machine, run)
-    position = static_equilibrium(machine, place)
-    if run.zeroed or np.array_equal(place, run.start[:known]):
-        untrue = [] if run.zeroed else [machine.site_coordinate(e.site) for e in machine.effects if e.definition.behind]
+    tool_position = position_from_measurements(machine, run)
+    position = static_equilibrium(machine, tool_position)
+    if run.zeroed or np.array_equal(tool_position, run.start[: len(run.start) // 2]):
+        excluded: list[str | None] = []
+        if not run.zeroed:
+            excluded = [machine.site_coordinate(e.site) for e in machine.effects if e.definition.behind]
         for i, angle in encoder_angles(machine, run).items():
-            if machine.coordinate_names[i] not in untrue:
+            if machine.coordinate_names[i] not in excluded:
                 position[i] = angle
     return np.concatenate([position, np.zeros_like(position)])
 
 
 def encoder_angles(machine: Machine, run: PreparedRecording) -> dict[int, float]:
-    """By coordinate, the angle of a round pulley where encoders that tell of a stretch place theirs, rad."""
+    """Return, by coordinate index, the angle that an encoder with a known zero gives for an ideal round pulley, rad."""
     angles: dict[int, float] = {}
     for j in np.flatnonzero(run.told):
         i = machine.coordinate_names.index(machine.sensors[j].coordinate)
-        angles[i] = shown = float(run.start[i])
+        measured_angle = float(run.start[i])
+        angles[i] = measured_angle
         for e in machine.effects:
             if e.definition.behind and machine.site_coordinate(e.site) == machine.coordinate_names[i]:
-                angles[i] += float(e("behind", q=shown, per_radius=1.0 / machine.radii[i]))
+                angles[i] += float(e("behind", q=measured_angle, per_radius=1.0 / machine.radii[i]))
     return angles
 
 
-def position_from_readings(machine: Machine, run: PreparedRecording) -> Array:
-    """Positions (coordinates,) of a run's start with those of its lasers put where their readings come from."""
-    at = run.start[: len(run.start) // 2].copy()
+def position_from_measurements(machine: Machine, run: PreparedRecording) -> Array:
+    """Return a run's initial positions (coordinates,) with the sensor effects of the machine's lasers inverted.
+
+    The inversion is a fixed-point iteration.  A measurement that no position explains, such as one beyond the end of a
+    sensor's range, leaves the position as it is.
+    """
+    position = run.start[: len(run.start) // 2].copy()
     names = machine.coordinate_names
     for e in machine.effects:
         if not e.definition.reading or machine.coordinate(machine.site_coordinate(e.site) or "").kind != "linear":
             continue
         sensor = machine.sensors[machine.output_channels.index(e.site)]
-        own, other = names.index(sensor.coordinate), machine.across(sensor.coordinate)
-        shown, across = float(at[own]), at[names.index(other)] if other else 0.0
-        place = shown
-        for _ in range(_INVERSIONS):
-            place -= float(e("reading", r=place, across=across)) - shown
-        # A reading that no place gives, beyond the end of a range, has not placed the run: others have.
-        if abs(float(e("reading", r=place, across=across)) - shown) < _INVERTED:
-            at[own] = place
-    return at
+        index, other = names.index(sensor.coordinate), machine.across(sensor.coordinate)
+        measured = float(position[index])
+        across = position[names.index(other)] if other else 0.0
+        estimate = measured
+        for _ in range(_INVERSION_ITERATIONS):
+            estimate -= float(e("reading", r=estimate, across=across)) - measured
+        if abs(float(e("reading", r=estimate, across=across)) - measured) < _INVERSION_TOLERANCE:
+            position[index] = estimate
+    return position
 
 
-def coarse(data: Dataset) -> int:
-    """How many rows may be averaged where only the answer to mechanical effects counts."""
-    return max(1, round(_COARSE / data.period))
+def mechanical_rows_per_block(data: Dataset) -> int:
+    """Return how many rows may be averaged where only the response to mechanical effects matters."""
+    return max(1, round(_BLOCK_S / data.period))
 
 
-def residuals(run: PreparedRecording, data: Dataset, readings: Array, rows: int = 1) -> Array:
-    """Measured minus predicted readings (B, n, sensors) in units of the noise, (B, n * sensors); zero where unmeasured.
+def residuals(run: PreparedRecording, data: Dataset, measurements: Array, rows_per_block: int = 1) -> Array:
+    """Return measured minus predicted values in units of the noise.
 
-    rows: how many are averaged, and scaled so that white noise keeps its size; what changes more slowly keeps its
-    products, and there is that much less to multiply.  Each channel's zero is where its resting rows put it, given
-    where the machine comes to rest (see `zeros`).
+    Each channel's zero is estimated, see `sensor_offsets`.
+
+    Args:
+        run: Measured run.
+        data: Data set of the run, for the sensors' noise.
+        measurements: Predicted values, shape (batch, n, sensors).
+        rows_per_block: How many consecutive rows are summed into one, scaled so that white noise keeps its size.
+            Products of columns that change more slowly stay the same, with fewer rows to multiply.
+
+    Returns:
+        Residuals, zero where a value was not measured or does not count, shape (batch, n * sensors) or, with blocks,
+        (batch, n // rows_per_block * sensors).
     """
     measured = np.isfinite(run.outputs)
     counted = measured if run.rows is None else measured & run.rows[:, None]
-    with np.errstate(over="ignore", invalid="ignore"):  # parameters that make a machine run away cost infinitely much
-        left = run.outputs - readings if measured.all() else np.where(measured, run.outputs - readings, 0.0)
-        left -= zeros(run, data, left, measured)
-        left *= counted / data.noise
-    if rows > 1:
-        blocks = left.shape[1] // rows
-        left = left[:, : blocks * rows].reshape(len(left), blocks, rows, -1).sum(axis=2) / np.sqrt(rows)
-    return left.reshape(len(left), -1)
+    with np.errstate(over="ignore", invalid="ignore"):  # parameters that make a machine diverge cost infinitely much
+        error = run.outputs - measurements  # (batch, n, sensors)
+        if not measured.all():
+            error = np.where(measured, error, 0.0)
+        error -= sensor_offsets(run, data, error, measured)
+        error *= counted / data.noise
+    batch, rows, sensors = error.shape
+    if rows_per_block > 1:
+        blocks = rows // rows_per_block
+        error = error[:, : blocks * rows_per_block].reshape(batch, blocks, rows_per_block, sensors)
+        error = error.sum(axis=2) / np.sqrt(rows_per_block)
+    return error.reshape(batch, -1)
 
 
-def zeros(run: PreparedRecording, data: Dataset, error: Array, measured: NDArray[np.bool_]) -> Array:
-    """What the sensors' zeros explain (B, 1, sensors) of errors (B, n, sensors), zero where not measured.
+def sensor_offsets(run: PreparedRecording, data: Dataset, error: Array, measured: NDArray[np.bool_]) -> Array:
+    """Return the part of prediction errors that the unknown zeros of the sensors explain.
 
-    The mean over the settled resting rows: a sensor counts from wherever it was switched on.  Those rows
-    place a quantised channel only to within its quantum, so of the mean then left over the whole run up to half a
-    quantum is taken off too; not more, for under output injection a constant force shows as just such a mean.  An
-    encoder behind belts loses its mean whole: stiction holds a stretch of the belts at rest that nothing tells.
+    It is the mean over the settled rows at rest.  These rows determine the zero of a quantized channel only to within
+    its quantum, so up to half a quantum of the mean error over the whole run is removed too, but not more: with
+    feedback, a constant force shows as just such a mean.  For an encoder behind belts the entire mean is removed,
+    because static friction holds an unknown stretch of the belts at rest.
+
+    Args:
+        run: Measured run.
+        data: Data set of the run.
+        error: Measured minus predicted values, zero where not measured, shape (batch, n, sensors).
+        measured: Which values were measured, shape (n, sensors).
+
+    Returns:
+        Offsets in channel units, shape (batch, 1, sensors).
     """
     rest = settled(run.rest)
     counts = np.maximum(measured.sum(axis=0), 1)
     at_rest = error[:, rest].sum(axis=1) / np.maximum(measured[rest].sum(axis=0), 1)
-    mean = error.sum(axis=1) / counts - at_rest * (measured.sum(axis=0) / counts)
-    most = np.where(data.behind_belts, np.inf, data.quantum / 2)
-    found: Array = (at_rest + np.clip(mean, -most, most))[:, None, :]
-    return found
+    remaining_mean = error.sum(axis=1) / counts - at_rest * (measured.sum(axis=0) / counts)
+    limit = np.where(data.behind_belts, np.inf, data.quantum / 2)
+    offsets: Array = (at_rest + np.clip(remaining_mean, -limit, limit))[:, None, :]
+    return offsets
+
+
+# Aliases until all packages use the new names.
+position_from_readings = position_from_measurements
+over_runs = map_runs

@@ -1,4 +1,4 @@
-"""What a fitted machine leaves unexplained: error per channel, force per coordinate, and what that force follows."""
+"""Analyze what a fitted machine leaves unexplained: errors per channel, missing forces, and what these depend on."""
 
 from __future__ import annotations
 
@@ -11,175 +11,264 @@ from scipy import signal
 from ..machine import Machine
 from .dataset import Dataset, PreparedRecording
 from .effect_perturbation import MotionRecord, effects_force
-from .estimation import over_runs
-from .prediction import POLISH_STEP, observer_gains, predict, zeros
+from .prediction import POLISH_STEP, map_runs, observer_gains, predict, sensor_offsets
 
 Array = NDArray[np.float64]
 
-_BINS = 16
-_FORCE_CUTOFF = 100.0  # Hz; the inverse dynamics' zero-phase low-pass, as in the EMPS benchmark (Janot et al. 2019)
+# Low-pass cut-off frequencies, Hz.  In the force residual, noise is fast and a missing effect slow.
+_RESIDUAL_CUTOFF = 30.0
+_MISSING_FORCE_CUTOFF = 40.0
+_DEPENDENCE_BINS = 16
+_MINIMUM_DEPENDENCE = 0.05  # fraction of the variance
+_WHITENESS_BLOCK_S = 0.02
+_WHITE = 0.6  # standard deviation of block means, in units of the noise
+# Inverse dynamics of the EMPS benchmark (Janot, Gautier and Brunot 2019).
+_FORCE_CUTOFF = 100.0  # Hz
 _FORCE_DECIMATION = 10
+_FILTER_TRANSIENT_S = 0.05
 
 
 class ChannelError(NamedTuple):
-    """rmse in the channel's unit and over its noise, both None where the channel was never measured."""
+    """Simulation error of one output channel; both values are None where the channel was never measured.
+
+    Attributes:
+        rmse: Root mean square error, channel unit.
+        noise_ratio: The same in units of the sensor's noise.
+    """
 
     rmse: float | None
     noise_ratio: float | None
 
 
 class Dependence(NamedTuple):
-    """Share of the variance of the force residual on `coordinate` that a curve over `variable` explains."""
+    """Dependence of the force residual on a variable.
+
+    Attributes:
+        variable: Name of the variable, e.g. "velocity of x".
+        coordinate: Coordinate on which the force acts.
+        explained: Fraction of the force residual's variance that a curve over the variable explains.
+    """
 
     variable: str
     coordinate: str
-    share: float
+    explained: float
+
+    @property
+    def share(self) -> float:
+        """Former name of `explained`, until all packages use the new one."""
+        return self.explained
 
 
-def free_run_error(machine: Machine, run: PreparedRecording, data: Dataset) -> Array:
-    """Measured minus predicted (n, sensors) of a free run from the resting rows, own units; NaN where not measured.
+def simulation_error(machine: Machine, run: PreparedRecording, data: Dataset) -> Array:
+    """Return measured minus simulated values of a run, less the sensors' zeros.
 
-    What the sensors' zeros explain is taken off, from every machine alike (see `prediction.zeros`).
+    Args:
+        machine: Machine to simulate from the run's initial state.
+        run: Measured run.
+        data: Data set of the run.
+
+    Returns:
+        Errors in channel units, NaN where not measured, shape (n, sensors).
     """
-    motion = predict(machine, run, "free", period=data.period, longest_step=POLISH_STEP)
+    motion = predict(machine, run, "simulation", period=data.period, longest_step=POLISH_STEP)
     measured = np.isfinite(run.outputs)
-    error = np.where(measured, run.outputs - motion.readings, 0.0)
-    return np.where(measured, (error - zeros(run, data, error, measured))[0], np.nan)
+    error = np.where(measured, run.outputs - motion.readings, 0.0)  # (1, n, sensors)
+    return np.where(measured, (error - sensor_offsets(run, data, error, measured))[0], np.nan)
 
 
 def channel_errors(machine: Machine, data: Dataset) -> dict[str, ChannelError]:
-    """Free-run error of each output channel over all runs; the offset is that of the resting rows, nothing fitted."""
-    errors = np.concatenate(list(over_runs(lambda run: free_run_error(machine, run, data), data)))
-    found = {}
+    """Return the simulation error of every output channel over all runs.
+
+    Args:
+        machine: Machine to evaluate; nothing is fitted but the sensors' zeros.
+        data: Measured runs.
+
+    Returns:
+        Errors by output channel.
+    """
+    error = np.concatenate(list(map_runs(lambda run: simulation_error(machine, run, data), data)))
+    errors = {}
     for j, channel in enumerate(machine.output_channels):
-        column = errors[:, j][np.isfinite(errors[:, j])]
+        column = error[:, j][np.isfinite(error[:, j])]
         if len(column) == 0:
-            found[channel] = ChannelError(None, None)
+            errors[channel] = ChannelError(None, None)
             continue
         rmse = float(np.sqrt(np.mean(column**2)))
-        found[channel] = ChannelError(rmse, rmse / float(data.noise[j]))
-    return found
-
-
-def smooth_force_residual(machine: Machine, run: PreparedRecording, data: Dataset) -> Array:
-    """`force_residual` below 30 Hz, without phase: the answer to white noise is fast, a missing effect slow."""
-    low_pass = signal.butter(2, min(0.9, 60.0 * data.period), output="sos")
-    return signal.sosfiltfilt(low_pass, force_residual(machine, run, data), axis=0)
-
-
-def variables(machine: Machine, run: PreparedRecording, data: Dataset) -> dict[str, Array]:
-    """What a missing effect may follow, each (n,): positions and speeds along the fitted motion, inputs, the clock."""
-    motion = predict(machine, run, "innovations", period=data.period, states=True)
-    found = {f"position of {c}": motion.positions[0, :, i] for i, c in enumerate(machine.coordinate_names)}
-    found |= {f"velocity of {c}": motion.velocities[0, :, i] for i, c in enumerate(machine.coordinate_names)}
-    found |= {c: run.inputs[:, j] for j, c in enumerate(machine.input_channels)}
-    return found | {"time": run.time_s}
+        errors[channel] = ChannelError(rmse, rmse / float(data.noise[j]))
+    return errors
 
 
 def force_residual(machine: Machine, run: PreparedRecording, data: Dataset) -> Array:
-    """Force (n, coordinates), own units, that would have to be added for the machine to follow the data.
+    """Return the force that would have to be added for the machine to follow the measurements.
 
-    It is what the output injection puts into the velocities, a disturbance observer: right below its bandwidth.
+    It is the velocity correction of the one-step prediction's observer, which acts as a disturbance observer: correct
+    below its bandwidth.
+
+    Args:
+        machine: Machine that predicts.
+        run: Measured run.
+        data: Data set of the run.
+
+    Returns:
+        Force on every coordinate, N or Nm, shape (n, coordinates).
     """
-    count = len(machine.coordinates)
-    readings = predict(machine, run, "innovations", period=data.period).readings[0]
-    innovation = np.nan_to_num(run.outputs - readings)
-    gains = observer_gains(machine, data.period)[count:]
+    predicted = predict(machine, run, "one_step", period=data.period).readings[0]
+    innovation = np.nan_to_num(run.outputs - predicted)  # (n, sensors)
+    velocity_gains = observer_gains(machine, data.period)[len(machine.coordinates) :]
     mass = np.array([c.mass for c in machine.coordinates])
-    return innovation @ gains.T / data.period * mass
+    return innovation @ velocity_gains.T / data.period * mass
+
+
+def smooth_force_residual(machine: Machine, run: PreparedRecording, data: Dataset) -> Array:
+    """Return `force_residual` below 30 Hz, filtered without phase lag, shape (n, coordinates)."""
+    return _low_pass(force_residual(machine, run, data), _RESIDUAL_CUTOFF, data.period)
 
 
 def missing_force(machine: Machine, data: Dataset) -> dict[str, Array]:
-    """By coordinate: position, velocity and missing force (n, 3) along all runs, own units.
+    """Return the missing force along all runs with the motion to which it belongs.
 
-    The observer shows a missing force through its own two poles; they are taken off, up to 40 Hz.
+    The observer shows a missing force through its two equal poles.  These are inverted, up to 40 Hz.
+
+    Args:
+        machine: Machine that predicts.
+        data: Measured runs.
+
+    Returns:
+        By coordinate: position, velocity and missing force, coordinate units, shape (rows of all runs, 3).
     """
-    count = len(machine.coordinates)
-    slowness = 2.0 * data.period / np.maximum(observer_gains(machine, data.period)[:count].sum(axis=1), 1e-12)
-    low_pass = signal.butter(2, min(0.9, 80.0 * data.period), output="sos")
+    position_gains = observer_gains(machine, data.period)[: len(machine.coordinates)].sum(axis=1)
+    time_constant = 2.0 * data.period / np.maximum(position_gains, 1e-12)  # of each pole, (coordinates,)
 
-    def of(run: PreparedRecording) -> Array:
-        motion = predict(machine, run, "innovations", period=data.period, states=True)
-        force = signal.sosfiltfilt(low_pass, force_residual(machine, run, data), axis=0)
-        rate = np.gradient(force, run.time_s, axis=0)
-        bend = np.gradient(rate, run.time_s, axis=0)
-        whole = force + 2 * slowness * rate + slowness**2 * bend
-        return np.stack([motion.positions[0], motion.velocities[0], whole], axis=2)
+    def of_run(run: PreparedRecording) -> Array:
+        motion = predict(machine, run, "one_step", period=data.period, states=True)
+        force = _low_pass(force_residual(machine, run, data), _MISSING_FORCE_CUTOFF, data.period)
+        first_derivative = np.gradient(force, run.time_s, axis=0)
+        second_derivative = np.gradient(first_derivative, run.time_s, axis=0)
+        unfiltered = force + 2 * time_constant * first_derivative + time_constant**2 * second_derivative
+        return np.stack([motion.positions[0], motion.velocities[0], unfiltered], axis=2)  # (n, coordinates, 3)
 
-    parts = np.concatenate(list(over_runs(of, data)))
-    return {name: parts[:, i] for i, name in enumerate(machine.coordinate_names)}
+    by_coordinate = np.concatenate(list(map_runs(of_run, data)))
+    return {name: by_coordinate[:, i] for i, name in enumerate(machine.coordinate_names)}
 
 
-def depends_on(machine: Machine, data: Dataset) -> list[Dependence]:
-    """What the force residual follows, best first: coordinates' positions and speeds, inputs, time."""
+def _low_pass(values: Array, cutoff: float, period: float) -> Array:
+    """Return values (n, k) below a cut-off frequency, Hz, filtered without phase lag."""
+    filtered: Array = signal.sosfiltfilt(signal.butter(2, min(0.9, 2 * cutoff * period), output="sos"), values, axis=0)
+    return filtered
+
+
+def dependence_variables(machine: Machine, run: PreparedRecording, data: Dataset) -> dict[str, Array]:
+    """Return the variables on which a missing effect may depend.
+
+    Args:
+        machine: Machine whose one-step prediction supplies positions and velocities.
+        run: Measured run.
+        data: Data set of the run.
+
+    Returns:
+        By name: positions, velocities, inputs and time, SI, shape (n,) each.
+    """
+    motion = predict(machine, run, "one_step", period=data.period, states=True)
+    names = machine.coordinate_names
+    variables = {f"position of {name}": motion.positions[0, :, i] for i, name in enumerate(names)}
+    variables |= {f"velocity of {name}": motion.velocities[0, :, i] for i, name in enumerate(names)}
+    variables |= {channel: run.inputs[:, j] for j, channel in enumerate(machine.input_channels)}
+    return variables | {"time": run.time_s}
+
+
+def rank_dependences(machine: Machine, data: Dataset) -> list[Dependence]:
+    """Rank the variables on which the force residual depends.
+
+    Args:
+        machine: Machine that predicts.
+        data: Measured runs.
+
+    Returns:
+        Dependences that explain more than 5 % of the variance, strongest first.
+    """
     force = np.concatenate([smooth_force_residual(machine, run, data) for run in data.runs])
-    by_run = [variables(machine, run, data) for run in data.runs]
-    found = [
-        Dependence(name, coordinate, _explained(force[:, i], np.concatenate([v[name] for v in by_run])))
+    by_run = [dependence_variables(machine, run, data) for run in data.runs]
+    variables = {name: np.concatenate([variables[name] for variables in by_run]) for name in by_run[0]}
+    dependences = [
+        Dependence(name, coordinate, _correlation_ratio(force[:, i], values))
         for i, coordinate in enumerate(machine.coordinate_names)
-        for name in by_run[0]
+        for name, values in variables.items()
     ]
-    return sorted((d for d in found if d.share > 0.05), key=lambda d: -d.share)
+    return sorted((d for d in dependences if d.explained > _MINIMUM_DEPENDENCE), key=lambda d: -d.explained)
 
 
-def _explained(values: Array, by: Array) -> float:
-    """Share of the variance of `values` that its mean in bins of `by` explains (correlation ratio, Fisher 1925)."""
+def _correlation_ratio(values: Array, variable: Array) -> float:
+    """Return the fraction of the variance of values (n,) that bins of a variable explain (Fisher 1925)."""
     total = float(np.var(values))
-    if total == 0.0 or np.ptp(by) == 0.0:
+    if total == 0.0 or np.ptp(variable) == 0.0:
         return 0.0
-    ranks = np.argsort(np.argsort(by, kind="stable"), kind="stable")
-    bins = ranks * _BINS // len(by)
-    means = np.bincount(bins, values, _BINS) / np.maximum(np.bincount(bins, minlength=_BINS), 1)
+    ranks = np.argsort(np.argsort(variable, kind="stable"), kind="stable")
+    bins = ranks * _DEPENDENCE_BINS // len(variable)
+    counts = np.maximum(np.bincount(bins, minlength=_DEPENDENCE_BINS), 1)
+    means = np.bincount(bins, values, _DEPENDENCE_BINS) / counts
     return float(np.var(means[bins]) / total)
 
 
 def is_white(machine: Machine, data: Dataset) -> bool:
-    """Whether the free run's residual is only the sensors' noise.
+    """Return whether the simulation error contains only the sensors' noise.
 
-    Noise that is white has no memory: block means over 20 ms shrink with the root of their length.  A quantised channel
-    is held to its quantum instead.
+    Means of white noise over blocks of 20 ms shrink with the root of the block length.  The noise of a quantized
+    channel is at least its quantum's.
+
+    Args:
+        machine: Machine to simulate.
+        data: Measured runs.
     """
-    rows = max(2, round(0.02 / data.period))
-    errors = [free_run_error(machine, run, data) for run in data.runs]
+    rows = max(2, round(_WHITENESS_BLOCK_S / data.period))
+    errors = [simulation_error(machine, run, data) for run in data.runs]
     for j in range(len(machine.sensors)):
         means = []
-        for e in errors:
-            column = e[: len(e) // rows * rows, j].reshape(-1, rows)
-            column = column[np.isfinite(column).all(axis=1)]
-            means.append(column.mean(axis=1) - column.mean() if len(column) else np.zeros(0))
+        for error in errors:
+            blocks = error[: len(error) // rows * rows, j].reshape(-1, rows)
+            blocks = blocks[np.isfinite(blocks).all(axis=1)]
+            means.append(blocks.mean(axis=1) - blocks.mean() if len(blocks) else np.zeros(0))
         spread = float(np.sqrt(np.mean(np.concatenate(means) ** 2))) if any(map(len, means)) else 0.0
-        if spread > 0.6 * data.noise[j]:
+        if spread > _WHITE * data.noise[j]:
             return False
     return True
 
 
 def force_error(machine: Machine, data: Dataset) -> float | None:
-    """Relative error of the drives' force by inverse dynamics, |F_drive - F_model| / |F_drive|, over all runs.
+    """Return the relative error of the drives' force by inverse dynamics, |F_drive - F_model| / |F_drive|.
 
-    For machines whose coordinates are all driven and measured by themselves, without belts; None for others.
-    Position is low-passed at 100 Hz without phase, differentiated centrally, forces decimated by ten, as the EMPS
-    benchmark does.
+    Positions are filtered at 100 Hz without phase lag and differentiated centrally; forces are decimated by ten.
+
+    Args:
+        machine: Machine to evaluate.
+        data: Measured runs; those with gaps are left out.
+
+    Returns:
+        The error over all runs; None unless every coordinate is driven and measured directly, without belts.
+
+    References:
+        Janot, Gautier and Brunot (2019), the EMPS benchmark.
     """
     direct = {s.coordinate: j for j, s in enumerate(machine.sensors) if len(s.row) == 1}
     driven = {d.coordinate for d in machine.drives}
     if machine.belts or driven != set(machine.coordinate_names) or not driven <= set(direct):
         return None
-    wrong, size = 0.0, 0.0
+    squared_error, squared_force = 0.0, 0.0
     for run in data.runs:
         measured = run.outputs[:, [direct[name] for name in machine.coordinate_names]]
         if not np.all(np.isfinite(measured)):
             continue
         period = float(np.median(np.diff(run.time_s)))
         low_pass = signal.butter(4, min(0.9, 2 * _FORCE_CUTOFF * period), output="sos")
-        q = signal.sosfiltfilt(low_pass, measured, axis=0)
-        trim = int(0.05 / period)
+        position = signal.sosfiltfilt(low_pass, measured, axis=0)
+        velocity = np.gradient(position, run.time_s, axis=0)
+        trim = int(_FILTER_TRANSIENT_S / period)
         drive, model = (
-            signal.decimate(f[trim:-trim], _FORCE_DECIMATION, ftype="fir", axis=0)
-            for f in _forces(machine, run, q, np.gradient(q, run.time_s, axis=0))
+            signal.decimate(force[trim:-trim], _FORCE_DECIMATION, ftype="fir", axis=0)
+            for force in _inverse_dynamics(machine, run, position, velocity)
         )
-        wrong += float(np.sum((drive - model) ** 2))
-        size += float(np.sum(drive**2))
-    return float(np.sqrt(wrong / size)) if size else None
+        squared_error += float(np.sum((drive - model) ** 2))
+        squared_force += float(np.sum(drive**2))
+    return float(np.sqrt(squared_error / squared_force)) if squared_force else None
 
 
 def _held_mean(time_s: Array, values: Array, late: float) -> Array:
@@ -194,7 +283,7 @@ def _held_mean(time_s: Array, values: Array, late: float) -> Array:
     return (above - below) / period
 
 
-def _forces(machine: Machine, run: PreparedRecording, q: Array, v: Array) -> tuple[Array, Array]:
+def _inverse_dynamics(machine: Machine, run: PreparedRecording, q: Array, v: Array) -> tuple[Array, Array]:
     """(drive, model) forces (n, coordinates) along a measured motion, with the machine's effects."""
     drive = np.zeros_like(q)
     for j, d in enumerate(machine.drives):
@@ -209,3 +298,9 @@ def _forces(machine: Machine, run: PreparedRecording, q: Array, v: Array) -> tup
     # What comes late is in the drives' force already.
     prompt = machine.replace(effects=tuple(e for e in machine.effects if not e.definition.delay))
     return drive, model - effects_force(prompt, motion)
+
+
+# Aliases until all packages use the new names.
+free_run_error = simulation_error
+variables = dependence_variables
+depends_on = rank_dependences

@@ -1,35 +1,61 @@
-"""identify's answer: the verdict and its evidence, as data and as report.json."""
+"""The result of an identification, and the folder of files it is written to.
+
+The folder holds report.json, declared.json, before.json, machine.json, evidence.npz (the curves of the plots) and, where another
+run would distinguish the leading effect from a rival, next_experiment.csv. `report.build_report` adds plots and report.html.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Literal
 
-from ..machine import Machine
-from .dataset import Dataset
-from .experiment_design import ExperimentDesign
-from .forward_selection import SelectedEffect
-from .residual import ChannelError, Dependence
+import numpy as np
+from numpy.typing import NDArray
 
+from ..atomic_files import whole_file, write_text
+from ..machine import Machine
+from ..recordings import save_machine
+from .criteria import SelectionCriteria
+from .dataset import Dataset
+from .experiment_design import FILE, ExperimentDesign
+from .forward_selection import SelectedEffect
+from .residual import ChannelError, Dependence, free_run_error, smooth_force_residual, variables
+
+Array = NDArray[np.float64]
 Verdict = Literal["effect_found", "no_effect", "unexplained"]
 SCHEMA = 1
+_MAX_POINTS = 4000  # Points of a thinned curve in evidence.npz.
 
 
 @dataclass(frozen=True)
 class PredictionErrors:
-    """Free-run error per output channel, and the relative force error where the machine has one."""
+    """Errors of a machine on a data set.
+
+    Attributes:
+        channels: Simulation error by output channel.
+        force: Relative error of the drives' force, None where the machine has none.
+    """
 
     channels: dict[str, ChannelError]
     force: float | None
 
     def as_json(self) -> dict[str, Any]:
+        """Return the errors as in report.json."""
         content: dict[str, Any] = {c: {"rmse": e.rmse, "noise_ratio": e.noise_ratio} for c, e in self.channels.items()}
         return content if self.force is None else content | {"force_error": self.force}
 
 
 @dataclass(frozen=True)
 class ModelEvaluation:
-    """A machine and its error on the runs that nothing was fitted to."""
+    """A machine and its errors.
+
+    Attributes:
+        machine: The machine.
+        held_out: Errors on the held-out runs.
+    """
 
     machine: Machine
     held_out: PredictionErrors
@@ -37,18 +63,29 @@ class ModelEvaluation:
 
 @dataclass(frozen=True)
 class IdentificationResult:
-    """What `identify` found out.
+    """Result of `identify`.
 
-    declared: the machine as given; before: its own parameters refitted; after: with the effects.  gains: by effect, the
-    share of the held-out squared error (in noise units) that leaving it out would add.  experiment: the run that would
-    tell the leading effect from its rival, where one would.
+    Attributes:
+        verdict: "effect_found", "no_effect" or "unexplained".
+        declared: The machine as declared.
+        before: The machine with its parameters refitted.
+        after: The machine with the selected effects.
+        effects: Selected effects.
+        gains: Fraction of the held-out squared error, in units of the noise, that each effect removes, by label.
+        dependence: Variables that the residual force of the refitted machine depends on, strongest first.
+        white: Whether the corrected machine leaves only the sensors' noise.
+        fitted: Runs that were fitted.
+        held_out: Runs that nothing was fitted to.
+        seconds: Duration of the identification, s.
+        experiment: Run that would distinguish the leading effect from its rival, where there is one.
+        criteria: Decision thresholds that were used.
     """
 
     verdict: Verdict
     declared: ModelEvaluation
     before: ModelEvaluation
     after: ModelEvaluation
-    found: tuple[SelectedEffect, ...]
+    effects: tuple[SelectedEffect, ...]
     gains: dict[str, float]
     dependence: tuple[Dependence, ...]
     white: bool
@@ -56,9 +93,10 @@ class IdentificationResult:
     held_out: Dataset
     seconds: float
     experiment: ExperimentDesign | None = None
+    criteria: SelectionCriteria = field(default_factory=SelectionCriteria)
 
     def as_json(self) -> dict[str, Any]:
-        """report.json, schema 1."""
+        """Return the content of report.json, schema 1."""
         return {
             "schema": SCHEMA,
             "verdict": self.verdict,
@@ -66,7 +104,7 @@ class IdentificationResult:
             "declared": {"held_out": self.declared.held_out.as_json()},
             "before": {"held_out": self.before.held_out.as_json()},
             "after": {"held_out": self.after.held_out.as_json()},
-            "effects": [self._effect(f) for f in self.found],
+            "effects": [self._effect(selected) for selected in self.effects],
             "residual": {
                 "depends_on": [
                     {"variable": d.variable, "coordinate": d.coordinate, "share": round(d.share, 4)}
@@ -76,10 +114,12 @@ class IdentificationResult:
             },
             "next_experiment": self.experiment.as_json() if self.experiment else None,
             "seconds": round(self.seconds, 2),
+            "criteria": self.criteria.as_json(),
         }
 
-    def _effect(self, found: SelectedEffect) -> dict[str, Any]:
-        machine, effect = self.after.machine, found.effect
+    def _effect(self, selected: SelectedEffect) -> dict[str, Any]:
+        """Return one effect as in report.json."""
+        machine, effect = self.after.machine, selected.effect
         parameters = {}
         for key, value in effect.parameters.items():
             std = machine.uncertainty.std(f"{effect.label}.{key}") if machine.uncertainty else None
@@ -90,5 +130,85 @@ class IdentificationResult:
             "site": effect.site,
             "parameters": parameters,
             "held_out_gain": self.gains[effect.label],
-            "rivals": list(found.rivals),
+            "rivals": list(selected.rivals),
         }
+
+    @property
+    def found(self) -> tuple[SelectedEffect, ...]:
+        """Alias of effects until all packages use the new names."""
+        return self.effects
+
+
+def write_result(result: IdentificationResult, folder: Path, warnings: Sequence[str] = ()) -> None:
+    """Write a result to a folder, everything except plots and report.html.
+
+    Each file appears completely or not at all; report.json is written last.
+
+    Args:
+        result: Result of `identify`.
+        folder: Folder to write to; created if it does not exist.
+        warnings: Findings about the recordings, for the report.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    save_machine(result.declared.machine, folder / "declared.json")
+    save_machine(result.before.machine, folder / "before.json")
+    save_machine(result.after.machine, folder / "machine.json")
+    with whole_file(folder / "evidence.npz") as temporary:
+        arrays: dict[str, Any] = {name: values.astype(np.float32) for name, values in plot_data(result).items()}
+        np.savez_compressed(temporary, **arrays)
+    if result.experiment:
+        result.experiment.write(folder / FILE, result.declared.machine)
+    else:
+        (folder / FILE).unlink(missing_ok=True)
+    report = result.as_json() | {"warnings": list(warnings)}
+    write_text(folder / "report.json", json.dumps(report, indent=1, allow_nan=False) + "\n")
+
+
+def plot_data(result: IdentificationResult) -> dict[str, Array]:
+    """Return the curves that the report plots.
+
+    Args:
+        result: Result of `identify`.
+
+    Returns:
+        Arrays by name. ``RUN/time_s`` (n,), ``RUN/measured``, ``RUN/declared``, ``RUN/before`` and ``RUN/after`` (n, sensors): time,
+        measurements and the three machines' simulation errors of each held-out run. ``force/variable``, ``force/before`` and
+        ``force/after`` (m,): residual force of the fitted runs against the variable that it depends on most, thinned.
+        ``coverage/NAME`` (m,): positions, velocities and inputs of the fitted runs, thinned.
+    """
+    curves: dict[str, Array] = {}
+    evaluations = {"declared": result.declared, "before": result.before, "after": result.after}
+    for run in result.held_out.runs:
+        curves[f"{run.name}/time_s"] = run.time_s
+        curves[f"{run.name}/measured"] = run.outputs
+        for name, evaluation in evaluations.items():
+            curves[f"{run.name}/{name}"] = free_run_error(evaluation.machine, run, result.held_out)
+    if result.dependence:
+        strongest = result.dependence[0]
+        i = result.declared.machine.coordinate_names.index(strongest.coordinate)
+        data = result.fitted
+        by_run = [variables(result.before.machine, run, data)[strongest.variable] for run in data.runs]
+        thin = max(1, sum(map(len, by_run)) // _MAX_POINTS)
+        curves["force/variable"] = np.concatenate(by_run)[::thin]
+        for name in ("before", "after"):
+            machine = evaluations[name].machine
+            forces = [smooth_force_residual(machine, run, data)[:, i] for run in data.runs]
+            curves[f"force/{name}"] = np.concatenate(forces)[::thin]
+    return curves | {f"coverage/{name}": values for name, values in _coverage(result).items()}
+
+
+def _coverage(result: IdentificationResult) -> dict[str, Array]:
+    """Return positions, velocities and inputs of the fitted runs, thinned."""
+    machine, data = result.before.machine, result.fitted
+    linear = [c.name for c in machine.coordinates if c.kind == "linear"]
+    coordinates = linear or machine.coordinate_names
+    names = [f"{quantity} of {c}" for quantity in ("position", "velocity") for c in coordinates]
+    by_run = [variables(machine, run, data) for run in data.runs]
+    thin = max(1, sum(len(run.time_s) for run in data.runs) // _MAX_POINTS)
+    return {
+        name: np.concatenate([values[name] for values in by_run])[::thin] for name in (*names, *machine.input_channels)
+    }
+
+
+# Aliases until all packages use the new names.
+write_answer = write_result

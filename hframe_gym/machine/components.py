@@ -244,7 +244,7 @@ class Sensor:
     @property
     def coordinate(self) -> str:
         """Name of the coordinate with the largest coefficient."""
-        return max((c for c in self.row if "*" not in c), key=lambda c: abs(self.row[c]))
+        return max((name for name in self.row if "*" not in name), key=lambda name: abs(self.row[name]))
 
     @property
     def device_parameters(self) -> dict[str, float]:
@@ -275,5 +275,5 @@ class Uncertainty:
         """
         if name not in self.names:
             return None
-        i = self.names.index(name)
-        return float(np.sqrt(self.covariance[i, i]))
+        index = self.names.index(name)
+        return float(np.sqrt(self.covariance[index, index]))

@@ -53,10 +53,10 @@ def rigid_motions(machine: Machine) -> dict[str, Array]:
     G = machine.belt_matrix
     rotary = [i for i, c in enumerate(machine.coordinates) if c.kind == "rotary"]
     motions = {}
-    for i, c in enumerate(machine.coordinates):
-        if c.kind == "linear":
-            motion = np.eye(count)[i]
-            motion[rotary] = np.linalg.lstsq(G[:, rotary], -G[:, i], rcond=None)[0]
+    for index, coordinate in enumerate(machine.coordinates):
+        if coordinate.kind == "linear":
+            motion = np.eye(count)[index]
+            motion[rotary] = np.linalg.lstsq(G[:, rotary], -G[:, index], rcond=None)[0]
             if np.max(np.abs(G @ motion)) < _STRETCHES:
-                motions[c.name] = motion
+                motions[coordinate.name] = motion
     return motions

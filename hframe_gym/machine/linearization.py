@@ -64,10 +64,10 @@ def linearize(machine: Machine, position: Array | None = None) -> StateSpace:
     mass = np.array([c.mass for c in machine.coordinates])
     viscous = np.array([c.viscous for c in machine.coordinates])
     drive_gain = np.zeros((count, len(machine.drives)))
-    for j, d in enumerate(machine.drives):
-        i = machine.coordinate_names.index(d.coordinate)
-        drive_gain[i, j] = d.gain
-        viscous[i] += d.back_emf
+    for column, drive in enumerate(machine.drives):
+        row = machine.coordinate_names.index(drive.coordinate)
+        drive_gain[row, column] = drive.gain
+        viscous[row] += drive.back_emf
     A = np.block(
         [
             [np.zeros((count, count)), np.eye(count)],

@@ -78,7 +78,8 @@ class Machine:
         uncertainty: Covariance of the parameters, if they were identified.
         description: One sentence for people.
         ties: Parameters that equal a factor times another parameter, by full name, for example
-            {"phi3.radius": ("phi1.radius", 1.0)}. Effects that add coordinates tie the new parameters to their own.
+            {"phi3.radius": ("phi1.radius", 1.0)}. An effect that adds coordinates ties their
+            parameters to those of the effect.
     """
 
     name: str
@@ -108,7 +109,7 @@ class Machine:
 
     @cached_property
     def shape(self) -> tuple[object, ...]:
-        """The machine without parameter values, hashable: machines of one shape share one compiled kernel."""
+        """The machine without parameter values, hashable: machines of one shape have one compiled kernel."""
         return (
             tuple((c.name, c.kind) for c in self.coordinates),
             tuple((b.name, tuple(b.extension.items()), tuple(b.length.items())) for b in self.belts),
@@ -219,8 +220,8 @@ class Machine:
         for component in components:
             full_names = {key: f"{component.name}.{key}" for key in component.PARAMETERS}
             values |= {name: getattr(component, key) for key, name in full_names.items() if name not in self.ties}
-        for e in self.effects:
-            values |= {f"{e.label}.{key}": value for key, value in e.parameters.items()}
+        for effect in self.effects:
+            values |= {f"{effect.label}.{key}": value for key, value in effect.parameters.items()}
         return values
 
     @cached_property
@@ -249,9 +250,9 @@ class Machine:
             return self.coordinate(self.sensor(owner).coordinate).unit("position")
         if owner in self.coordinate_names:
             return self.coordinate(owner).unit(key)
-        for e in self.effects:
-            if e.label == owner:
-                return self.effect_unit(e, key)
+        for effect in self.effects:
+            if effect.label == owner:
+                return self.effect_unit(effect, key)
         return FIXED_UNITS[key]
 
     def effect_unit(self, effect: AppliedEffect, parameter: str) -> str:
@@ -295,8 +296,8 @@ class Machine:
             ),
             "sensors": tuple(_with_values(s, s.channel, tuple(s.device_parameters), values) for s in self.sensors),
             "effects": tuple(
-                e.with_parameters({k: values.get(f"{e.label}.{k}", v) for k, v in e.parameters.items()})
-                for e in self.effects
+                effect.with_parameters({k: values.get(f"{effect.label}.{k}", v) for k, v in effect.parameters.items()})
+                for effect in self.effects
             ),
         }
         return dataclasses.replace(self, **(new | fields))  # type: ignore[arg-type]
@@ -311,10 +312,10 @@ class Machine:
             The extended machine.
         """
         machine = self
-        for e in effects:
-            machine = dataclasses.replace(machine, effects=(*machine.effects, e))
-            if e.definition.structure:
-                machine = e.definition.structure(machine, e)
+        for effect in effects:
+            machine = dataclasses.replace(machine, effects=(*machine.effects, effect))
+            if effect.definition.structure:
+                machine = effect.definition.structure(machine, effect)
         return machine
 
     def simulate(self, time_s: ArrayLike, inputs: ArrayLike, initial: ArrayLike | None = None) -> Trajectory:

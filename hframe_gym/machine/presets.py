@@ -28,16 +28,16 @@ def _drives(gear_ratio: float) -> tuple[Drive, ...]:
     """Return the two motors of the rig."""
     return tuple(
         Drive(
-            name=f"motor{i}",
-            channel=f"v{i}_V",
-            coordinate=f"phi{i}",
+            name=f"motor{number}",
+            channel=f"v{number}_V",
+            coordinate=f"phi{number}",
             Kt=23e-3,
             Ke=23e-3,
             resistance=0.71,
             gear_ratio=gear_ratio,
             rated_voltage=12.0,
         )
-        for i in (1, 2)
+        for number in (1, 2)
     )
 
 
@@ -125,7 +125,7 @@ def hframe_literal() -> Machine:
     """
     return hframe().replace(
         name="hframe-literal",
-        description="Equation 17 taken literally (gear ratio 1): does not match the paper's own figures.",
+        description="Equation 17 taken literally (gear ratio 1): does not match the figures of the paper.",
         drives=_drives(1.0),
     )
 

@@ -1,105 +1,62 @@
-"""machine.json: the tables of a machine with units, values and what identification left uncertain."""
+"""machine.json: the components of a machine with units, parameter values and their standard deviations."""
 
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import ValidationError
 
 from ..atomic_files import write_text
 from ..effects import EFFECTS, effect_sites, get_effect
 from ..errors import InputError
-from ..machine import BUILTIN_MACHINES, SENSOR_KINDS, Belt, Coordinate, Drive, Machine, Sensor, Uncertainty
-from ..machine.machine import FIXED_UNITS, UNITS
+from ..machine import (
+    BUILTIN_MACHINES,
+    FIXED_UNITS,
+    SENSOR_KINDS,
+    UNITS,
+    AppliedEffect,
+    Belt,
+    Coordinate,
+    CoordinateKind,
+    Drive,
+    Machine,
+    Sensor,
+    Uncertainty,
+)
+from .machine_schema import (
+    SCHEMA_VERSION,
+    BeltEntry,
+    CoordinateEntry,
+    DriveEntry,
+    EffectEntry,
+    MachineFile,
+    QuantityEntry,
+    SensorEntry,
+    Table,
+    UncertaintyEntry,
+)
 
-SCHEMA = 1
-Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
-
-
-class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True)
-
-
-class _Quantity(_Table):
-    value: FiniteFloat
-    unit: str
-    std: FiniteFloat | None = None
-
-
-class _Coordinate(_Table):
-    name: Name
-    kind: Literal["linear", "rotary"]
-    mass: _Quantity
-    viscous: _Quantity
-    coulomb: _Quantity
-    radius: _Quantity | None = None
-    range: tuple[FiniteFloat, FiniteFloat] | None = None
-
-
-class _Belt(_Table):
-    name: Name
-    EA: _Quantity
-    rest_length: _Quantity
-    extension: dict[str, FiniteFloat]
-    length: dict[str, FiniteFloat] = {}
-
-
-class _Drive(_Table):
-    name: Name
-    channel: str
-    coordinate: str
-    Kt: _Quantity
-    Ke: _Quantity
-    resistance: _Quantity
-    gear_ratio: _Quantity
-    rated_voltage: _Quantity
-    converter_bits: Annotated[int, Field(ge=0, le=32)] = 0
-    voltage_range: _Quantity | None = None
-    current_limit: _Quantity | None = None
-    delay: _Quantity | None = None
-
-
-class _Sensor(_Table):
-    channel: str
-    kind: str | None = None
-    row: dict[str, FiniteFloat]
-    noise: _Quantity
-    resolution: _Quantity
-    range: tuple[FiniteFloat, FiniteFloat] | None = None
-    delay: _Quantity | None = None
-
-
-class _AppliedEffect(_Table):
-    name: str
-    site: str
-    parameters: dict[str, _Quantity]
-
-
-class _Uncertainty(_Table):
-    names: list[str]
-    covariance: list[list[FiniteFloat]]
-
-
-class _MachineFile(_Table):
-    schema_: Literal[1] = Field(alias="schema")
-    name: str
-    description: str = ""
-    coordinates: list[_Coordinate] = Field(min_length=1)
-    belts: list[_Belt] = []
-    drives: list[_Drive] = Field(min_length=1)
-    sensors: list[_Sensor] = Field(min_length=1)
-    effects: list[_AppliedEffect] = []
-    ties: dict[str, tuple[str, FiniteFloat]] = {}
-    uncertainty: _Uncertainty | None = None
+# All other parameters of the components must be positive.
+_MAY_BE_ZERO = ("viscous", "coulomb", "Ke", "noise", "resolution")
 
 
 def load_machine(source: str | Path | Machine) -> Machine:
-    """A machine by built-in name, from a machine.json, or as it is.
+    """Load a machine.
 
-    Raises InputError naming the file and the field at fault, or listing the built-in names.
+    Args:
+        source: Name of a preset (see `BUILTIN_MACHINES`), path of a machine.json, or a machine, which is returned
+            unchanged.
+
+    Returns:
+        The machine.
+
+    Raises:
+        InputError: If the source is neither a file nor a preset, or a field of the file is invalid. The message names
+            the file and the field.
     """
     if isinstance(source, Machine):
         return source
@@ -109,62 +66,72 @@ def load_machine(source: str | Path | Machine) -> Machine:
     if not path.is_file():
         raise InputError(f"machine {str(source)!r} is neither a file nor one of {', '.join(BUILTIN_MACHINES)}")
     try:
-        file = _MachineFile.model_validate_json(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        content = MachineFile.model_validate_json(text)
     except UnicodeDecodeError as error:
-        raise InputError(f"{path}: not a text file ({error.reason})") from None
+        raise InputError(f"{path}: not a UTF-8 text file ({error.reason}); save it as UTF-8") from None
     except ValidationError as error:
         first = error.errors()[0]
-        where = ".".join(map(str, first["loc"])) or "file"
-        raise InputError(f"{path}: {where}: {first['msg']}") from None
-    return _to_machine(file, str(path))
+        reason = "unknown field; delete it" if first["type"] == "extra_forbidden" else first["msg"]
+        raise InputError(f"{path}: {_field_name(first['loc'], text)}: {reason}") from None
+    return _FileReader(path, content).machine()
 
 
 def save_machine(machine: Machine, path: str | Path) -> None:
-    """Write a machine.json that `load_machine` reads back to the same numbers."""
+    """Write a machine.json that `load_machine` reads back with the same parameter values.
+
+    Args:
+        machine: Machine to write.
+        path: Path of the file; its folder is created if necessary.
+    """
     write_text(path, json.dumps(machine_to_dict(machine), indent=1) + "\n")
 
 
 def machine_to_dict(machine: Machine) -> dict[str, Any]:
-    """The content of a machine's file as plain data."""
+    """Convert a machine to the content of its machine.json.
+
+    Args:
+        machine: Machine to convert.
+
+    Returns:
+        Dictionaries, lists, strings and numbers only.
+    """
 
     def quantity(owner: str, key: str, value: float) -> dict[str, Any]:
+        """Return value and unit, and the standard deviation of an identified parameter."""
         name = f"{owner}.{key}"
         entry: dict[str, Any] = {"value": value, "unit": machine.unit(name)}
         std = machine.uncertainty.std(name) if machine.uncertainty else None
         return entry | ({} if std is None else {"std": std})
 
     coordinates = []
-    for c in machine.coordinates:
-        keys = ("mass", "viscous", "coulomb", *(("radius",) if c.kind == "rotary" else ()))
-        entry: dict[str, Any] = {"name": c.name, "kind": c.kind}
-        entry |= {key: quantity(c.name, key, getattr(c, key)) for key in keys}
-        coordinates.append(entry | ({"range": list(c.range)} if c.range else {}))
+    for coordinate in machine.coordinates:
+        keys = [key for key in coordinate.PARAMETERS if key != "radius" or coordinate.kind == "rotary"]
+        entry: dict[str, Any] = {"name": coordinate.name, "kind": coordinate.kind}
+        entry |= {key: quantity(coordinate.name, key, getattr(coordinate, key)) for key in keys}
+        coordinates.append(entry | ({"range": list(coordinate.range)} if coordinate.range else {}))
     belts = [
         {"name": b.name}
-        | {key: quantity(b.name, key, getattr(b, key)) for key in ("EA", "rest_length")}
+        | {key: quantity(b.name, key, getattr(b, key)) for key in b.PARAMETERS}
         | {"extension": dict(b.extension), "length": dict(b.length)}
         for b in machine.belts
     ]
-    drives = [
-        {"name": d.name, "channel": d.channel, "coordinate": d.coordinate}
-        | {key: quantity(d.name, key, getattr(d, key)) for key in ("Kt", "Ke", "resistance", "gear_ratio")}
-        | {"rated_voltage": {"value": d.rated_voltage, "unit": "V"}, "converter_bits": d.converter_bits}
-        | ({} if d.voltage_range is None else {"voltage_range": {"value": d.voltage_range, "unit": "V"}})
-        for d in machine.drives
-    ]
+    drives = []
+    for drive in machine.drives:
+        entry = {"name": drive.name, "channel": drive.channel, "coordinate": drive.coordinate}
+        keys = [*drive.PARAMETERS, "rated_voltage", *(["voltage_range"] if drive.voltage_range is not None else [])]
+        entry |= {key: quantity(drive.name, key, getattr(drive, key)) for key in keys}
+        drives.append(entry | {"converter_bits": drive.converter_bits})
     sensors = [
         {"channel": s.channel, "kind": s.kind, "row": dict(s.row)}
-        | {
-            key: {"value": getattr(s, key), "unit": machine.coordinate(s.coordinate).unit("position")}
-            for key in ("noise", "resolution")
-        }
+        | {key: quantity(s.channel, key, value) for key, value in s.device_parameters.items()}
         for s in machine.sensors
     ]
     effects = [
         {"name": e.name, "site": e.site, "parameters": {k: quantity(e.label, k, v) for k, v in e.parameters.items()}}
         for e in machine.effects
     ]
-    content: dict[str, Any] = {"schema": SCHEMA, "name": machine.name, "description": machine.description}
+    content: dict[str, Any] = {"schema": SCHEMA_VERSION, "name": machine.name, "description": machine.description}
     content |= {"coordinates": coordinates, "belts": belts, "drives": drives, "sensors": sensors, "effects": effects}
     if machine.ties:
         content["ties"] = {name: list(tie) for name, tie in machine.ties.items()}
@@ -174,174 +141,191 @@ def machine_to_dict(machine: Machine) -> dict[str, Any]:
     return content
 
 
-def _to_machine(file: _MachineFile, path: str) -> Machine:
-    def fail(where: str, why: str) -> InputError:
-        return InputError(f"{path}: {where}: {why}")
+def _field_name(location: tuple[int | str, ...], text: str) -> str:
+    """Return the dotted name of a field, with the names of components and channels instead of their indices."""
+    labels = []
+    value: Any = json.loads(text) if location else None
+    for key in location:
+        labels.append(str(key))
+        try:
+            value = value[key]
+        except (KeyError, IndexError, TypeError):  # the field is missing
+            value = None
+        if isinstance(key, int) and isinstance(value, dict):
+            labels[-1] = str(value.get("name", value.get("channel", key)))
+    return ".".join(labels) or "file"
 
-    def value(where: str, quantity: _Quantity, unit: str, *, positive: bool = False) -> float:
-        if quantity.unit != unit:
-            raise fail(where, f"unit is {quantity.unit!r}, must be {unit!r}")
-        if quantity.value < 0 or (positive and quantity.value == 0):
-            raise fail(where, f"{quantity.value:g} must be {'positive' if positive else 'zero or more'}")
-        return quantity.value
 
-    kinds = {c.name: c.kind for c in file.coordinates}
-    if len(kinds) < len(file.coordinates):
-        raise fail("coordinates", "two have the same name")
+@dataclass(frozen=True)
+class _FileReader:
+    """Converts the content of one file to a machine; every error names the file and the field."""
 
-    def row(where: str, entries: dict[str, float], *, empty: bool = False, products: bool = False) -> dict[str, float]:
-        for name in (part for key in entries for part in (key.split("*") if products else (key,))):
-            if name not in kinds:
-                raise fail(where, f"no coordinate is called {name!r}")
-        if not empty and not any(value for key, value in entries.items() if "*" not in key):
-            raise fail(where, "names no coordinate")
-        return entries
+    path: Path
+    content: MachineFile
 
-    coordinates = []
-    for c in file.coordinates:
-        units, where = UNITS[c.kind], f"coordinates.{c.name}"
-        if (c.radius is None) != (c.kind == "linear"):
-            raise fail(f"{where}.radius", "a rotary coordinate needs one, a linear one has none")
-        if c.range is not None and not c.range[0] < c.range[1]:
-            raise fail(f"{where}.range", "must be [low, high]")
-        coordinates.append(
-            Coordinate(
-                name=c.name,
-                kind=c.kind,
-                mass=value(f"{where}.mass", c.mass, units["mass"], positive=True),
-                viscous=value(f"{where}.viscous", c.viscous, units["viscous"]),
-                coulomb=value(f"{where}.coulomb", c.coulomb, units["force"]),
-                radius=value(f"{where}.radius", c.radius, "m", positive=True) if c.radius else 1.0,
-                range=c.range,
-            )
+    def machine(self) -> Machine:
+        """Return the machine of the file."""
+        file = self.content
+        if len(self.kinds) < len(file.coordinates):
+            raise self.error("coordinates", "two have the same name; rename one of them")
+        machine = Machine(
+            name=file.name,
+            coordinates=tuple(map(self.coordinate, file.coordinates)),
+            belts=tuple(map(self.belt, file.belts)),
+            drives=tuple(map(self.drive, file.drives)),
+            sensors=tuple(map(self.sensor, file.sensors)),
+            description=file.description,
         )
-    belts = [
-        Belt(
-            b.name,
-            value(f"belts.{b.name}.EA", b.EA, "N", positive=True),
-            value(f"belts.{b.name}.rest_length", b.rest_length, "m", positive=True),
-            row(f"belts.{b.name}.extension", b.extension),
-            row(f"belts.{b.name}.length", b.length, empty=True),
+        names = [*self.kinds, *(b.name for b in machine.belts), *(d.name for d in machine.drives)]
+        channels = [*machine.input_channels, *machine.output_channels]
+        for what, labels in (("names of coordinates, belts and drives", names), ("channels", channels)):
+            repeated = next((label for i, label in enumerate(labels) if label in labels[:i]), None)
+            if repeated is not None:
+                raise self.error(what, f"must all differ; {repeated!r} occurs twice")
+        for entry in [*file.effects, *self.declared_effects(machine)]:
+            machine = machine.replace(effects=(*machine.effects, self.effect(entry, machine)))
+        for tied, (owner, _) in file.ties.items():
+            if tied not in machine.parameters or owner not in machine.parameters or owner in file.ties:
+                raise self.error(f"ties.{tied}", f"{tied!r} and {owner!r} must be parameters, and {owner!r} not tied")
+        machine = machine.replace(ties=file.ties)
+        if file.uncertainty is None:
+            return machine
+        return machine.replace(uncertainty=self.uncertainty(file.uncertainty, machine))
+
+    @property
+    def kinds(self) -> dict[str, CoordinateKind]:
+        """Kind of each coordinate by name."""
+        return {c.name: c.kind for c in self.content.coordinates}
+
+    def error(self, field: str, reason: str) -> InputError:
+        """Return an error that names the file and the field."""
+        return InputError(f"{self.path}: {field}: {reason}")
+
+    def values(self, field: str, table: Table, units: dict[str, str]) -> dict[str, float]:
+        """Return the values of quantities by key after checking unit and sign."""
+        values = {}
+        for key, unit in units.items():
+            quantity: QuantityEntry = getattr(table, key)
+            if quantity.unit != unit:
+                raise self.error(f"{field}.{key}", f"unit is {quantity.unit!r}, must be {unit!r}")
+            if quantity.value < 0 or (quantity.value == 0 and key not in _MAY_BE_ZERO):
+                sign = "zero or more" if key in _MAY_BE_ZERO else "positive"
+                raise self.error(f"{field}.{key}", f"{quantity.value:g} must be {sign}")
+            values[key] = quantity.value
+        return values
+
+    def row(
+        self, field: str, row: dict[str, float], *, empty: bool = False, products: bool = False
+    ) -> dict[str, float]:
+        """Return a row of coefficients after checking that it names coordinates of the file."""
+        for name in (factor for key in row for factor in (key.split("*") if products else (key,))):
+            if name not in self.kinds:
+                raise self.error(field, f"no coordinate is called {name!r}; there are {', '.join(self.kinds)}")
+        if not empty and not any(value for key, value in row.items() if "*" not in key):
+            raise self.error(field, "needs a coefficient other than zero for at least one coordinate")
+        return row
+
+    def coordinate(self, entry: CoordinateEntry) -> Coordinate:
+        """Return a coordinate."""
+        field = f"coordinates.{entry.name}"
+        if (entry.radius is None) != (entry.kind == "linear"):
+            raise self.error(f"{field}.radius", "a rotary coordinate needs a radius, a linear one has none")
+        if entry.range is not None and not entry.range[0] < entry.range[1]:
+            raise self.error(f"{field}.range", "must be [lowest, highest]")
+        keys = [key for key in Coordinate.PARAMETERS if key != "radius" or entry.radius is not None]
+        units = {key: Coordinate(entry.name, mass=0.0, kind=entry.kind).unit(key) for key in keys}
+        return Coordinate(entry.name, kind=entry.kind, range=entry.range, **self.values(field, entry, units))
+
+    def belt(self, entry: BeltEntry) -> Belt:
+        """Return a belt."""
+        field = f"belts.{entry.name}"
+        values = self.values(field, entry, {key: FIXED_UNITS[key] for key in Belt.PARAMETERS})
+        extension = self.row(f"{field}.extension", entry.extension)
+        return Belt(
+            entry.name, extension=extension, length=self.row(f"{field}.length", entry.length, empty=True), **values
         )
-        for b in file.belts
-    ]
-    drives = []
-    for d in file.drives:
-        if d.coordinate not in kinds:
-            raise fail(f"drives.{d.name}.coordinate", f"no coordinate is called {d.coordinate!r}")
-        numbers = {
-            key: value(f"drives.{d.name}.{key}", getattr(d, key), FIXED_UNITS[key], positive=key != "Ke")
-            for key in ("Kt", "Ke", "resistance", "gear_ratio")
-        }
-        rated = value(f"drives.{d.name}.rated_voltage", d.rated_voltage, "V", positive=True)
-        voltage_range = None
-        if d.voltage_range is not None:
-            voltage_range = value(f"drives.{d.name}.voltage_range", d.voltage_range, "V", positive=True)
-        drives.append(
-            Drive(
-                d.name,
-                d.channel,
-                d.coordinate,
-                rated_voltage=rated,
-                converter_bits=d.converter_bits,
-                voltage_range=voltage_range,
-                **numbers,
-            )
-        )
-    sensors = []
-    for s in file.sensors:
-        where = f"sensors.{s.channel}"
-        row(f"{where}.row", s.row, products=True)
-        coordinate_kind = kinds[Sensor(s.channel, s.row).coordinate]
-        unit = UNITS[coordinate_kind]["position"]
-        noise, resolution = (value(f"{where}.{k}", getattr(s, k), unit) for k in ("noise", "resolution"))
-        kind = s.kind or ("encoder" if coordinate_kind == "rotary" else "laser")
+
+    def drive(self, entry: DriveEntry) -> Drive:
+        """Return a drive."""
+        field = f"drives.{entry.name}"
+        if entry.coordinate not in self.kinds:
+            raise self.error(f"{field}.coordinate", f"no coordinate is called {entry.coordinate!r}")
+        keys = (*Drive.PARAMETERS, "rated_voltage", *(() if entry.voltage_range is None else ("voltage_range",)))
+        values: dict[str, Any] = self.values(field, entry, {key: FIXED_UNITS[key] for key in keys})
+        return Drive(entry.name, entry.channel, entry.coordinate, converter_bits=entry.converter_bits, **values)
+
+    def sensor(self, entry: SensorEntry) -> Sensor:
+        """Return a sensor; without a declared kind, an encoder on a rotary coordinate and a laser on a linear one."""
+        field = f"sensors.{entry.channel}"
+        coordinate_kind = self.kinds[
+            Sensor(entry.channel, self.row(f"{field}.row", entry.row, products=True)).coordinate
+        ]
+        kind = entry.kind or ("encoder" if coordinate_kind == "rotary" else "laser")
         try:
             SENSOR_KINDS.get(kind)
         except InputError as error:
-            raise fail(f"{where}.kind", str(error)) from None
-        sensors.append(Sensor(s.channel, s.row, noise, resolution, kind))
-    names = [*kinds, *(b.name for b in belts), *(d.name for d in drives)]
-    channels = [*(d.channel for d in drives), *(s.channel for s in sensors)]
-    for what, found in (("names of coordinates, belts and drives", names), ("channels", channels)):
-        if len(set(found)) < len(found):
-            raise fail(what, "must all differ")
-    machine = Machine(
-        file.name, tuple(coordinates), tuple(belts), tuple(drives), tuple(sensors), description=file.description
-    )
-    numbers_of = {**machine.parameters}
-    for e in [*file.effects, *_declared_effects(file, machine)]:
-        where = f"effects.{e.name}"
-        try:
-            effect = get_effect(e.name)
-        except KeyError:
-            raise fail(where, f"no such effect; there are {', '.join(EFFECTS)}") from None
-        # A structural effect has changed these tables already: they have no room for it any more.
-        possible = ("machine",) if effect.structure else effect_sites(effect, machine)
-        if effect.site == "drives":
-            possible = (*possible, *(d.name for d in machine.drives))
-        if e.site not in possible:
-            raise fail(where, f"site {e.site!r} is none of {', '.join(possible) or 'this machine'}")
-        try:
-            applied = effect.at(e.site, **{k: q.value for k, q in e.parameters.items()})
-        except ValueError as error:
-            raise fail(where, str(error)) from None
-        if any(applied.label == other.label for other in machine.effects):
-            raise fail(where, f"declared twice at {e.site}; keep one of the two declarations")
-        for key, quantity in e.parameters.items():
-            expected = machine.effect_unit(applied, key)
-            if quantity.unit != expected:
-                raise fail(f"{where}.{key}", f"unit is {quantity.unit!r}, must be {expected!r}")
-        machine = machine.replace(effects=(*machine.effects, applied))
-        numbers_of |= {f"{applied.label}.{k}": v for k, v in applied.parameters.items()}
-    for tied, (owner, _) in file.ties.items():
-        if tied not in numbers_of or owner not in numbers_of or owner in file.ties:
-            raise fail(
-                f"ties.{tied}", f"{owner!r} to {tied!r}: both must be numbers of this machine, the owner a free one"
-            )
-    machine = machine.replace(ties=file.ties)
-    if file.uncertainty is not None:
-        machine = machine.replace(uncertainty=_to_uncertainty(file.uncertainty, machine, path))
-    return machine
-
-
-def _declared_effects(file: _MachineFile, machine: Machine) -> list[_AppliedEffect]:
-    """Return the effects that the optional fields of sensors and drives stand for.
-
-    A sensor's `range` and `delay` are the effects sensor_range and sensor_delay at its channel; a drive's
-    `current_limit` and `delay` are current_limit and input_delay. One delay for all drives is input_delay at "drives".
-    """
-    effects = []
-    for s in file.sensors:
-        if s.range is not None:
-            unit = machine.unit(f"{s.channel}.noise")
-            limits = dict(zip(("low", "high"), s.range, strict=True))
-            parameters = {key: _Quantity(value=limit, unit=unit) for key, limit in limits.items()}
-            effects.append(_AppliedEffect(name="sensor_range", site=s.channel, parameters=parameters))
-        if s.delay is not None:
-            effects.append(_AppliedEffect(name="sensor_delay", site=s.channel, parameters={"d": s.delay}))
-    for d in file.drives:
-        if d.current_limit is not None:
-            effects.append(_AppliedEffect(name="current_limit", site=d.name, parameters={"I": d.current_limit}))
-    delays = [d.delay for d in file.drives]
-    if delays[0] is not None and all(delay == delays[0] for delay in delays):
-        effects.append(_AppliedEffect(name="input_delay", site="drives", parameters={"d": delays[0]}))
-    else:
-        effects += [
-            _AppliedEffect(name="input_delay", site=d.name, parameters={"d": d.delay})
-            for d in file.drives
-            if d.delay is not None
-        ]
-    return effects
-
-
-def _to_uncertainty(table: _Uncertainty, machine: Machine, path: str) -> Uncertainty:
-    covariance = np.array(table.covariance, float) if table.covariance else np.zeros((0, 0))
-    if covariance.shape != (len(table.names),) * 2 or not np.allclose(covariance, covariance.T, rtol=1e-6):
-        raise InputError(
-            f"{path}: uncertainty.covariance: must be a symmetric square over the {len(table.names)} names"
+            raise self.error(f"{field}.kind", str(error)) from None
+        if entry.range is not None and not entry.range[0] < entry.range[1]:
+            raise self.error(f"{field}.range", "must be [lowest, highest]")
+        unit = UNITS[coordinate_kind]["position"]
+        return Sensor(
+            entry.channel, entry.row, kind=kind, **self.values(field, entry, {"noise": unit, "resolution": unit})
         )
-    unknown = sorted(set(table.names) - set(machine.parameters))
-    if unknown:
-        raise InputError(f"{path}: uncertainty.names: the machine has no parameter {', '.join(unknown)}")
-    return Uncertainty(tuple(table.names), covariance)
+
+    def declared_effects(self, machine: Machine) -> list[EffectEntry]:
+        """Return the effects that the fields `range`, `delay` and `current_limit` of sensors and drives declare."""
+
+        def effect(name: str, site: str, **parameters: QuantityEntry) -> EffectEntry:
+            return EffectEntry(name=name, site=site, parameters=parameters)
+
+        effects = []
+        for sensor in self.content.sensors:
+            if sensor.range is not None:
+                unit = machine.unit(f"{sensor.channel}.noise")
+                low, high = (QuantityEntry(value=limit, unit=unit) for limit in sensor.range)
+                effects.append(effect("sensor_range", sensor.channel, low=low, high=high))
+            if sensor.delay is not None:
+                effects.append(effect("sensor_delay", sensor.channel, d=sensor.delay))
+        drives = self.content.drives
+        effects += [effect("current_limit", d.name, I=d.current_limit) for d in drives if d.current_limit is not None]
+        delays = {d.name: d.delay for d in drives if d.delay is not None}
+        if len(delays) == len(drives) and all(delay == drives[0].delay for delay in delays.values()):
+            delays = {"drives": delays[drives[0].name]}
+        return effects + [effect("input_delay", site, d=delay) for site, delay in delays.items()]
+
+    def effect(self, entry: EffectEntry, machine: Machine) -> AppliedEffect:
+        """Return an effect at its site."""
+        field = f"effects.{entry.name}"
+        try:
+            definition = get_effect(entry.name)
+        except KeyError:
+            raise self.error(field, f"no such effect; there are {', '.join(EFFECTS)}") from None
+        # The components in the file already contain what a structural effect adds.
+        sites = ("machine",) if definition.structure else effect_sites(definition, machine)
+        if definition.site == "drives":
+            sites = (*sites, *(d.name for d in machine.drives))
+        if entry.site not in sites:
+            raise self.error(field, f"site {entry.site!r} is none of {', '.join(sites) or 'this machine'}")
+        try:
+            applied = definition.at(entry.site, **{key: q.value for key, q in entry.parameters.items()})
+        except ValueError as error:
+            raise self.error(field, str(error)) from None
+        if any(applied.label == other.label for other in machine.effects):
+            raise self.error(field, f"declared twice at {entry.site}; delete one of the declarations")
+        for key, quantity in entry.parameters.items():
+            unit = machine.effect_unit(applied, key)
+            if quantity.unit != unit:
+                raise self.error(f"{field}.{key}", f"unit is {quantity.unit!r}, must be {unit!r}")
+        return applied
+
+    def uncertainty(self, table: UncertaintyEntry, machine: Machine) -> Uncertainty:
+        """Return the covariance of the parameters."""
+        size = len(table.names)
+        square = len(table.covariance) == size and all(len(row) == size for row in table.covariance)
+        covariance = np.array(table.covariance, float).reshape(size, size) if square else np.zeros((0, 0))
+        if not square or not np.allclose(covariance, covariance.T, rtol=1e-6):
+            raise self.error("uncertainty.covariance", f"must be a symmetric {size} x {size} matrix, one row per name")
+        unknown = sorted(set(table.names) - set(machine.parameters))
+        if unknown:
+            raise self.error("uncertainty.names", f"the machine has no parameter {', '.join(unknown)}")
+        return Uncertainty(tuple(table.names), covariance)

@@ -1,42 +1,49 @@
-"""Recordings: one run of a rig a file, read with care.
+"""Recordings: one run of a machine per file, validated when read.
 
-The format is a table whose first column is `time_s`, with the machine's channels by name in any order.  An output that
-was not measured is blank.  Whatever is wrong is said with file, row (1 is the first below the header) and column.
+The file is a table whose first column is `time_s`, followed by the machine's channels by name in any order. The cell of
+an output that was not measured is empty. Errors name file, row (1 is the first row below the header) and column.
 """
 
 from __future__ import annotations
 
-import csv
 import gzip
-import io
-import zlib
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..atomic_files import whole_file
-from ..dynamics import Trajectory
+from ..atomic_files import atomic_file
 from ..errors import InputError
-from ..machine import Machine
+from ..machine import Machine, Trajectory
+from .table_file import SUFFIXES, Array, read_table, refuse_decreasing_times, refuse_rows
 
-SUFFIXES = (".csv", ".csv.gz", ".parquet")
-# A unit that the contract does not use, by the ending that gives it away: (its name, the right ending).
-_FOREIGN_UNITS = {"_mm": ("millimetres", "_m"), "_um": ("micrometres", "_m"), "_deg": ("degrees", "_rad")}
-# Readings no H-frame or axis of the kind can have: positions beyond 20 m, angles beyond 2000 turns.
-_LARGEST = {"_m": (20.0, "millimetres"), "_rad": (2000 * 2 * np.pi, "degrees")}
-# A channel that spans this many times its coordinate's declared range is in another unit, not at another place.
-_SPANS = 3.0
-
-Array = NDArray[np.float64]
+# Units that recordings do not use, by the ending of a column's name: the name of the unit and the expected ending.
+_FOREIGN_UNITS = {"_mm": ("millimeters", "_m"), "_um": ("micrometers", "_m"), "_deg": ("degrees", "_rad")}
+# The largest plausible measurement of a channel by the ending of its name (20 m, 2000 turns), and the unit of the value
+# if it is larger.
+_LARGEST = {"_m": (20.0, "millimeters"), "_rad": (2000 * 2 * np.pi, "degrees")}
+# A channel that spans more than this multiple of its coordinate's range is in another unit.
+_MAX_SPAN = 3.0
+# Ratios of measured to plausible travel that suggest degrees (57.3) and millimeters (1000); the limits leave room for
+# noise and for a wrong radius.
+_DEGREES = (25.0, 120.0)
+_MILLIMETERS = (300.0, 2000.0)
+_MOVED = 1e-3  # m, standard deviation of the carriage's travel below which the ratio is not evaluated
+GAP_PERIODS = 1.5  # a longer step, in median sampling periods, means that samples were lost
 
 
 @dataclass(frozen=True)
 class Recording:
-    """One run.  time_s (n,); inputs (n, drives), V; outputs (n, sensors), NaN where not measured; channel order is
-    the machine's."""
+    """One run of a machine.
+
+    Attributes:
+        name: Name of the run: the file name without its ending.
+        time_s: Sample times, s, strictly increasing, shape (n,).
+        inputs: Drive voltages, V, in the order of the machine's drives, shape (n, drives).
+        outputs: Measurements in the channels' units, in the order of the machine's sensors, shape (n, sensors); NaN
+            where a value was not measured.
+    """
 
     name: str
     time_s: Array
@@ -44,74 +51,83 @@ class Recording:
     outputs: Array
 
 
-def is_recording(path: Path) -> bool:
-    """Whether a file's name is that of a recording."""
-    return path.name.endswith(SUFFIXES) and not path.name.startswith(".")
-
-
 def load_recordings(folder: str | Path, machine: Machine) -> list[Recording]:
-    """All runs of a folder, by name; other files in it are left alone.
+    """Load all recordings of a folder.
 
-    Raises InputError when there are none, two have one name (`a.csv`, `a.parquet`), or one is at fault.
+    Args:
+        folder: Folder; files with other endings than .csv, .csv.gz and .parquet, and hidden files, are ignored.
+        machine: Machine that was recorded.
+
+    Returns:
+        The runs in the order of their file names.
+
+    Raises:
+        InputError: If the folder has no recordings, two files are the same run (`a.csv`, `a.parquet`), or a file is
+            invalid.
     """
     path = Path(folder)
     if not path.is_dir():
         raise InputError(f"{path}: {'is a file, give the folder of runs' if path.exists() else 'no such folder'}")
-    files = sorted(p for p in path.iterdir() if is_recording(p) and p.is_file())
+    files = sorted(
+        p for p in path.iterdir() if p.name.endswith(SUFFIXES) and not p.name.startswith(".") and p.is_file()
+    )
     if not files:
         raise InputError(f"{path}: no recordings ({', '.join(SUFFIXES)}) in this folder")
     for first, second in pairwise(sorted(files, key=run_name)):
         if run_name(first) == run_name(second):
-            raise InputError(f"{second}: the run {run_name(second)!r} is there twice, also as {first.name}")
+            raise InputError(f"{second}: the run {run_name(second)!r} is there twice, also as {first.name}; delete one")
     return [load_recording(p, machine) for p in files]
 
 
 def load_recording(path: str | Path, machine: Machine, *, outputs_needed: bool = True) -> Recording:
-    """One run of a machine.
+    """Load one recording.
 
-    outputs_needed: whether a plain voltage history, without any output column, is refused.
+    Args:
+        path: File of the recording.
+        machine: Machine that was recorded.
+        outputs_needed: Whether a file without any output column, a plain voltage history, is refused.
 
-    Raises InputError naming file, row and column for anything the format does not allow.
+    Returns:
+        The run, with channels in the machine's order.
+
+    Raises:
+        InputError: If the file does not follow the format. The message names file, row and column.
     """
     path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path}: no such file")
-    header, columns = _read_parquet(path) if path.suffix == ".parquet" else _read_csv(path)
+    header, columns = read_table(path)
     _check_header(path, header, machine, outputs_needed=outputs_needed)
     time_s = columns["time_s"]
     if len(time_s) == 0:
-        raise InputError(f"{path}: no rows")
+        raise InputError(f"{path}: no rows below the header")
     for name, column in columns.items():
-        _refuse(path, name, column, np.isinf(column), "is infinite")
+        refuse_rows(path, name, column, np.isinf(column), "is infinite")
     for name in ("time_s", *machine.input_channels):
-        _refuse(path, name, columns[name], np.isnan(columns[name]), "is blank; only outputs may have gaps")
-    backward = np.flatnonzero(np.diff(time_s) <= 0)
-    if len(backward):
-        row = int(backward[0]) + 2
-        kind = "repeats" if time_s[row - 1] == time_s[row - 2] else "goes back"
-        raise InputError(
-            f"{path}, row {row}, column time_s: {time_s[row - 1]:.9g} {kind} (after {time_s[row - 2]:.9g})"
-        )
+        refuse_rows(path, name, columns[name], np.isnan(columns[name]), "is empty. Times and inputs must have no gaps")
+    refuse_decreasing_times(path, time_s)
     inputs = np.column_stack([columns[c] for c in machine.input_channels])
-    missing = np.full(len(time_s), np.nan)
-    outputs = np.column_stack([columns.get(c, missing) for c in machine.output_channels])
+    unmeasured = np.full(len(time_s), np.nan)
+    outputs = np.column_stack([columns.get(c, unmeasured) for c in machine.output_channels])
     if any(c in columns for c in machine.output_channels) and np.all(np.isnan(outputs)):
-        raise InputError(f"{path}, columns {', '.join(machine.output_channels)}: all outputs are blank")
-    for j, channel in enumerate(machine.output_channels):
-        for ending, (largest, suspect) in _LARGEST.items():
-            if channel.endswith(ending):
-                wild = np.abs(np.nan_to_num(outputs[:, j])) > largest
-                _refuse(path, channel, outputs[:, j], wild, f"cannot be {ending[1:]}: {suspect}?")
+        raise InputError(f"{path}, columns {', '.join(machine.output_channels)}: all outputs are empty")
     recording = Recording(run_name(path), time_s, inputs, outputs)
-    _refuse_other_units(path, recording, machine)
+    _check_units(path, recording, machine)
     return recording
 
 
 def write_trajectory(path: str | Path, trajectory: Trajectory, inputs: Array, machine: Machine) -> None:
-    """Write a simulated run in the recordings' format (.csv or .csv.gz), whole or not at all."""
+    """Write a simulated run as a recording.
+
+    The file appears complete or not at all.
+
+    Args:
+        path: File to write, .csv or .csv.gz.
+        trajectory: Simulated motion.
+        inputs: Drive voltages, V, shape (n, drives).
+        machine: Machine that was simulated.
+    """
     header = ["time_s", *machine.input_channels, *machine.output_channels]
     table = np.column_stack([trajectory.time_s, inputs, trajectory.outputs])
-    with whole_file(path) as temporary:
+    with atomic_file(path) as temporary:
         opened = gzip.open(temporary, "wt") if str(path).endswith(".gz") else open(temporary, "w")  # noqa: SIM115
         with opened as file:
             file.write(",".join(header) + "\n")
@@ -119,91 +135,64 @@ def write_trajectory(path: str | Path, trajectory: Trajectory, inputs: Array, ma
 
 
 def run_name(path: Path) -> str:
-    """A run's name: its file's, without the ending."""
+    """Return the name of a run.
+
+    Args:
+        path: File of the run.
+
+    Returns:
+        The file name without its ending.
+    """
     for suffix in SUFFIXES:
         if path.name.endswith(suffix):
             return path.name.removesuffix(suffix)
     return path.name
 
 
-def _read_csv(path: Path) -> tuple[list[str], dict[str, Array]]:
-    """NumPy's reader where every cell is a number (1e6 rows in 1.5 s), cell by cell where some are blank or wrong."""
-    try:
-        opened = gzip.open(path, "rb") if path.suffix == ".gz" else open(path, "rb")  # noqa: SIM115
-        with opened as file:
-            text = file.read().decode("utf-8-sig")
-        first, _, body = text.lstrip().partition("\n")
-        header = [name.strip() for name in next(csv.reader([first.strip()]), [])]
-        if not header:
-            raise InputError(f"{path}: empty")
-        if not body.strip():
-            return header, {name: np.zeros(0) for name in header}
-        try:
-            table = np.loadtxt(io.StringIO(body), delimiter=",", comments=None, ndmin=2)
-        except ValueError:
-            return header, _cell_by_cell(path, header, body)
-    except (OSError, EOFError, UnicodeDecodeError, csv.Error, zlib.error) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from None
-    if table.shape[1] != len(header):
-        raise InputError(f"{path}, row 1: {table.shape[1]} cells under {len(header)} columns")
-    return header, dict(zip(header, np.ascontiguousarray(table.T), strict=True))
+def fill_gaps(recording: Recording) -> Recording:
+    """Insert rows for samples that the logger dropped.
 
+    Inputs are held from each row until the next, so a lost row extends the input of the row before it. The lost
+    voltages are interpolated, which is much closer, and the lost outputs are NaN.
 
-def _cell_by_cell(path: Path, header: list[str], body: str) -> dict[str, Array]:
-    rows = [row for row in csv.reader(io.StringIO(body)) if row]
-    for number, row in enumerate(rows, start=1):
-        if len(row) != len(header):
-            raise InputError(f"{path}, row {number}: {len(row)} cells under {len(header)} columns")
-    columns: dict[str, Array] = {}
-    for j, name in enumerate(header):
-        cells = [row[j].strip() or "nan" for row in rows]
-        try:
-            columns[name] = np.array(cells, dtype=float)
-        except ValueError:
-            columns[name] = np.array([_number(path, i, name, cell) for i, cell in enumerate(cells, start=1)])
-    return columns
+    Args:
+        recording: Run with gaps.
 
-
-def _number(path: Path, row: int, column: str, cell: object) -> float:
-    try:
-        return float("nan" if cell is None else cell)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
-        raise InputError(f"{path}, row {row}, column {column}: {cell!r} is not a number") from None
-
-
-def _read_parquet(path: Path) -> tuple[list[str], dict[str, Array]]:
-    try:
-        import pyarrow.parquet as parquet
-    except ImportError:
-        raise InputError(f"{path}: reading parquet needs the extra: pip install 'hframe_gym[parquet]'") from None
-    try:
-        table = parquet.read_table(path)
-    except Exception as error:
-        raise InputError(f"{path}: cannot be read: {' '.join(str(error).split())}") from None
-    columns = {}
-    for name in table.column_names:
-        column = table[name]
-        if str(column.type) in ("double", "float", "halffloat") or str(column.type).startswith(("int", "uint")):
-            columns[name] = column.cast("double").to_numpy()
-        else:
-            columns[name] = np.array([_number(path, i, name, v) for i, v in enumerate(column.to_pylist(), start=1)])
-    return list(table.column_names), columns
+    Returns:
+        The run with additional rows, or the same object if no sample was lost.
+    """
+    time_s = recording.time_s
+    steps = np.diff(time_s)
+    period = float(np.median(steps)) if len(steps) else 1.0
+    lost = np.where(steps > GAP_PERIODS * period, np.rint(steps / period) - 1, 0).astype(int)  # (n - 1,) rows per step
+    if not lost.any():
+        return recording
+    inserted = np.concatenate(
+        [np.linspace(a, b, k + 2)[1:-1] for a, b, k in zip(time_s[:-1], time_s[1:], lost, strict=True) if k]
+    )
+    grid = np.concatenate([time_s, inserted])
+    order = np.argsort(grid, kind="stable")
+    inputs = np.column_stack([np.interp(grid, time_s, values) for values in recording.inputs.T])
+    unmeasured = np.full((len(inserted), recording.outputs.shape[1]), np.nan)
+    outputs = np.concatenate([recording.outputs, unmeasured])
+    return Recording(recording.name, grid[order], inputs[order], outputs[order])
 
 
 def _check_header(path: Path, header: list[str], machine: Machine, *, outputs_needed: bool) -> None:
+    """Refuse a header with unknown, repeated or missing columns."""
     expected = ["time_s", *machine.input_channels, *machine.output_channels]
     for name in header:
         if header.count(name) > 1:
             raise InputError(f"{path}, column {name}: appears twice")
-        if name not in expected:
-            for ending, (unit, right) in _FOREIGN_UNITS.items():
-                if name.endswith(ending) and name.removesuffix(ending) + right in expected:
-                    wanted = name.removesuffix(ending) + right
-                    raise InputError(f"{path}, column {name}: is in {unit}; recordings have {wanted}")
-            raise InputError(f"{path}, column {name}: unknown; machine {machine.name!r} has {', '.join(expected)}")
+        if name in expected:
+            continue
+        for ending, (unit, expected_ending) in _FOREIGN_UNITS.items():
+            wanted = name.removesuffix(ending) + expected_ending
+            if name.endswith(ending) and wanted in expected:
+                raise InputError(f"{path}, column {name}: is in {unit}; recordings have {wanted}")
+        raise InputError(f"{path}, column {name}: unknown; machine {machine.name!r} has {', '.join(expected)}")
     missing = [name for name in expected if name not in header]
-    voltages_only = not outputs_needed and not set(header) & set(machine.output_channels)
-    if voltages_only:
+    if not outputs_needed and not set(header) & set(machine.output_channels):
         missing = [name for name in missing if name not in machine.output_channels]
     if missing:
         raise InputError(f"{path}, column {missing[0]}: missing (the header has {', '.join(header)})")
@@ -211,50 +200,53 @@ def _check_header(path: Path, header: list[str], machine: Machine, *, outputs_ne
         raise InputError(f"{path}, column {header[0]}: the first column must be time_s")
 
 
-def _refuse(path: Path, name: str, column: Array, bad: NDArray[np.bool_], why: str) -> None:
-    if bad.any():
-        row = int(np.argmax(bad))
-        raise InputError(f"{path}, row {row + 1}, column {name}: {column[row]:g} {why}")
-
-
-def _refuse_other_units(path: Path, recording: Recording, machine: Machine) -> None:
-    """Catch a channel in millimetres or degrees by its span, and by the ratios that unstretched belts impose."""
-    kinds = {s.channel: machine.coordinate(next(iter(s.row))).kind for s in machine.sensors}
-    for j, sensor in enumerate(machine.sensors):
-        coordinate = machine.coordinate(next(iter(sensor.row)))
-        readings = recording.outputs[:, j]
-        if coordinate.range is not None and np.isfinite(readings).any():
-            span, can = np.nanmax(readings) - np.nanmin(readings), coordinate.range[1] - coordinate.range[0]
-            if span > _SPANS * can:
-                suspect = "millimetres" if coordinate.kind == "linear" else "degrees"
+def _check_units(path: Path, recording: Recording, machine: Machine) -> None:
+    """Refuse channels in millimeters or degrees, by their size, their span and the ratios that the belts impose."""
+    for sensor, values in zip(machine.sensors, recording.outputs.T, strict=True):
+        for ending, (largest, suspect) in _LARGEST.items():
+            if sensor.channel.endswith(ending):
+                implausible = np.abs(np.nan_to_num(values)) > largest
+                reason = f"cannot be {ending[1:]}; is the column in {suspect}?"
+                refuse_rows(path, sensor.channel, values, implausible, reason)
+        coordinate = machine.coordinate(sensor.coordinate)
+        if coordinate.range is not None and np.isfinite(values).any():
+            span, range_length = np.nanmax(values) - np.nanmin(values), coordinate.range[1] - coordinate.range[0]
+            if span > _MAX_SPAN * range_length:
+                suspect = "millimeters" if coordinate.kind == "linear" else "degrees"
                 raise InputError(
-                    f"{path}, column {sensor.channel}: moves by {span:.4g}, {coordinate.name} can move by {can:.4g}: "
-                    f"{suspect}?"
+                    f"{path}, column {sensor.channel}: moves by {span:.4g}, but the range of {coordinate.name} is "
+                    f"{range_length:.4g}; is the column in {suspect}?"
                 )
-    factor = _angle_factor(recording, machine)
-    if factor is not None and 25 < factor < 120:
-        rotary = [channel for channel, kind in kinds.items() if kind == "rotary"]
-        raise InputError(f"{path}, columns {', '.join(rotary)}: {factor:.0f} times what the belts allow: degrees?")
-    if factor is not None and 1 / 2000 < factor < 1 / 300:
-        linear = [channel for channel, kind in kinds.items() if kind == "linear"]
-        raise InputError(
-            f"{path}, columns {', '.join(linear)}: {1 / factor:.0f} times what the belts allow: millimetres?"
-        )
+    ratio = _pulley_travel_ratio(recording, machine)
+    if ratio is None:
+        return
+    for kind, factor, limits, suspect in (
+        ("rotary", ratio, _DEGREES, "degrees"),
+        ("linear", 1 / ratio if ratio else np.inf, _MILLIMETERS, "millimeters"),
+    ):
+        if limits[0] < factor < limits[1]:
+            channels = [s.channel for s in machine.sensors if machine.coordinate(s.coordinate).kind == kind]
+            raise InputError(
+                f"{path}, columns {', '.join(channels)}: {factor:.0f} times the travel that the belts allow; are they "
+                f"in {suspect}?"
+            )
 
 
-def _angle_factor(recording: Recording, machine: Machine) -> float | None:
-    """Size of the measured pulley travel over that which the measured carriage needs, or None if it did not move."""
-    names = {next(iter(s.row)): j for j, s in enumerate(machine.sensors) if len(s.row) == 1}
-    expected, found = 0.0, 0.0
+def _pulley_travel_ratio(recording: Recording, machine: Machine) -> float | None:
+    """Return measured pulley travel over that which the measured carriage implies, or None if it did not move."""
+    column_of = {s.coordinate: j for j, s in enumerate(machine.sensors) if len(s.row) == 1}
+    implied, measured = 0.0, 0.0  # m, summed standard deviations
     for belt in machine.belts:
         rotary = [c for c in belt.extension if machine.coordinate(c).kind == "rotary"]
-        if len(rotary) != 1 or any(c not in names for c in belt.extension):
+        if len(rotary) != 1 or any(c not in column_of for c in belt.extension):
             continue
-        c = rotary[0]
-        angle = recording.outputs[:, names[c]] * machine.coordinate(c).radius * belt.extension[c]
-        others = sum(f * recording.outputs[:, names[o]] for o, f in belt.extension.items() if o != c)
-        both = np.isfinite(angle + others)
-        if both.sum() > 2:
-            expected += float(np.std(np.asarray(others)[both]))
-            found += float(np.std(angle[both]))
-    return found / expected if expected > 1e-3 else None
+        pulley = rotary[0]
+        angle = recording.outputs[:, column_of[pulley]]
+        pulley_travel = angle * machine.coordinate(pulley).radius * belt.extension[pulley]
+        others = {c: factor for c, factor in belt.extension.items() if c != pulley}
+        carriage_travel = sum(factor * recording.outputs[:, column_of[c]] for c, factor in others.items())
+        rows = np.isfinite(pulley_travel + carriage_travel)
+        if rows.sum() > 2:
+            implied += float(np.std(np.asarray(carriage_travel)[rows]))
+            measured += float(np.std(pulley_travel[rows]))
+    return measured / implied if implied > _MOVED else None

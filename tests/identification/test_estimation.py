@@ -1,40 +1,57 @@
-"""The fit finds parameters of recordings that another simulator made (examples/, tools.make_examples)."""
+"""Tests of parameter estimation on recordings of another simulator (examples/, tools.make_examples)."""
 
 from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from hframe_gym.identification import Dataset, default_free_parameters, fit, prepare
-from hframe_gym.identification.estimation import FreeParameter
-from hframe_gym.machine import BUILTIN_MACHINES
+from hframe_gym.identification.estimation import prediction_cost
+from hframe_gym.machine import Machine
 from hframe_gym.recordings import load_recordings
 from tools.make_examples import TRUTH
 
-
-@pytest.fixture(scope="module")
-def twin() -> Dataset:
-    machine = BUILTIN_MACHINES["hframe"]()
-    return prepare(load_recordings("examples/rig_b", machine), machine)
+EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
-def test_parameters_of_the_twin_without_effects(twin: Dataset) -> None:
-    machine = BUILTIN_MACHINES["hframe"]()
-    rough = fit(machine, default_free_parameters(machine), twin, "innovations")
-    found = fit(machine, default_free_parameters(machine), twin, "free", theta=rough.theta)
-    assert found.chi2 < 1.1
-    # Voltages tell forces only in units of the first motor's gain.
+@pytest.fixture
+def data(hframe: Machine) -> Dataset:
+    """Return the recordings of the example rig without undeclared effects."""
+    return prepare(load_recordings(EXAMPLES / "rig_b", hframe), hframe)
+
+
+@pytest.mark.oracle
+def test_fit_recovers_the_parameters_of_the_reference_simulator(hframe: Machine, data: Dataset) -> None:
+    first_fit = fit(hframe, default_free_parameters(hframe), data, "one_step")
+    fitted = fit(hframe, default_free_parameters(hframe), data, "simulation", theta=first_fit.theta)
+    assert fitted.chi2 < 1.1
+    # Voltages determine forces only in units of the first motor's gain.
     gains = [k * g for k, g in zip(TRUTH.torque_constant, TRUTH.drive_gain, strict=True)]
-    unit = gains[0] / machine.drives[0].Kt
-    values = found.machine.parameters
+    unit = gains[0] / hframe.drives[0].Kt
+    values = fitted.machine.parameters
     for i, name in enumerate(("x", "y", "phi1", "phi2")):
         assert values[f"{name}.mass"] * unit == pytest.approx(TRUTH.mass[i], rel=0.01)
         assert values[f"{name}.coulomb"] * unit == pytest.approx(TRUTH.coulomb[i], rel=0.01)
     assert values["motor2.Kt"] * unit == pytest.approx(gains[1], rel=0.01)
 
 
-def test_a_free_parameter_moves_as_it_says() -> None:
-    positive = FreeParameter("m", 2.0, prior=0.3)
-    assert positive.value(np.array([0.0, np.log(2)])) == pytest.approx([2.0, 4.0])
-    linear = FreeParameter("c", 0.0, prior=1.0, scale=0.5)
-    assert linear.value(np.array([-1.0, 3.0])) == pytest.approx([0.0, 1.5])
+@pytest.mark.unit
+def test_fit_reports_the_cost_of_its_machine(hframe: Machine, data: Dataset) -> None:
+    """In one-step mode no initial state is projected out, so the cost is that of a plain prediction."""
+    two_runs = data.only([run.name for run in data.runs[:2]])
+    fitted = fit(hframe, default_free_parameters(hframe), two_runs, "one_step", iterations=3)
+    assert fitted.cost == pytest.approx(prediction_cost(fitted.machine, two_runs, "one_step"), rel=1e-9)
+    assert fitted.cost < prediction_cost(hframe, two_runs, "one_step")
+    assert fitted.chi2 == fitted.cost / two_runs.count
+
+
+@pytest.mark.unit
+def test_a_tight_prior_keeps_the_declared_parameters(hframe: Machine, data: Dataset) -> None:
+    tight = [dataclasses.replace(f, prior=1e-9) for f in default_free_parameters(hframe)]
+    fitted = fit(hframe, tight, data.only([data.runs[0].name]), "one_step")
+    for parameter in tight:
+        assert fitted.values[parameter.name] == pytest.approx(hframe.parameters[parameter.name], rel=1e-6, abs=1e-9)
+    np.testing.assert_allclose(fitted.theta, 0.0, atol=1e-8)

@@ -1,3 +1,5 @@
+"""Tests of the residual analysis: the relative force error."""
+
 from __future__ import annotations
 
 import numpy as np
@@ -5,11 +7,14 @@ import pytest
 
 from hframe_gym.identification import prepare
 from hframe_gym.identification.residual import force_error
-from hframe_gym.machine import BUILTIN_MACHINES, Coordinate, Drive, Machine, Sensor
+from hframe_gym.machine import Coordinate, Drive, Machine, Sensor
 from hframe_gym.recordings import Recording
+
+pytestmark = pytest.mark.unit
 
 
 def axis(mass: float, viscous: float) -> Machine:
+    """Return an axis with 2 N/V and no back-EMF."""
     return Machine(
         "axis",
         (Coordinate("x", mass, viscous),),
@@ -20,7 +25,7 @@ def axis(mass: float, viscous: float) -> Machine:
 
 
 def test_force_error_of_a_known_motion() -> None:
-    """x = sin 2 t needs F = m a + b v exactly; a machine with another mass misses by a known share."""
+    """x = sin 2 t needs F = m a + b v exactly; a wrong mass gives a known relative error."""
     time = np.arange(4000) * 1e-3
     mass, viscous, rate = 3.0, 5.0, 2.0
     # The held input means the force at a row is half that of the row before.
@@ -32,11 +37,11 @@ def test_force_error_of_a_known_motion() -> None:
     assert exact is not None
     assert exact < 2e-3
     wrong = force_error(axis(1.1 * mass, viscous), data)
-    missed = 0.1 * mass * rate**2 * np.sin(rate * middle)
-    assert wrong == pytest.approx(np.linalg.norm(missed) / np.linalg.norm(force), rel=0.02)
+    missing_force = 0.1 * mass * rate**2 * np.sin(rate * middle)
+    assert wrong == pytest.approx(np.linalg.norm(missing_force) / np.linalg.norm(force), rel=0.02)
 
 
-def test_a_belt_machine_has_no_force_error(hframe: Machine) -> None:
+def test_machine_with_belts_has_no_force_error(hframe: Machine) -> None:
     time = np.arange(50) * 1e-3
-    data = prepare([Recording("r", time, np.zeros((50, 2)), np.zeros((50, 4)))], BUILTIN_MACHINES["hframe"]())
+    data = prepare([Recording("r", time, np.zeros((50, 2)), np.zeros((50, 4)))], hframe)
     assert force_error(hframe, data) is None

@@ -1,15 +1,18 @@
-"""A and B against eq. 21-22 written out as the paper prints them (with the gear ratio of the erratum)."""
+"""Linearization against eq. 21-22 as printed (with the gear ratio of the erratum) and against SciPy."""
 
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from scipy import signal
 
 from hframe_gym.dynamics import simulate
 from hframe_gym.machine import BUILTIN_MACHINES, linearize
 
+pytestmark = pytest.mark.oracle
 
-def test_state_space_is_equation_21_and_22() -> None:
+
+def test_state_space_matrices_equal_equations_21_and_22() -> None:
     machine = BUILTIN_MACHINES["hframe-linear"]()
     k_l, k_r, k_b, r = 1.3167e4, 1.0791e4, 8.0492e3, 0.0194
     M_bridge, M_cart, J, B_M = 4.07, 1.0412, 1.12e-4, 0.0042
@@ -31,16 +34,16 @@ def test_state_space_is_equation_21_and_22() -> None:
     )
     A[7, [0, 2, 4, 6, 7]] = np.array([(k_r + 2 * k_b) * r, -k_r * r, k_b * r**2, -(k_r + k_b) * r**2, -(B_M + emf)]) / J
     order = [0, 4, 1, 5, 2, 6, 3, 7]
-    found = linearize(machine)
-    np.testing.assert_allclose(found.A[np.ix_(order, order)], A, rtol=1e-12, atol=1e-9)
+    model = linearize(machine)
+    np.testing.assert_allclose(model.A[np.ix_(order, order)], A, rtol=1e-12, atol=1e-9)
     B = np.zeros((8, 2))
     B[5, 0] = B[7, 1] = gain / J
-    np.testing.assert_allclose(found.B[order], B, rtol=1e-12)
-    np.testing.assert_array_equal(found.C[:2, order], np.eye(8)[[4, 6]])
-    np.testing.assert_array_equal(found.D, 0.0)
+    np.testing.assert_allclose(model.B[order], B, rtol=1e-12)
+    np.testing.assert_array_equal(model.C[:2, order], np.eye(8)[[4, 6]])
+    np.testing.assert_array_equal(model.D, 0.0)
 
 
-def test_the_kernel_follows_scipys_linear_simulation() -> None:
+def test_simulation_of_linear_machines_equals_scipy() -> None:
     for name in ("hframe-linear", "hframe-order20"):
         machine = BUILTIN_MACHINES[name]()
         rng = np.random.default_rng(2)
@@ -49,6 +52,6 @@ def test_the_kernel_follows_scipys_linear_simulation() -> None:
         A, B, C, D = linearize(machine)
         discrete = signal.cont2discrete((A, B, C, D), 1e-3)
         _, exact, _ = signal.dlsim(discrete, inputs, time)
-        found = simulate(machine, time, inputs, longest_step=0.05e-3).outputs
-        scale = np.array([0.0194, 0.0194, 1.0, 1.0])
-        assert np.abs((found - exact) * scale).max() < 1e-7
+        outputs = simulate(machine, time, inputs, longest_step=0.05e-3).outputs
+        scale = np.array([0.0194, 0.0194, 1.0, 1.0])  # m per rad, m per m
+        assert np.abs((outputs - exact) * scale).max() < 1e-7

@@ -1,9 +1,13 @@
+"""Machine: parameters, units, replacement, sensor kinds and the simulator hook."""
+
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from hframe_gym.machine import SENSOR_KINDS, Machine
+from hframe_gym.effects import EFFECTS
+from hframe_gym.machine import SENSOR_KINDS, SIMULATORS, Machine
+from hframe_gym.registry import Registry
 
 
 def test_device_parameters_list_sensors_and_converters_with_their_units(hframe: Machine) -> None:
@@ -42,3 +46,34 @@ def test_a_sensor_adds_noise_and_rounds_to_its_resolution() -> None:
     reading = np.array([[0.0, 1.04], [2.0, 3.0]])
     measured = kind.measure(reading, noise=0.1, resolution=np.array([0.0, 0.5]), normal=np.array([1.0, -1.0]))
     np.testing.assert_allclose(measured, [[0.1, 1.0], [2.1, 3.0]])
+
+
+def test_units_follow_the_kind_of_the_coordinate_at_the_site(hframe: Machine) -> None:
+    machine = hframe.with_effects(
+        EFFECTS["stribeck_friction"].at("x", dF=1.0, vs=0.1), EFFECTS["stribeck_friction"].at("phi1", dF=0.01, vs=1.0)
+    )
+    names = ("x.mass", "phi1.mass", "x.coulomb", "phi1.coulomb", "left.EA", "motor1.Ke", "phi1.radius")
+    assert [machine.unit(name) for name in names] == ["kg", "kg m^2", "N", "Nm", "N", "Vs/rad", "m"]
+    assert machine.unit("stribeck_friction@x.dF") == "N"
+    assert machine.unit("stribeck_friction@phi1.dF") == "Nm"
+
+
+def test_replace_moves_tied_parameters_along(hframe: Machine) -> None:
+    yawing = hframe.with_effects(EFFECTS["bridge_yaw"].at("machine", J=0.1, k=2e3, c=1.0, w=0.25))
+    assert "yaw.mass" not in yawing.parameters
+    assert yawing.replace({"bridge_yaw@machine.J": 0.2}).coordinate("yaw").mass == 0.2
+
+
+def test_machine_simulate_calls_the_registered_simulator(hframe: Machine) -> None:
+    from hframe_gym.dynamics import simulate
+
+    time = np.arange(50) * 1e-3
+    inputs = np.full((50, 2), -4.0)
+    np.testing.assert_array_equal(hframe.simulate(time, inputs).outputs, simulate(hframe, time, inputs).outputs)
+
+
+def test_without_a_simulator_the_error_names_what_to_import(monkeypatch: pytest.MonkeyPatch, hframe: Machine) -> None:
+    assert "default" in SIMULATORS
+    monkeypatch.setattr("hframe_gym.machine.machine.SIMULATORS", Registry("simulator"))
+    with pytest.raises(RuntimeError, match=r"import hframe_gym\.dynamics"):
+        hframe.simulate(np.zeros(1), np.zeros((1, 2)))

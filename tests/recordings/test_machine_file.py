@@ -1,3 +1,5 @@
+"""machine.json: round trips, defaults of optional fields, and refusals by field."""
+
 from __future__ import annotations
 
 import json
@@ -15,7 +17,7 @@ from hframe_gym.recordings import load_machine, machine_to_dict, save_machine
 
 
 @pytest.mark.parametrize("name", sorted(BUILTIN_MACHINES))
-def test_round_trip_keeps_every_number_and_the_shape(name: str, tmp_path: Path) -> None:
+def test_a_preset_survives_a_round_trip_through_its_file(name: str, tmp_path: Path) -> None:
     machine = load_machine(name)
     save_machine(machine, tmp_path / "machine.json")
     again = load_machine(tmp_path / "machine.json")
@@ -24,7 +26,7 @@ def test_round_trip_keeps_every_number_and_the_shape(name: str, tmp_path: Path) 
     assert again.sensors == machine.sensors
 
 
-def test_round_trip_with_effects_and_uncertainty(hframe: Machine, tmp_path: Path) -> None:
+def test_effects_and_covariance_survive_a_round_trip(hframe: Machine, tmp_path: Path) -> None:
     machine = hframe.with_effects(EFFECTS["stribeck_friction"].at("phi1", dF=0.02, vs=1.5))
     names = ("x.mass", "stribeck_friction@phi1.dF")
     covariance = np.array([[1e-4, 1e-7], [1e-7, 4e-8]])
@@ -53,7 +55,7 @@ def change(path: list[Any], value: Any) -> Callable[[dict[str, Any]], None]:
         (change(["coordinates", 0, "mass", "value"], -1.0), "coordinates.x.mass: -1 must be positive"),
         (change(["coordinates", 0, "mass", "unit"], "g"), "coordinates.x.mass: unit is 'g', must be 'kg'"),
         (change(["coordinates", 2, "coulomb", "unit"], "N"), "coordinates.phi1.coulomb: unit is 'N', must be 'Nm'"),
-        (change(["coordinates", 0, "name"], "two words"), "coordinates.0.name"),
+        (change(["coordinates", 0, "name"], "two words"), "coordinates.two words.name"),
         (change(["coordinates", 1, "name"], "x"), "coordinates: two have the same name"),
         (change(["belts", 0, "extension"], {"z": 1.0}), "belts.left.extension: no coordinate is called 'z'"),
         (change(["drives", 0, "coordinate"], "z"), "drives.motor1.coordinate: no coordinate is called 'z'"),
@@ -62,8 +64,20 @@ def change(path: list[Any], value: Any) -> Callable[[dict[str, Any]], None]:
             change(["sensors", 0, "kind"], "magic"),
             "sensors.phi1_rad.kind: sensor kind 'magic' is unknown; choose one of encoder",
         ),
-        (change(["drives", 0, "converter_bits"], 40), "drives.0.converter_bits"),
-        (change(["surprise"], 1), "surprise"),
+        (change(["drives", 0, "converter_bits"], 40), "drives.motor1.converter_bits"),
+        (change(["sensors", 2, "range"], [0.1, -0.1]), "sensors.x_m.range: must be [lowest, highest]"),
+        (change(["belts", 1, "name"], "left"), "must all differ; 'left' occurs twice"),
+        (change(["ties"], {"x.mass": ["nothing", 1.0]}), "ties.x.mass: 'x.mass' and 'nothing' must be parameters"),
+        (
+            change(["uncertainty"], {"names": ["x.mass", "y.mass"], "covariance": [[1.0], [1.0, 2.0]]}),
+            "uncertainty.covariance: must be a symmetric 2 x 2 matrix",
+        ),
+        (
+            change(["uncertainty"], {"names": ["z.mass"], "covariance": [[1.0]]}),
+            "uncertainty.names: the machine has no parameter z.mass",
+        ),
+        (change(["surprise"], 1), "surprise: unknown field; delete it"),
+        (change(["sensors", 1, "color"], "red"), "sensors.phi2_rad.color: unknown field; delete it"),
         (change(["schema"], 2), "schema"),
         (change(["effects"], [{"name": "magic", "site": "x", "parameters": {}}]), "effects.magic: no such effect"),
         (
@@ -76,7 +90,7 @@ def change(path: list[Any], value: Any) -> Callable[[dict[str, Any]], None]:
         ),
     ],
 )
-def test_a_wrong_file_is_refused_by_field(
+def test_an_error_names_file_and_field(
     edit: Callable[[dict[str, Any]], None], message: str, hframe: Machine, tmp_path: Path
 ) -> None:
     content = machine_to_dict(hframe)
@@ -90,15 +104,29 @@ def test_a_wrong_file_is_refused_by_field(
     assert "\n" not in str(error.value)
 
 
-def test_not_a_number_does_not_enter(hframe: Machine, tmp_path: Path) -> None:
+def test_a_nan_in_the_file_is_refused(hframe: Machine, tmp_path: Path) -> None:
     content = machine_to_dict(hframe)
     content["coordinates"][0]["mass"]["value"] = float("nan")
     (tmp_path / "m.json").write_text(json.dumps(content))
-    with pytest.raises(InputError, match=r"coordinates\.0\.mass"):
+    with pytest.raises(InputError, match=r"coordinates\.x\.mass"):
         load_machine(tmp_path / "m.json")
 
 
-def test_an_unknown_name_lists_the_built_in_ones() -> None:
+def test_a_missing_field_is_named_with_its_component(hframe: Machine, tmp_path: Path) -> None:
+    content = machine_to_dict(hframe)
+    del content["drives"][1]["Kt"]
+    (tmp_path / "m.json").write_text(json.dumps(content))
+    with pytest.raises(InputError, match=r"drives\.motor2\.Kt: Field required"):
+        load_machine(tmp_path / "m.json")
+
+
+def test_a_file_that_is_not_json_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "m.json").write_text("{ // comment")
+    with pytest.raises(InputError, match=r"m\.json: file: Invalid JSON"):
+        load_machine(tmp_path / "m.json")
+
+
+def test_an_unknown_machine_name_lists_the_presets() -> None:
     with pytest.raises(InputError, match="hframe-linear"):
         load_machine("no-such-machine")
 

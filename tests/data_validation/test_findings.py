@@ -1,3 +1,5 @@
+"""Output of findings, and the command `hframe check`."""
+
 from __future__ import annotations
 
 import io
@@ -9,40 +11,41 @@ import pytest
 from rich.console import Console
 
 from hframe_gym.cli import main
-from hframe_gym.data_validation import Finding
-from hframe_gym.data_validation.findings_output import show
+from hframe_gym.data_validation import Finding, print_findings
+from tests.data_validation.planted_mistakes import EXAMPLES
 
-FOUND = [Finding("fault", "run_01", "x_m", "stuck [at 0.1]"), Finding("note", "", "", "8 runs")]
+FINDINGS = [Finding("fault", "run_01", "x_m", "stuck [at 0.1]"), Finding("note", "", "", "8 runs")]
 
 
-def test_plain_lines_where_nobody_looks_and_a_table_on_a_terminal() -> None:
+def test_findings_are_lines_in_a_file_and_a_table_on_a_terminal() -> None:
     plain = io.StringIO()
-    show(FOUND, Console(file=plain, force_terminal=False, soft_wrap=True))
+    print_findings(FINDINGS, Console(file=plain, force_terminal=False, soft_wrap=True))
     assert plain.getvalue().splitlines() == [
         "fault: run_01, x_m: stuck [at 0.1]",
         "note: 8 runs",
         "1 fault, 0 advice, 1 note",
     ]
     rich = io.StringIO()
-    show(FOUND, Console(file=rich, force_terminal=True, width=100))
+    print_findings(FINDINGS, Console(file=rich, force_terminal=True, width=100))
     assert "channel" in rich.getvalue()
     assert "stuck [at 0.1]" in rich.getvalue()
 
 
-def test_the_same_in_many_runs_is_said_once() -> None:
-    found = [Finding("advice", f"run_{i}", "time_s", f"{i} gaps (3.{i} ms): samples were dropped") for i in range(5)]
+def test_equal_findings_of_many_runs_are_printed_once() -> None:
+    findings = [Finding("advice", f"run_{i}", "time_s", f"{i} gaps (3.{i} ms): samples were dropped") for i in range(5)]
     plain = io.StringIO()
-    show(
-        [*found, Finding("note", "", "x", "told to 1 %"), Finding("note", "", "x", "told to 2 %")], Console(file=plain)
-    )
+    notes = [Finding("note", "", "x", f"standard error at least {percent} %") for percent in (1, 2)]
+    print_findings([*findings, *notes], Console(file=plain))
     lines = plain.getvalue().splitlines()
     assert lines[0].startswith("advice: run_0 and 4 more runs, time_s: 0 gaps")
     assert len(lines) == 4
 
 
-def test_the_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    written = tmp_path / "found.json"
-    monkeypatch.setattr(sys, "argv", ["hframe", "check", "examples/rig_b", "--json", str(written)])
+def test_the_command_prints_findings_and_writes_them_as_json(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    written = tmp_path / "findings.json"
+    monkeypatch.setattr(sys, "argv", ["hframe", "check", str(EXAMPLES / "rig_b"), "--json", str(written)])
     with pytest.raises(SystemExit) as stop:
         main()
     assert stop.value.code == 0
@@ -52,7 +55,7 @@ def test_the_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixt
     assert {f["severity"] for f in content["findings"]} <= {"advice", "note"}
 
 
-def test_the_command_refuses_bad_input(
+def test_the_command_refuses_a_faulty_file_with_exit_code_2(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     (tmp_path / "a.csv").write_text("time_s,v1_V,v2_V,phi1_rad,phi2_rad,x_m,y_m\n0,0,0,0,0,0,oops\n")

@@ -1,0 +1,115 @@
+"""The decision thresholds of identification, in one place.
+
+Chi-squared per sample is the mean of the squared residuals in units of the sensors' noise; 1 means that only noise is left.
+The gain of an effect is the reduction of chi-squared per sample that it causes. The residual of quantized encoders is correlated
+in time, so tests that assume white noise accept effects that do not exist; the minimum gains below were calibrated on synthetic
+rigs without any effect (``benchmarks/identification.py``).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class SelectionCriteria:
+    """Thresholds by which `identify` selects effects and reaches its verdict.
+
+    Pass a changed copy to `identify(..., criteria=SelectionCriteria(max_effects=3))`. `print` shows all values.
+
+    Attributes:
+        min_gain_simulation: Smallest gain of an effect in simulation, chi-squared per sample. Rigs without effects stay below it.
+        min_gain_one_step: Smallest gain in one-step prediction, chi-squared per sample. It is larger than in simulation because the
+            residual of the observer is correlated.
+        min_total_gain: Smallest gain summed over all samples, chi-squared. It protects short recordings, where chance explains a
+            larger fraction of the residual.
+        min_gain_fraction: Smallest gain relative to the excess of chi-squared per sample over 1, where that excess is small.
+        large_excess: Excess of chi-squared per sample over 1 from which `min_gain_fraction_large_excess` applies.
+        min_gain_fraction_large_excess: As `min_gain_fraction`, for a large excess: an effect that removes less is a substitute for
+            the true one.
+        min_gain_fraction_unverified: Smallest gain relative to chi-squared per sample where the simulation drifts and therefore cannot
+            verify the effect.
+        rival_gain_fraction: Fraction of the best candidate's gain above which another candidate counts as its rival.
+        rival_gain_margin: Difference of chi-squared per sample below which two candidates are rivals.
+        noise_level: Chi-squared per sample at which the search stops, because nothing but noise is left.
+        min_standard_deviations: Smallest amplitude of an effect in units of its robust standard deviation.
+        max_effects: Largest number of effects that the forward selection adds.
+        max_full_fits: Number of screened candidates that are fitted together with all parameters of the machine, per step.
+        min_promise: Smallest linearized gain relative to the best candidate's for which a full fit is tried.
+        linear_gain_ratio: Ratio of linearized to fitted gain that is still expected; screened gains below this times the minimum gain
+            are not fitted.
+        one_step_floor: Chi-squared per sample that a correct model reaches in one-step prediction; quantization keeps it above 1.
+        structural_remainder: Fraction of the excess over `one_step_floor` that a candidate may leave before structural candidates
+            are tried as well.
+        min_table_gain: Smallest gain of a table, chi-squared per sample. A table has two dozen values and fits chance well.
+        min_table_gain_fraction: Smallest gain of a table relative to the excess over `one_step_floor`.
+        max_screened_tables: Number of screened tables that are cross-validated.
+        max_tables_per_coordinate: Number of tables per coordinate that are screened, besides one against time.
+        max_table_cross_validation: Largest cost of the half of the data that a table was not fitted to, relative to the cost without
+            the table.
+        cross_validation_blocks: Number of blocks into which a single run is divided for cross-validation.
+        max_drift: Simulation error relative to the standard deviation of the signal from which one-step prediction decides instead.
+        max_simulation_chi2: Chi-squared per sample up to which a simulation is close enough to the data for a search of its own.
+        explained_chi2: Chi-squared per sample below which the model explains the data.
+        explained_fraction: Fraction of the initial chi-squared per sample below which the model explains the data, where the
+            initial value is large.
+        max_table_cost_fraction: Cost relative to the best model of known effects below which a table is accepted although the
+            residual is not yet noise.
+        max_partial_cost_fraction: Cost relative to the refitted model below which known effects are reported although they leave
+            more than noise.
+        min_saturated_fraction: Smallest fraction of all rows at the outermost measurement that indicates the end of a sensor's range.
+        second_end_factor: Factor on the two saturation thresholds for the other end of a sensor that saturates at one end.
+        saturation_band: Width of the outermost measurements that count as constant, in standard deviations of the noise.
+        min_saturated_travel: Distance that the encoders measure while a saturated sensor is constant, in standard deviations of its
+            noise; more than belts can stretch.
+    """
+
+    min_gain_simulation: float = 0.003
+    min_gain_one_step: float = 0.01
+    min_total_gain: float = 200.0
+    min_gain_fraction: float = 0.02
+    large_excess: float = 3.0
+    min_gain_fraction_large_excess: float = 0.1
+    min_gain_fraction_unverified: float = 0.01
+    rival_gain_fraction: float = 0.97
+    rival_gain_margin: float = 0.002
+    noise_level: float = 1.01
+    min_standard_deviations: float = 4.0
+    max_effects: int = 5
+    max_full_fits: int = 5
+    min_promise: float = 0.4
+    linear_gain_ratio: float = 0.6
+    one_step_floor: float = 1.1
+    structural_remainder: float = 0.2
+    min_table_gain: float = 0.02
+    min_table_gain_fraction: float = 0.2
+    max_screened_tables: int = 6
+    max_tables_per_coordinate: int = 3
+    max_table_cross_validation: float = 0.4
+    cross_validation_blocks: int = 8
+    max_drift: float = 0.3
+    max_simulation_chi2: float = 50.0
+    explained_chi2: float = 1.5
+    explained_fraction: float = 1e-4
+    max_table_cost_fraction: float = 0.02
+    max_partial_cost_fraction: float = 0.25
+    min_saturated_fraction: float = 0.01
+    second_end_factor: float = 0.2
+    saturation_band: float = 8.0
+    min_saturated_travel: float = 300.0
+
+    def __post_init__(self) -> None:
+        """Refuse thresholds that are negative or not finite."""
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if not 0.0 <= value < float("inf"):
+                raise ValueError(f"criterion {field.name} is {value}; it must be finite and not negative")
+
+    def __str__(self) -> str:
+        """Return all thresholds, one per line."""
+        return "\n".join(f"{name} = {value:g}" for name, value in self.as_json().items())
+
+    def as_json(self) -> dict[str, float]:
+        """Return the thresholds by name, for report.json."""
+        return dataclasses.asdict(self)

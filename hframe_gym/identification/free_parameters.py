@@ -1,0 +1,191 @@
+"""Free parameters of a fit: which parameters of a machine are estimated, in which coordinates, with which prior."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..machine import Machine
+
+Array = NDArray[np.float64]
+
+# Standard deviations of the priors, relative to the declared value.  Dry friction and viscous friction vary most from
+# one machine to the next, belt lengths least.
+_MASS_PRIOR = 0.3
+_FRICTION_PRIOR = 0.7
+_BELT_PRIOR = 0.3
+_LENGTH_PRIOR = 0.1
+_MOTOR_PRIOR = 0.2
+_EFFECT_PRIOR = 0.5
+# Friction of a coordinate that declares none: unit of theta as a fraction of the typical force.
+_UNDECLARED_COULOMB, _UNDECLARED_VISCOUS = 0.01, 0.1
+
+
+@dataclass(frozen=True)
+class FreeParameter:
+    """One fitted parameter and the coordinate theta in which it is fitted.
+
+    The value is `center * exp(theta)`, or `center + scale * theta` where `scale` is given.
+
+    Attributes:
+        name: Full name of the machine parameter, e.g. `x.coulomb`.
+        center: Value at theta = 0, SI.
+        prior: Standard deviation of theta around 0.
+        scale: Change of the value per unit of theta, SI; None for a parameter that is fitted as a logarithm.
+        lower: Lower bound of the value.
+        upper: Upper bound of the value.
+        along: Name of the curve of which this parameter is one ordinate (empty: none).  Ordinates of one curve follow
+            each other in order; the prior also penalizes their second differences.
+    """
+
+    name: str
+    center: float
+    prior: float
+    scale: float | None = None
+    lower: float = 0.0
+    upper: float = math.inf
+    along: str = ""
+
+    def value(self, theta: Array) -> Array:
+        """Return the parameter's value for theta, clipped to its bounds; same shape as theta."""
+        raw = self.center * np.exp(theta) if self.scale is None else self.center + self.scale * theta
+        return np.clip(raw, self.lower, self.upper)
+
+    def theta(self, value: float) -> float:
+        """Return the theta that gives a value (the inverse of `value` inside the bounds)."""
+        return math.log(value / self.center) if self.scale is None else (value - self.center) / self.scale
+
+    def slope(self, theta: float) -> float:
+        """Return the derivative of the value with respect to theta."""
+        return self.center * math.exp(theta) if self.scale is None else self.scale
+
+
+def values_at(free: Sequence[FreeParameter], theta: Array) -> dict[str, float]:
+    """Return the values of free parameters by full name.
+
+    Args:
+        free: Free parameters.
+        theta: Their coordinates, shape (k,).
+    """
+    return {f.name: float(f.value(t)) for f, t in zip(free, theta, strict=True)}
+
+
+def parameter_table(machine: Machine, free: Sequence[FreeParameter], thetas: Array) -> Array:
+    """Return kernel parameters for a batch of theta.
+
+    Args:
+        machine: Machine that supplies all parameters that are not free.
+        free: Free parameters.
+        thetas: Their coordinates, shape (batch, k).
+
+    Returns:
+        Parameters in the order of `Machine.parameters`, shape (batch, parameters).
+    """
+    names = list(machine.parameters)
+    table = np.tile(np.array(list(machine.parameters.values())), (len(thetas), 1))
+    for j, parameter in enumerate(free):
+        table[:, names.index(parameter.name)] = parameter.value(thetas[:, j])
+    return table
+
+
+def second_difference_penalty(count: int) -> Array:
+    """Return D^T D for the second differences D of a curve's ordinates, shape (count, count)."""
+    second_difference = np.diff(np.eye(count), n=2, axis=0)
+    penalty: Array = second_difference.T @ second_difference
+    return penalty
+
+
+def prior_precision(free: Sequence[FreeParameter]) -> Array:
+    """Return the inverse covariance of the Gaussian prior of theta.
+
+    Each parameter is independent around 0, except that the second differences of curves have unit variance.
+
+    Args:
+        free: Free parameters.
+
+    Returns:
+        Precision, shape (k, k).
+    """
+    precision = np.diag([1.0 / f.prior**2 for f in free])
+    for curve in dict.fromkeys(f.along for f in free if f.along):
+        ordinates = np.array([f.along == curve for f in free])
+        precision[np.ix_(ordinates, ordinates)] += second_difference_penalty(int(ordinates.sum()))
+    return precision
+
+
+def typical_force(machine: Machine) -> float:
+    """Return a tenth of the force of all drives at standstill and rated voltage, N of travel."""
+    total = 0.0
+    for drive in machine.drives:
+        coordinate = machine.coordinate(drive.coordinate)
+        total += drive.gain * drive.rated_voltage / (coordinate.radius if coordinate.kind == "rotary" else 1.0)
+    return 0.1 * total
+
+
+def default_free_parameters(machine: Machine, *, effects: bool = True) -> tuple[FreeParameter, ...]:
+    """Return the parameters that identification refits by default.
+
+    These are masses, friction, belts, the gain of every drive but the first, back-EMF constants and the declared
+    effects.  Voltages determine forces only relative to the first drive's gain, which therefore stays fixed.  Back-EMF
+    acts like viscous friction, so only their sum is identifiable; it may be smaller than the declared back-EMF alone,
+    so both are free.  Friction that is declared as zero may become positive.
+
+    Args:
+        machine: Declared machine.
+        effects: Whether the parameters of its effects are included.
+
+    Returns:
+        Free parameters centered on the declared values.
+    """
+    free = [*_coordinate_parameters(machine)]
+    for belt in machine.belts:
+        free.append(FreeParameter(f"{belt.name}.EA", belt.EA, prior=_BELT_PRIOR))
+        if belt.length:
+            free.append(FreeParameter(f"{belt.name}.rest_length", belt.rest_length, prior=_LENGTH_PRIOR))
+    free += [FreeParameter(f"{drive.name}.Kt", drive.Kt, prior=_MOTOR_PRIOR) for drive in machine.drives[1:]]
+    free += [
+        FreeParameter(f"{drive.name}.Ke", drive.Ke, prior=_MOTOR_PRIOR) for drive in machine.drives if drive.Ke > 0
+    ]
+    if effects:
+        free += _declared_effect_parameters(machine)
+    return tuple(parameter for parameter in free if parameter.name not in machine.ties)
+
+
+def _coordinate_parameters(machine: Machine) -> list[FreeParameter]:
+    """Return mass and friction of every coordinate as free parameters."""
+    force = typical_force(machine)
+    free = []
+    for c in machine.coordinates:
+        radius = c.radius if c.kind == "rotary" else 1.0
+        free.append(FreeParameter(f"{c.name}.mass", c.mass, prior=_MASS_PRIOR))
+        undeclared = {
+            "viscous": _UNDECLARED_VISCOUS * force * radius**2,
+            "coulomb": _UNDECLARED_COULOMB * force * radius,
+        }
+        for key, scale in undeclared.items():
+            value = getattr(c, key)
+            if value > 0:
+                free.append(FreeParameter(f"{c.name}.{key}", value, prior=_FRICTION_PRIOR))
+            else:
+                free.append(FreeParameter(f"{c.name}.{key}", value, prior=1.0, scale=scale))
+    return free
+
+
+def _declared_effect_parameters(machine: Machine) -> list[FreeParameter]:
+    """Return the nonzero parameters of a machine's effects as free parameters."""
+    free = []
+    for effect in machine.effects:
+        for p in effect.definition.parameters:
+            value = effect.parameters[p.name]
+            if p.role == "fixed" or value == 0.0:
+                continue
+            scale = None
+            if p.lower < 0.0:  # the sign is free: linear, not logarithmic
+                scale = 1.0 if p.role == "phase" else abs(value)
+            name = f"{effect.label}.{p.name}"
+            free.append(FreeParameter(name, value, prior=_EFFECT_PRIOR, scale=scale, lower=p.lower, upper=p.upper))
+    return free

@@ -1,0 +1,270 @@
+"""What the sensors of a run measure at rest: the position and the zero of every sensor.
+
+A recording begins at rest; the rows before the first input change measure the position there. Sensors with a fixed zero (lasers)
+determine the position of the tool. The pulleys follow from unstretched belts or from encoders whose zero is known. What a sensor
+measures at rest beyond the reading of that state is its zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import null_space
+
+from ..machine import Machine
+from ..recordings import Recording
+
+Array = NDArray[np.float64]
+_MIN_RUNS_FOR_ZERO = 3  # Runs needed to tell an encoder that keeps its zero from one that was switched on for every run.
+_FALLBACK_WEIGHT = 1e-6  # Weight of an encoder with an unknown zero: used only where no other sensor measures.
+_MIN_STRETCH = 0.1e-3  # rad; zeros that scatter by less show no stretch of the belts.
+
+
+@dataclass(frozen=True)
+class InitialState:
+    """The measured initial state of one run.
+
+    Attributes:
+        state: Positions and velocities at rest, in the coordinates' units, shape (2 * coordinates,).
+        offset: Measurement minus reading of the state, the sensors' zeros, shape (sensors,).
+        resting_rows: Number of rows at rest at the beginning of the run.
+        offset_known: Whether a sensor is an encoder that kept its zero in all runs and measures the stretch of the belts, shape
+            (sensors,).
+        offsets_refined: Whether a fitted machine has corrected the encoders' zeros.
+        position_measured: Whether sensors with a known zero measure the position at rest.
+        warnings: What could not be measured and what is assumed instead, one sentence each.
+    """
+
+    state: Array
+    offset: Array
+    resting_rows: int
+    offset_known: NDArray[np.bool_]
+    offsets_refined: bool = False
+    position_measured: bool = True
+    warnings: tuple[str, ...] = field(default=())
+
+    @property
+    def position(self) -> Array:
+        """Positions at rest, in the coordinates' units, shape (coordinates,)."""
+        return self.state[: len(self.state) // 2]
+
+    @property
+    def rows(self) -> int:
+        """Alias of resting_rows until all packages use the new names."""
+        return self.resting_rows
+
+
+class EncoderZeros(NamedTuple):
+    """Zeros of the encoders that kept them from run to run.
+
+    Attributes:
+        offset: Zero of each sensor in its unit, NaN where it is unknown, shape (sensors,).
+        stretched: Whether the encoder measures that the belts are stretched at rest, shape (sensors,).
+    """
+
+    offset: Array
+    stretched: NDArray[np.bool_]
+
+    @classmethod
+    def unknown(cls, machine: Machine) -> EncoderZeros:
+        """Return zeros that are all unknown."""
+        return cls(np.full(len(machine.sensors), np.nan), np.zeros(len(machine.sensors), np.bool_))
+
+
+def count_resting_rows(recording: Recording) -> int:
+    """Return the number of rows at rest; the row of the first input change still measures the position at rest."""
+    changes = np.flatnonzero(np.any(recording.inputs != recording.inputs[0], axis=1))
+    if np.any(recording.inputs[0]):
+        return 1  # The machine is driven from its first row on; only that row is certainly at rest.
+    return int(changes[0]) + 1 if len(changes) else len(recording.time_s)
+
+
+def settled_rows(resting_rows: int) -> slice:
+    """Return the later half of the resting rows: a vibration from before the recording has decayed there."""
+    return slice(resting_rows // 2, resting_rows)
+
+
+def estimate_initial_state(recording: Recording, machine: Machine, zeros: EncoderZeros | None = None) -> InitialState:
+    """Estimate the state at rest and the sensors' zeros from the measurements of one run.
+
+    Sensors with a fixed zero determine the position where they can, encoders where their zero is known or where nothing else
+    measures. The belts are unstretched unless encoders with a known zero measure their stretch. A sensor with a fixed zero that
+    measures nothing at rest, for example because it saturates, is replaced by its later measurements minus the displacement that
+    the encoders measure.
+
+    Args:
+        recording: The run; saturated measurements are NaN.
+        machine: Machine with the rig's coordinates, belts and sensors.
+        zeros: Zeros of the encoders from all runs together. Default: unknown.
+
+    Returns:
+        Initial state, with warnings where the position is not measured at rest.
+    """
+    count = len(machine.coordinates)
+    rows = count_resting_rows(recording)
+    zeros = zeros or EncoderZeros.unknown(machine)
+    at_rest = recording.outputs[settled_rows(rows)]
+    measured = np.asarray(np.isfinite(at_rest).any(axis=0))
+    measurement = np.array([np.nanmean(at_rest[:, j]) if measured[j] else np.nan for j in range(at_rest.shape[1])])
+    site = [machine.coordinate_names.index(s.coordinate) for s in machine.sensors]
+    fixed = np.array([not s.incremental for s in machine.sensors])
+    known = np.isfinite(zeros.offset)
+    rigid = rigid_motions(machine)
+    seen = machine.sensor_matrix @ rigid  # (sensors, rigid motions)
+    position_measured = _rank(seen[(fixed | known) & measured]) == _rank(seen) or not fixed.any()
+
+    reading = measurement - np.where(known, zeros.offset, 0.0)
+    usable = measured.copy()
+    warnings: tuple[str, ...] = ()
+    if not position_measured:
+        later = _later_measurements(recording, measurement, machine, rigid)
+        replaced = fixed & ~measured & np.isfinite(later)
+        reading[replaced] = later[replaced]
+        usable |= replaced
+        warnings = (_position_warning(recording, machine, fixed & ~measured, replaced),)
+    # An angle is as accurate as a length once it is multiplied by the radius.
+    weight = np.where(fixed | (known & ~zeros.stretched), machine.radii[site], _FALLBACK_WEIGHT)
+    position = np.zeros(count)
+    if usable.any():
+        weighted = weight[usable, None] * seen[usable]
+        position = rigid @ np.linalg.lstsq(weighted, weight[usable] * reading[usable], rcond=1e-12)[0]
+    for j in np.flatnonzero(known & measured & zeros.stretched):
+        position[site[j]] = reading[j] / machine.sensors[j].row[machine.sensors[j].coordinate]
+    offset = np.where(known, zeros.offset, np.where(measured, measurement - machine.sensor_matrix @ position, 0.0))
+    return InitialState(
+        np.concatenate([position, np.zeros(count)]),
+        offset,
+        rows,
+        zeros.stretched,
+        position_measured=position_measured,
+        warnings=warnings,
+    )
+
+
+def rigid_motions(machine: Machine) -> Array:
+    """Return a basis of the displacements that stretch neither belts nor springs, shape (coordinates, motions)."""
+    if not machine.belts:
+        return np.eye(len(machine.coordinates))
+    constraints = [machine.row(b.extension) for b in machine.belts]
+    constraints += [machine.row({name: 1.0}) for name in machine.sprung]
+    return np.asarray(null_space(np.array(constraints)) / machine.radii[:, None])
+
+
+def _rank(rows: Array) -> int:
+    """Return the rank of a matrix; 0 for one without rows."""
+    return int(np.linalg.matrix_rank(rows)) if len(rows) else 0
+
+
+def _later_measurements(recording: Recording, at_rest: Array, machine: Machine, rigid: Array) -> Array:
+    """Return what each sensor would have measured at rest, from its later rows (sensors,); NaN where they do not tell.
+
+    The encoders measure the displacement since then; the median over all rows is insensitive to the stretch of the belts.
+    """
+    unknown = np.full(len(machine.sensors), np.nan)
+    encoders = np.array([s.incremental for s in machine.sensors]) & np.isfinite(at_rest)
+    seen = machine.sensor_matrix @ rigid
+    if _rank(seen[encoders]) < rigid.shape[1]:
+        return unknown
+    turned = recording.outputs[:, encoders] - at_rest[encoders]  # (n, encoders)
+    displacement = turned @ np.linalg.pinv(seen[encoders]).T @ seen.T  # (n, sensors)
+    start = recording.outputs - displacement
+    for j in np.flatnonzero(np.isfinite(start).any(axis=0)):
+        unknown[j] = np.nanmedian(start[:, j])
+    return unknown
+
+
+def _position_warning(
+    recording: Recording, machine: Machine, silent: NDArray[np.bool_], replaced: NDArray[np.bool_]
+) -> str:
+    """Return the sentence that says how an unmeasured position was determined."""
+    channels = np.array(machine.output_channels)
+    if silent.any() and np.array_equal(silent, replaced):
+        return (
+            f"{recording.name}: {', '.join(channels[silent])} measures nothing at rest; the initial position follows from its "
+            "later measurements and the encoders."
+        )
+    return (
+        f"{recording.name}: the initial position cannot be determined, because no sensor with a known zero measures it. The "
+        "encoders are assumed to count from the machine's zero, and positions without any measurement are assumed to be 0."
+    )
+
+
+def common_encoder_zeros(initial: Sequence[InitialState], machine: Machine, quanta: Array) -> EncoderZeros:
+    """Find the encoders that kept their zero in all runs of a session.
+
+    If an encoder's zero differs from run to run by no more than the stretch of the belts that friction can hold, the encoder kept
+    its zero; an encoder that was switched on for every run differs by turns.
+
+    Args:
+        initial: Initial states of the runs, with unknown zeros.
+        machine: Machine as declared.
+        quanta: Quanta of the sensors, in their units, shape (sensors,).
+
+    Returns:
+        Zeros of the encoders that kept them.
+    """
+    zeros = EncoderZeros.unknown(machine)
+    if not machine.belts or len(initial) < _MIN_RUNS_FOR_ZERO:
+        return zeros
+    positioned = [state.offset for state in initial if state.position_measured]
+    offsets = np.array(positioned if len(positioned) >= _MIN_RUNS_FOR_ZERO else [state.offset for state in initial])
+    median = np.median(offsets, axis=0)
+    spread = 1.4826 * np.median(np.abs(offsets - median), axis=0)
+    friction = sum(c.coulomb / (c.radius if c.kind == "rotary" else 1.0) for c in machine.coordinates)
+    for j, sensor in enumerate(machine.sensors):
+        c = machine.coordinate(sensor.coordinate)
+        held = 2 * friction / _mean_stiffness(machine) / c.radius
+        if sensor.incremental and c.kind == "rotary" and spread[j] < max(held, 2 * quanta[j]):
+            zeros.offset[j] = median[j]
+            zeros.stretched[j] = spread[j] > max(quanta[j], _MIN_STRETCH)
+    return zeros
+
+
+def _mean_stiffness(machine: Machine) -> float:
+    """Return the mean stiffness of the belts at zero travel, N/m."""
+    return float(np.mean([b.EA / b.rest_length for b in machine.belts]))
+
+
+def sensor_zero_error(error: Array, measured: NDArray[np.bool_], resting_rows: int, max_mean: Array) -> Array:
+    """Return the part of a prediction error that the sensors' zeros explain.
+
+    It is the mean over the settled resting rows, because a sensor counts from where it was switched on. Those rows determine the
+    zero of a quantized channel only to within its quantum, so up to half a quantum of the mean over the whole run is added; not
+    more, because in one-step prediction a constant force causes such a mean. An encoder behind belts loses its whole mean: friction
+    holds an unknown stretch of the belts at rest.
+
+    Args:
+        error: Measured minus predicted, 0 where not measured, shape (batch, n, sensors).
+        measured: Whether a value was measured, shape (n, sensors).
+        resting_rows: Number of rows at rest at the beginning of the run.
+        max_mean: Largest part of the run's mean that may be added, shape (sensors,).
+
+    Returns:
+        Zero errors, shape (batch, 1, sensors).
+    """
+    rest = settled_rows(resting_rows)
+    count = measured.sum(axis=0)
+    at_rest = error[:, rest].sum(axis=1) / np.maximum(measured[rest].sum(axis=0), 1)
+    mean = (error.sum(axis=1) - at_rest * count) / np.maximum(count, 1)
+    return np.asarray((at_rest + np.clip(mean, -max_mean, max_mean))[:, None, :])
+
+
+def max_zero_means(machine: Machine, quanta: Array) -> Array:
+    """Return the part of a run's mean error that each sensor's zero may explain: half a quantum, anything behind belts."""
+    return np.where(behind_belts(machine), np.inf, quanta / 2)
+
+
+def behind_belts(machine: Machine) -> NDArray[np.bool_]:
+    """Return which sensors are encoders on pulleys, with elastic belts between them and the tool, shape (sensors,)."""
+    pulleys = [s.incremental and machine.coordinate(s.coordinate).kind == "rotary" for s in machine.sensors]
+    return np.array(pulleys) & bool(machine.belts)
+
+
+# Aliases until all packages use the new names.
+resting_rows = count_resting_rows
+settled = settled_rows
+Zeros = EncoderZeros

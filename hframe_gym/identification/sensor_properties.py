@@ -1,0 +1,224 @@
+"""Properties of the sensors that follow from the recordings alone: quantum, noise and the ends of their range.
+
+A sensor saturates where many measurements lie together at the outermost value while the encoders show that the machine moves.
+Those rows carry no position: they are kept out of the fit, and the effect ``sensor_range`` goes into the machine.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..effects import EFFECTS
+from ..machine import AppliedEffect, Machine
+from ..recordings import Recording
+from .criteria import SelectionCriteria
+
+Array = NDArray[np.float64]
+Range = tuple[float, float]
+
+UNLIMITED = 10.0  # An end of a range that was never reached is set to this multiple of the largest measurement.
+_MIN_STEPS = 10  # Fewer changes of a channel do not show a quantum.
+_MIN_RESTING_ROWS = 30  # Fewer resting rows of all runs together do not give a standard deviation.
+
+
+def quantum_of(values: Array) -> float:
+    """Return the quantum of one channel of one run.
+
+    The quantum is the smallest change of which nearly all changes are multiples.
+
+    Args:
+        values: Measurements, shape (n,), NaN where not measured.
+
+    Returns:
+        Quantum in the unit of the values; 0 where the channel shows none.
+    """
+    steps = np.abs(np.diff(values[np.isfinite(values)]))
+    steps = steps[steps > 0]
+    if len(steps) < _MIN_STEPS:
+        return 0.0
+    smallest = float(np.percentile(steps, 2))
+    deviation = np.abs(steps / smallest - np.rint(steps / smallest))
+    return smallest if np.mean(deviation < 0.1) > 0.95 else 0.0
+
+
+def sensor_quantum(channel: Sequence[Array], resolution: float) -> float:
+    """Return the quantum of a sensor, the median over the runs that show one.
+
+    A run in which the sensor hardly moves shows no quantum and does not count.
+
+    Args:
+        channel: Measurements of the sensor by run, each of shape (n,), NaN where not measured.
+        resolution: Declared resolution, used where no run shows a quantum.
+
+    Returns:
+        Quantum in the sensor's unit; 0 where there is none.
+    """
+    quanta = [quantum for quantum in map(quantum_of, channel) if quantum > 0.0]
+    return float(np.median(quanta)) if quanta else resolution
+
+
+def sensor_noise(channel: Sequence[Array], resting_rows: Sequence[int], quantum: float, declared: float) -> float:
+    """Return the standard deviation of a sensor's noise.
+
+    It is estimated from the resting rows. Where there are too few, the declared value is used, and third differences of the
+    measurements where none is declared. It is at least the standard deviation of the rounding error.
+
+    Args:
+        channel: Measurements of the sensor by run, each of shape (n,), NaN where not measured.
+        resting_rows: Number of rows at rest at the beginning of each run.
+        quantum: Quantum of the sensor, in its unit.
+        declared: Declared standard deviation, in the sensor's unit; 0 where none is declared.
+
+    Returns:
+        Standard deviation in the sensor's unit.
+    """
+    squares, rows = 0.0, 0
+    for values, count in zip(channel, resting_rows, strict=True):
+        at_rest = values[:count]
+        at_rest = at_rest[np.isfinite(at_rest)]
+        if len(at_rest) >= 10:
+            # A parabola is subtracted, because a stage that still creeps to rest is not noise.
+            grid = np.linspace(-1.0, 1.0, len(at_rest))
+            parabola = np.polynomial.polynomial.polyfit(grid, at_rest, 2)
+            squares += float(np.sum((at_rest - np.polynomial.polynomial.polyval(grid, parabola)) ** 2))
+            rows += len(at_rest) - 3
+    rounding = quantum / np.sqrt(12)
+    if rows >= _MIN_RESTING_ROWS:
+        return max(float(np.sqrt(squares / rows)), rounding) or declared or _difference_noise(channel)
+    return max(rounding, declared or _difference_noise(channel))
+
+
+def _difference_noise(channel: Sequence[Array]) -> float:
+    """Return the noise that third differences show; smooth motion has hardly any (von Neumann 1941)."""
+    differences = np.concatenate([np.diff(values, n=3) for values in channel])
+    differences = differences[np.isfinite(differences)]
+    if len(differences) == 0:
+        return 1.0
+    return max(1.4826 * float(np.median(np.abs(differences))) / np.sqrt(20.0), 1e-12)
+
+
+def saturation_ranges(
+    recordings: Sequence[Recording], machine: Machine, noise: Array, criteria: SelectionCriteria
+) -> dict[str, Range]:
+    """Find the sensors that saturate, from the measurements alone.
+
+    Args:
+        recordings: All runs of the rig.
+        machine: Machine as declared.
+        noise: Standard deviations of the sensors' noise, shape (sensors,).
+        criteria: Decision thresholds.
+
+    Returns:
+        Lower and upper end of the range by channel, in the sensor's unit, for the sensors that saturate. An end that was never
+        reached lies far away.
+    """
+    ranges: dict[str, Range] = {}
+    travel = [_positions_from_encoders(r, machine) for r in recordings]
+    for j, sensor in enumerate(machine.sensors):
+        if sensor.incremental:
+            continue
+        i = machine.coordinate_names.index(sensor.coordinate)
+        channel = [r.outputs[:, j] for r in recordings]
+        motion = [positions[:, i] for positions in travel]
+        ends = [_end(channel, motion, float(noise[j]), sign, 1.0, criteria) for sign in (-1.0, 1.0)]
+        if any(end is not None for end in ends):
+            factor = criteria.second_end_factor
+            ends = [_end(channel, motion, float(noise[j]), sign, factor, criteria) for sign in (-1.0, 1.0)]
+            far = UNLIMITED * max(float(np.nanmax(np.abs(values), initial=0.0)) for values in channel)
+            low, high = (sign * far if end is None else end for sign, end in zip((-1.0, 1.0), ends, strict=True))
+            ranges[sensor.channel] = (low, high)
+    return ranges
+
+
+def _positions_from_encoders(recording: Recording, machine: Machine) -> Array:
+    """Return displacements (n, coordinates) since the first row that the incremental sensors measure, belts unstretched."""
+    encoders = [j for j, sensor in enumerate(machine.sensors) if sensor.incremental]
+    count = len(machine.coordinates)
+    if not encoders or not machine.belts:
+        return np.full((len(recording.time_s), count), np.nan)
+    extension = np.array([machine.row(b.extension) for b in machine.belts]) * machine.radii
+    rows = np.vstack([machine.sensor_matrix[encoders], extension])
+    angles = recording.outputs[:, encoders] - recording.outputs[0, encoders]
+    measured = np.hstack([angles, np.zeros((len(angles), len(extension)))])
+    return np.asarray(np.linalg.lstsq(rows, measured.T, rcond=None)[0].T)
+
+
+def _end(
+    channel: Sequence[Array],
+    motion: Sequence[Array],
+    noise: float,
+    sign: float,
+    factor: float,
+    criteria: SelectionCriteria,
+) -> float | None:
+    """Return where a sensor saturates on one side, or None; `factor` scales the thresholds.
+
+    Args:
+        channel: Measurements of the sensor by run, each of shape (n,).
+        motion: Positions of its coordinate by the encoders, by run, each of shape (n,).
+        noise: Standard deviation of the sensor's noise.
+        sign: 1 for the upper end, -1 for the lower end.
+        factor: Factor on the thresholds for the fraction of rows and for the distance.
+        criteria: Decision thresholds.
+    """
+    outward = sign * np.concatenate(channel)
+    if not np.isfinite(outward).any():
+        return None
+    outermost = outward > float(np.nanmax(outward)) - criteria.saturation_band * noise
+    if outermost.mean() < factor * criteria.min_saturated_fraction:
+        return None
+    distance, first = 0.0, 0
+    for positions in motion:
+        saturated = positions[outermost[first : first + len(positions)]]
+        first += len(positions)
+        if len(saturated) and np.isfinite(saturated).all():
+            distance = max(distance, float(np.ptp(saturated)))
+    if distance < factor * criteria.min_saturated_travel * noise:
+        return None
+    return sign * float(np.median(outward[outermost]))
+
+
+def blank_saturated(
+    recording: Recording, ranges: Mapping[str, Range], machine: Machine, noise: Array, criteria: SelectionCriteria
+) -> Recording:
+    """Return the recording with the measurements at the ends of a range set to NaN.
+
+    Args:
+        recording: One run.
+        ranges: Lower and upper end by channel, in the sensor's unit.
+        machine: Machine that the recording belongs to.
+        noise: Standard deviations of the sensors' noise, shape (sensors,).
+        criteria: Decision thresholds.
+
+    Returns:
+        A copy; the recording itself is not changed.
+    """
+    outputs = recording.outputs.copy()
+    for channel, (low, high) in ranges.items():
+        j = machine.output_channels.index(channel)
+        margin = criteria.saturation_band / 2 * noise[j]
+        outputs[(outputs[:, j] > high - margin) | (outputs[:, j] < low + margin), j] = np.nan
+    return dataclasses.replace(recording, outputs=outputs)
+
+
+def range_effects(ranges: Mapping[str, Range], selected: Sequence[AppliedEffect] = ()) -> tuple[AppliedEffect, ...]:
+    """Return the effects ``sensor_range`` of saturated sensors.
+
+    Args:
+        ranges: Lower and upper end by channel, in the sensor's unit.
+        selected: Effects that the fit selected. Where one of them limits the same sensor, the nearer ends are used.
+
+    Returns:
+        One effect per channel.
+    """
+    effects = []
+    for channel, (low, high) in ranges.items():
+        for e in selected:
+            if e.label == f"sensor_range@{channel}":
+                low, high = max(low, e.parameters["low"]), min(high, e.parameters["high"])
+        effects.append(EFFECTS["sensor_range"].at(channel, low=low, high=high))
+    return tuple(effects)

@@ -1,0 +1,109 @@
+"""Schema of machine.json: which fields there are and which types they have."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+
+from ..machine import CoordinateKind
+
+SCHEMA_VERSION = 1
+
+
+class Table(BaseModel):
+    """Base of all objects in the file: unknown fields and implicit conversions are errors."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
+
+
+class QuantityEntry(Table):
+    """A value with its unit and, if it was identified, its standard deviation."""
+
+    value: FiniteFloat
+    unit: str
+    std: FiniteFloat | None = None
+
+
+class CoordinateEntry(Table):
+    """One coordinate; `radius` for rotary ones only, `range` in the unit of its position."""
+
+    name: Name
+    kind: CoordinateKind
+    mass: QuantityEntry
+    viscous: QuantityEntry
+    coulomb: QuantityEntry
+    radius: QuantityEntry | None = None
+    range: tuple[FiniteFloat, FiniteFloat] | None = None
+
+
+class BeltEntry(Table):
+    """One belt section with its rows of coefficients by coordinate."""
+
+    name: Name
+    EA: QuantityEntry
+    rest_length: QuantityEntry
+    extension: dict[str, FiniteFloat]
+    length: dict[str, FiniteFloat] = {}
+
+
+class DriveEntry(Table):
+    """One drive; `current_limit` and `delay` declare the effects current_limit and input_delay."""
+
+    name: Name
+    channel: str
+    coordinate: str
+    Kt: QuantityEntry
+    Ke: QuantityEntry
+    resistance: QuantityEntry
+    gear_ratio: QuantityEntry
+    rated_voltage: QuantityEntry
+    converter_bits: Annotated[int, Field(ge=0, le=32)] = 0
+    voltage_range: QuantityEntry | None = None
+    current_limit: QuantityEntry | None = None
+    delay: QuantityEntry | None = None
+
+
+class SensorEntry(Table):
+    """One sensor; `range` and `delay` declare the effects sensor_range and sensor_delay."""
+
+    channel: str
+    kind: str | None = None
+    row: dict[str, FiniteFloat]
+    noise: QuantityEntry
+    resolution: QuantityEntry
+    range: tuple[FiniteFloat, FiniteFloat] | None = None
+    delay: QuantityEntry | None = None
+
+
+class EffectEntry(Table):
+    """One effect at its site."""
+
+    name: str
+    site: str
+    parameters: dict[str, QuantityEntry]
+
+
+class UncertaintyEntry(Table):
+    """Covariance matrix of the identified parameters."""
+
+    names: list[str]
+    covariance: list[list[FiniteFloat]]
+
+
+class MachineFile(Table):
+    """The content of a machine.json."""
+
+    schema_: Literal[1] = Field(alias="schema")
+    name: str
+    description: str = ""
+    coordinates: list[CoordinateEntry] = Field(min_length=1)
+    belts: list[BeltEntry] = []
+    drives: list[DriveEntry] = Field(min_length=1)
+    sensors: list[SensorEntry] = Field(min_length=1)
+    effects: list[EffectEntry] = []
+    ties: dict[str, tuple[str, FiniteFloat]] = {}
+    uncertainty: UncertaintyEntry | None = None

@@ -1,0 +1,14 @@
+"""Fixtures of the tests of data validation."""
+
+from __future__ import annotations
+
+import pytest
+
+from hframe_gym.recordings import Recording
+from tests.data_validation.planted_mistakes import good_runs
+
+
+@pytest.fixture
+def runs() -> list[Recording]:
+    """Return eight good recordings of the H-frame."""
+    return list(good_runs())

@@ -1,0 +1,56 @@
+"""Good recordings, and functions that plant mistakes in them."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hframe_gym.data_validation import Finding
+from hframe_gym.machine import BUILTIN_MACHINES, Machine
+from hframe_gym.recordings import Recording, load_recordings
+
+Array = NDArray[np.float64]
+EXAMPLES = Path(__file__).parents[2] / "examples"
+PHI1, PHI2, X, Y = range(4)  # columns of the outputs
+
+
+@lru_cache(maxsize=1)
+def good_runs() -> tuple[Recording, ...]:
+    """Return the recordings of examples/rig_b; recordings are frozen, and no test writes into their arrays."""
+    return tuple(load_recordings(EXAMPLES / "rig_b", BUILTIN_MACHINES["hframe"]()))
+
+
+def faults(findings: list[Finding]) -> list[str]:
+    """Return the faults as lines."""
+    return [str(finding) for finding in findings if finding.severity == "fault"]
+
+
+def with_change(runs: list[Recording], change: Callable[[Array, Array], tuple[Array, Array]]) -> list[Recording]:
+    """Return the runs with inputs and outputs passed through a function."""
+    parts = [change(run.inputs.copy(), run.outputs.copy()) for run in runs]
+    return [dataclasses.replace(run, inputs=u, outputs=y) for run, (u, y) in zip(runs, parts, strict=True)]
+
+
+def with_column(runs: list[Recording], column: int, change: Callable[[Array], Array]) -> list[Recording]:
+    """Return the runs with one column of the outputs passed through a function."""
+
+    def change_column(u: Array, y: Array) -> tuple[Array, Array]:
+        y[:, column] = change(y[:, column])
+        return u, y
+
+    return with_change(runs, change_column)
+
+
+def measure(machine: Machine, outputs: Array, seed: int = 0) -> Array:
+    """Return ideal outputs (n, sensors) with the declared noise and resolution."""
+    normal = np.random.default_rng(seed).standard_normal(outputs.shape)
+    measured = outputs + normal * [s.noise for s in machine.sensors]
+    for j, sensor in enumerate(machine.sensors):
+        if sensor.resolution:
+            measured[:, j] = np.rint(measured[:, j] / sensor.resolution) * sensor.resolution
+    return measured

@@ -1,0 +1,108 @@
+"""Clock and sensors of recordings: planted faults are reported, and good recordings have none."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from hframe_gym.data_validation import check_recordings, recording_warnings
+from hframe_gym.machine import Machine
+from hframe_gym.recordings import Recording
+from tests.data_validation.planted_mistakes import PHI1, X, Y, faults, measure, with_column
+
+
+def test_good_recordings_have_no_fault(runs: list[Recording], hframe: Machine) -> None:
+    findings = check_recordings(runs, hframe)
+    assert faults(findings) == []
+    assert any("8 runs, 19.99 s in total, sampled at 1000 Hz" in f.message for f in findings)
+    assert all(recording_warnings(run, hframe) == [] for run in runs)
+
+
+def test_a_laser_that_keeps_its_value_is_stuck(runs: list[Recording], hframe: Machine) -> None:
+    def stick(y: np.ndarray) -> np.ndarray:
+        y[900:1800] = y[900]
+        return y
+
+    stuck = with_column(runs[1:2], X, stick)[0]
+    [line] = faults(check_recordings([stuck, *runs[2:]], hframe))
+    assert "run_02, x_m: for 0.899 s, while other channels move, it does not move: stuck?" in line
+    assert "stuck" in str(recording_warnings(stuck, hframe)[0])
+
+
+def test_an_encoder_that_keeps_its_value_is_stuck(runs: list[Recording], hframe: Machine) -> None:
+    def stick(y: np.ndarray) -> np.ndarray:
+        y[900:1800] = y[900]
+        return y
+
+    [warning] = recording_warnings(with_column(runs[1:2], PHI1, stick)[0], hframe)
+    assert warning.channel == "phi1_rad"
+    assert "stuck?" in warning.message
+
+
+@pytest.mark.parametrize("lasers", [True, False])
+@pytest.mark.parametrize("coulomb", [0.3, 1.0])
+def test_an_encoder_whose_motor_is_held_by_friction_is_not_stuck(lasers: bool, coulomb: float, hframe: Machine) -> None:
+    """Drive motor 2 alone: the carriage moves diagonally, belts stretch, and motor 1 rests within its friction."""
+    machine = hframe.replace({"phi1.coulomb": coulomb, "phi2.coulomb": coulomb})
+    time = np.arange(3000) * 1e-3
+    volts = (10.0 if coulomb > 0.5 else 4.0) * np.sign(np.sin(2 * np.pi * (time - 0.2))) * (time > 0.2)
+    inputs = np.column_stack([np.zeros(3000), volts])
+    outputs = measure(machine, machine.simulate(time, inputs).outputs)
+    assert np.ptp(outputs[:, 0]) < 0.03  # rad
+    assert np.ptp(outputs[:, 1]) > 5.0
+    if not lasers:
+        outputs[:, [X, Y]] = np.nan
+    assert faults(recording_warnings(Recording("diagonal", time, inputs, outputs), machine)) == []
+
+
+def test_a_laser_at_the_end_of_its_range_is_clipped(runs: list[Recording], hframe: Machine) -> None:
+    clipped = with_column(runs[1:2], X, lambda y: np.minimum(y, np.quantile(y, 0.7)))
+    assert "clipped?" in str(recording_warnings(clipped[0], hframe)[0])
+
+
+def test_dropped_samples_and_jitter_are_reported(runs: list[Recording], hframe: Machine) -> None:
+    run = runs[0]
+    keep = np.ones(len(run.time_s), bool)
+    keep[[500, 900, 901]] = False
+    [warning] = recording_warnings(Recording("r", run.time_s[keep], run.inputs[keep], run.outputs[keep]), hframe)
+    assert warning.channel == "time_s"
+    assert "2 gaps (3 ms in total" in warning.message
+    jitter = np.random.default_rng(0).uniform(-1e-4, 1e-4, len(run.time_s))
+    [warning] = recording_warnings(dataclasses.replace(run, time_s=run.time_s + jitter), hframe)
+    assert warning.message == "sampling is irregular, 0.9964 ms with a jitter of 0.085 ms"
+
+
+def test_an_output_that_was_not_measured_is_advice_and_no_fault(runs: list[Recording], hframe: Machine) -> None:
+    findings = check_recordings(with_column(runs, Y, lambda y: np.full_like(y, np.nan)), hframe)
+    assert faults(findings) == []
+    assert sum(f.channel == "y_m" and "was not measured" in f.message for f in findings) == len(runs)
+
+
+def test_a_run_in_which_nothing_moves_is_advice(runs: list[Recording], hframe: Machine) -> None:
+    resting = dataclasses.replace(runs[0], name="still", inputs=0 * runs[0].inputs, outputs=0 * runs[0].outputs)
+    [line] = [f for f in check_recordings([*runs, resting], hframe) if "nothing moves" in f.message]
+    assert line.run == "still"
+
+
+def test_the_quantum_of_an_encoder_is_not_lost_among_resting_runs(runs: list[Recording], hframe: Machine) -> None:
+    quantum = 2e-3  # rad, four times the declared one
+    coarse = with_column(runs[:2], PHI1, lambda y: np.rint(y / quantum) * quantum)
+    still = dataclasses.replace(runs[0], inputs=0 * runs[0].inputs, outputs=0 * runs[0].outputs)
+    resting = [dataclasses.replace(still, name=f"still_{i}") for i in range(3)]
+    findings = check_recordings([*coarse, *resting], hframe)
+    [line] = [f.message for f in findings if f.channel == "phi1_rad" and f.message.startswith("noise")]
+    assert "steps of 0.002 rad (declared" in line
+
+
+def test_a_run_that_does_not_begin_at_rest_is_advice(hframe: Machine) -> None:
+    time = np.arange(1000) * 1e-3
+    inputs = np.full((1000, 2), -3.0)
+    findings = check_recordings([Recording("push", time, inputs, hframe.simulate(time, inputs).outputs)], hframe)
+    assert any(f.run == "push" and "at rest before the first input" in f.message for f in findings)
+
+
+def test_runs_whose_clock_restarts_are_noted(runs: list[Recording], hframe: Machine) -> None:
+    restarted = [dataclasses.replace(run, time_s=run.time_s - run.time_s[0]) for run in runs]
+    assert any("the clock restarts" in f.message for f in check_recordings(restarted, hframe))

@@ -1,0 +1,66 @@
+"""Wiring: planted swaps, signs, units and radii are named."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hframe_gym.data_validation import check_recordings
+from hframe_gym.machine import BUILTIN_MACHINES, Machine
+from hframe_gym.recordings import Recording
+from tests.data_validation.planted_mistakes import PHI1, PHI2, Array, X, Y, faults, with_change, with_column
+
+
+@pytest.mark.parametrize("column", [PHI1, PHI2, X, Y])
+def test_a_channel_that_counts_backwards_is_named(column: int, runs: list[Recording], hframe: Machine) -> None:
+    lines = faults(check_recordings(with_column(runs, column, lambda y: -y), hframe))
+    assert lines == [f"fault: {hframe.output_channels[column]} has the wrong sign"]
+
+
+@pytest.mark.parametrize(("pair", "names"), [((PHI1, PHI2), "phi1_rad and phi2_rad"), ((X, Y), "x_m and y_m")])
+def test_swapped_outputs_are_named(pair: tuple[int, int], names: str, runs: list[Recording], hframe: Machine) -> None:
+    def swap(u: Array, y: Array) -> tuple[Array, Array]:
+        y[:, list(pair)] = y[:, list(reversed(pair))]
+        return u, y
+
+    assert f"fault: {names} are swapped" in faults(check_recordings(with_change(runs, swap), hframe))
+
+
+def test_a_motor_with_the_wrong_sign_and_swapped_motors_are_named(runs: list[Recording], hframe: Machine) -> None:
+    negated = with_change(runs, lambda u, y: (u * [1.0, -1.0], y))
+    assert faults(check_recordings(negated, hframe)) == ["fault: v2_V has the wrong sign"]
+    swapped = with_change(runs, lambda u, y: (u[:, ::-1], y))
+    assert faults(check_recordings(swapped, hframe)) == ["fault: v1_V and v2_V are swapped"]
+
+
+def test_on_a_single_axis_the_sign_of_sensor_and_motor_cannot_be_distinguished() -> None:
+    axis = BUILTIN_MACHINES["axis"]()
+    time = np.arange(2000) * 1e-3
+    inputs = np.where(time > 0.1, 4 * np.sign(np.sin(9 * time)), 0.0)[:, None]
+    outputs = axis.simulate(time, inputs).outputs
+    assert faults(check_recordings([Recording("r", time, inputs, outputs)], axis)) == []
+    lines = faults(check_recordings([Recording("r", time, inputs, -outputs)], axis))
+    assert lines == ["fault: x_m has the wrong sign or v_V has the wrong sign"]
+
+
+@pytest.mark.parametrize(("column", "factor", "unit"), [(Y, 1000.0, "millimeters"), (PHI1, 57.2958, "degrees")])
+def test_a_wrong_unit_is_named(column: int, factor: float, unit: str, runs: list[Recording], hframe: Machine) -> None:
+    lines = faults(check_recordings(with_column(runs, column, lambda y: factor * y), hframe))
+    assert any(hframe.output_channels[column] in line and unit in line for line in lines)
+
+
+@pytest.mark.parametrize("factor", [20.0, 40.0, 57.3, 1000.0])
+def test_degrees_are_never_suspected_in_a_column_in_meters(
+    factor: float, runs: list[Recording], hframe: Machine
+) -> None:
+    lines = faults(check_recordings(with_column(runs, Y, lambda y: factor * y), hframe))
+    assert any("y_m: moves" in line for line in lines)
+    assert not any("degrees" in line for line in lines)
+
+
+def test_a_pulley_of_another_radius_is_measured(runs: list[Recording], hframe: Machine) -> None:
+    larger = with_change(runs, lambda u, y: (u, y / [1.05, 1.05, 1.0, 1.0]))
+    findings = [f for f in check_recordings(larger, hframe) if f.severity == "fault"]
+    assert [f.channel for f in findings] == ["phi1_rad", "phi2_rad"]
+    radii = [float(f.message.split("a radius of ")[1].split(" m")[0]) for f in findings]
+    np.testing.assert_allclose(radii, 1.05 * 0.0194, rtol=3e-3)

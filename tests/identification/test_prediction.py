@@ -1,0 +1,115 @@
+"""Tests of prediction: observer gains, residuals in units of the noise, sensor offsets and blocks of rows."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from hframe_gym.identification import Dataset, prepare
+from hframe_gym.identification.prediction import (
+    has_feedback,
+    map_runs,
+    observer_gains,
+    predict,
+    residuals,
+    sensor_offsets,
+)
+from hframe_gym.machine import BUILTIN_MACHINES, Machine
+from hframe_gym.recordings import Recording
+
+pytestmark = pytest.mark.unit
+
+
+@pytest.fixture
+def axis() -> Machine:
+    """Return the built-in axis."""
+    return BUILTIN_MACHINES["axis"]()
+
+
+def recorded(machine: Machine, name: str = "run", rows: int = 600) -> Recording:
+    """Return a noise-free recording of a machine: at rest for 100 ms, then a voltage step."""
+    time_s = np.arange(rows) * 1e-3
+    inputs = np.where(time_s[:, None] > 0.1, 1.0, 0.0) * np.ones(len(machine.drives))
+    return Recording(name, time_s, inputs, machine.simulate(time_s, inputs).outputs)
+
+
+@pytest.fixture
+def data(axis: Machine) -> Dataset:
+    """Return a data set of one noise-free run of the axis, with noise of 1 um for its weights."""
+    return dataclasses.replace(prepare([recorded(axis)], axis), noise=np.array([1e-6]), quantum=np.array([0.0]))
+
+
+def test_observer_is_critically_damped(axis: Machine) -> None:
+    """The error of a free mass decays by 6 % per sample (60 rad/s at 1 kHz), up to the discretization."""
+    period = 1e-3
+    position_gain, velocity_gain = observer_gains(axis, period)[:, 0]
+    transition = np.array([[1.0, period], [0.0, 1.0]]) @ (np.eye(2) - [[position_gain, 0.0], [velocity_gain, 0.0]])
+    np.testing.assert_allclose(np.abs(np.linalg.eigvals(transition)), 0.94, atol=0.02)
+
+
+@pytest.mark.parametrize("mode", ["one_step", "simulation"])
+def test_the_true_machine_leaves_no_residual(axis: Machine, data: Dataset, mode: str) -> None:
+    motion = predict(axis, data.runs[0], mode, period=data.period, longest_step=0.125e-3)  # type: ignore[arg-type]
+    assert np.abs(residuals(data.runs[0], data, motion.readings)).max() < 0.5
+
+
+def test_one_step_prediction_keeps_the_error_of_a_wrong_model_small(axis: Machine, data: Dataset) -> None:
+    wrong = axis.replace({"x.mass": 1.2 * axis.parameters["x.mass"]})
+    errors = [
+        np.abs(residuals(data.runs[0], data, predict(wrong, data.runs[0], mode, period=data.period).readings)).max()
+        for mode in ("one_step", "simulation")
+    ]
+    assert errors[0] < 0.05 * errors[1]
+
+
+def test_extra_measurement_is_added_to_the_prediction(axis: Machine, data: Dataset) -> None:
+    run = data.runs[0]
+    plain = predict(axis, run, "simulation", period=data.period).readings
+    extra = np.full((2, *run.outputs.shape), 1e-3) * np.array([1.0, 2.0])[:, None, None]
+    shifted = predict(axis, run, "simulation", period=data.period, extra_measurement=extra).readings
+    np.testing.assert_allclose(shifted - plain, extra, atol=1e-15)
+
+
+def test_offset_is_the_mean_at_rest_and_at_most_half_a_quantum_of_the_rest(axis: Machine, data: Dataset) -> None:
+    run = data.runs[0]
+    measured = np.ones((len(run.time_s), 1), bool)
+    error = np.full((1, len(run.time_s), 1), 3e-3)
+    np.testing.assert_allclose(sensor_offsets(run, data, error, measured), 3e-3)
+    error[:, run.rest :] += 1e-3
+    np.testing.assert_allclose(sensor_offsets(run, data, error, measured), 3e-3)
+    quantized = dataclasses.replace(data, quantum=np.array([0.4e-3]))
+    np.testing.assert_allclose(sensor_offsets(run, quantized, error, measured), 3.2e-3)
+
+
+def test_values_that_were_not_measured_leave_no_residual(axis: Machine, data: Dataset) -> None:
+    outputs = data.runs[0].outputs.copy()
+    outputs[300:310] = np.nan
+    run = dataclasses.replace(data.runs[0], outputs=outputs)
+    prediction = np.zeros((1, *outputs.shape))
+    error = residuals(run, data, prediction)[0]
+    assert np.all(np.isfinite(error))
+    assert not error[300:310].any()
+    assert error[320:].any()
+
+
+def test_blocks_keep_the_size_of_slow_residuals_and_of_white_noise(data: Dataset) -> None:
+    run = data.runs[0]
+    slow = np.sin(2 * np.pi * run.time_s / 0.6)[None, :, None] * 1e-5
+    slow[:, : run.rest] = 0.0
+    full, blocks = (residuals(run, data, run.outputs + slow, rows) for rows in (1, 4))
+    assert blocks.shape == (1, full.shape[1] // 4)
+    assert np.sum(blocks**2) == pytest.approx(np.sum(full**2), rel=0.01)
+    noise = np.random.default_rng(0).normal(0.0, 1e-6, (1, *run.outputs.shape))
+    assert np.std(residuals(run, data, run.outputs + noise, 4)) == pytest.approx(1.0, abs=0.2)
+
+
+def test_results_of_runs_keep_their_order(axis: Machine) -> None:
+    data = prepare([recorded(axis, name, rows) for name, rows in (("long", 900), ("short", 300))], axis)
+    assert list(map_runs(lambda run: run.name, data)) == ["long", "short"]
+
+
+def test_only_one_step_prediction_has_feedback() -> None:
+    assert has_feedback("one_step")
+    assert not has_feedback("simulation")

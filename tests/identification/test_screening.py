@@ -1,0 +1,89 @@
+"""Tests of screening: it ranks the effect that is missing first and predicts what a fit would save."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from hframe_gym.effects import EFFECTS
+from hframe_gym.identification import Dataset, Fit, default_free_parameters, fit, prepare, screen
+from hframe_gym.identification.candidates import Candidate
+from hframe_gym.identification.screening import has_no_small_version
+from hframe_gym.machine import BUILTIN_MACHINES, Machine
+from hframe_gym.recordings import Recording
+
+pytestmark = pytest.mark.unit
+NOISE = 20e-6
+
+
+def recorded(machine: Machine) -> Recording:
+    """Return a noisy recording of an axis that moves back and forth."""
+    time_s = np.arange(2000) * 1e-3
+    inputs = np.where(time_s > 0.1, 1.5 * np.sin(9 * time_s) + 0.7 * np.sin(31 * time_s), 0.0)[:, None]
+    noise = np.random.default_rng(0).normal(0.0, NOISE, (2000, 1))
+    return Recording("run", time_s, inputs, machine.simulate(time_s, inputs).outputs + noise)
+
+
+def candidate(name: str, site: str, **column: float) -> Candidate:
+    """Return a candidate with one column."""
+    return Candidate(EFFECTS[name], site, (column,), {})
+
+
+CANDIDATES = [
+    candidate("constant_force", "x", size=0.1),
+    candidate("asymmetric_viscous", "x", a=0.1),
+    candidate("cable_spring", "x", k=10.0, q0=0.0),
+]
+
+
+@pytest.fixture
+def axis() -> Machine:
+    """Return the built-in axis."""
+    return BUILTIN_MACHINES["axis"]()
+
+
+def fit_without_effect(axis: Machine, effect_size: float) -> tuple[Fit, Dataset]:
+    """Return a fit of the axis to a recording of the same axis with a constant force, N."""
+    data = prepare([recorded(axis.with_effects(EFFECTS["constant_force"].at("x", size=effect_size)))], axis)
+    return fit(axis, default_free_parameters(axis), data, "one_step"), data
+
+
+def test_missing_effect_ranks_first_with_its_size(axis: Machine) -> None:
+    fitted, data = fit_without_effect(axis, 0.3)
+    best = screen(fitted, CANDIDATES, data)[0]
+    assert best.candidate.label == "constant_force@x"
+    assert best.candidate.applied(best.amounts).parameters["size"] == pytest.approx(0.3, rel=0.1)
+    machine = fitted.machine.with_effects(best.candidate.applied(best.amounts))
+    with_effect = fit(machine, default_free_parameters(machine), data, "one_step")
+    assert best.gain == pytest.approx(fitted.cost - with_effect.cost, rel=0.3)
+
+
+def test_candidates_save_next_to_nothing_where_no_effect_is_missing(axis: Machine) -> None:
+    fitted, data = fit_without_effect(axis, 0.0)
+    assert max(s.gain for s in screen(fitted, CANDIDATES, data)) < 0.02 * data.count
+
+
+def test_amount_stays_within_the_bounds_of_the_parameter(axis: Machine) -> None:
+    """A sensor delay cannot be negative: a sensor that leads saves nothing."""
+    data = prepare([recorded(axis)], axis)
+    early = dataclasses.replace(data.runs[0], outputs=np.roll(data.runs[0].outputs, -2, axis=0))
+    late = dataclasses.replace(data.runs[0], outputs=np.roll(data.runs[0].outputs, 2, axis=0))
+    gains = []
+    for run in (early, late):
+        shifted = dataclasses.replace(data, runs=(run,))
+        fitted = fit(axis, default_free_parameters(axis)[:1], shifted, "simulation")
+        gains.append(screen(fitted, [candidate("sensor_delay", "x_m", d=1e-3)], shifted)[0].gain)
+    assert gains[0] == 0.0
+    assert gains[1] > 0.5 * data.count
+
+
+def test_no_candidates_give_no_scores(axis: Machine) -> None:
+    fitted, data = fit_without_effect(axis, 0.0)
+    assert screen(fitted, [], data) == []
+
+
+def test_only_effects_that_replace_a_part_have_no_small_version() -> None:
+    without = {name for name, effect in EFFECTS.items() if has_no_small_version(effect)}
+    assert without == {"bridge_yaw", "idler_inertia", "presliding"}

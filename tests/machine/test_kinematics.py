@@ -1,0 +1,42 @@
+"""Kinematics of unstretched belts against eq. 1-3."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hframe_gym.effects import EFFECTS
+from hframe_gym.machine import BUILTIN_MACHINES, Machine, rest_state, rigid_motions
+
+pytestmark = pytest.mark.oracle
+
+
+def test_angles_at_rest_follow_from_unstretched_belts(hframe: Machine) -> None:
+    """Compare with eq. 1-2, r phi1 = -x - y and r phi2 = x - y, and their inverse, eq. 3."""
+    x, y = 0.12, -0.07
+    state = rest_state(hframe, (x, y))
+    np.testing.assert_allclose(state[2:4] * 0.0194, [-x - y, x - y], rtol=1e-12)
+    inverse = 0.5 * 0.0194 * np.array([[-1, 1], [-1, -1]])
+    np.testing.assert_allclose(inverse @ state[2:4], [x, y], rtol=1e-12)
+
+
+def test_rigid_motions_of_the_h_frame_are_those_of_equations_1_and_2(hframe: Machine) -> None:
+    motions = rigid_motions(hframe)
+    radius = 0.0194
+    assert list(motions) == ["x", "y"]
+    np.testing.assert_allclose(motions["x"], [1.0, 0.0, -1 / radius, 1 / radius], rtol=1e-12)
+    np.testing.assert_allclose(motions["y"], [0.0, 1.0, -1 / radius, -1 / radius], rtol=1e-12)
+    for motion in motions.values():
+        np.testing.assert_allclose(hframe.belt_matrix @ motion, 0.0, atol=1e-12)
+
+
+def test_without_belts_every_coordinate_moves_independently() -> None:
+    [(name, motion)] = rigid_motions(BUILTIN_MACHINES["axis"]()).items()
+    assert name == "x"
+    np.testing.assert_array_equal(motion, [1.0])
+
+
+def test_a_spring_loaded_coordinate_is_zero_at_rest(hframe: Machine) -> None:
+    yawing = hframe.with_effects(EFFECTS["bridge_yaw"].at("machine", J=0.1, k=2e3, c=1.0, w=0.25))
+    assert yawing.spring_loaded == ("yaw",)
+    assert rest_state(yawing, (0.1, -0.05))[yawing.coordinate_names.index("yaw")] == 0.0

@@ -1,0 +1,144 @@
+"""Tables: CSV, gzip and Parquet files, and paths for the task `track`."""
+
+from __future__ import annotations
+
+import datetime
+import gzip
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pyarrow
+import pyarrow.parquet
+import pytest
+
+from hframe_gym.errors import InputError
+from hframe_gym.machine import Machine
+from hframe_gym.recordings import load_recording, read_path
+from hframe_gym.recordings.table_file import read_table
+
+WriteRun = Callable[..., Path]
+
+
+def test_a_run_reads_the_same_from_csv_gzip_and_parquet(write_run: WriteRun, hframe: Machine, tmp_path: Path) -> None:
+    path = write_run(cells={(3, "x_m"): ""})
+    plain = load_recording(path, hframe)
+    (tmp_path / "run.csv.gz").write_bytes(gzip.compress(path.read_bytes()))
+    names = path.read_text().splitlines()[0].split(",")
+    columns = [plain.time_s, *plain.inputs.T, *plain.outputs.T]
+    table = pyarrow.table({n: pyarrow.array(c, from_pandas=True) for n, c in zip(names, columns, strict=True)})
+    pyarrow.parquet.write_table(table, tmp_path / "run.parquet")
+    for other in ("run.csv.gz", "run.parquet"):
+        run = load_recording(tmp_path / other, hframe)
+        assert run.name == "run"
+        np.testing.assert_array_equal(run.time_s, plain.time_s)
+        np.testing.assert_array_equal(run.outputs, plain.outputs)
+
+
+def test_a_short_row_and_a_broken_gzip_are_refused(write_run: WriteRun, tmp_path: Path, hframe: Machine) -> None:
+    path = write_run()
+    path.write_text(path.read_text() + "5.1,1,1\n")
+    with pytest.raises(InputError, match="row 21: 3 cells under 7 columns"):
+        load_recording(path, hframe)
+    complete = gzip.compress(b"time_s,v1_V\n" + b"0.001,1\n" * 1000)
+    damaged = complete[:20] + b"\xff\xff\xff" + complete[23:]
+    for content in (b"not gzip", complete[: len(complete) // 2], damaged):
+        (tmp_path / "broken.csv.gz").write_bytes(content)
+        with pytest.raises(InputError, match=r"broken\.csv\.gz: cannot be read"):
+            load_recording(tmp_path / "broken.csv.gz", hframe)
+    (tmp_path / "latin.csv").write_bytes("time_s,größe\n".encode("latin-1"))
+    with pytest.raises(InputError, match=r"latin\.csv: cannot be read"):
+        load_recording(tmp_path / "latin.csv", hframe)
+
+
+def test_byte_order_mark_windows_line_ends_and_blank_lines_are_read(write_run: WriteRun, hframe: Machine) -> None:
+    path = write_run()
+    plain = load_recording(path, hframe)
+    text = path.read_text()
+    path.write_bytes(b"\xef\xbb\xbf" + text.replace("\n", "\r\n").encode() + b"\r\n\r\n")
+    np.testing.assert_array_equal(load_recording(path, hframe).outputs, plain.outputs)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        (["0", "oops"], "row 2, column x_m: 'oops' is not a number"),
+        ([datetime.datetime(2020, 1, 1)] * 2, "row 1, column x_m: datetime.datetime"),
+    ],
+)
+def test_an_error_names_row_and_column_of_a_faulty_parquet_cell(
+    values: list[object], message: str, tmp_path: Path, hframe: Machine
+) -> None:
+    columns: dict[str, list[object]] = {"time_s": [0.0, 1.0], "v1_V": [0, 1], "v2_V": [0, 1]}
+    columns |= {"phi1_rad": [0.0, None], "phi2_rad": [0.0, 0.0], "x_m": values, "y_m": [0.0, 0.0]}
+    pyarrow.parquet.write_table(pyarrow.table(columns), tmp_path / "run.parquet")
+    with pytest.raises(InputError) as error:
+        load_recording(tmp_path / "run.parquet", hframe)
+    assert message in str(error.value)
+    columns["x_m"] = [0.0, 0.1]
+    pyarrow.parquet.write_table(pyarrow.table(columns), tmp_path / "run.parquet")
+    run = load_recording(tmp_path / "run.parquet", hframe)
+    np.testing.assert_array_equal(run.inputs, [[0, 0], [1, 1]])
+    np.testing.assert_array_equal(run.outputs[:, 0], [0.0, np.nan])
+
+
+def test_without_pyarrow_the_error_names_the_extra_to_install(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, hframe: Machine
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
+    (tmp_path / "run.parquet").write_bytes(b"")
+    with pytest.raises(InputError, match=r"hframe_gym\[parquet\]"):
+        load_recording(tmp_path / "run.parquet", hframe)
+
+
+def test_a_path_has_points_and_optional_times_from_zero(tmp_path: Path) -> None:
+    path = tmp_path / "path.csv"
+    path.write_text("x_m,y_m\n0,0\n0.1,0.05\n")
+    points, time_s = read_path(path)
+    np.testing.assert_array_equal(points, [[0.0, 0.0], [0.1, 0.05]])
+    assert time_s is None
+    path.write_text("time_s,x_m,y_m\n2,0,0\n3.5,0.1,0.05\n")
+    np.testing.assert_array_equal(read_path(path)[1], [0.0, 1.5])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("x_m,z_m\n0,0\n", "column z_m: a path has the columns"),
+        ("x_m\n0\n", "column y_m: missing"),
+        ("x_m,y_m\n0,0\n", "needs at least two rows, it has 1"),
+        ("x_m,y_m\n0,0\n0,\n", "row 2, column y_m: value is not a finite number"),
+        ("time_s,x_m,y_m\n1,0,0\n0.5,0,0\n", "row 2, column time_s: 0.5 goes back, row 1 is 1"),
+    ],
+)
+def test_a_faulty_path_is_refused(text: str, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "path.csv"
+    path.write_text(text)
+    with pytest.raises(InputError) as error:
+        read_path(path)
+    assert str(path) in str(error.value)
+    assert message in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("x_m;y_m\n0,1;0,2\n", "separated by semicolons; use commas"),
+        ("x_m\ty_m\n0\t1\n", "separated by tabs; use commas"),
+        ("# bench 3\nx_m,y_m\n0,0\n", "the first line must be the header, it is '# bench 3'"),
+        ("x_m,y_m\nm,m\n0,0\n", "row 1, column x_m: 'm' is not a number; rows of units"),
+    ],
+)
+def test_foreign_table_formats_are_refused_with_advice(text: str, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text(text)
+    with pytest.raises(InputError) as error:
+        read_table(path)
+    assert message in str(error.value)
+
+
+def test_line_ends_of_old_spreadsheets_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    path.write_bytes(b"x_m,y_m\r0,1\r2,3\r")
+    assert {name: list(column) for name, column in read_table(path)[1].items()} == {"x_m": [0, 2], "y_m": [1, 3]}
