@@ -1,7 +1,8 @@
 """Equations of motion, the integrator, its generated kernel and simulation."""
 
-from .equations import BeltState, Equations, ForceBalance, MotionPoint
-from .kernel import Kernel, in_blocks, kernel_for
+from ..machine import Trajectory as Trajectory  # alias until all packages use the new name
+from .equations import BeltState, Equations, ForceBalance
+from .kernel import Kernel, in_blocks, kernel_for, kernel_source_text
 from .motion_forces import (
     belt_forces,
     belt_states,
@@ -11,8 +12,9 @@ from .motion_forces import (
     net_forces,
     sensor_readings,
 )
+from .parameterized_machine import MotionPoint
 from .simd import LANES
-from .simulation import NotFiniteError, Trajectory, in_parallel, rollout, simulate, simulate_batch
+from .simulation import NotFiniteError, in_parallel, rollout, simulate, simulate_batch
 
 __all__ = [
     "LANES",
@@ -22,7 +24,6 @@ __all__ = [
     "Kernel",
     "MotionPoint",
     "NotFiniteError",
-    "Trajectory",
     "belt_forces",
     "belt_states",
     "delayed_voltages",
@@ -31,6 +32,7 @@ __all__ = [
     "in_blocks",
     "in_parallel",
     "kernel_for",
+    "kernel_source_text",
     "net_forces",
     "rollout",
     "sensor_readings",

@@ -1,379 +1,366 @@
-"""Writes the source of a machine's kernel from its tables.
+"""Generates the source of a machine's kernel by evaluating the equations of motion on traced expressions.
 
-What is the same for all machines of one *shape* (which coordinates, rows of G and of the belt lengths, where drives
-and effects sit) becomes text: zeros vanish, ones become additions, an effect that is not there costs nothing.  What
-differs between them (every number of `Machine.parameters`) is data, a row of lanes each.
+What is the same for all machines of one shape (which coordinates, rows of the belts, where drives and effects act)
+becomes source text: zeros vanish, ones become additions, an effect that is absent costs nothing. What differs between
+them (every value of `Machine.parameters`) is data: one SIMD lane per machine.
 
-One step of length h, from travel q and velocity v (SI, travel in m):
+One step of length h, from travel q and speed v (see `reference_step` for the same algorithm in plain Python):
 
-    1. forces f at the half-way point q + h/2 v; from them the acceleration a (zero where friction holds).
-    2. forces again at q + h/2 v + h^2/12 a.  Position Verlet's frequency error, (omega h)^2/24, cancels
-       (Takahashi and Imada 1984; Chin 1997); speed-dependent friction is taken at v + h/2 a.
-    3. exact flow of m v' = f - b v - F sign v (friction.py), and its exact travel: weights `first` and `last` of the
-       two velocities instead of Verlet's halves, so that strong damping costs no accuracy.
+    1. Forces at the half-way point q + h/2 v, and from them the acceleration a (zero where static friction holds).
+    2. Forces again at the corrected point q + h/2 v + h^2/12 a. This cancels the frequency error (omega h)^2/24 of the
+       position Verlet scheme (Takahashi and Imada 1984; Chin 1997). Speed-dependent friction is evaluated at v + h/2 a.
+    3. Exact flow of m dv/dt = f - b v - F sign v with these forces (`friction`), and its exact travel: the weights of
+       the first and the last speed replace the halves of the Verlet scheme, so that strong damping costs no accuracy.
+    4. Machines with a coordinate that stops within the step: exact time of the stop, then rest or reversal.
+    5. States of the effects.
 
-Second order, symmetric but for the weights, two force evaluations and one division for the belts.
+The scheme is of second order and needs two force evaluations and one division per three belts.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from ..machine.machine import Machine
-from .effect_codegen import CORRECTED, HALF_WAY, Contributions, Point
-from .source_text import combination, identifier, plus
+from ..machine import Machine
+from ..machine.effect import argument_names
+from .elementwise import exp, fma, named, where
+from .equations import Equations, ForceBalance
+from .parameterized_machine import MotionPoint, combination
+from .trace_source import function_source
+from .tracing import Expression, Trace
 
-# Rows of derived numbers that `prepare` writes for each coordinate; those of PER_DIRECTION twice where they differ.
-PER_COORDINATE = ("mass", "per_mass", "coulomb", "curve")
-PER_DIRECTION = ("viscous", "slow", "decay", "gain", "first", "last")
+# Constants of a step that `prepare` derives from the parameters, for each coordinate; those of PER_DIRECTION for both
+# directions of motion where viscous friction depends on the direction.
+PER_COORDINATE = ("mass", "per_mass", "coulomb", "correction_gain")
+PER_DIRECTION = ("viscous", "correction_damping", "decay", "speed_gain", "first_weight", "last_weight")
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Where each number lies: rows of the parameter block P and of the derived block C."""
+    """Rows of the arrays of a kernel.
 
-    parameters: dict[str, int]
-    derived: dict[str, int]
+    Attributes:
+        parameters: Row of each machine parameter by full name.
+        derived: Row of each derived constant.
+    """
+
+    parameters: Mapping[str, int]
+    derived: Mapping[str, int]
 
 
 class KernelSource:
-    """The source text of one machine shape.  `text` is complete but for imports and contributions' sources."""
+    """Source text of the kernel of one machine shape.
 
-    def __init__(self, machine: Machine, *, forced: bool) -> None:
+    Args:
+        machine: A machine of the shape.
+        forced: Whether an external force acts on every coordinate.
+
+    Attributes:
+        layout: Rows of the arrays.
+        states: Number of rows of a state: travel and speed of each coordinate, time, effect states.
+        delayed: Whether a drive has a delay.
+        lagged: Whether a sensor has a delay.
+        text: The functions prepare, voltage_delays, advance, read_sensors and measurement_delays.
+    """
+
+    def __init__(self, machine: Machine, *, forced: bool = False) -> None:
         self.machine = machine
         self.forced = forced
-        self.names = [identifier(n) for n in machine.coordinate_names]
-        self.parameters = {name: i for i, name in enumerate(machine.parameters)}
-        self.effects = Contributions(machine, self.p)
-        self.derived: dict[str, int] = {}
-        for c in machine.coordinate_names:
-            keys = PER_COORDINATE + tuple(f"{k}{s}" for s in self.signs(c) for k in PER_DIRECTION)
-            for key in keys:
-                self.derived[f"{c}.{key}"] = len(self.derived)
-        for d in machine.drives:
-            self.derived[f"{d.name}.force"] = len(self.derived)
-        for b in machine.belts:
-            if not b.length:
-                self.derived[f"{b.name}.stiffness"] = len(self.derived)
+        self._plain = Equations(machine)
+        self._coordinates = range(len(machine.coordinates))
+        parameters = {name: row for row, name in enumerate(machine.parameters)}
+        derived: list[str] = []
+        for i in self._coordinates:
+            derived += [_row_name("coordinate", i, key) for key in PER_COORDINATE]
+            derived += [_row_name("coordinate", i, key + s) for s in self._directions(i) for key in PER_DIRECTION]
+        derived += [_row_name("drive", j, "force_per_volt") for j in range(len(machine.drives))]
+        derived += [_row_name("belt", b, "stiffness") for b, belt in enumerate(machine.belts) if not belt.length]
+        self.layout = Layout(parameters, {name: row for row, name in enumerate(derived)})
+        self.states = 2 * len(self._coordinates) + 1 + len(self._plain.states)
+        definitions = [e.definition for e in machine.effects]
+        self.delayed = any(d.delay for d in definitions)
+        self.lagged = any(d.measurement_delay for d in definitions)
+        # The forces of these belts are not linear around the half-way point: a step evaluates them twice.
+        self._nonlinear_belts = any(d.tension or d.belt_travel for d in definitions)
+        hooks = [d.force or d.coulomb or d.friction for d in definitions]
+        self._uses_time = any(
+            d.against == "time" or (hook is not None and "t" in argument_names(hook))
+            for d, hook in zip(definitions, hooks, strict=True)
+        )
+        functions: tuple[Callable[[], Trace], ...] = (
+            self._prepare,
+            self._voltage_delays,
+            self._advance,
+            self._read_sensors,
+            self._measurement_delays,
+        )
+        self.text = "\n\n".join(f"@inlined\n{function_source(function())}" for function in functions)
 
-    @property
-    def layout(self) -> Layout:
-        return Layout(self.parameters, self.derived)
+    def _directions(self, i: int) -> tuple[str, ...]:
+        """Return suffixes of the derived constants that depend on the direction of motion of coordinate i."""
+        return ("_forward", "_backward") if any(self._plain.effects_on("viscous", i)) else ("",)
 
-    @property
-    def text(self) -> str:
-        parts = (self.prepare(), self.delays(), self.advance(), self.read_sensors(), self.lags())
-        return "\n\n".join(parts) + "\n"
+    def _equations(self, trace: Trace) -> Equations:
+        """Return the equations with the parameters loaded from the array `parameters`."""
+        rows = self.layout.parameters.items()
+        return Equations(self.machine, {name: trace.load("parameters", row, f"p{row}") for name, row in rows})
 
-    @property
-    def states(self) -> int:
-        """Rows of a state: travel and velocity of each coordinate, the clock, effects' own."""
-        return 2 * len(self.names) + 1 + len(self.effects.states)
+    # -- constants of a step ---------------------------------------------------------------------------------------
 
-    # -- names -----------------------------------------------------------------------------------------------------
+    def _prepare(self) -> Trace:
+        """Trace the constants that depend on parameters and the step length only."""
+        trace = Trace("prepare(parameters, derived, h)")
+        equations, h, rows = self._equations(trace), trace.argument("h"), self.layout.derived
+        for i in self._coordinates:
+            mass = trace.let("mass", i, equations.mass(i))
+            constants = (mass, 1.0 / mass, equations.coulomb(i), h * h / 12.0 / mass)
+            for key, value in zip(PER_COORDINATE, constants, strict=True):
+                trace.store("derived", rows[_row_name("coordinate", i, key)], value)
+            for suffix in self._directions(i):
+                viscous = equations.viscous(i, -1.0 if suffix == "_backward" else 1.0)
+                decay_rate = trace.let(f"damping{suffix}", i, viscous * h / mass)
+                last_weight = trace.let(f"weight{suffix}", i, trace.node("end_weight", decay_rate))
+                values = (
+                    viscous,
+                    -h * h / 12.0 / mass * viscous,
+                    exp(-decay_rate),
+                    h / mass * trace.node("decay_integral", decay_rate),
+                    h * (1.0 - last_weight),
+                    h * last_weight,
+                )
+                for key, value in zip(PER_DIRECTION, values, strict=True):
+                    trace.store("derived", rows[_row_name("coordinate", i, key + suffix)], value)
+        for j in range(len(self.machine.drives)):
+            trace.store("derived", rows[_row_name("drive", j, "force_per_volt")], equations.force_per_volt(j))
+        for b, belt in enumerate(self.machine.belts):
+            if not belt.length:
+                trace.store("derived", rows[_row_name("belt", b, "stiffness")], equations.constant_stiffness(b))
+        return trace
 
-    def signs(self, coordinate: str) -> tuple[str, ...]:
-        return ("", "_back") if coordinate in self.effects.directional else ("",)
+    # -- sensors and delays ----------------------------------------------------------------------------------------
 
-    def p(self, name: str) -> str:
-        """The source of a number of the tables, or of an effect, by its full name."""
-        if name in self.machine.ties:
-            owner, factor = self.machine.ties[name]
-            return f"({factor!r} * {self.p(owner)})"
-        return f"load(P, {self.parameters[name]})"
+    def _voltage_delays(self) -> Trace:
+        """Trace the delay of each drive, s."""
+        trace = Trace("voltage_delays(parameters, delays)")
+        for j, delay in enumerate(self._equations(trace).voltage_delays()):
+            trace.store("delays", j, delay)
+        return trace
 
-    def is_rotary(self, coordinate: str) -> bool:
-        return self.machine.coordinate(coordinate).kind == "rotary"
+    def _measurement_delays(self) -> Trace:
+        """Trace the delay of each sensor, s."""
+        trace = Trace("measurement_delays(parameters, delays)")
+        for j, delay in enumerate(self._equations(trace).measurement_delays()):
+            trace.store("delays", j, delay)
+        return trace
 
-    # -- derived numbers -------------------------------------------------------------------------------------------
-
-    def prepare(self) -> str:
-        """C from P for a step of length h: everything that does not change while parameters and h do not."""
-        lines = ["@inlined", "def prepare(P, C, h):"]
-        add = lines.append
-        for d in self.machine.drives:
-            radius = f" / {self.p(d.coordinate + '.radius')}" if self.is_rotary(d.coordinate) else ""
-            gear, Kt, Ke, R = (self.p(f"{d.name}.{k}") for k in ("gear_ratio", "Kt", "Ke", "resistance"))
-            name = identifier(d.name)
-            add(f"    gain_{name} = {gear} * {Kt} / {R}")
-            add(f"    emf_{name} = gain_{name} * {gear} * {Ke}")
-            add(f"    store(C, {self.derived[d.name + '.force']}, gain_{name}{radius})")
-        for c in self.machine.coordinate_names:
-            lines += self.prepare_coordinate(c)
-        for b in self.machine.belts:
-            if not b.length:
-                ratio = f"{self.p(b.name + '.EA')} / {self.p(b.name + '.rest_length')}"
-                add(f"    store(C, {self.derived[b.name + '.stiffness']}, {ratio})")
-        return "\n".join(lines)
-
-    def prepare_coordinate(self, c: str) -> Iterable[str]:
-        yield f"    radius = {self.p(c + '.radius') if self.is_rotary(c) else '1.0'}"
-        yield f"    mass = {self.p(c + '.mass')} / (radius * radius)"
-        yield f"    store(C, {self.derived[c + '.mass']}, mass)"
-        yield f"    store(C, {self.derived[c + '.per_mass']}, 1.0 / mass)"
-        yield f"    store(C, {self.derived[c + '.coulomb']}, {self.p(c + '.coulomb')} / radius)"
-        yield f"    store(C, {self.derived[c + '.curve']}, h * h / 12.0 / mass)"
-        for sign in self.signs(c):
-            friction = self.p(c + ".viscous")
-            for k, e in self.effects.on("viscous", c):
-                direction = "-1.0" if sign else "1.0"
-                friction = self.effects.call("viscous", k, e, {"b": friction, "direction": direction}, inline=True)
-            emf = "".join(f" + emf_{identifier(d.name)}" for d in self.machine.drives if d.coordinate == c)
-            yield f"    viscous = ({friction}{emf}) / (radius * radius)"
-            yield "    z = viscous * h / mass"
-            yield "    weight = end_weight(z)"
-            forces = ("viscous", "-h * h / 12.0 / mass * viscous", "exp(-z)", "h / mass * decay_integral(z)")
-            values = (*forces, "h * (1.0 - weight)", "h * weight")
-            for key, value in zip(PER_DIRECTION, values, strict=True):
-                yield f"    store(C, {self.derived[f'{c}.{key}{sign}']}, {value})"
-
-    def delays(self) -> str:
-        """D, the time by which each input's voltage arrives late, s."""
-        lines = ["@inlined", "def delays(P, D):"]
-        for i, d in enumerate(self.machine.drives):
-            late = self.effects.at("delay", d.name, "drives")
-            terms = [self.effects.call("delay", k, e, {}, inline=True) for k, e in late]
-            lines.append(f"    store(D, {i}, {' + '.join(terms) or '0.0'})")
-        return "\n".join(lines)
-
-    # -- sensors -----------------------------------------------------------------------------------------------------
-
-    def read_sensors(self) -> str:
-        """R, what every sensor shows, in its own unit."""
-        lines = ["@inlined", "def read_sensors(S, P, R):"]
-        for i, c in enumerate(self.machine.coordinate_names):
-            radius = f" / {self.p(c + '.radius')}" if self.is_rotary(c) else ""
-            lines.append(f"    q_{identifier(c)} = load(S, {i}){radius}")
-
-        def position(key: str) -> str:
-            return " * ".join(f"q_{identifier(c)}" for c in key.split("*"))
-
-        for j, sensor in enumerate(self.machine.sensors):
-            lines.append(f"    r = {combination(sensor.row, position)}")
-            other = self.machine.across(sensor.coordinate)
-            across = f"q_{identifier(other)}" if other else ""
-            for k, e in self.effects.at("reading", sensor.channel):
-                lines.append(f"    r = {self.effects.call('reading', k, e, {'r': 'r', 'across': across}, inline=True)}")
-            lines.append(f"    store(R, {j}, r)")
-        return "\n".join(lines)
-
-    def lags(self) -> str:
-        """L, the time by which each sensor is late, s."""
-        lines = ["@inlined", "def lags(P, L):"]
-        for j, sensor in enumerate(self.machine.sensors):
-            late = self.effects.at("lag", sensor.channel)
-            terms = [self.effects.call("lag", k, e, {}, inline=True) for k, e in late]
-            lines.append(f"    store(L, {j}, {' + '.join(terms) or '0.0'})")
-        return "\n".join(lines)
+    def _read_sensors(self) -> Trace:
+        """Trace the reading of each sensor in its unit."""
+        trace = Trace("read_sensors(state, parameters, readings)")
+        equations = self._equations(trace)
+        travel = [trace.load("state", i, f"travel_{i}") for i in self._coordinates]
+        positions = [p / equations.radius(i) for i, p in enumerate(travel)]
+        for j, reading in enumerate(equations.sensor_readings(positions)):
+            trace.store("readings", j, reading)
+        return trace
 
     # -- the step --------------------------------------------------------------------------------------------------
 
-    def advance(self) -> str:
-        """`steps` steps of length h of one block of lanes, in place."""
-        lines = ["@inlined", "def advance(S, P, C, U, W, h, steps):", "    align_stack()"]
-        lines += [f"    {line}" for line in self.read()]
-        lines += ["    for step in range(steps):"]
-        lines += [f"        {line}" for line in self.step()]
-        lines += [f"    {line}" for line in self.write()]
-        return "\n".join(lines)
+    def _advance(self) -> Trace:
+        """Trace `steps` steps of length h of one block of lanes, in place."""
+        return _StepTrace(self).trace
 
-    def read(self) -> Iterable[str]:
-        n = len(self.names)
-        for i, c in enumerate(self.names):
-            yield f"q_{c} = load(S, {i})"
-            yield f"v_{c} = load(S, {n + i})"
-        yield f"time = load(S, {2 * n})"
-        for name, row in self.derived.items():
-            yield f"{identifier(name)} = load(C, {row})"
-        for row, k in enumerate(self.effects.states):
-            yield f"z_{k} = load(S, {2 * n + 1 + row})"
-        yield from self.effects.loads()
-        for b in self.machine.belts:
-            if b.length:
-                yield f"{identifier(b.name)}_EA = {self.p(b.name + '.EA')}"
-                yield f"{identifier(b.name)}_rest_length = {self.p(b.name + '.rest_length')}"
-        yield "half = 0.5 * h"
 
-    def write(self) -> Iterable[str]:
-        n = len(self.names)
-        for i, c in enumerate(self.names):
-            yield f"store(S, {i}, q_{c})"
-            yield f"store(S, {n + i}, v_{c})"
-        yield f"store(S, {2 * n}, time{'' if self.effects.moving else ' + h * steps'})"
-        for row, k in enumerate(self.effects.states):
-            yield f"store(S, {2 * n + 1 + row}, z_{k})"
+class _PreparedEquations(Equations):
+    """Equations that take from `derived` what `prepare` has computed.
 
-    def step(self) -> Iterable[str]:
-        yield "# half-way"
-        for c in self.names:
-            yield f"m_{c} = fma(half, v_{c}, q_{c})"
-        yield from self.effects.voltages(self.voltage)
-        yield from self.belts(HALF_WAY)
-        yield "# forces at the half-way point, and the acceleration they give"
-        yield from self.forces(HALF_WAY)
-        if not self.effects.bent:
-            for name in map(identifier, sorted(self.effects.moving)):
-                yield f"bare_{name} = f_{name}"
-        yield from self.effects.forces(HALF_WAY)
-        for c in self.machine.coordinate_names:
-            yield from self.acceleration(c)
-        yield "# forces again, where that acceleration leads"
-        if self.effects.bent:
-            yield from self.belts(CORRECTED)
-            yield from self.forces(CORRECTED)
-        else:
-            yield from self.correction()
-        yield from self.effects.forces(CORRECTED)
-        yield "# exact flow with friction"
-        for c in self.names:
-            yield from self.flow(c)
-        for c in self.names:
-            yield f"if any_of(stop_{c}):"
-            yield from (f"    {line}" for line in self.event(c))
-        yield from self.effects.ends()
-        for c in self.names:
-            yield f"q_{c} = n_{c}"
-            yield f"v_{c} = u_{c}"
-        if self.effects.moving:
-            yield "time = time + h"
+    Args:
+        source: The kernel.
+        trace: Trace of the function `advance`.
+    """
 
-    def belts(self, point: Point) -> Iterable[str]:
-        """Tension, stiffness and the pull towards longer belts, by 1/2 s^2 dk/dq = -T s / (2 length)."""
-        lengths = []
+    def __init__(self, source: KernelSource, trace: Trace) -> None:
+        rows = source.layout.parameters.items()
+        super().__init__(source.machine, {name: trace.load("parameters", row, f"p{row}") for name, row in rows})
+        self._trace = trace
+        self._rows = source.layout.derived
 
-        def travel(c: str) -> str:
-            return self.effects.stretched(c, point)
+    def derived(self, component: str, index: int, key: str) -> Expression:
+        """Return a derived constant of a coordinate, drive or belt."""
+        row = self._rows[_row_name(component, index, key)]
+        return self._trace.load("derived", row, f"{key}_{index}")
 
-        def speed(c: str) -> str:
-            own, arm = f"{point.velocity}_{identifier(c)}", self.effects.arm(c, point)
-            return f"({own} * {arm})" if arm else own
+    def coulomb(self, i: int) -> Expression:
+        """Return the Coulomb level of coordinate i, N."""
+        return self.derived("coordinate", i, "coulomb")
 
-        for b in self.machine.belts:
-            name = identifier(b.name)
-            rest = dict(b.extension)
-            shared = ""
-            if b.length and all(b.extension.get(c) == factor for c, factor in b.length.items()):
-                # s and length share the carriage's part: worked out once.
-                yield f"run_{name} = {combination(b.length, travel)}"
-                rest = {c: factor for c, factor in b.extension.items() if c not in b.length}
-                shared = f"run_{name}"
-            own = combination(rest, travel)
-            yield f"s_{name} = {f'{shared} {plus(own)}' if shared and rest else shared or own}"
-            if b.length:
-                along = shared or combination(b.length, travel)
-                yield f"length_{name} = {name}_rest_length + {along}"
-                lengths.append(name)
-        yield from self.reciprocals(lengths)
-        for b in self.machine.belts:
-            name = identifier(b.name)
-            if b.length:
-                yield f"stiffness_{name} = {name}_EA * per_{name}"
-            else:
-                yield f"stiffness_{name} = {name}_stiffness"
-            yield f"T_{name} = stiffness_{name} * s_{name}"
-            rate = combination(b.extension, speed)
-            yield from self.effects.tension(b.name, f"s_{name}", f"({rate})", f"stiffness_{name}")
-            if b.length:
-                growth = self.effects.growth(b.name, f"s_{name}", f"stiffness_{name}")
-                if growth:
-                    yield f"e_{name} = {growth} * stiffness_{name} * per_{name}"
-                    yield f"net_{name} = T_{name} - e_{name}"
-                    continue
-                yield f"half_strain_{name} = 0.5 * (s_{name} * per_{name})"
-                if all(b.extension.get(c) == factor for c, factor in b.length.items()):
-                    yield f"net_{name} = fma(-half_strain_{name}, T_{name}, T_{name})"
-                else:
-                    yield f"e_{name} = half_strain_{name} * T_{name}"
-                    yield f"net_{name} = T_{name} - e_{name}"
+    def force_per_volt(self, j: int) -> Expression:
+        """Return the force of drive j at standstill, N/V."""
+        return self.derived("drive", j, "force_per_volt")
 
-    def reciprocals(self, lengths: list[str]) -> Iterable[str]:
-        """1/length of up to three belts at a time by one division, which costs as much as ten products."""
-        for group in (lengths[i : i + 3] for i in range(0, len(lengths), 3)):
-            if len(group) == 1:
-                yield f"per_{group[0]} = 1.0 / length_{group[0]}"
-                continue
-            a, b, *rest = group
-            yield f"pair_{a} = length_{a} * length_{b}"
-            if rest:
-                yield f"whole_{a} = 1.0 / (pair_{a} * length_{rest[0]})"
-                yield f"per_{rest[0]} = whole_{a} * pair_{a}"
-                yield f"rest_{a} = whole_{a} * length_{rest[0]}"
-            else:
-                yield f"rest_{a} = 1.0 / pair_{a}"
-            yield f"per_{a} = rest_{a} * length_{b}"
-            yield f"per_{b} = rest_{a} * length_{a}"
+    def constant_stiffness(self, b: int) -> Expression:
+        """Return the stiffness of belt b, N/m."""
+        return self.derived("belt", b, "stiffness")
 
-    def forces(self, point: Point) -> Iterable[str]:
-        """Forces on the coordinates: -G' T + L' (T s / 2 length) + drives (+ what the caller adds)."""
-        for c in self.machine.coordinate_names:
-            row: dict[str, float] = {}
-            for b in self.machine.belts:
-                name = identifier(b.name)
-                stretch, grow = b.extension.get(c, 0.0), b.length.get(c, 0.0)
-                if grow and grow == stretch:
-                    row[f"net_{name}"] = -stretch
-                else:
-                    row |= {f"T_{name}": -stretch, f"e_{name}": grow}
-            text = combination(row, str)
-            arm = self.effects.arm(c, point)
-            if arm:
-                text = f"({text}) * {arm}"
-            for j, d in enumerate(self.machine.drives):
-                if d.coordinate == c:
-                    volts = f"volts_{identifier(d.name)}" if self.effects.commanded(j) else self.voltage(j)
-                    text = f"fma({identifier(f'{d.name}.force')}, {volts}, {text})"
-            if self.forced:
-                text += f" + load(W, {self.machine.coordinate_names.index(c)})"
-            yield f"f_{identifier(c)} = {text}"
 
-    def voltage(self, j: int) -> str:
-        """Drive j's voltage during this step."""
-        row = f"step * {len(self.machine.drives)} + {j}" if self.effects.delayed else str(j)
-        return f"load(U, {row})"
+class _StepTrace:
+    """Traces the function `advance`, in the order of the algorithm at the top of this module.
 
-    def acceleration(self, c: str) -> Iterable[str]:
-        name = identifier(c)
-        if c in self.effects.directional:
-            yield f"d_{name} = direction(v_{name}, f_{name})"
-        slow = self.by_direction(c, "slow")
-        yield f"a_{name} = fma({name}_curve, f_{name} - answer(v_{name}, f_{name}, F_{name}), {slow} * v_{name})"
-        if self.effects.bent or c in self.effects.seen:
-            yield f"k_{name} = m_{name} + a_{name}"
-            yield f"w_{name} = v_{name} + (6.0 / h) * a_{name}"
+    Args:
+        source: The kernel.
+    """
 
-    def correction(self) -> Iterable[str]:
-        """Belt forces after the displacement h^2/12 a, by the stiffness at the half-way point."""
-        for b in self.machine.belts:
-            name = identifier(b.name)
-            stretch = combination(b.extension, lambda c: f"a_{identifier(c)}")
-            yield f"g_{name} = stiffness_{name} * ({stretch})"
-        for c in self.machine.coordinate_names:
-            name = identifier(c)
-            row = {identifier(b.name): -b.extension.get(c, 0.0) for b in self.machine.belts}
-            base = f"bare_{name}" if c in self.effects.moving else f"f_{name}"
-            yield f"f_{name} = {base} + ({combination(row, lambda b: f'g_{b}')})"
+    def __init__(self, source: KernelSource) -> None:
+        self.source = source
+        self.coordinates = range(len(source.machine.coordinates))
+        self.trace = trace = Trace("advance(state, parameters, derived, inputs, external_forces, h, steps)")
+        self.equations = _PreparedEquations(source, trace)
+        count = len(self.coordinates)
+        trace.line("align_stack()")
+        self.travel = [trace.variable("travel", i, trace.load("state", i, "")) for i in self.coordinates]
+        self.speed = [trace.variable("speed", i, trace.load("state", count + i, "")) for i in self.coordinates]
+        self.time = trace.variable("time", None, trace.load("state", 2 * count, ""))
+        first = 2 * count + 1
+        self.effect_states = {
+            k: trace.variable("effect_state", k, trace.load("state", first + row, ""))
+            for row, k in enumerate(self.equations.states)
+        }
+        self.h = trace.argument("h")
+        with trace.block("for step in range(steps):", loop=True):
+            self._step()
+        for i in self.coordinates:
+            trace.store("state", i, self.travel[i])
+            trace.store("state", count + i, self.speed[i])
+        elapsed = 0.0 if source._uses_time else self.h * trace.argument("steps")
+        trace.store("state", 2 * count, self.time + elapsed)
+        for row, k in enumerate(self.equations.states):
+            trace.store("state", first + row, self.effect_states[k])
 
-    def by_direction(self, c: str, key: str, *, back: bool = False) -> str:
-        name = identifier(c)
-        if c not in self.effects.directional:
-            return f"{name}_{key}"
-        ahead, behind = (f"{name}_{key}", f"{name}_{key}_back")
-        return f"where(d_{name} >= 0.0, {behind if back else ahead}, {ahead if back else behind})"
+    def _step(self) -> None:
+        """Trace one step."""
+        trace, equations, h = self.trace, self.equations, self.h
+        half = trace.let("half_step", None, 0.5 * h)
+        with trace.section("1. forces at the half-way point, and the acceleration", "half_"):
+            half_way = [named("travel", i, fma(half, self.speed[i], self.travel[i])) for i in self.coordinates]
+            point = MotionPoint(half_way, self.speed, self.time + half, self.effect_states, half)
+            motor_voltages = equations.motor_voltages(self._voltages())
+            belts = equations.belt_states(point)
+            drive_and_belts = self._drive_and_belt_forces(equations.belt_forces(point, belts), motor_voltages)
+            balance = self._balance(point, motor_voltages, drive_and_belts)
+            correction = [named("correction", i, self._correction(i, balance)) for i in self.coordinates]
+        with trace.section("2. forces at the corrected point", "corrected_"):
+            corrected = [q + dq for q, dq in zip(half_way, correction, strict=True)]
+            mean_speed = [fma(6.0 / h, dq, v) for v, dq in zip(self.speed, correction, strict=True)]
+            point = MotionPoint(corrected, mean_speed, self.time + half, self.effect_states, half)
+            if self.source._nonlinear_belts:
+                belt_forces = equations.belt_forces(point, equations.belt_states(point))
+                drive_and_belts = self._drive_and_belt_forces(belt_forces, motor_voltages)
+            else:  # the stiffness at the half-way point serves again
+                stiffness = [belt.stiffness for belt in belts]
+                drive_and_belts = self._shifted_forces(drive_and_belts, stiffness, correction)
+            balance = self._balance(point, motor_voltages, drive_and_belts)
+        with trace.section("3. exact flow with friction"):
+            flows = [self._flow(i, balance) for i in self.coordinates]
+        with trace.section("4. coordinates that stop within the step"):
+            ends = [self._stop(i, balance, *flow) for i, flow in enumerate(flows)]
+        with trace.section("5. the new state"):
+            traveled = [travel - q for (_, travel), q in zip(ends, self.travel, strict=True)]
+            states = {}
+            for k, state in self.effect_states.items():
+                value = equations.next_state(k, state, balance.arguments.get(k, {}), traveled, mean_speed, h)
+                states[k] = trace.let("next_effect_state", k, value)
+            self.effect_states = {k: trace.assign(self.effect_states[k], state) for k, state in states.items()}
+            self.speed = [trace.assign(v, speed) for v, (speed, _) in zip(self.speed, ends, strict=True)]
+            self.travel = [trace.assign(q, travel) for q, (_, travel) in zip(self.travel, ends, strict=True)]
+            if self.source._uses_time:
+                self.time = trace.assign(self.time, self.time + h)
 
-    def flow(self, name: str) -> Iterable[str]:
-        c = self.machine.coordinate_names[self.names.index(name)]
-        if c in self.effects.directional:
-            yield f"d_{name} = direction(v_{name}, f_{name})"
-        decay, gain = (self.by_direction(c, key) for key in ("decay", "gain"))
-        yield f"u_{name}, stop_{name} = kick(v_{name}, f_{name}, F_{name}, {decay}, {gain})"
-        first, last = (self.by_direction(c, key) for key in ("first", "last"))
-        yield f"n_{name} = fma({last}, u_{name}, fma({first}, v_{name}, q_{name}))"
+    def _voltages(self) -> list[Expression]:
+        """Return the commanded voltage of each drive; with a delay every step has its own."""
+        count = len(self.source.machine.drives)
+        if self.source.delayed:
+            return [self.trace.load("inputs", f"step * {count} + {j}", f"u{j}", invariant=False) for j in range(count)]
+        return [self.trace.load("inputs", j, f"u{j}") for j in range(count)]
 
-    def event(self, name: str) -> Iterable[str]:
-        c = self.machine.coordinate_names[self.names.index(name)]
-        viscous = f"{self.by_direction(c, 'viscous')}, {self.by_direction(c, 'viscous', back=True)}"
-        state = f"v_{name}, f_{name}, F_{name}"
-        yield f"after_{name}, travel_{name} = reverse({state}, {viscous}, {name}_mass, {name}_per_mass, h)"
-        yield f"u_{name} = where(stop_{name}, after_{name}, u_{name})"
-        yield f"n_{name} = where(stop_{name}, q_{name} + travel_{name}, n_{name})"
+    def _drive_and_belt_forces(
+        self, belt_forces: Sequence[Expression], motor_voltages: Sequence[Expression]
+    ) -> list[Expression]:
+        """Return the forces of belts and drives, and the external ones."""
+        forces = self.equations.add_drive_forces(belt_forces, motor_voltages)
+        if self.source.forced:
+            forces = [f + self.trace.load("external_forces", i, f"w{i}") for i, f in enumerate(forces)]
+        return [named("drive_and_belts", i, self._expression(f)) for i, f in enumerate(forces)]
+
+    def _expression(self, value: Expression | float) -> Expression:
+        return value if isinstance(value, Expression) else self.trace._number(value)
+
+    def _balance(
+        self, point: MotionPoint, motor_voltages: Sequence[Expression], forces: Sequence[Expression]
+    ) -> ForceBalance:
+        """Return the force balance with named results."""
+        held, coulomb, arguments = self.equations.force_balance(point, motor_voltages, forces)
+        held = [named("force", i, f) for i, f in enumerate(held)]
+        coulomb = [named("coulomb", i, level) for i, level in enumerate(coulomb)]
+        return ForceBalance(held, coulomb, arguments)
+
+    def _shifted_forces(
+        self, forces: Sequence[Expression], stiffness: Sequence[Expression], shift: Sequence[Expression]
+    ) -> list[Expression]:
+        """Return the forces after a small displacement of the travel, to first order: f - G' k G shift."""
+        rows = self.equations.extension_rows
+        changes = [named("tension_change", b, k * combination(rows[b], shift)) for b, k in enumerate(stiffness)]
+        result = []
+        for i, force in enumerate(forces):
+            row = {b: -rows[b].get(i, 0.0) for b in range(len(rows))}
+            result.append(named("drive_and_belts", i, force + combination(row, changes)))
+        return result
+
+    def _by_direction(self, i: int, key: str, balance: ForceBalance, *, reversed_motion: bool = False) -> Expression:
+        """Return a constant of coordinate i for its direction of motion, or for the opposite one."""
+        suffixes = self.source._directions(i)
+        if len(suffixes) == 1:
+            return self.equations.derived("coordinate", i, key)
+        direction = self.trace.node("direction", self.speed[i], balance.held[i])
+        ahead, behind = (self.equations.derived("coordinate", i, key + suffix) for suffix in suffixes)
+        choice: Expression = where(direction >= 0.0, *((behind, ahead) if reversed_motion else (ahead, behind)))
+        return choice
+
+    def _correction(self, i: int, balance: ForceBalance) -> Expression:
+        """Return h^2/12 times the acceleration of coordinate i, m."""
+        speed, force = self.speed[i], balance.held[i]
+        gain = self.equations.derived("coordinate", i, "correction_gain")
+        net = force - self.trace.node("friction_force", speed, force, balance.coulomb[i])
+        value: Expression = fma(gain, net, self._by_direction(i, "correction_damping", balance) * speed)
+        return value
+
+    def _flow(self, i: int, balance: ForceBalance) -> tuple[Expression, Expression, Expression]:
+        """Trace the step of coordinate i without a stop; return speed, whether it stops, and travel."""
+        decay, gain, first, last = (
+            self._by_direction(i, key, balance) for key in ("decay", "speed_gain", "first_weight", "last_weight")
+        )
+        results = (("next_speed", i), ("stopped", i))
+        arguments = (self.speed[i], balance.held[i], balance.coulomb[i], decay, gain)
+        next_speed, stopped = self.trace.call("update_speed", *arguments, results=results)
+        travel = fma(last, next_speed, fma(first, self.speed[i], self.travel[i]))
+        return next_speed, stopped, self.trace.variable("next_travel", i, travel)
+
+    def _stop(
+        self, i: int, balance: ForceBalance, next_speed: Expression, stopped: Expression, next_travel: Expression
+    ) -> tuple[Expression, Expression]:
+        """Trace the step of coordinate i in the lanes where it stops; return speed and travel after the step."""
+        mass, per_mass = (self.equations.derived("coordinate", i, key) for key in ("mass", "per_mass"))
+        viscous = self._by_direction(i, "viscous", balance)
+        viscous_after = self._by_direction(i, "viscous", balance, reversed_motion=True)
+        arguments = (self.speed[i], balance.held[i], balance.coulomb[i], viscous, viscous_after, mass, per_mass, self.h)
+        results = (("speed_after_stop", i), ("traveled", i))
+        with self.trace.block("if any_of({}):", stopped):
+            speed, traveled = self.trace.call("stop_or_reverse", *arguments, results=results)
+            return (
+                self.trace.assign(next_speed, where(stopped, speed, next_speed)),
+                self.trace.assign(next_travel, where(stopped, self.travel[i] + traveled, next_travel)),
+            )
+
+
+def _row_name(component: str, index: int, key: str) -> str:
+    """Return the name of a derived constant."""
+    return f"{component}_{index}.{key}"

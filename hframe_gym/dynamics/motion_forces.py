@@ -13,9 +13,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..machine.effect import AppliedEffect
-from ..machine.machine import Machine
-from .equations import BeltState, Equations, MotionPoint
+from ..machine import AppliedEffect, Machine
+from .equations import BeltState, Equations
+from .parameterized_machine import MotionPoint
 
 Array = NDArray[np.float64]
 # The flow of a bristle state over a distance without turning point is exact, so few steps suffice.

@@ -1,12 +1,10 @@
-"""A SIMD register as a Numba type: `LANES` stages side by side in every arithmetic instruction.
+"""SIMD registers as a Numba type: `LANES` machines side by side in every arithmetic instruction.
 
-Numba's loop vectoriser does not survive a time-stepping loop with friction, so the kernels name the vector
-themselves.  A value of type `lane` is `LANES` float64 numbers, one a stage; `mask` is the result of comparing two.
-Arithmetic, comparisons, `where`, `fma`, `copysign`, `absolute`, ... map to one LLVM vector instruction each, which
-LLVM lowers to whatever the processor has (AVX-512, AVX2, NEON).  Nothing is contracted or re-associated, and `fma` is
-asked for by name: so the same inputs give the same bits for every lane, batch size and thread count.
-
-The same functions work on NumPy arrays when called from Python; an effect's formula is therefore written once.
+Numba's loop vectorizer fails on a time-stepping loop with friction, so the kernels use vector values explicitly. A
+`SimdVector` holds `LANES` float64 numbers, one per machine; a `SimdMask` is the result of a comparison. Arithmetic and
+the functions of `elementwise` map to LLVM vector instructions, which LLVM lowers to those of the processor (AVX-512,
+AVX2, NEON). Nothing is contracted or re-associated, and a fused multiply-add happens only where `fma` is called.
+Therefore the same inputs give the same bits in every lane, batch size and number of threads.
 """
 
 from __future__ import annotations
@@ -16,12 +14,31 @@ import operator
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import lower_builtin, models, register_model
+
+from .elementwise import absolute, any_of, copysign, floor, fma, maximum, minimum, pow2, rint, sqrt, where
+
+__all__ = [
+    "LANES",
+    "absolute",
+    "align_stack",
+    "any_of",
+    "copysign",
+    "floor",
+    "fma",
+    "load",
+    "maximum",
+    "minimum",
+    "pow2",
+    "rint",
+    "sqrt",
+    "store",
+    "where",
+]
 
 LANES = 8
 
@@ -30,7 +47,7 @@ _I64 = ir.IntType(64)
 _VECTOR = ir.VectorType(_F64, LANES)
 _IVECTOR = ir.VectorType(_I64, LANES)
 _BITS = ir.VectorType(ir.IntType(1), LANES)
-# Rows of a scratch array start on 8-byte boundaries only; claiming more would fault.
+# Rows of a scratch array start on 8-byte boundaries only; a larger claim would fault.
 _ALIGN = 8
 
 
@@ -64,64 +81,24 @@ class _MaskModel(models.PrimitiveModel):
         super().__init__(dmm, fe_type, _BITS)
 
 
-# -- what a Python call does: the same formula on arrays -------------------------------------------------------------
-
-
-def where(condition: Any, yes: Any, no: Any) -> Any:
-    """`yes` where `condition` holds, else `no`, lane by lane."""
-    return np.where(condition, yes, no)
-
-
-def fma(a: Any, b: Any, c: Any) -> Any:
-    """`a * b + c`, rounded once in a kernel (twice on arrays)."""
-    return a * b + c
-
-
-def copysign(size: Any, sign: Any) -> Any:
-    """The size of one number with the sign of another."""
-    return np.copysign(size, sign)
-
-
-def absolute(a: Any) -> Any:
-    """The size of a number."""
-    return np.abs(a)
-
-
-def rint(a: Any) -> Any:
-    """The nearest whole number, ties to even."""
-    return np.rint(a)
-
-
-def floor(a: Any) -> Any:
-    """The largest whole number that is not larger."""
-    return np.floor(a)
-
-
-def pow2(n: Any) -> Any:
-    """2**n for whole n in [-1022, 1023], exactly."""
-    return np.exp2(n)
-
-
-def any_of(condition: Any) -> Any:
-    """Whether the condition holds in any lane."""
-    return np.any(condition)
+# -- functions that exist in kernels only ------------------------------------------------------------------------------
 
 
 def load(rows: Any, k: Any) -> Any:
-    """Row k of a contiguous (n, LANES) array as one register (kernels only)."""
+    """Return row k of a contiguous array, shape (n, LANES), as one register."""
     raise NotImplementedError
 
 
 def store(rows: Any, k: Any, value: Any) -> Any:
-    """Write a register to row k of a contiguous (n, LANES) array (kernels only)."""
+    """Write a register to row k of a contiguous array, shape (n, LANES)."""
     raise NotImplementedError
 
 
 def align_stack() -> None:
-    """Align the frame of the kernel it stands in, so that no spilled register straddles two cache lines."""
+    """Align the frame of the calling kernel, so that no spilled register lies across two cache lines."""
 
 
-# -- what a kernel does ------------------------------------------------------------------------------------------------
+# -- vector instructions -----------------------------------------------------------------------------------------------
 
 _SCALAR = (types.Float, types.Integer)
 
@@ -141,7 +118,7 @@ def _as_vector(context: Any, builder: Any, value: Any, ty: types.Type) -> Any:
 
 
 def _operation(function: Any, arity: int, result: types.Type, emit: Callable[..., Any]) -> None:
-    """Give `function` a meaning on lanes; plain numbers among its operands are spread over all lanes."""
+    """Register a function of vectors with Numba; plain numbers among its operands are broadcast to all lanes."""
 
     @infer_global(function)
     class _Template(AbstractTemplate):
@@ -154,7 +131,7 @@ def _operation(function: Any, arity: int, result: types.Type, emit: Callable[...
         vectors = [_as_vector(context, builder, a, t) for a, t in zip(args, sig.args, strict=True)]
         return emit(builder, *vectors)
 
-    # Operators on plain numbers keep Numba's own lowering: only signatures with a lane in them are ours.
+    # Numba lowers operations on plain numbers itself; only signatures with a vector are registered here.
     kinds = (SimdVector, *_SCALAR)
     for operands in itertools.product(kinds, repeat=arity):
         if SimdVector in operands:
@@ -162,7 +139,7 @@ def _operation(function: Any, arity: int, result: types.Type, emit: Callable[...
 
 
 def _llvm(name: str) -> Callable[..., Any]:
-    """A call of LLVM's vector intrinsic of that name."""
+    """Return the emitter of LLVM's vector intrinsic of that name."""
 
     def emit(builder: Any, *args: Any) -> Any:
         kind = ir.FunctionType(_VECTOR, [_VECTOR] * len(args))
@@ -178,6 +155,11 @@ def _arithmetic(instruction: str) -> Callable[..., Any]:
 
 def _comparison(sign: str) -> Callable[..., Any]:
     return lambda builder, a, b: builder.fcmp_ordered(sign, a, b)
+
+
+def _choice(sign: str) -> Callable[..., Any]:
+    """Return the emitter of the smaller ("<") or larger (">") of two vectors."""
+    return lambda builder, a, b: builder.select(builder.fcmp_ordered(sign, a, b), a, b)
 
 
 def _emit_pow2(builder: Any, n: Any) -> Any:
@@ -204,9 +186,12 @@ for _function, _sign in (
     _operation(_function, 2, mask, _comparison(_sign))
 _operation(operator.neg, 1, lane, _arithmetic("fneg"))
 _operation(absolute, 1, lane, _llvm("fabs"))
+_operation(sqrt, 1, lane, _llvm("sqrt"))
 _operation(rint, 1, lane, _llvm("rint"))
 _operation(floor, 1, lane, _llvm("floor"))
 _operation(pow2, 1, lane, _emit_pow2)
+_operation(minimum, 2, lane, _choice("<"))
+_operation(maximum, 2, lane, _choice(">"))
 _operation(copysign, 2, lane, _llvm("copysign"))
 _operation(fma, 3, lane, _llvm("fma"))
 

@@ -1,4 +1,4 @@
-"""Simulation of machines over recordings, in batches."""
+"""Simulation of machines over recordings, one machine or a batch of one shape."""
 
 from __future__ import annotations
 
@@ -6,67 +6,55 @@ import itertools
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..machine.kinematics import rest_state
-from ..machine.machine import Machine
+from ..machine import Machine, Trajectory, rest_state
 from .kernel import Kernel, kernel_for
 from .simd import LANES
 
 LONGEST_STEP = 0.25e-3  # s; 0.2 um median error over 0.4 s of random voltages (benchmarks/accuracy.py)
 
-_BEYOND = 1e6  # m, rad, or that a second: no such stage, and no such number travels on
+_DIVERGED = 1e6  # m, rad, or per second; no machine of this kind gets anywhere near
 
 Array = NDArray[np.float64]
 _NOTHING = np.zeros((0, 0))
 _NO_SERIES = np.zeros((0, 0, 0))
 
 
-@dataclass(frozen=True)
-class Trajectory:
-    """What a machine did.
-
-    time_s (n,); positions and velocities (n, coordinates) in m, rad and per second; outputs (n, sensors), noise-free,
-    with their channels' names.
-    """
-
-    time_s: Array
-    positions: Array
-    velocities: Array
-    outputs: Array
-    channels: tuple[str, ...]
-
-
 class NotFiniteError(ArithmeticError):
-    """A simulation left all bounds: the machine's parameters or inputs are impossible."""
+    """A simulated motion diverged: the parameters or inputs are impossible, or the step is too long for them."""
 
 
 def threads() -> int:
-    """How many threads batches use: `$HFRAME_THREADS`, else every core that this process may use."""
+    """Return the number of threads for batches: `$HFRAME_THREADS`, or every core that this process may use."""
     explicit = os.environ.get("HFRAME_THREADS")
     return max(1, int(explicit)) if explicit else _cores(os.getpid())
 
 
 @lru_cache(maxsize=1)
 def _cores(process: int) -> int:
-    """Cores that this process may use, asked for once a process."""
+    """Return the number of cores that this process may use; evaluated once per process."""
     return len(os.sched_getaffinity(0))
 
 
 def in_parallel(run: Callable[[int, int], None], blocks: int) -> None:
-    """Call run(first, last) on ranges that cover all blocks, one range a thread."""
+    """Process blocks in several threads.
+
+    Args:
+        run: Function of a range of blocks (first, after the last).
+        blocks: Number of blocks.
+    """
     count = min(threads(), blocks)
     if count <= 1:
         run(0, blocks)
         return
     edges = [blocks * i // count for i in range(count + 1)]
     pool = _pool(os.getpid(), count - 1)
-    others = [pool.submit(run, *own) for own in itertools.pairwise(edges[1:])]
+    others = [pool.submit(run, *block_range) for block_range in itertools.pairwise(edges[1:])]
     run(edges[0], edges[1])
     for other in others:
         other.result()
@@ -74,12 +62,20 @@ def in_parallel(run: Callable[[int, int], None], blocks: int) -> None:
 
 @lru_cache(maxsize=4)
 def _pool(process: int, workers: int) -> ThreadPoolExecutor:
-    """Threads kept between calls; a forked process does not inherit them, so it makes its own."""
+    """Return threads that are kept between calls; a forked process does not inherit them and makes new ones."""
     return ThreadPoolExecutor(workers, thread_name_prefix="hframe")
 
 
 def parameter_batch(machine: Machine, changes: dict[str, Array] | None = None) -> Array:
-    """Parameters (B, P) of a batch of machines of one shape: the machine's own, with arrays (B,) in place of some."""
+    """Return the parameters of a batch of machines of one shape.
+
+    Args:
+        machine: Machine with the nominal parameters.
+        changes: Values by full name, each of shape (B,), in place of the nominal ones.
+
+    Returns:
+        Parameters in the order of `Machine.parameters`, shape (B, P).
+    """
     values = machine.parameters
     changes = changes or {}
     batch = max((len(v) for v in changes.values()), default=1)
@@ -90,8 +86,13 @@ def parameter_batch(machine: Machine, changes: dict[str, Array] | None = None) -
 
 
 class Motion(NamedTuple):
-    """A batch over one time grid, own units: positions (B, n, coordinates), velocities the same, readings
-    (B, n, sensors); what was not asked for is empty."""
+    """Motion of a batch of machines on one time grid; what was not requested is empty.
+
+    Attributes:
+        positions: Positions in the coordinates' units, shape (B, n, coordinates).
+        velocities: Velocities, shape (B, n, coordinates).
+        readings: Sensor readings in the channels' units, shape (B, n, sensors).
+    """
 
     positions: Array
     velocities: Array
@@ -113,16 +114,32 @@ def simulate_batch(
     readings: bool = True,
     parallel: bool = True,
 ) -> Motion:
-    """The motion of a batch of machines of one shape.
+    """Simulate a batch of machines of one shape.
 
-    inputs (n, inputs) or (B, n, inputs), V; parameters (B, P) in the order of `Machine.parameters`; start (2 c,) or
-    (B, 2 c), own units; extra_force (n, c) or (B, n, c), N or Nm, held; measured (n, sensors) or (B, n, sensors) with
-    gains (2 c, sensors): output injection, state += gains @ (measured - reading) at every row, own units.  parallel:
-    spread blocks of lanes over threads (off where the caller spreads recordings).
+    Arrays without the batch axis apply to all machines.
+
+    Args:
+        machine: A machine of the shape.
+        time_s: Sample times, s, shape (n,).
+        inputs: Voltages, V, held from each sample until the next, shape (n, drives) or (B, n, drives).
+        parameters: Parameters in the order of `Machine.parameters`, shape (B, P). Default: those of the machine.
+        start: Positions, then velocities, at the first sample, in the coordinates' units, shape (2 * coordinates,) or
+            (B, 2 * coordinates). Default: at rest.
+        extra_force: Force on every coordinate, N or Nm, held, shape (n, coordinates) or (B, n, coordinates).
+        measured: Measurements for output injection, shape (n, sensors) or (B, n, sensors), NaN where not measured.
+        gains: Gains of the output injection in the coordinates' units, shape (2 * coordinates, sensors): at every
+            sample state += gains @ (measured - reading).
+        longest_step: Largest step of the integrator, s.
+        states: Whether to return positions and velocities.
+        readings: Whether to return sensor readings.
+        parallel: Whether to distribute the batch over threads; not where the caller runs several batches in parallel.
+
+    Returns:
+        The motion.
     """
     kernel: Kernel = kernel_for(machine, forced=extra_force is not None)
     count = len(machine.coordinates)
-    radii = machine.radii
+    radii = machine.travel_per_unit
 
     def series(values: Array | None) -> Array:
         if values is None:
@@ -140,11 +157,11 @@ def simulate_batch(
     travel_gains = gains * np.tile(radii, 2)[:, None] if gains is not None else _NOTHING
     grid = np.ascontiguousarray(time_s, float)
     out = np.empty((batch, len(grid), 2 * count)) if states else _NO_SERIES
-    shown = np.empty((batch, len(grid), len(machine.sensors))) if readings else _NO_SERIES
+    outputs = np.empty((batch, len(grid), len(machine.sensors))) if readings else _NO_SERIES
 
     def run(first: int, last: int) -> None:
         kernel.rollout(
-            grid, inputs, parameters, travel, observed, travel_gains, force, longest_step, first, last, out, shown
+            grid, inputs, parameters, travel, observed, travel_gains, force, longest_step, first, last, out, outputs
         )
 
     blocks = -(-batch // LANES)
@@ -154,11 +171,22 @@ def simulate_batch(
         run(0, blocks)
     if states:
         out /= np.tile(radii, 2)
-    return Motion(out[..., :count], out[..., count:], shown)
+    return Motion(out[..., :count], out[..., count:], outputs)
 
 
 def rollout(machine: Machine, time_s: Array, inputs: Array, *, velocities: bool = False, **options: Any) -> Array:
-    """Positions (B, n, coordinates), with velocities behind them if asked; options as of `simulate_batch`."""
+    """Simulate a batch of machines and return positions only.
+
+    Args:
+        machine: A machine of the shape.
+        time_s: Sample times, s, shape (n,).
+        inputs: Voltages, V, shape (n, drives) or (B, n, drives).
+        velocities: Whether to append the velocities.
+        **options: Options of `simulate_batch`.
+
+    Returns:
+        Positions in the coordinates' units, shape (B, n, coordinates), or with velocities (B, n, 2 * coordinates).
+    """
     motion = simulate_batch(machine, time_s, inputs, readings=False, **options)
     return np.concatenate(motion[:2], axis=2) if velocities else motion.positions
 
@@ -172,17 +200,33 @@ def simulate(
     offset: ArrayLike = 0.0,
     longest_step: float = LONGEST_STEP,
 ) -> Trajectory:
-    """The machine's free run under voltages inputs (n, inputs), each held from its time until the next.
+    """Simulate a machine over a voltage history.
 
-    initial: state (2 c,) (default: at rest, belts unstretched, at the origin).  offset: of the sensors' zeros
-    (sensors,), added to the outputs.  longest_step: of the integrator, s.
+    Inputs are held from each sample until the next (zero-order hold).
 
-    Raises ValueError for arrays that do not fit, NotFiniteError when the motion leaves all bounds.
+    Args:
+        machine: Machine to simulate.
+        time_s: Sample times, s, strictly increasing, shape (n,).
+        inputs: Drive voltages, V, shape (n, drives).
+        initial: Positions, then velocities, at the first sample, in the coordinates' units, shape
+            (2 * coordinates,). Default: at rest at the origin with unstretched belts.
+        offset: Zero offset of the sensors, in the channels' units, shape (sensors,), added to the outputs.
+        longest_step: Largest step of the integrator, s.
+
+    Returns:
+        Positions, velocities and sensor readings at every sample.
+
+    Raises:
+        ValueError: If the shapes do not fit the machine, times do not increase, or a value is not finite.
+        NotFiniteError: If the motion diverges; the message names time and coordinate.
+
+    References:
+        Sollmann, Jouaneh and Lavender (2010), eq. 36-44.
     """
     grid = np.asarray(time_s, float)
     voltages = np.asarray(inputs, float)
     if grid.ndim != 1 or len(grid) == 0 or np.any(np.diff(grid) <= 0) or not np.all(np.isfinite(grid)):
-        raise ValueError("time_s must be a row of finite, strictly increasing times")
+        raise ValueError("time_s must be one-dimensional, finite and strictly increasing")
     if voltages.shape != (len(grid), len(machine.drives)):
         expected = (len(grid), len(machine.drives))
         raise ValueError(f"inputs have shape {voltages.shape}, machine {machine.name!r} needs {expected}")
@@ -190,13 +234,24 @@ def simulate(
         row, column = map(int, np.argwhere(~np.isfinite(voltages))[0])
         raise ValueError(f"inputs: row {row}, {machine.input_channels[column]} is {voltages[row, column]}")
     start = None if initial is None else np.asarray(initial, float)
+    size = 2 * len(machine.coordinates)
+    if start is not None and start.shape != (size,):
+        raise ValueError(f"initial has shape {start.shape}, machine {machine.name!r} needs {(size,)}")
     motion = simulate_batch(machine, grid, voltages, start=start, longest_step=longest_step)
-    wild = ~(np.abs(np.concatenate(motion, axis=2)[0]) < _BEYOND)
-    if wild.any():
-        row = int(np.argwhere(wild)[0][0])
-        raise NotFiniteError(
-            f"machine {machine.name!r}: the motion leaves all bounds at t = {grid[row]:g} s; "
-            f"is it stiffer than steps of {longest_step:g} s can follow?"
-        )
+    _check_finite(machine, grid, motion, longest_step)
     outputs = motion.readings[0] + np.asarray(offset, float)
     return Trajectory(grid, motion.positions[0], motion.velocities[0], outputs, machine.output_channels)
+
+
+def _check_finite(machine: Machine, time_s: Array, motion: Motion, longest_step: float) -> None:
+    """Raise NotFiniteError if the first machine of a motion leaves all bounds."""
+    state = np.concatenate(motion, axis=2)[0]
+    diverged = ~(np.abs(state) < _DIVERGED)
+    if diverged.any():
+        row, column = map(int, np.argwhere(diverged)[0])
+        names = (*machine.coordinate_names, *(f"velocity of {c}" for c in machine.coordinate_names))
+        quantity = (*names, *machine.output_channels)[column]
+        raise NotFiniteError(
+            f"machine {machine.name!r}: the simulated motion diverges at t = {time_s[row]:g} s ({quantity}). Check "
+            f"masses and belt stiffness, or simulate with a step shorter than {longest_step:g} s."
+        )

@@ -1,8 +1,8 @@
-"""Loops around a kernel's step: whole recordings (`rollout`) and control periods (`advance_blocks`).
+"""Loops around a kernel's step: recordings (`rollout`) and control periods (`advance_blocks`).
 
-These functions are templates: `kernel.py` copies their text behind the `prepare`, `delays` and `advance` of a machine's
-shape, so that Numba inlines and caches them together.  They run without the interpreter lock, each on its own range of
-blocks; a block is `LANES` stages.
+These functions are templates. `kernel` appends their text to the generated functions of a machine's shape, so that
+Numba inlines and caches them together. They run without the interpreter lock, each on its own range of blocks; a block
+is `LANES` machines, side by side in the last axis of the arrays.
 """
 # mypy: ignore-errors
 
@@ -12,113 +12,139 @@ import numpy as np
 
 from .simd import LANES
 
-# Set by the generated text of a shape; here only so that a reader and the linter know the names.
+# The generated module sets these names; they are here for readers and for the linter.
 COORDINATES = STATES = INPUTS = SENSORS = PARAMETERS = DERIVED = 0
 DELAYED = LAGGED = FORCED = False
-prepare = delays = advance = read_sensors = lags = inlined = None
+prepare = voltage_delays = advance = read_sensors = measurement_delays = None
 
 
 def held_mean(time, values, start, end, hint):
-    """Mean over [start, end] of an input held from each time until the next (before the first: the first value)."""
+    """Return the mean over [start, end] of an input that is held from each time until the next.
+
+    Args:
+        time: Sample times, s, shape (n,).
+        values: Input at the samples, shape (n,); before the first sample its value acts.
+        start: Start of the interval, s.
+        end: End of the interval, s.
+        hint: Index of a sample that is not before the interval.
+    """
     i = hint
     while i > 0 and time[i] > start:
         i -= 1
     total = 0.0
-    at = start
+    reached = start
     while True:
         until = end if i + 1 >= time.shape[0] else min(end, time[i + 1])
-        if until > at:
-            total += values[i] * (until - at)
-            at = until
-        if at >= end or i + 1 >= time.shape[0]:
+        if until > reached:
+            total += values[i] * (until - reached)
+            reached = until
+        if reached >= end or i + 1 >= time.shape[0]:
             return total / (end - start)
         i += 1
 
 
 def interpolated(rows, i, lane, j, back):
-    """Entry (j, lane) of rows (n, sensors, LANES), of which i are there, `back` rows before the last: quadratically."""
-    at = max(0.0, i - back)
-    k = min(max(1, int(at + 0.5)), i - 1)
+    """Return an entry of past rows, interpolated quadratically.
+
+    Args:
+        rows: Past rows, shape (n, SENSORS, LANES).
+        i: Index of the last row.
+        lane: Lane of the entry.
+        j: Sensor of the entry.
+        back: Distance from the last row, in rows.
+    """
+    position = max(0.0, i - back)
+    k = min(max(1, int(position + 0.5)), i - 1)
     if i < 2:
         return rows[0, j, lane]
-    u = at - k
-    left, middle, right = rows[k - 1, j, lane], rows[k, j, lane], rows[k + 1, j, lane]
-    return middle + 0.5 * u * (right - left) + 0.5 * u * u * (right - 2.0 * middle + left)
+    u = position - k
+    before, middle, after = rows[k - 1, j, lane], rows[k, j, lane], rows[k + 1, j, lane]
+    return middle + 0.5 * u * (after - before) + 0.5 * u * u * (after - 2.0 * middle + before)
 
 
 def rollout(time, inputs, parameters, start, measured, gains, extra, longest_step, first, last, out, readings):
-    """Simulate stages first*LANES .. last*LANES-1 over a recording.
+    """Simulate the machines of blocks first..last-1 over a recording.
 
-    time (n,) s; inputs (1 or B, n, INPUTS) V, held until the next row; parameters (B, PARAMETERS); start
-    (B, 2 COORDINATES) travel and velocity; measured (1 or B, n, SENSORS) or none for a free run, NaN where not
-    measured; gains (2 COORDINATES, SENSORS) of the output injection; extra (1 or B, n, COORDINATES) N, held, where the
-    kernel takes it; longest_step s; out (B, n, k) gets the first k rows of the state; readings (B, n, SENSORS), or
-    none, what the sensors show.
+    Args:
+        time: Sample times, s, shape (n,).
+        inputs: Voltages, V, shape (1 or B, n, INPUTS), held until the next sample.
+        parameters: Machine parameters, shape (B, PARAMETERS).
+        start: Travel, m, and speed, m/s, at the first sample, shape (B, 2 * COORDINATES).
+        measured: Measurements for output injection, shape (1 or B, n, SENSORS), NaN where not measured; empty for a
+            free run.
+        gains: Gains of the output injection, shape (2 * COORDINATES, SENSORS).
+        extra: External forces, N, shape (1 or B, n, COORDINATES), held, if the kernel is `FORCED`.
+        longest_step: Largest step of the integrator, s.
+        first: First block.
+        last: Block after the last one.
+        out: Output, the first rows of the state at every sample, shape (B, n, k); empty if not needed.
+        readings: Output, sensor readings, shape (B, n, SENSORS); empty if not needed.
     """
-    S = np.zeros((STATES, LANES))
-    P = np.zeros((PARAMETERS, LANES))
-    C = np.zeros((DERIVED, LANES))
-    D = np.zeros((INPUTS, LANES))
-    W = np.zeros((COORDINATES, LANES))
-    R = np.zeros((SENSORS, LANES))
-    L = np.zeros((SENSORS, LANES))
+    state = np.zeros((STATES, LANES))
+    lane_parameters = np.zeros((PARAMETERS, LANES))
+    derived = np.zeros((DERIVED, LANES))
+    drive_delays = np.zeros((INPUTS, LANES))
+    external_forces = np.zeros((COORDINATES, LANES))
+    reading = np.zeros((SENSORS, LANES))
+    sensor_delays = np.zeros((SENSORS, LANES))
     longest = 1
     for i in range(time.shape[0] - 1):
         longest = max(longest, int(np.ceil((time[i + 1] - time[i]) / longest_step - 1e-6)))
-    U = np.zeros((INPUTS * longest if DELAYED else INPUTS, LANES))
-    stages = parameters.shape[0]
-    own_inputs = inputs.shape[0] > 1
-    own_extra = extra.shape[0] > 1
+    voltages = np.zeros((INPUTS * longest if DELAYED else INPUTS, LANES))
+    machines = parameters.shape[0]
+    inputs_per_machine = inputs.shape[0] > 1
+    extra_per_machine = extra.shape[0] > 1
     observed = measured.shape[0] > 0
-    own_measured = measured.shape[0] > 1
+    measured_per_machine = measured.shape[0] > 1
     read = observed or readings.shape[0] > 0
     past = np.zeros((time.shape[0] if LAGGED else 0, SENSORS, LANES))
     for block in range(first, last):
-        # A block that is not full repeats its first stage in the lanes left over.
+        # The spare lanes of the last block repeat its first machine.
         for lane in range(LANES):
             b = block * LANES + lane
-            b = b if b < stages else block * LANES
+            b = b if b < machines else block * LANES
             for k in range(PARAMETERS):
-                P[k, lane] = parameters[b, k]
+                lane_parameters[k, lane] = parameters[b, k]
             for k in range(2 * COORDINATES):
-                S[k, lane] = start[b, k]
-            S[2 * COORDINATES, lane] = time[0]
+                state[k, lane] = start[b, k]
+            state[2 * COORDINATES, lane] = time[0]
             for k in range(2 * COORDINATES + 1, STATES):
-                S[k, lane] = 0.0
+                state[k, lane] = 0.0
         if DELAYED:
-            delays(P, D)
+            voltage_delays(lane_parameters, drive_delays)
         if LAGGED:
-            lags(P, L)
+            measurement_delays(lane_parameters, sensor_delays)
+        used_lanes = min(LANES, machines - block * LANES)
         period = -1.0
         h = longest_step
         steps = 1
         for i in range(time.shape[0]):
-            own = min(LANES, stages - block * LANES)
             if out.shape[0] > 0:
-                for lane in range(own):
+                for lane in range(used_lanes):
                     for k in range(out.shape[2]):
-                        out[block * LANES + lane, i, k] = S[k, lane]
+                        out[block * LANES + lane, i, k] = state[k, lane]
             if read:
-                read_sensors(S, P, R)
+                read_sensors(state, lane_parameters, reading)
                 if LAGGED:
-                    past[i] = R
-                    late = max(1e-12, time[i] - time[max(0, i - 1)])
+                    past[i] = reading
+                    sample_period = max(1e-12, time[i] - time[max(0, i - 1)])
                     for j in range(SENSORS):
                         for lane in range(LANES):
-                            if L[j, lane] > 0.0:
-                                R[j, lane] = interpolated(past, i, lane, j, L[j, lane] / late)
+                            if sensor_delays[j, lane] > 0.0:
+                                back = sensor_delays[j, lane] / sample_period
+                                reading[j, lane] = interpolated(past, i, lane, j, back)
             if readings.shape[0] > 0:
-                for lane in range(own):
+                for lane in range(used_lanes):
                     for j in range(SENSORS):
-                        readings[block * LANES + lane, i, j] = R[j, lane]
+                        readings[block * LANES + lane, i, j] = reading[j, lane]
             if observed:
                 for j in range(SENSORS):
-                    for lane in range(own):
-                        shown = measured[block * LANES + lane if own_measured else 0, i, j]
-                        if np.isfinite(shown):
-                            D_j = shown - R[j, lane]
+                    for lane in range(used_lanes):
+                        measurement = measured[block * LANES + lane if measured_per_machine else 0, i, j]
+                        if np.isfinite(measurement):
+                            innovation = measurement - reading[j, lane]
                             for k in range(2 * COORDINATES):
-                                S[k, lane] += gains[k, j] * D_j
+                                state[k, lane] += gains[k, j] * innovation
             if i + 1 == time.shape[0]:
                 break
             dt = time[i + 1] - time[i]
@@ -126,51 +152,64 @@ def rollout(time, inputs, parameters, start, measured, gains, extra, longest_ste
                 period = dt
                 steps = max(1, int(np.ceil(dt / longest_step - 1e-6)))
                 h = dt / steps
-                prepare(P, C, h)
+                prepare(lane_parameters, derived, h)
             for lane in range(LANES):
                 b = block * LANES + lane
-                b = b if b < stages else block * LANES
-                u = b if own_inputs else 0
+                b = b if b < machines else block * LANES
+                u = b if inputs_per_machine else 0
                 if DELAYED:
                     for s in range(steps):
                         for k in range(INPUTS):
-                            begin = time[i] + s * h - D[k, lane]
-                            U[s * INPUTS + k, lane] = held_mean(time, inputs[u, :, k], begin, begin + h, i)
+                            begin = time[i] + s * h - drive_delays[k, lane]
+                            voltages[s * INPUTS + k, lane] = held_mean(time, inputs[u, :, k], begin, begin + h, i)
                 else:
                     for k in range(INPUTS):
-                        U[k, lane] = inputs[u, i, k]
+                        voltages[k, lane] = inputs[u, i, k]
                 if FORCED:
-                    e = b if own_extra else 0
+                    e = b if extra_per_machine else 0
                     for k in range(COORDINATES):
-                        W[k, lane] = extra[e, i, k]
-            advance(S, P, C, U, W, h, steps)
+                        external_forces[k, lane] = extra[e, i, k]
+            advance(state, lane_parameters, derived, voltages, external_forces, h, steps)
 
 
 def prepare_blocks(parameters, h, first, last, derived):
-    """Derived numbers (blocks, DERIVED, LANES) of blocks first..last-1 for steps of h, s.
+    """Compute the derived constants of blocks first..last-1.
 
-    parameters (blocks, PARAMETERS, LANES).
+    Args:
+        parameters: Machine parameters, shape (blocks, PARAMETERS, LANES).
+        h: Step of the integrator, s.
+        first: First block.
+        last: Block after the last one.
+        derived: Output, shape (blocks, DERIVED, LANES).
     """
     for block in range(first, last):
         prepare(parameters[block], derived[block], h)
 
 
 def advance_blocks(state, parameters, derived, inputs, h, steps, first, last):
-    """Advance blocks first..last-1 in place by `steps` steps of h with held inputs.
+    """Advance blocks first..last-1 in place with constant inputs.
 
-    state (blocks, STATES, LANES): travel, velocity, time, effects' own; inputs (blocks, INPUTS, LANES) V, or one such
-    set for each step in (blocks, steps * INPUTS, LANES) where a drive is delayed.
+    Args:
+        state: Travel, speed, time and effect states, shape (blocks, STATES, LANES).
+        parameters: Machine parameters, shape (blocks, PARAMETERS, LANES).
+        derived: Derived constants, shape (blocks, DERIVED, LANES).
+        inputs: Voltages, V, shape (blocks, INPUTS, LANES); if a drive is delayed, one set per step, shape
+            (blocks, steps * INPUTS, LANES).
+        h: Step of the integrator, s.
+        steps: Number of steps.
+        first: First block.
+        last: Block after the last one.
     """
-    W = np.zeros((COORDINATES, LANES))
+    external_forces = np.zeros((COORDINATES, LANES))
     for block in range(first, last):
-        advance(state[block], parameters[block], derived[block], inputs[block], W, h, steps)
+        advance(state[block], parameters[block], derived[block], inputs[block], external_forces, h, steps)
 
 
 def read_blocks(state, parameters, first, last, readings):
     """Evaluate every sensor of blocks first..last-1 at the present state, without its delay.
 
     Args:
-        state: Travel, velocity, time and effect states, shape (blocks, STATES, LANES).
+        state: Travel, speed, time and effect states, shape (blocks, STATES, LANES).
         parameters: Machine parameters, shape (blocks, PARAMETERS, LANES).
         first: First block.
         last: Block after the last one.
@@ -190,7 +229,7 @@ def sensor_delay_blocks(parameters, first, last, sensor_delays):
         sensor_delays: Output, s, shape (blocks, SENSORS, LANES).
     """
     for block in range(first, last):
-        lags(parameters[block], sensor_delays[block])
+        measurement_delays(parameters[block], sensor_delays[block])
 
 
 def drive_delay_blocks(parameters, first, last, drive_delays):
@@ -203,4 +242,4 @@ def drive_delay_blocks(parameters, first, last, drive_delays):
         drive_delays: Output, s, shape (blocks, INPUTS, LANES).
     """
     for block in range(first, last):
-        delays(parameters[block], drive_delays[block])
+        voltage_delays(parameters[block], drive_delays[block])

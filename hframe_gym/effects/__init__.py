@@ -1,53 +1,108 @@
-"""The library of effects that a declared machine may lack: one file each, found by being here."""
+"""The library of effects that a declared machine may lack: one file per effect, found because it is in this folder.
+
+A program can add its own effects with `register_effect`; they then work in machine.json, in environments and in
+identification like those of the library.
+"""
 
 from __future__ import annotations
 
 import importlib
 import pkgutil
+from collections.abc import Mapping
+from types import MappingProxyType
 
-from ..machine.effect import Effect
-from ..machine.machine import Machine
+from ..machine import Effect, Machine
 from . import smooth_table
 
 
 def _library() -> dict[str, Effect]:
+    """Return the effect of every module in this folder by name; tables have no fixed name."""
     modules = sorted(m.name for m in pkgutil.iter_modules(__path__) if m.name != "smooth_table")
     return {e.name: e for e in (importlib.import_module(f"{__name__}.{m}").EFFECT for m in modules)}
 
 
-EFFECTS: dict[str, Effect] = _library()
+_REGISTERED: dict[str, Effect] = _library()
+
+#: Definitions by name: the library, and what `register_effect` added.
+EFFECTS: Mapping[str, Effect] = MappingProxyType(_REGISTERED)
+
+
+def register_effect(effect: Effect) -> Effect:
+    """Add an effect to `EFFECTS`.
+
+    Args:
+        effect: The definition.
+
+    Returns:
+        The definition, unchanged.
+
+    Raises:
+        ValueError: If another effect has the same name.
+    """
+    if _REGISTERED.get(effect.name, effect) is not effect:
+        raise ValueError(f"effect {effect.name!r} is registered already")
+    _REGISTERED[effect.name] = effect
+    return effect
+
+
+def unregister_effect(name: str) -> None:
+    """Remove an effect that `register_effect` added.
+
+    Args:
+        name: Name of the effect.
+
+    Raises:
+        KeyError: If there is no such effect.
+    """
+    del _REGISTERED[name]
 
 
 def get_effect(name: str) -> Effect:
-    """The definition of a name: of the library, or a table's.
+    """Return the definition of an effect.
 
-    Raises KeyError for an unknown one.
+    Args:
+        name: A name in `EFFECTS`, or that of a table such as "smooth_force[position of y]".
+
+    Returns:
+        The definition.
+
+    Raises:
+        KeyError: If there is no such effect.
     """
     return EFFECTS[name] if name in EFFECTS else smooth_table.definition(name)
 
 
 def effect_sites(effect: Effect, machine: Machine) -> tuple[str, ...]:
-    """Where on a machine an effect can sit."""
+    """Return the sites of a machine at which an effect can act.
+
+    Args:
+        effect: The definition.
+        machine: The machine.
+
+    Returns:
+        Names of sites; empty if the effect does not fit the machine.
+    """
     if effect.fits and not effect.fits(machine):
         return ()
     drives = tuple(d.name for d in machine.drives)
-    sensors = tuple(s.channel for s in machine.sensors)
-    if effect.name == "sensor_skew":
-        sensors = tuple(s.channel for s in machine.sensors if machine.coordinate(s.coordinate).kind == "linear")
-    return {
-        # Pulleys that share their numbers have no effect of their own.
+    sites = {
+        # Coordinates whose mass is tied to another parameter share all parameters; none has an effect alone.
         "coordinate": tuple(c for c in machine.coordinate_names if f"{c}.mass" not in machine.ties),
         "motor": drives,
         "drive": drives,
         "drives": ("drives",),
         "belts": ("belts",) if machine.belts else (),
-        "sensor": sensors,
+        "sensor": tuple(s.channel for s in machine.sensors),
         "machine": ("machine",),
     }[effect.site]
+    fits_site = effect.fits_site
+    return sites if fits_site is None else tuple(site for site in sites if fits_site(machine, site))
 
 
 __all__ = [
     "EFFECTS",
     "effect_sites",
     "get_effect",
+    "register_effect",
+    "unregister_effect",
 ]

@@ -1,12 +1,13 @@
-"""Viscous friction that differs by direction: b (1 + a) forwards, b (1 - a) backwards.
+"""Viscous friction that depends on the direction of motion: b (1 + a) forward, b (1 - a) backward.
 
-Seals, wipers and one-sided bearing preload; the declared b is the mean of both directions.
+Causes are seals, wipers and one-sided bearing preload. The declared coefficient b is the mean of both directions.
 """
 
-from ..machine.effect import Effect, EffectParameter
+from ..machine import Effect, EffectParameter
 
 
 def viscous(b, direction, a):  # type: ignore[no-untyped-def]
+    """Return b (1 + a sign v)."""
     return b * (1.0 + direction * a)
 
 

@@ -1,9 +1,10 @@
-"""Damping inside the belts, tension k (s + c ds/dt): Kelvin and Voigt's solid."""
+"""Damping inside the belts: tension k (s + c ds/dt), the Kelvin-Voigt model."""
 
-from ..machine.effect import Effect, EffectParameter
+from ..machine import Effect, EffectParameter
 
 
 def tension(s, rate, k, c):  # type: ignore[no-untyped-def]
+    """Return k (s + c ds/dt)."""
     return k * (s + c * rate)
 
 

@@ -1,13 +1,15 @@
-"""Belts that stiffen as they stretch, tension k s (1 + h s^2)."""
+"""Belts that stiffen with extension: tension k s (1 + h s^2)."""
 
-from ..machine.effect import Effect, EffectParameter
+from ..machine import Effect, EffectParameter
 
 
 def tension(s, k, h):  # type: ignore[no-untyped-def]
+    """Return k s (1 + h s^2)."""
     return k * s * (1.0 + h * s * s)
 
 
 def energy_slope(s, h):  # type: ignore[no-untyped-def]
+    """Return s^2/2 (1 + h s^2/2)."""
     return 0.5 * s * s * (1.0 + 0.5 * h * s * s)
 
 
@@ -16,7 +18,7 @@ EFFECT = Effect(
     family="belt_hardening",
     site="belts",
     formula="T = k s (1 + h s^2)",
-    source="Duffing's spring",
+    source="Duffing oscillator",
     tension=tension,
     energy_slope=energy_slope,
     parameters=(EffectParameter("h", "1/m^2", -1e12, 1e12, scale=0.1, role="amplitude"),),

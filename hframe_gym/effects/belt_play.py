@@ -1,16 +1,23 @@
-"""Play in the belts' teeth and clamps: within +-d of extension a belt carries nothing."""
+"""Play in the teeth and clamps of the belts: no tension for extensions within +-d."""
 
 from ..dynamics.elementwise import maximum, minimum
-from ..machine.effect import Effect, EffectParameter
+from ..machine import Effect, EffectParameter
+
+
+def _beyond_play(s, d):  # type: ignore[no-untyped-def]
+    """Return the part of the extension that lies outside the play."""
+    return s - minimum(maximum(s, -d), d)
 
 
 def tension(s, k, d):  # type: ignore[no-untyped-def]
-    return k * (s - minimum(maximum(s, -d), d))
+    """Return k (s - clip(s, -d, d))."""
+    return k * _beyond_play(s, d)
 
 
 def energy_slope(s, d):  # type: ignore[no-untyped-def]
-    z = s - minimum(maximum(s, -d), d)
-    return 0.5 * z * z
+    """Return (s - clip(s, -d, d))^2 / 2."""
+    stretch = _beyond_play(s, d)
+    return 0.5 * stretch * stretch
 
 
 EFFECT = Effect(
@@ -18,7 +25,7 @@ EFFECT = Effect(
     family="belt_play",
     site="belts",
     formula="T = k (s - clip(s, -d, d))",
-    source="backlash of timing belts in their pulleys' grooves",
+    source="backlash of timing belts in the grooves of their pulleys",
     tension=tension,
     energy_slope=energy_slope,
     parameters=(EffectParameter("d", "m", 0.0, 1e-2, scale=0.05, role="amplitude"),),

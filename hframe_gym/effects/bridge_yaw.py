@@ -1,32 +1,35 @@
-"""A bridge that yaws (racks): a coordinate `yaw` with inertia J, stiffness k and damping c, half-width w.
+"""Yaw of the bridge: a coordinate `yaw` with inertia J, stiffness k, damping c and half-width w.
 
-The left belt sees x + w yaw, the right one x - w yaw, the bottom one x; the tool is at x + y yaw.  It gives the
-oscillation of 0.2 mm in x that the paper saw in a y-move and could not explain (section V).
+The extension of the left belt follows x + w yaw, that of the right belt x - w yaw, that of the bottom belt x. The tool
+is at x + y yaw. The effect explains an oscillation of 0.2 mm in x during y-moves, which the paper reports without
+explanation (section V).
 """
 
 import dataclasses
 
-from ..machine.effect import AppliedEffect, Effect, EffectParameter
-from ..machine.machine import Coordinate, Machine
+from ..machine import AppliedEffect, Coordinate, Effect, EffectParameter, Machine
 
 
 def force(q, k):  # type: ignore[no-untyped-def]
+    """Return -k q."""
     return -k * q
 
 
 def _sides(machine: Machine) -> dict[str, float]:
-    """By belt that runs along y: on which side of the bridge it pulls."""
+    """Return, for each belt along y, the side of the bridge (+1 or -1) on which it acts."""
     rows = {b.name: b.extension for b in machine.belts}
     return {name: row["y"] / row["x"] for name, row in rows.items() if row.get("x") and row.get("y")}
 
 
 def fits(machine: Machine) -> bool:
+    """Return whether belts act on both sides of the bridge, and nothing else yaws."""
     return set(_sides(machine).values()) == {1.0, -1.0} and "yaw" not in machine.coordinate_names
 
 
 def structure(machine: Machine, effect: AppliedEffect) -> Machine:
-    own = effect.parameters
-    yaw = Coordinate("yaw", own["J"], own["c"], kind="rotary", radius=own["w"])
+    """Add the coordinate, its part in the extension of the belts, and the product y yaw to sensors that read x."""
+    values = effect.parameters
+    yaw = Coordinate("yaw", values["J"], values["c"], kind="rotary", radius=values["w"])
     sides = _sides(machine)
     belts = tuple(
         dataclasses.replace(b, extension={**b.extension, "yaw": sides[b.name]}) if b.name in sides else b
@@ -51,7 +54,7 @@ EFFECT = Effect(
     family="bridge_yaw",
     site="machine",
     formula="J yaw'' + c yaw' + k yaw = w (T_r - T_l); tool at x + y yaw",
-    source="racking of gantries; the paper's section V",
+    source="racking of gantries; Sollmann et al. 2010, section V",
     force=force,
     coordinate="yaw",
     structure=structure,

@@ -1,9 +1,10 @@
-"""A spring between the coordinate and the frame, -k (q - q0): an energy chain, a hose, a cable's loop."""
+"""A spring between a coordinate and the frame, -k (q - q0): an energy chain, a hose or a cable loop."""
 
-from ..machine.effect import Effect, EffectParameter
+from ..machine import Effect, EffectParameter
 
 
 def force(q, k, q0):  # type: ignore[no-untyped-def]
+    """Return -k (q - q0)."""
     return -k * (q - q0)
 
 

@@ -1,13 +1,14 @@
-"""Torque that varies with the motor's angle, A sin(n q + p): detent torque of a motor with iron, commutation ripple.
+"""Torque that varies with the angle of the motor, A sin(n q + p): detent torque or commutation ripple.
 
-n = 1 on an arm in the vertical plane is its weight.
+With n = 1 on an arm in the vertical plane it is the arm's weight.
 """
 
 from ..dynamics.elementwise import sin
-from ..machine.effect import Effect, EffectParameter
+from ..machine import Effect, EffectParameter
 
 
 def force(q, A, n, p):  # type: ignore[no-untyped-def]
+    """Return A sin(n q + p)."""
     return A * sin(n * q + p)
 
 

@@ -1,13 +1,14 @@
-"""A constant force or torque on a coordinate: a tilted bed, a cable's pull, an amplifier's offset behind the gear.
+"""A constant force or torque on a coordinate: a tilted bed, the pull of a cable, an amplifier offset behind the gear.
 
-A Coulomb level that differs by direction, F+ and F-, is the same thing: (F+ - F-)/2 is a constant force and
-(F+ + F-)/2 the level.  The two cannot be told apart by any motion and are one class.
+Coulomb levels F+ and F- that differ by direction are equivalent: (F+ - F-)/2 is a constant force, (F+ + F-)/2 the
+Coulomb level. No motion can distinguish the two.
 """
 
-from ..machine.effect import Effect, EffectParameter
+from ..machine import Effect, EffectParameter
 
 
 def force(size):  # type: ignore[no-untyped-def]
+    """Return the constant."""
     return size
 
 

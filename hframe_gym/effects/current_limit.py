@@ -1,10 +1,11 @@
-"""An amplifier that limits the motor's current: |i| <= I, i = (V - Ke N w)/R."""
+"""An amplifier that limits the current of the motor: |i| <= I, i = (V - Ke N w)/R."""
 
 from ..dynamics.elementwise import maximum, minimum
-from ..machine.effect import Effect, EffectParameter
+from ..machine import Effect, EffectParameter
 
 
 def current(i, I):  # type: ignore[no-untyped-def]  # noqa: E741
+    """Return clip(i, -I, I)."""
     return minimum(maximum(i, -I), I)
 
 

@@ -1,14 +1,15 @@
-"""An amplifier that drives nothing below a voltage: V' = 0 for |V| < Vd, else V less a share of Vd.
+"""An amplifier without output below a voltage: V' = 0 for |V| < Vd, else V reduced by a fraction of Vd.
 
-drop = 0: a switch (a servo amplifier's enable threshold); drop = 1: a continuous dead zone (the base-emitter voltage of
-an output stage, brushes' contact voltage).
+drop = 0 is a switch (the enable threshold of a servo amplifier). drop = 1 is a continuous dead zone (base-emitter
+voltage of an output stage, contact voltage of brushes).
 """
 
 from ..dynamics.elementwise import absolute, copysign, where
-from ..machine.effect import Effect, EffectParameter
+from ..machine import Effect, EffectParameter
 
 
 def voltage(V, Vd, drop):  # type: ignore[no-untyped-def]
+    """Return 0 for |V| < Vd, else V - drop Vd sign V."""
     return where(absolute(V) < Vd, 0.0, V - copysign(drop * Vd, V))
 
 

@@ -1,14 +1,18 @@
-"""The winding's inductance: tau di/dt = (V - Ke N w)/R - i, tau = L/R; solved exactly over each part of a step."""
+"""Inductance of the winding: tau di/dt = (V - Ke N w)/R - i, tau = L/R, solved exactly over each part of a step."""
 
 from ..dynamics.elementwise import exp, maximum
-from ..machine.effect import Effect, EffectParameter
+from ..machine import Effect, EffectParameter
+
+_SHORTEST_LAG = 1e-9  # s; avoids a division by zero for tau = 0
 
 
 def next_state(z, i, dt, tau):  # type: ignore[no-untyped-def]
-    return i + (z - i) * exp(-dt / maximum(tau, 1e-9))
+    """Return the current after dt: i + (z - i) exp(-dt/tau)."""
+    return i + (z - i) * exp(-dt / maximum(tau, _SHORTEST_LAG))
 
 
 def current(z):  # type: ignore[no-untyped-def]
+    """Return the state."""
     return z
 
 
@@ -17,7 +21,7 @@ EFFECT = Effect(
     family="electrical_lag",
     site="drive",
     formula="tau di/dt = (V - Ke N w)/R - i",
-    source="any text on DC motors",
+    source="equation of the armature circuit of a DC motor",
     current=current,
     next_state=next_state,
     parameters=(EffectParameter("tau", "s", 0.0, 0.1, scale=5e-4, role="amplitude"),),

@@ -1,9 +1,10 @@
-"""Dry friction that grows along the way, F(q) = Fc + s q: rails out of parallel, a belt on its flange."""
+"""Dry friction that grows along the way, F(q) = Fc + s q: rails that are not parallel, a belt against its flange."""
 
-from ..machine.effect import Effect, EffectParameter
+from ..machine import Effect, EffectParameter
 
 
 def coulomb(q, s):  # type: ignore[no-untyped-def]
+    """Return s q."""
     return s * q
 
 
@@ -12,7 +13,7 @@ EFFECT = Effect(
     family="position_friction",
     site="coordinate",
     formula="F(q) = Fc + s q",
-    source="rails out of parallel",
+    source="rails that are not parallel",
     coulomb=coulomb,
     parameters=(EffectParameter("s", "stiffness", -1e6, 1e6, scale=0.3, role="amplitude"),),
 )

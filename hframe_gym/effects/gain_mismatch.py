@@ -1,14 +1,14 @@
 """An amplifier with another gain than declared: V' = (1 + g) V.
 
-A refit that lets every drive's torque constant differ holds it already, but for a drive that is the only one: there
-voltages tell no more than ratios to the gain.  So it is never found beside such a refit; it is here for declared
-machines and for randomisation.
+A refit that frees the torque constant of every drive already contains this effect. With a single drive it cannot be
+identified at all, because voltages determine only ratios to the gain. It serves declared machines and randomization.
 """
 
-from ..machine.effect import Effect, EffectParameter
+from ..machine import Effect, EffectParameter
 
 
 def voltage(V, g):  # type: ignore[no-untyped-def]
+    """Return (1 + g) V."""
     return V + g * V
 
 

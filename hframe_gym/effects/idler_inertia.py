@@ -1,17 +1,16 @@
-"""Idlers with inertia: the 20th-order model (eq. 25-34) in place of the 8th, every pulley a coordinate.
+"""Idlers with inertia: the 20th-order model (eq. 25-34), in which every pulley is a coordinate.
 
-Each belt becomes its three sections between pulleys, which share its EA and its length in the paper's proportions; the
-inertia J and friction B of an idler are taken out of the motors and the cart, where the 8th-order model lumps them
-(eq. 4-8): M_cart - 4 J/r^2, J_M - J.  The paper's idlers are all alike; here those of each side are.
+Each belt becomes its three sections between pulleys. They have the same EA, and their lengths have the paper's
+proportions. The 8th-order model lumps the inertia J and the friction B of the idlers into motors and cart (eq. 4-8);
+here both are subtracted there: M_cart - 4 J/r^2, J_M - J. The paper's idlers are all equal; here those of one side are.
 """
 
 import dataclasses
 
-from ..machine.effect import AppliedEffect, Effect, EffectParameter
-from ..machine.machine import Belt, Coordinate, Machine, Row
+from ..machine import AppliedEffect, Belt, Coordinate, Effect, EffectParameter, Machine, Row
 from ..machine.presets import SECTIONS
 
-# Sections by belt: (name, number in the paper, extension, length).  The first holds the belt's parameters.
+# Sections by belt: (name, number in the paper, extension, length). The first one keeps the parameters of the belt.
 _SECTIONS: dict[str, tuple[tuple[str, int, Row, Row], ...]] = {
     "left": (
         ("left", 1, {"phi1": 1, "phi3": -1}, {}),
@@ -38,10 +37,12 @@ _SIDES = (("left", "phi1", (3, 5, 7)), ("right", "phi2", (4, 6, 8)))
 
 
 def fits(machine: Machine) -> bool:
+    """Return whether the machine has the belts of the 8th-order model."""
     return {b.name: dict(b.extension) for b in machine.belts} == _ROWS and not machine.ties
 
 
 def structure(machine: Machine, effect: AppliedEffect) -> Machine:
+    """Add the idlers, split the belts, and subtract what the 8th-order model lumps elsewhere."""
     radius = machine.coordinate("phi1").radius
     idlers, lumped = [], {}
     ties: dict[str, tuple[str, float]] = {}
@@ -59,13 +60,13 @@ def structure(machine: Machine, effect: AppliedEffect) -> Machine:
     lumped["y"] = cart
     belts = []
     for b in machine.belts:
-        whole = sum(SECTIONS[number - 1] for _, number, _, _ in _SECTIONS[b.name])
-        shares = [SECTIONS[number - 1] / whole for _, number, _, _ in _SECTIONS[b.name]]
-        for (name, _, extension, length), share in zip(_SECTIONS[b.name], shares, strict=True):
-            belts.append(Belt(name, b.EA, share * b.rest_length, extension, length if b.length else {}))
+        total = sum(SECTIONS[number - 1] for _, number, _, _ in _SECTIONS[b.name])
+        fractions = [SECTIONS[number - 1] / total for _, number, _, _ in _SECTIONS[b.name]]
+        for (name, _, extension, length), fraction in zip(_SECTIONS[b.name], fractions, strict=True):
+            belts.append(Belt(name, b.EA, fraction * b.rest_length, extension, length if b.length else {}))
             if name != b.name:
                 ties |= {f"{name}.EA": (f"{b.name}.EA", 1.0)}
-                ties |= {f"{name}.rest_length": (f"{b.name}.rest_length", share / shares[0])}
+                ties |= {f"{name}.rest_length": (f"{b.name}.rest_length", fraction / fractions[0])}
     return dataclasses.replace(
         machine,
         coordinates=(
@@ -78,7 +79,7 @@ def structure(machine: Machine, effect: AppliedEffect) -> Machine:
 
 
 def _without(c: Coordinate, mass: float, friction: float) -> Coordinate:
-    """A coordinate less what the 8th-order model lumps into it; a fifth always stays."""
+    """Return a coordinate without what the 8th-order model lumps into it; at least a fifth remains."""
     return dataclasses.replace(
         c, mass=max(c.mass - mass, 0.2 * c.mass), viscous=max(c.viscous - friction, 0.2 * c.viscous)
     )

@@ -1,9 +1,10 @@
-"""Voltage that arrives late, V'(t) = V(t - d): dead time of the control computer and amplifiers, all drives alike."""
+"""Delayed voltage, V'(t) = V(t - d): dead time of the control computer and amplifiers, equal for all drives."""
 
-from ..machine.effect import Effect, EffectParameter
+from ..machine import Effect, EffectParameter
 
 
 def delay(d):  # type: ignore[no-untyped-def]
+    """Return d."""
     return d
 
 

@@ -1,14 +1,17 @@
-"""Dry friction that varies periodically along the way: F(q) = Fc + A sin(2 pi q/L + p).
+"""Dry friction that varies periodically with position: F(q) = Fc + A sin(2 pi q/L + p).
 
-A leadscrew's or rack's pitch, the balls of a recirculating carriage, a bent rail.
+Causes are the pitch of a leadscrew or rack, the balls of a recirculating carriage, or a bent rail.
 """
 
+import math
+
 from ..dynamics.elementwise import sin
-from ..machine.effect import Effect, EffectParameter
+from ..machine import Effect, EffectParameter
 
 
 def coulomb(q, A, L, p):  # type: ignore[no-untyped-def]
-    return A * sin(6.283185307179586 * q / L + p)
+    """Return A sin(2 pi q/L + p)."""
+    return A * sin(2.0 * math.pi * q / L + p)
 
 
 EFFECT = Effect(

@@ -1,21 +1,25 @@
-"""Friction with a bristle state: before it slides a contact gives like a spring (Dahl 1968; LuGre without Stribeck).
+"""Friction with a bristle state: before it slides, a contact deflects like a spring (Dahl 1968; LuGre).
 
-dz/dt = v - s0 |v| z/F, friction s0 z + s1 dz/dt, with F the Coulomb level, Stribeck's part and all.  With v held the
-state's flow over a way dq is closed: z runs exponentially towards +-F/s0.
+dz/dt = v - s0 |v| z/F, friction s0 z + s1 dz/dt, where F is the Coulomb level including the Stribeck effect. For a
+constant speed the state has a closed solution over a distance dq: z approaches +-F/s0 exponentially.
 """
 
 from ..dynamics.elementwise import absolute, copysign, exp, maximum
-from ..machine.effect import Effect, EffectParameter
+from ..machine import Effect, EffectParameter
+
+_LOWEST_LEVEL = 1e-12  # N or Nm; avoids a division by zero without Coulomb friction
 
 
 def next_state(z, dq, level, s0):  # type: ignore[no-untyped-def]
-    end = maximum(level, 1e-12) / s0
-    towards = copysign(end, dq)
-    return towards + (z - towards) * exp(-absolute(dq) / end)
+    """Return the deflection after the distance dq."""
+    limit = maximum(level, _LOWEST_LEVEL) / s0
+    final = copysign(limit, dq)
+    return final + (z - final) * exp(-absolute(dq) / limit)
 
 
 def friction(z, v, level, s0, s1):  # type: ignore[no-untyped-def]
-    return s0 * z + s1 * (v - s0 * absolute(v) * z / maximum(level, 1e-12))
+    """Return s0 z + s1 dz/dt."""
+    return s0 * z + s1 * (v - s0 * absolute(v) * z / maximum(level, _LOWEST_LEVEL))
 
 
 EFFECT = Effect(

@@ -1,10 +1,11 @@
-"""Drag that grows with the square of speed, -c v |v|: air, grease that churns, a fan on the spindle."""
+"""Drag that grows with the square of the speed, -c v |v|: air, churned grease, a fan on the spindle."""
 
 from ..dynamics.elementwise import absolute
-from ..machine.effect import Effect, EffectParameter
+from ..machine import Effect, EffectParameter
 
 
 def force(v, c):  # type: ignore[no-untyped-def]
+    """Return -c v |v|."""
     return -c * v * absolute(v)
 
 

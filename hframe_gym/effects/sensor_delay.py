@@ -1,9 +1,10 @@
-"""A sensor that is late: it shows what was d seconds ago."""
+"""A sensor with a delay: its measurement is the reading d seconds earlier."""
 
-from ..machine.effect import Effect, EffectParameter
+from ..machine import Effect, EffectParameter
 
 
 def measurement_delay(d):  # type: ignore[no-untyped-def]
+    """Return d."""
     return d
 
 
@@ -11,7 +12,7 @@ EFFECT = Effect(
     name="sensor_delay",
     family="sensor_delay",
     site="sensor",
-    formula="shown(t) = r(t - d)",
+    formula="measurement(t) = r(t - d)",
     source="averaging and transmission in the sensor",
     measurement_delay=measurement_delay,
     parameters=(EffectParameter("d", "s", 0.0, 0.1, scale=1e-3, role="amplitude"),),

@@ -1,13 +1,14 @@
-"""A sensor that sticks at the ends of its range: what lies beyond low or high is shown as low or high.
+"""A sensor that saturates at the ends of its range [low, high].
 
 The paper's laser does so at 100 mm (section V).
 """
 
 from ..dynamics.elementwise import maximum, minimum
-from ..machine.effect import Effect, EffectParameter
+from ..machine import Effect, EffectParameter
 
 
 def measurement(r, low, high):  # type: ignore[no-untyped-def]
+    """Return clip(r, low, high)."""
     return minimum(maximum(r, low), high)
 
 
@@ -15,7 +16,7 @@ EFFECT = Effect(
     name="sensor_range",
     family="sensor_range",
     site="sensor",
-    formula="shown = clip(r, low, high)",
+    formula="measurement = clip(r, low, high)",
     source="Sollmann et al., section V",
     measurement=measurement,
     parameters=(

@@ -1,24 +1,32 @@
-"""A sensor with another gain than declared: it shows (1 + g) r.
+"""A sensor with another gain than declared: it measures (1 + g) r.
 
-Of an encoder it is the same as a pulley of another radius.
+For an encoder this is equivalent to another radius of the pulley.
 """
 
-from ..machine.effect import Effect, EffectParameter
+from ..machine import Effect, EffectParameter, Machine
 
 
 def measurement(r, g):  # type: ignore[no-untyped-def]
+    """Return (1 + g) r."""
     return r + g * r
+
+
+def fits(machine: Machine) -> bool:
+    """Return whether there are more sensors than linear coordinates.
+
+    If the only sensor of an axis has another gain, the machine is equivalent to one with other masses and forces.
+    """
+    return len(machine.sensors) > sum(c.kind == "linear" for c in machine.coordinates)
 
 
 EFFECT = Effect(
     name="sensor_scale",
     family="sensor_scale",
     site="sensor",
-    formula="shown = (1 + g) r",
+    formula="measurement = (1 + g) r",
     source="calibration",
     measurement=measurement,
     equivalent=("a pulley's radius",),
-    # A rig whose only sensor has another gain is a rig of other masses and forces.
-    fits=lambda machine: len(machine.sensors) > sum(c.kind == "linear" for c in machine.coordinates),
+    fits=fits,
     parameters=(EffectParameter("g", "1", -0.9, 9.0, scale=0.01, role="amplitude"),),
 )

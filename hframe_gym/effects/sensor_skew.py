@@ -1,19 +1,26 @@
-"""A sensor that is not square to the other axis: it shows r + a q, q the position across."""
+"""A sensor that is not perpendicular to the other axis: it measures r + a q with the position q of that axis."""
 
-from ..machine.effect import Effect, EffectParameter
+from ..machine import Effect, EffectParameter, Machine
 
 
 def measurement(r, across, a):  # type: ignore[no-untyped-def]
+    """Return r + a q."""
     return r + a * across
+
+
+def fits_site(machine: Machine, site: str) -> bool:
+    """Return whether the sensor measures one of exactly two linear coordinates."""
+    coordinate = machine.coordinate(machine.sensor(site).coordinate)
+    return coordinate.kind == "linear" and machine.other_axis(coordinate.name) is not None
 
 
 EFFECT = Effect(
     name="sensor_skew",
     family="sensor_skew",
     site="sensor",
-    formula="shown = r + a across",
-    source="a laser's target or an axis out of square",
+    formula="measurement = r + a across",
+    source="target of a laser, or an axis, that is not square",
     measurement=measurement,
-    fits=lambda machine: any(machine.across(s.coordinate) for s in machine.sensors),
+    fits_site=fits_site,
     parameters=(EffectParameter("a", "1", -1.0, 1.0, scale=0.01, role="amplitude"),),
 )

@@ -1,66 +1,91 @@
-"""What no formula of the library explains: a table of a force, or of a Coulomb level, against one variable.
+"""Tables for what no formula of the library explains: a force or a Coulomb level as a function of one variable.
 
-Straight lines between KNOTS values; knots lie where the variable was and closer where the curve bends.  A table is
-named as what it is: `smooth_force[position of y]` at x is an unnamed force on x that follows y.
+The curve is linear between KNOTS values. Knots lie where the variable has been, and closer where the curve bends. The
+name of a table says what it is: `smooth_force[position of y]` at x is an unnamed force on x that depends on y.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import inspect
 from functools import lru_cache
 from typing import Any
 
 from ..dynamics.elementwise import absolute, where
-from ..machine.effect import Effect, EffectParameter
+from ..machine import Effect, EffectParameter
 
 KNOTS = 24
-KINDS = {"smooth_force": "force", "smooth_friction": "coulomb"}
+HOOK_OF_KIND = {"smooth_force": "force", "smooth_friction": "coulomb"}
+_KNOT_NAMES = tuple(f"k{i:02d}" for i in range(KNOTS))
+_VALUE_NAMES = tuple(f"f{i:02d}" for i in range(KNOTS))
 
 
-def _evolve(z, dq):  # type: ignore[no-untyped-def]
+def _path_length(z, dq):  # type: ignore[no-untyped-def]
+    """Return the distance traveled since the start of the run."""
     return z + absolute(dq)
 
 
-def _table(contribution: str) -> Callable[..., Any]:
-    """f(u) through (k_i, f_i), constant beyond the ends, as a function with its source."""
-    knots, values = ([f"{letter}{i:02d}" for i in range(KNOTS)] for letter in "kf")
-    # Piece by piece the way of u beyond each knot, times the slope there: nothing here needs a branch.
-    terms = [
-        f"    total = total + ({values[i + 1]} - {values[i]}) / ({knots[i + 1]} - {knots[i]}) "
-        f"* where(u < {knots[i]}, 0.0, where(u > {knots[i + 1]}, {knots[i + 1]}, u) - {knots[i]})"
-        for i in range(KNOTS - 1)
-    ]
-    lines = [f"def {contribution}(u, {', '.join(knots + values)}):", f"    total = {values[0]}", *terms]
-    text = "\n".join([*lines, "    return total"]) + "\n"
-    scope: dict[str, Any] = {"where": where}
-    exec(text, scope)  # a function of 49 arguments that nobody should have to read
-    function = scope[contribution]
-    function.text = text  # what the kernel inlines
-    return function  # type: ignore[no-any-return]
+class _Table:
+    """The hook of a table: the curve through (k_i, f_i), constant beyond the ends.
+
+    A class, because its arguments are made of the knots, and because machines with tables must be picklable.
+    """
+
+    __signature__ = inspect.Signature(
+        [
+            inspect.Parameter(name, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+            for name in ("u", *_KNOT_NAMES, *_VALUE_NAMES)
+        ]
+    )
+
+    def __call__(self, u: Any, *knots_and_values: Any) -> Any:
+        """Return the curve's value at u.
+
+        Each piece adds its slope times the distance that u has gone within it, so that no branch is necessary.
+        """
+        knots, values = knots_and_values[:KNOTS], knots_and_values[KNOTS:]
+        total = values[0]
+        for i in range(KNOTS - 1):
+            slope = (values[i + 1] - values[i]) / (knots[i + 1] - knots[i])
+            within = where(u > knots[i + 1], knots[i + 1], u) - knots[i]
+            total = total + slope * where(u < knots[i], 0.0, within)
+        return total
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Table)
+
+    def __hash__(self) -> int:
+        return hash(_Table)
 
 
 @lru_cache(maxsize=256)
 def definition(name: str) -> Effect:
-    """The effect `smooth_force[VARIABLE]` or `smooth_friction[VARIABLE]`.
+    """Return the effect `smooth_force[VARIABLE]` or `smooth_friction[VARIABLE]`.
 
-    VARIABLE: "position of C", "velocity of C", "path of C" (the way gone since the run began) or "time".
-    Raises KeyError for another name.
+    Args:
+        name: Name of the table. VARIABLE is "position of C", "velocity of C", "path of C" (the distance traveled since
+            the start of the run) or "time".
+
+    Returns:
+        The definition.
+
+    Raises:
+        KeyError: If the name does not have this form.
     """
     kind, _, against = name.rstrip("]").partition("[")
-    contribution = KINDS[kind]
-    what, _, coordinate = against.partition(" of ")
-    if what not in ("position", "velocity", "path", "time") or bool(coordinate) == (what == "time"):
+    hook = HOOK_OF_KIND[kind]
+    variable, _, coordinate = against.partition(" of ")
+    if variable not in ("position", "velocity", "path", "time") or bool(coordinate) == (variable == "time"):
         raise KeyError(name)
-    numbers = [EffectParameter(f"k{i:02d}", "", -1e9, 1e9, scale=1.0, role="fixed") for i in range(KNOTS)]
-    numbers += [EffectParameter(f"f{i:02d}", "force", -1e6, 1e6, scale=0.3, role="amplitude") for i in range(KNOTS)]
+    parameters = [EffectParameter(k, "", -1e9, 1e9, scale=1.0, role="fixed") for k in _KNOT_NAMES]
+    parameters += [EffectParameter(f, "force", -1e6, 1e6, scale=0.3, role="amplitude") for f in _VALUE_NAMES]
     return Effect(
         name=name,
         family="smooth_table",
         site="coordinate",
-        formula=f"{'f' if contribution == 'force' else 'F - Fc'} = table of {against}",
+        formula=f"{'f' if hook == 'force' else 'F - Fc'} = table of {against}",
         source="this recording",
         against=against,
-        next_state=_evolve if what == "path" else None,
-        parameters=tuple(numbers),
-        **{contribution: _table(contribution)},  # type: ignore[arg-type]
+        next_state=_path_length if variable == "path" else None,
+        parameters=tuple(parameters),
+        **{hook: _Table()},  # type: ignore[arg-type]
     )

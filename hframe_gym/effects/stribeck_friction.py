@@ -1,16 +1,16 @@
 """Stribeck friction: the Coulomb level changes at low speed, F(v) = Fc + dF exp(-(v/vs)^2).
 
-Armstrong-Helouvry, Dupont and Canudas de Wit (1994), Automatica 30(7), eq. 8 with exponent 2.  dF < 0 is friction that
-rises with speed.
+dF < 0 describes friction that rises with speed.
 """
 
 from ..dynamics.elementwise import exp
-from ..machine.effect import Effect, EffectParameter
+from ..machine import Effect, EffectParameter
 
 
 def coulomb(v, dF, vs):  # type: ignore[no-untyped-def]
-    z = v / vs
-    return dF * exp(-z * z)
+    """Return dF exp(-(v/vs)^2)."""
+    ratio = v / vs
+    return dF * exp(-ratio * ratio)
 
 
 EFFECT = Effect(
@@ -18,7 +18,7 @@ EFFECT = Effect(
     family="stribeck_friction",
     site="coordinate",
     formula="F(v) = Fc + dF exp(-(v/vs)^2)",
-    source="Armstrong-Helouvry et al. 1994",
+    source="Armstrong-Helouvry, Dupont and Canudas de Wit 1994, Automatica 30(7), eq. 8 with exponent 2",
     coulomb=coulomb,
     parameters=(
         EffectParameter("dF", "force", -1e3, 1e3, scale=0.3, role="amplitude"),

@@ -1,12 +1,13 @@
-"""An amplifier whose zero is off: V' = V + V0.
+"""An amplifier with a zero offset: V' = V + V0.
 
-On a motor that moves freely it cannot be told from a constant torque of the size gain times V0.
+At a motor that moves freely the effect is equivalent to a constant torque of the motor's gain times V0.
 """
 
-from ..machine.effect import Effect, EffectParameter
+from ..machine import Effect, EffectParameter
 
 
 def voltage(V, V0):  # type: ignore[no-untyped-def]
+    """Return V + V0."""
     return V + V0
 
 
@@ -15,7 +16,7 @@ EFFECT = Effect(
     family="voltage_offset",
     site="drive",
     formula="V' = V + V0",
-    source="offset of an analogue amplifier or D/A converter",
+    source="offset of an analog amplifier or D/A converter",
     voltage=voltage,
     parameters=(EffectParameter("V0", "V", -100.0, 100.0, scale=0.1, role="amplitude"),),
 )

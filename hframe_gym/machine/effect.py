@@ -244,7 +244,7 @@ def argument_names(function: Hook) -> tuple[str, ...]:
 
 
 # Aliases until all packages use the new names.
-del Effect.guard  # the default of the alias keyword must not hide __getattr__
+delattr(Effect, "guard")  # the default of the alias keyword must not hide __getattr__
 _FORMER_HOOKS = {
     "guard": "active_region",
     "growth": "energy_slope",

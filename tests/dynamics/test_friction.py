@@ -1,4 +1,4 @@
-"""The closed-form flow through friction against a fine integration with events."""
+"""The closed-form flow with friction against an integration with events (SciPy)."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ import pytest
 from numba import njit
 from scipy.integrate import solve_ivp
 
-from hframe_gym.dynamics.friction import decay_integral, end_weight, kick, reverse
+from hframe_gym.dynamics.friction import decay_integral, end_weight, stop_or_reverse, update_speed
 from hframe_gym.dynamics.simd import LANES, load, store, where
+
+pytestmark = pytest.mark.oracle
 
 
 @njit(error_model="numpy")
@@ -17,16 +19,16 @@ def flow(A, h, out):  # type: ignore[no-untyped-def]
     z = viscous * h / mass
     gain = h / mass * decay_integral(z)
     decay = 1.0 - z * decay_integral(z)
-    after, stop = kick(v, f, coulomb, decay, gain)
+    after, stop = update_speed(v, f, coulomb, decay, gain)
     weight = end_weight(z)
     travel = h * ((1.0 - weight) * v + weight * after)
-    turned, turned_travel = reverse(v, f, coulomb, viscous, viscous, mass, 1.0 / mass, h)
+    turned, turned_travel = stop_or_reverse(v, f, coulomb, viscous, viscous, mass, 1.0 / mass, h)
     store(out, 0, where(stop, turned, after))
     store(out, 1, where(stop, turned_travel, travel))
 
 
 def exact(v: float, f: float, coulomb: float, viscous: float, mass: float, h: float) -> tuple[float, float]:
-    """Velocity and travel after h, piece by piece, by SciPy."""
+    """Return speed and travel after h, integrated from event to event."""
     t, travel = 0.0, 0.0
     while t < h:
         if v == 0.0 and abs(f) <= coulomb:
@@ -48,7 +50,8 @@ def exact(v: float, f: float, coulomb: float, viscous: float, mass: float, h: fl
 
 
 @pytest.mark.parametrize("viscous", [0.0, 3.0, 800.0])
-def test_every_case_of_the_flow(viscous: float) -> None:
+def test_flow_agrees_with_event_integration(viscous: float) -> None:
+    """Lanes: no stop, stop and rest, stop and reversal, breakaway and static friction, in both directions."""
     h, mass, coulomb = 1e-3, 0.3, 2.0
     v = np.array([0.5, 0.004, 0.004, -0.004, 0.0, 0.0, 0.0, -0.3])
     f = np.array([1.0, -1.0, -6.0, 9.0, 1.9, -2.5, 0.0, -4.0])
@@ -59,7 +62,6 @@ def test_every_case_of_the_flow(viscous: float) -> None:
     np.testing.assert_allclose(out[0], expected[0], rtol=1e-8, atol=1e-12)
     np.testing.assert_allclose(out[1], expected[1], rtol=1e-7, atol=1e-13)
     assert out[0, 4] == out[0, 6] == 0.0
-    assert out[0, 1] == 0.0 or viscous == 0.0 or out[0, 1] >= 0.0
 
 
 @njit(error_model="numpy")
@@ -69,7 +71,8 @@ def weights(A, out):  # type: ignore[no-untyped-def]
         store(out, 2 * i + 1, end_weight(load(A, i)))
 
 
-def test_weights_over_ten_decades() -> None:
+def test_series_agree_with_closed_forms_over_ten_decades() -> None:
+    """The functions of b h/m by which a step weights force and speed."""
     z = np.logspace(-8, 2, 50 * LANES).reshape(-1, LANES)
     out = np.empty((2 * len(z), LANES))
     weights(z, out)

@@ -1,3 +1,5 @@
+"""Generation, caching and layout of kernels."""
+
 from __future__ import annotations
 
 import dataclasses
@@ -6,44 +8,73 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hframe_gym.dynamics.kernel import cache_folder, generate, in_blocks, kernel_for
+from hframe_gym.dynamics import in_blocks, kernel_for, kernel_source_text
+from hframe_gym.dynamics.kernel import cache_folder
 from hframe_gym.effects import EFFECTS
-from hframe_gym.machine import Machine
+from hframe_gym.machine import BUILTIN_MACHINES, Machine
+
+pytestmark = pytest.mark.unit
+
+GOLDEN = Path(__file__).with_name("golden_kernel_hframe.py")
 
 
-def test_machines_of_one_shape_share_a_kernel(hframe: Machine) -> None:
+def test_golden_kernel_is_current() -> None:
+    """The file lets reviewers read what a change of the generator changes.
+
+    Regenerate it with `hframe kernel hframe > tests/dynamics/golden_kernel_hframe.py`.
+    """
+    assert GOLDEN.read_text() == kernel_source_text(BUILTIN_MACHINES["hframe"]())
+
+
+def test_machines_of_one_shape_have_one_kernel(hframe: Machine) -> None:
+    """Parameter values are data; a different value must not compile anything."""
     other = hframe.replace({"x.mass": 5.0, "left.EA": 1e4})
     assert kernel_for(hframe) is kernel_for(other)
     coordinates = tuple(dataclasses.replace(c, coulomb=0.0) for c in hframe.coordinates)
     assert kernel_for(hframe.replace(coordinates=coordinates)) is kernel_for(hframe)
 
 
-def test_an_absent_effect_leaves_no_trace(hframe: Machine) -> None:
-    plain, _ = generate(hframe)
-    for effect, site in (("stribeck_friction", "x"), ("constant_force", "y"), ("input_delay", "drives")):
-        definition = EFFECTS[effect]
-        values = {p.name: max(p.lower, 0.01) for p in definition.parameters}
-        text, _ = generate(hframe.with_effects(definition.at(site, **values)))
-        assert effect in text
-        assert effect not in plain
-    assert "maximum(F_" not in plain
+@pytest.mark.parametrize(
+    ("name", "site", "trace"),
+    [
+        ("stribeck_friction", "x", "exp("),
+        ("quadratic_drag", "y", "absolute("),
+        ("current_limit", "motor1", "ohmic_current_0 = "),
+        ("input_delay", "drives", "step * 2 + 0"),
+        ("belt_damping", "belts", "corrected_tension_0 = "),
+    ],
+)
+def test_absent_effect_costs_nothing(name: str, site: str, trace: str, hframe: Machine) -> None:
+    """The step of a machine without an effect contains no instruction of it."""
+
+    def step(machine: Machine) -> str:
+        text = kernel_source_text(machine)
+        return text[text.index("def advance(") : text.index("def read_sensors(")]
+
+    definition = EFFECTS[name]
+    values = {p.name: max(p.lower, 0.01) for p in definition.parameters}
+    assert trace in step(hframe.with_effects(definition.at(site, **values)))
+    assert trace not in step(hframe)
 
 
-def test_a_kernel_file_is_named_by_its_text(hframe: Machine) -> None:
-    first, second = kernel_for(hframe), kernel_for(hframe, forced=True)
-    assert Path(first.source).parent == cache_folder()
-    assert first.source != second.source
-    assert Path(first.source).read_text() == generate(hframe)[0]
+def test_kernel_file_contains_the_generated_text(hframe: Machine) -> None:
+    """A kernel is an ordinary file in the cache folder; another shape is another file."""
+    kernel, forced = kernel_for(hframe), kernel_for(hframe, forced=True)
+    assert Path(kernel.source).parent == cache_folder()
+    assert kernel.source != forced.source
+    assert Path(kernel.source).read_text() == kernel_source_text(hframe)
 
 
-def test_a_folder_that_cannot_be_written_is_passed_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "file").write_text("in the way")
+def test_folder_without_write_access_is_skipped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The next candidate of `cache_folder` serves."""
+    (tmp_path / "file").write_text("not a folder")
     monkeypatch.setenv("HFRAME_CACHE", str(tmp_path / "file" / "below"))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     assert cache_folder() == tmp_path / "cache" / "hframe_gym"
 
 
-def test_blocks_hold_the_batch_and_repeat_the_last_stage() -> None:
+def test_blocks_repeat_the_last_machine_in_spare_lanes() -> None:
+    """11 machines need two blocks of 8 lanes."""
     values = np.arange(22.0).reshape(11, 2)
     blocks = in_blocks(values)
     assert blocks.shape == (2, 2, 8)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from one_of_each import CASES, Case, history
 
 from hframe_gym.effects import EFFECTS, effect_sites, get_effect
 from hframe_gym.effects.smooth_table import KNOTS
 from hframe_gym.machine import BUILTIN_MACHINES, Effect, Machine
 from hframe_gym.machine.effect import CONTRIBUTIONS
 from hframe_gym.machine.machine import UNITS
+from tests.effects.one_of_each import CASES, Case, history
 
 EVERY = pytest.mark.parametrize("effect", EFFECTS.values(), ids=EFFECTS)
 WITH_AMPLITUDE = {name: case for name, case in CASES.items() if EFFECTS[name].amplitudes}

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from one_of_each import CASES, START, Case, history
 
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.machine import Machine, rest_state
 from tests import reference_simulator as reference
+from tests.effects.one_of_each import CASES, START, Case, history
 
 TRAVEL = np.array([0.0194, 0.0194, 1.0, 1.0])  # m per rad of an encoder, m per m of a laser
 STEP = 0.125e-3  # s

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from one_of_each import CASES, Case, history
 
 from hframe_gym.identification import fit, prepare
 from hframe_gym.identification.candidates import effect_parameters
@@ -15,6 +14,7 @@ from hframe_gym.identification.prediction import POLISH_STEP
 from hframe_gym.identification.typical_scales import references
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import Recording
+from tests.effects.one_of_each import CASES, Case, history
 from tests.reference_simulator.sensors import noisy
 
 SEEDS = (21, 22, 23)
