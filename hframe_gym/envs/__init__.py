@@ -4,7 +4,6 @@ The adapter for stable-baselines3 is `hframe_gym.envs.sb3_vec_env.HFrameVecEnv`;
 needs an extra.
 """
 
-from ..registration import register_environments as register
 from .actuators import ACTUATOR_PRESETS, Actuators, ActuatorsLike
 from .batched_simulator import parameter_values
 from .config import EnvConfig, EnvOptions, MachineLike, as_machine
@@ -21,7 +20,16 @@ from .domain_randomization import (
 )
 from .hframe_env import HFrameEnv, HFrameTrackEnv
 from .rewards import REWARDS, Reward, RewardLike
-from .sensors import SENSOR_PRESETS, DeclaredSensors, Encoders, Lasers, Sensors, SensorsLike, observed_machine
+from .sensors import (
+    SENSOR_PRESETS,
+    DeclaredSensors,
+    Encoders,
+    Lasers,
+    Sensors,
+    SensorsLike,
+    as_sensors,
+    observed_machine,
+)
 from .spaces import SignalSpec, action_space, observation_space
 from .tasks import TASKS, Reach, Task, TaskLike, Track, as_task
 from .vector_env import HFrameTrackVectorEnv, HFrameVectorEnv
@@ -63,9 +71,9 @@ __all__ = [
     "Uniform",
     "action_space",
     "as_machine",
+    "as_sensors",
     "as_task",
     "observation_space",
     "observed_machine",
     "parameter_values",
-    "register",
 ]

@@ -267,12 +267,28 @@ class BatchedSimulator:
         return -1, -1
 
     def values(self, index: Index, column: int) -> Array:
-        """Return one parameter of machines index (k,), by its column in `Machine.parameters`, shape (k,)."""
+        """Return one parameter.
+
+        Args:
+            index: Machines, shape (k,).
+            column: Column of the parameter in `Machine.parameters`.
+
+        Returns:
+            Values, SI, shape (k,).
+        """
         block, lane = np.divmod(index, LANES)
         return self.parameters[block, column, lane]
 
     def tools(self, first: int = 0, last: int | None = None) -> Array:
-        """Return the tool positions of blocks first..last-1 (default: all), m, in full precision, shape (k, 2)."""
+        """Return the tool positions in full precision.
+
+        Args:
+            first: First block.
+            last: Block after the last one; default: all.
+
+        Returns:
+            Positions, m, shape (k, 2).
+        """
         last = self.blocks if last is None else last
         state, units = self.state[first:last], self.units_per_travel[first:last]
         positions = state[:, self._tool]
@@ -283,13 +299,27 @@ class BatchedSimulator:
         return positions.transpose(0, 2, 1).reshape(-1, 2)[: self.count - first * LANES].copy()
 
     def positions(self, b: int) -> dict[str, float]:
-        """Return the positions of machine b by coordinate, m or rad."""
+        """Return the positions of one machine.
+
+        Args:
+            b: Index of the machine.
+
+        Returns:
+            Positions by coordinate, m or rad.
+        """
         block, lane = divmod(b, LANES)
         values = self.state[block, : self._n, lane] * self.units_per_travel[block, :, lane]
         return dict(zip(self.machine.coordinate_names, values.tolist(), strict=True))
 
     def tensions(self, b: int) -> dict[str, float]:
-        """Return the tensions of the belts of machine b beyond their pretension, N, by belt."""
+        """Return the tensions of one machine's belts.
+
+        Args:
+            b: Index of the machine.
+
+        Returns:
+            Tensions beyond the pretension by belt, N.
+        """
         block, lane = divmod(b, LANES)
         state, parameters = self.state[block, :, lane], self.parameters[block, :, lane]
         equations = Equations(self.machine, dict(zip(self.machine.parameters, parameters.tolist(), strict=False)))

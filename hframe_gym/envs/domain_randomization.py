@@ -61,7 +61,7 @@ DISTRIBUTIONS: Registry[Callable[..., Distribution]] = Registry("distribution")
 
 @DISTRIBUTIONS.register("uniform")
 @dataclass(frozen=True)
-class Uniform:
+class Uniform(Distribution):
     """Uniform distribution on [low, high].
 
     Args:
@@ -86,7 +86,7 @@ class Uniform:
 
 @DISTRIBUTIONS.register("log_uniform")
 @dataclass(frozen=True)
-class LogUniform:
+class LogUniform(Distribution):
     """Distribution whose logarithm is uniform on [log low, log high].
 
     Args:
@@ -113,7 +113,7 @@ class LogUniform:
 
 @DISTRIBUTIONS.register("normal")
 @dataclass(frozen=True)
-class Normal:
+class Normal(Distribution):
     """Normal distribution.
 
     Args:
@@ -178,7 +178,14 @@ class RandomizeParameter:
             )
 
     def quantile(self, u: Array) -> Array:
-        """Map uniform numbers u, shape (k,), to values of the distribution, shape (k,)."""
+        """Map uniform numbers to values of the distribution.
+
+        Args:
+            u: Uniform numbers in (0, 1), shape (k,).
+
+        Returns:
+            Values, shape (k,).
+        """
         assert isinstance(self.distribution, Distribution)
         return self.distribution.quantile(u)
 

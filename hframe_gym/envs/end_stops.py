@@ -17,13 +17,13 @@ STIFFNESS = 2e5  # N/m: both motors at full voltage compress it by 1.2 mm; the l
 DAMPING = 1.5  # s/m: an impact at 0.5 m/s rebounds with less than half its speed
 
 
-def force(q, v, t, low, high, stiffness, damping):  # type: ignore[no-untyped-def]
+def _force(q, v, t, low, high, stiffness, damping):  # type: ignore[no-untyped-def]
     """Return f = -k d max(0, 1 + c v sign d), N, with the depth d beyond [low, high], m."""
     depth = maximum(q - high, 0.0) - maximum(low - q, 0.0)
     return -stiffness * depth * maximum(1.0 + damping * copysign(1.0, depth) * v, 0.0)
 
 
-def active_region(q, low, high):  # type: ignore[no-untyped-def]
+def _active_region(q, low, high):  # type: ignore[no-untyped-def]
     """Return whether the coordinate is beyond [low, high]."""
     return (q < low) | (q > high)
 
@@ -34,8 +34,8 @@ END_STOP = Effect(
     site="coordinate",
     formula="f = -k d max(0, 1 + c v sign d), d the depth beyond [low, high]",
     source="Hunt and Crossley 1975",
-    force=force,
-    active_region=active_region,
+    force=_force,
+    active_region=_active_region,
     parameters=(
         EffectParameter("low", "position", -1e3, 1e3, scale=1e-3, grid=(0.0,)),
         EffectParameter("high", "position", -1e3, 1e3, scale=1e-3, grid=(0.0,)),

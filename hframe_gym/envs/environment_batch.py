@@ -75,6 +75,7 @@ class EnvironmentBatch:
         sampler: Samples their parameters.
         references: The goals.
         observations: Builds observations.
+        values: All parameters of the running episodes, in the order of `sampler.space.names`, shape (count, N).
         clipped: Action entries outside [-1, 1] in this episode, shape (count,).
 
     Raises:
@@ -116,7 +117,7 @@ class EnvironmentBatch:
         self._edges = self.workspace.astype(np.float32)
         self.references = ReferenceTrajectories(self.task, count, config.period)
         self.clipped = np.zeros(count, np.int64)
-        self._values = np.tile(self.sampler.space.nominal, (count, 1))
+        self.values = np.tile(self.sampler.space.nominal, (count, 1))
         self._was_reset = False
 
     @property
@@ -143,7 +144,7 @@ class EnvironmentBatch:
         parameters = {name: values[:, names.index(f"task.{name}")] for name in self.task.parameters}
         position, plan = self.task.begin(self.workspace, uniforms, parameters)
         self.clipped[index] = 0
-        self._values[index] = values
+        self.values[index] = values
         self.references.begin(index, plan if targets is None else self.task.aim(targets))
         self.simulator.reset(index, position if starts is None else starts, values)
         self.observations.begin(index, keys, values, self.sampler, self.elapsed)
@@ -158,9 +159,16 @@ class EnvironmentBatch:
         return np.array(np.broadcast_to(values, (k, 2)))
 
     def randomized(self, index: Index) -> dict[str, Array]:
-        """Return the randomized parameters of environments index (k,), SI, (k,) each, by full name."""
+        """Return the randomized parameters.
+
+        Args:
+            index: Environments, shape (k,).
+
+        Returns:
+            Values by full name, SI, shape (k,) each.
+        """
         columns = zip(self.sampler.names, self.sampler.columns, strict=True)
-        return {name: self._values[index, column] for name, column in columns}
+        return {name: self.values[index, column] for name, column in columns}
 
     # -- step ------------------------------------------------------------------------------------------------------
 
@@ -253,7 +261,11 @@ class EnvironmentBatch:
             result.contour[index] = self.contour(index)
 
     def observe(self) -> Observation:
-        """Return the present observations of all environments as new arrays, first axis count."""
+        """Observe all environments as they are.
+
+        Returns:
+            New arrays, first axis count.
+        """
         observation, tool = self._blank()
         self.references.write(slice(None), observation)
         self.observations.write(0, self.simulator.blocks, observation, tool)
@@ -266,11 +278,25 @@ class EnvironmentBatch:
         return observation, tool
 
     def contour(self, index: Index | slice) -> Array | None:
-        """Return the distances of the true tool positions to their paths, m, shape (k,); None without a path."""
+        """Return the distances of the true tool positions to their paths.
+
+        Args:
+            index: Environments, shape (k,).
+
+        Returns:
+            Distances, m, shape (k,); None for a task without a path.
+        """
         return self.references.contour(index, self.simulator.tools()[index])
 
     def distance(self, index: Index) -> Array:
-        """Return the distances of the true tool positions of environments index (k,) to their goals, m, shape (k,)."""
+        """Return the distances of the true tool positions to their goals.
+
+        Args:
+            index: Environments, ascending, shape (k,).
+
+        Returns:
+            Distances, m, shape (k,).
+        """
         tool = np.empty((self.count, 2), np.float32)
         for first, last in block_ranges(index):
             self.observations.write_tool(first, last, tool)

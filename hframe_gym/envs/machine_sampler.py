@@ -38,25 +38,17 @@ _EXTREME_UNIFORMS = np.array([0.5 * 2.0**-53, 1.0 - 0.5 * 2.0**-53])
 
 @dataclass(frozen=True)
 class ParameterSpace:
-    """All N parameters of an environment that can be randomized: of the machine, its devices and the task.
+    """All N parameters of an environment that can be randomized, with their full names and limits, (N,) each.
 
-    Attributes:
-        machine_name: Name of the machine, for messages.
-        names: Full names, shape (N,): first `Machine.parameters`, then `Machine.device_parameters`, then `task.*`.
-        nominal: Values without randomization, shape (N,).
-        lower: Smallest value that each can be randomized to, shape (N,).
-        upper: Largest value that each can be randomized to, shape (N,).
-        machine_count: How many of them are `Machine.parameters`.
-        clipped: Indices of parameters whose samples are clipped to the limits without a message.
+    First come `Machine.parameters`, then `Machine.device_parameters`, then those of the task, `task.*`.
     """
 
-    machine_name: str
+    machine_name: str  # for messages
     names: tuple[str, ...]
-    nominal: Array
-    lower: Array
-    upper: Array
-    machine_count: int
-    clipped: frozenset[int]
+    nominal: Array  # values without randomization
+    lower: Array  # smallest value that each can be randomized to
+    upper: Array  # largest value that each can be randomized to
+    clipped: frozenset[int]  # indices of parameters whose samples are clipped to the limits without a message
 
     @classmethod
     def of(cls, machine: Machine, task_parameters: Mapping[str, float] | None = None) -> ParameterSpace:
@@ -88,15 +80,9 @@ class ParameterSpace:
         # for all belt lengths can know, so these samples are clipped.
         names = tuple(values)
         clipped = {names.index(free) for tied, (free, _) in machine.ties.items() if tied.endswith(".rest_length")}
-        return cls(
-            machine.name,
-            names,
-            np.array(list(values.values()), np.float64),
-            np.array(lower),
-            np.array(upper),
-            len(machine.parameters),
-            frozenset(clipped),
-        )
+        nominal = np.array(list(values.values()), np.float64)
+        limits = np.array(lower), np.array(upper)
+        return cls(machine.name, names, nominal, *limits, frozenset(clipped))
 
 
 def _effect_and_belt_bounds(machine: Machine) -> dict[str, tuple[float, float]]:
@@ -158,9 +144,8 @@ class RuleSampler:
 
     def _reserve(self, count: int) -> int:
         """Reserve columns of uniform numbers and return the first."""
-        first = self.draws
         self.draws += count
-        return first
+        return self.draws - count
 
     def _add_parameter_rule(self, rule: RandomizeParameter) -> None:
         """Add a rule, after a check that it matches a parameter and keeps within limits."""
@@ -182,21 +167,21 @@ class RuleSampler:
         before = np.array([self.low[i], self.high[i]])
         corners = np.concatenate([rule.apply(before, np.full(2, extreme)) for extreme in extremes])
         if rule.bounded and i not in self._space.clipped:
-            for value in (corners.min(), corners.max()):
-                self._check_limits(rule, i, value, "can yield")
+            self._check_limits(rule, i, corners, "can yield")
         lower, upper = self._space.lower[i], self._space.upper[i]
         self.low[i], self.high[i] = np.clip([corners.min(), corners.max()], lower, upper)
 
-    def _check_limits(self, rule: RandomizeParameter, i: int, value: float, verb: str) -> None:
-        """Raise InputError for a value of parameter i outside its limits (with room for two roundings)."""
+    def _check_limits(self, rule: RandomizeParameter, i: int, values: Array, verb: str) -> None:
+        """Raise InputError for values (k,) of parameter i outside its limits (with room for two roundings)."""
         lower, upper = self._space.lower[i], self._space.upper[i]
-        tolerance = 1e-12 * max(abs(lower), abs(value))
-        if not lower - tolerance <= value <= upper + tolerance:
-            advice = "" if rule.bounded else "; choose a bounded distribution"
-            raise InputError(
-                f"randomize: the rule {rule} {verb} {self._space.names[i]} = {value:g}, outside [{lower:g}, {upper:g}]"
-                + advice
-            )
+        for value in (float(values.min()), float(values.max())):
+            tolerance = 1e-12 * max(abs(lower), abs(value))
+            if not lower - tolerance <= value <= upper + tolerance:
+                advice = "" if rule.bounded else "; choose a bounded distribution"
+                name = self._space.names[i]
+                raise InputError(
+                    f"randomize: the rule {rule} {verb} {name} = {value:g}, outside [{lower:g}, {upper:g}]{advice}"
+                )
 
     def _add_identified_rule(self, rule: RandomizeIdentified, machine: Machine) -> None:
         """Add joint samples of the identified parameters."""
@@ -250,23 +235,16 @@ class RuleSampler:
         if not rule.bounded and len(values):
             if self._space.lower[i] == 0.0:
                 values = np.maximum(values, 0.0)
-            for value in (values.min(), values.max()):
-                self._check_limits(rule, i, float(value), "yielded")
+            self._check_limits(rule, i, values, "yielded")
         return values
 
 
 class EpisodeSamples(NamedTuple):
-    """What k new episodes sample.
+    """What k new episodes sample."""
 
-    Attributes:
-        keys: Keys of the episodes' random numbers, shape (k,).
-        uniforms: Uniform numbers for the task, shape (k, n).
-        values: All parameters, shape (k, N).
-    """
-
-    keys: Keys
-    uniforms: Array
-    values: Array
+    keys: Keys  # of the episodes' random numbers, (k,)
+    uniforms: Array  # uniform numbers for the task, (k, n)
+    values: Array  # all parameters, (k, N)
 
 
 class MachineSampler:
@@ -305,10 +283,9 @@ class MachineSampler:
         self.columns = [self.space.names.index(name) for name in self.names]
         self._integers = [i for i in self.columns if self.space.names[i].endswith(".converter_bits")]
         self._base = np.tile(self.space.nominal, (count if self._startup.names else 1, 1))
-        self._needs_startup = np.ones(count, np.bool_)  # not seeded, or not sampled since
-        self._seeded = np.zeros(count, np.bool_)
-        self._keys = np.zeros(count, np.uint64)
-        self._episodes = np.zeros(count, np.int64)
+        # An environment needs startup samples if it was not seeded, or not sampled since.
+        self._seeded, self._needs_startup = np.zeros(count, np.bool_), np.ones(count, np.bool_)
+        self._keys, self._episodes = np.zeros(count, np.uint64), np.zeros(count, np.int64)
 
     def seed(self, b: int, generator: np.random.Generator) -> None:
         """Seed one environment; it samples its startup rules again at the next reset.
@@ -334,7 +311,11 @@ class MachineSampler:
         return values[:, self.columns] / np.where(nominal == 0.0, 1.0, nominal)
 
     def normalized_bounds(self) -> dict[str, tuple[float, float]]:
-        """Return the smallest and the largest normalized value of each randomized parameter, by full name."""
+        """Return the bounds of the randomized parameters.
+
+        Returns:
+            Smallest and largest normalized value by full name.
+        """
         edges = np.sort(self.normalized(np.stack([self.low, self.high])), axis=0)
         return {name: (low, high) for name, (low, high) in zip(self.names, edges.T.tolist(), strict=True)}
 

@@ -103,7 +103,7 @@ def _measure(
     """Write measurements (B, 2, n) of environments index (k,) from readings (blocks, sensors, LANES).
 
     A measurement is the reading plus noise, rounded to the resolution (0: not), each (B, n). A reading at an end of the
-    range low, high (B, n) is shown without noise, and noise does not lead out of the range.
+    range low, high (B, n) has no noise, and noise does not lead out of the range.
     """
     for i in range(index.shape[0]):
         b = index[i]

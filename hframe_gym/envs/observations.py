@@ -160,7 +160,14 @@ class ObservationBuilder:
         return observation, self.tool_array(observation)
 
     def tool_array(self, observation: Observation) -> NDArray[np.float32]:
-        """Return the array for the true tool positions, (count, 2): `achieved_goal` where the state is observed."""
+        """Return the array for the true tool positions.
+
+        Args:
+            observation: From `blank`.
+
+        Returns:
+            Array of shape (count, 2); `achieved_goal` itself where the state is observed.
+        """
         achieved = observation["achieved_goal"]
         return np.empty_like(achieved) if self.measured else achieved
 
@@ -198,7 +205,13 @@ class ObservationBuilder:
         _write_measurements(sensors.measurements, self._simulator.period, *limits, *position, *boxes, index, *out)
 
     def write_tool(self, first: int, last: int, tool: NDArray[np.float32]) -> None:
-        """Write the true tool positions of blocks first..last-1, m, to tool, shape (count, 2)."""
+        """Write the true tool positions of blocks first..last-1.
+
+        Args:
+            first: First block.
+            last: Block after the last one.
+            tool: Output, m, shape (count, 2).
+        """
         self._observe(first, last, self._tool, tool, tool)
 
 

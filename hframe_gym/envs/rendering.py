@@ -40,29 +40,17 @@ LUMPED_SECTIONS = {"left": ("s1", "s5", "s7"), "right": ("s2", "s6", "s8"), "bot
 
 @dataclass(frozen=True)
 class Scene:
-    """What a picture shows.
+    """What a picture shows."""
 
-    Attributes:
-        position: Tool position, m.
-        target: Goal, m.
-        band: Tolerance around the goal, m.
-        angles: Angles of the motors, rad.
-        tensions: Tensions beyond the pretension by belt, N.
-        trail: Past tool positions, m.
-        path: Path of a moving goal, m.
-        time_s: Time since the reset, s.
-        distance: Distance from tool to goal, m.
-    """
-
-    position: Point
-    target: Point
-    band: float
-    angles: tuple[float, float]
-    tensions: dict[str, float]
-    trail: Sequence[Point]
-    path: Sequence[Point]
-    time_s: float
-    distance: float
+    position: Point  # of the tool, m
+    target: Point  # m
+    band: float  # tolerance around the target, m
+    angles: tuple[float, float]  # of the motors, rad
+    tensions: dict[str, float]  # beyond the pretension, by belt, N
+    trail: Sequence[Point]  # past tool positions, m
+    path: Sequence[Point]  # of a moving goal, m
+    time_s: float  # since the reset, s
+    distance: float  # from tool to target, m
 
     @classmethod
     def of(cls, batch: EnvironmentBatch, b: int, trail: Sequence[Point]) -> Scene:
@@ -81,11 +69,10 @@ class Scene:
         # A drive without a pulley is drawn at rest.
         drives = [d.coordinate for d in batch.machine.drives if batch.machine.coordinate(d.coordinate).kind == "rotary"]
         angles = [position[c] for c in drives[:2]] + [0.0, 0.0]
-        x, y = batch.references.goals(index)[0].tolist()
         period = batch.config.period
         return cls(
             position=(position["x"], position["y"]),
-            target=(x, y),
+            target=tuple(batch.references.goals(index)[0].tolist()),
             band=batch.task.band,
             angles=(angles[0], angles[1]),
             tensions=batch.simulator.tensions(b),
@@ -112,13 +99,20 @@ class BeltGeometry:
         out = CLEARANCE + HALF_BRIDGE
         self.x0, self.x1 = self.left - out, self.right + out
         self.y0, self.y1 = self.low - CLEARANCE, self.high + CLEARANCE
-        # phi3 and phi1 (motor) below, phi4 and phi2 (motor) above.
-        self.corners = [(self.x0, self.y0), (self.x1, self.y0), (self.x0, self.y1), (self.x1, self.y1)]
+        self._corners = [(self.x0, self.y0), (self.x1, self.y0), (self.x0, self.y1), (self.x1, self.y1)]
 
-    def bridge_pulleys(self, x: float) -> list[Point]:
-        """Return the centers of phi7, phi5 (below), phi8 and phi6 (above), m, for a bridge at x, m."""
+    def pulleys(self, x: float) -> list[Point]:
+        """Return the centers of the pulleys.
+
+        Args:
+            x: Position of the bridge, m.
+
+        Returns:
+            Centers of phi3, phi1 (motor), phi4, phi2 (motor), phi7, phi5, phi8 and phi6, m.
+        """
         d, rise = HALF_BRIDGE + PULLEY_RADIUS, 2 * PULLEY_RADIUS
-        return [(x - d, self.y0 + rise), (x + d, self.y0 + rise), (x - d, self.y1 - rise), (x + d, self.y1 - rise)]
+        bridge = [(x - d, self.y0 + rise), (x + d, self.y0 + rise), (x - d, self.y1 - rise), (x + d, self.y1 - rise)]
+        return [*self._corners, *bridge]
 
     def sections(self, x: float, y: float) -> dict[str, list[Point]]:
         """Return the lines of the belt sections.
@@ -130,8 +124,7 @@ class BeltGeometry:
         Returns:
             Points of sections s1 to s9, m.
         """
-        phi7, phi5, phi8, phi6 = self.bridge_pulleys(x)
-        phi3, phi1, phi4, phi2 = self.corners
+        phi3, phi1, phi4, phi2, phi7, phi5, phi8, phi6 = self.pulleys(x)
         half = math.pi / 2
         side, r = HALF_BRIDGE, PULLEY_RADIUS
         return {
@@ -317,7 +310,7 @@ class Renderer:
         inner = self._pixels(PULLEY_RADIUS) - 2
         # From above, with the belt as drawn, a positive angle turns both motors counterclockwise.
         spokes = {1: scene.angles[0], 3: scene.angles[1]}
-        for i, center in enumerate([*g.corners, *g.bridge_pulleys(scene.position[0])]):
+        for i, center in enumerate(g.pulleys(scene.position[0])):
             pixel = self._pixel(center)
             draw.circle(self._surface, INK if i in spokes else CART, pixel, inner)
             draw.circle(self._surface, PAPER, pixel, inner - 2)

@@ -123,7 +123,11 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
         self.envs.close()
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
-        """Return one picture per environment in mode "rgb_array", else None for each."""
+        """Draw all stages.
+
+        Returns:
+            One picture per environment in mode "rgb_array", else None for each.
+        """
         return self.envs.render() or [None] * self.num_envs
 
     # -- stable-baselines3's access to single environments; all are part of one vector environment -------------------

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,8 +72,34 @@ class Lasers:
             raise InputError(f"sensors: centre is {self.centre!r}, it must be (x, y) in m")
 
 
+class SensorSuite(ABC):
+    """Which sensors an environment has: how the machine's declaration changes, and what of it is observed."""
+
+    @abstractmethod
+    def apply(self, machine: Machine) -> Machine:
+        """Declare these sensors.
+
+        Args:
+            machine: The machine.
+
+        Returns:
+            The machine with these sensors declared.
+        """
+
+    @abstractmethod
+    def observed(self, machine: Machine) -> tuple[Sensor, ...]:
+        """Return the sensors that an environment observes.
+
+        Args:
+            machine: A machine from `apply`.
+
+        Returns:
+            Sensors in the order of the observation.
+        """
+
+
 @dataclass(frozen=True)
-class Sensors:
+class Sensors(SensorSuite):
     """Encoders and lasers of a rig, in place of what the machine declares for x, y and the driven coordinates.
 
     Effects at these channels that identification found (delay, skew, scale) stay; the range is that of `lasers`.
@@ -93,14 +120,7 @@ class Sensors:
             raise InputError("sensors: neither encoders nor lasers; choose sensors='state' for the full state")
 
     def apply(self, machine: Machine) -> Machine:
-        """Return the machine with these sensors declared.
-
-        Args:
-            machine: The machine.
-
-        Returns:
-            A machine whose sensors of x, y and the driven coordinates have this noise, resolution and range.
-        """
+        """Return the machine with this noise, resolution and range of x, y and the driven coordinates."""
         if self.encoders is not None:
             for drive in machine.drives:
                 quantum = self.encoders.quantum(drive.gear_ratio)
@@ -113,21 +133,14 @@ class Sensors:
         return machine
 
     def observed(self, machine: Machine) -> tuple[Sensor, ...]:
-        """Return the sensors that an environment observes.
-
-        Args:
-            machine: A machine from `apply`.
-
-        Returns:
-            Sensors in the order of the observation.
-        """
+        """Return the sensors of x and y, then those of the driven coordinates."""
         lasers = ("x", "y") if self.lasers is not None else ()
         encoders = tuple(d.coordinate for d in machine.drives) if self.encoders is not None else ()
         return tuple(machine.sensor(_sensor_of(machine, name)) for name in dict.fromkeys((*lasers, *encoders)))
 
 
 @dataclass(frozen=True)
-class DeclaredSensors:
+class DeclaredSensors(SensorSuite):
     """The sensors that the machine declares, as they are."""
 
     def apply(self, machine: Machine) -> Machine:
@@ -135,20 +148,12 @@ class DeclaredSensors:
         return machine
 
     def observed(self, machine: Machine) -> tuple[Sensor, ...]:
-        """Return the sensors that an environment observes.
-
-        Args:
-            machine: The machine.
-
-        Returns:
-            All sensors: those of x, of y, of the driven coordinates, and the others.
-        """
+        """Return all sensors: those of x, of y, of the driven coordinates, then the others."""
         first = ["x", "y", *(d.coordinate for d in machine.drives)]
         order = [*first, *(c for c in machine.coordinate_names if c not in first)]
         return tuple(sorted(machine.sensors, key=lambda sensor: order.index(sensor.coordinate)))
 
 
-SensorSuite: TypeAlias = Sensors | DeclaredSensors
 SensorsLike: TypeAlias = Literal["state", "rig", "machine"] | SensorSuite
 # The paper's rig (section II): 512 lines before a gear of 5.9:1 and lasers with a range of 100 mm. The paper gives
 # neither their noise nor their position.
@@ -167,7 +172,7 @@ def as_sensors(sensors: SensorsLike) -> SensorSuite | None:
     Raises:
         InputError: If the name is unknown or the object is of another type.
     """
-    if isinstance(sensors, Sensors | DeclaredSensors):
+    if isinstance(sensors, SensorSuite):
         return sensors
     if not isinstance(sensors, str) or sensors not in SENSOR_PRESETS:
         raise InputError(f"sensors is {sensors!r}; choose one of {', '.join(SENSOR_PRESETS)}, or give Sensors(...)")
@@ -225,7 +230,14 @@ def _with_range(machine: Machine, channel: str, low: float, high: float) -> Mach
 
 
 def sensor_range_names(sensor: Sensor) -> tuple[str, str]:
-    """Return the full names of the lower and upper end of a sensor's range."""
+    """Return the full names of the range of a sensor.
+
+    Args:
+        sensor: The sensor.
+
+    Returns:
+        Names of the parameters of its effect `sensor_range`: lower and upper end.
+    """
     return f"sensor_range@{sensor.channel}.low", f"sensor_range@{sensor.channel}.high"
 
 
@@ -282,42 +294,3 @@ class PositionFromSensors:
                     "declare a sensor of it, or choose sensors='state'"
                 )
         return cls(belts, direct, scale)
-
-
-# Aliases until all packages use the new names.
-class Channels(NamedTuple):
-    """Properties of the observed sensors, one number per sensor, in the order of the observation."""
-
-    quanta: Array
-    noise: Array
-    least: Array
-    most: Array
-    tool: Array
-    lasers: Index
-
-
-def channels(machine: Machine, sensors: SensorSuite) -> Channels:
-    """Return the nominal properties of the observed sensors."""
-    machine = sensors.apply(machine)
-    observed = sensors.observed(machine)
-    position = PositionFromSensors.of(machine, observed)
-    limits = [[machine.parameters.get(name, np.nan) for name in sensor_range_names(s)] for s in observed]
-    low, high = np.array(limits).T
-    return Channels(
-        np.array([s.resolution for s in observed]),
-        np.array([s.noise for s in observed]),
-        np.where(np.isnan(low), -np.inf, low),
-        np.where(np.isnan(high), np.inf, high),
-        position.belts,
-        position.direct,
-    )
-
-
-def sensed_entries(machine: Machine, sensors: SensorSuite | None) -> tuple[Any, ...]:
-    """Return the signals of `observation`."""
-    from .spaces import sensor_signals, state_signals
-
-    if sensors is None:
-        return state_signals(machine)
-    machine = sensors.apply(machine)
-    return sensor_signals(machine, sensors.observed(machine))

@@ -57,6 +57,7 @@ def workspace_of(machine: Machine) -> Array:
                 f"machine {machine.name!r} has no coordinate {name!r}; the environment moves a tool in x and y. "
                 "Use a machine with both, for example a copy of 'hframe'; `hframe simulate` takes any machine"
             )
+    for name in ("x", "y"):
         if machine.coordinate(name).range is None:
             raise InputError(
                 f"machine {machine.name!r}: coordinate {name!r} has no range; the environment needs one as its "
@@ -107,7 +108,7 @@ def _largest_position(machine: Machine, name: str, workspace: Array) -> float:
     for axis, edges in zip(("x", "y"), workspace, strict=True):
         unit = rest_state(machine, [float(c == axis) for c in linear])[index]
         total += abs(unit) * float(np.abs(edges).max())
-    return max(1.5 * total, MARGIN / machine.coordinate(name).travel_per_unit)
+    return float(max(1.5 * total, MARGIN / machine.coordinate(name).travel_per_unit))
 
 
 def sensor_signals(machine: Machine, sensors: Sequence[Sensor]) -> tuple[SignalSpec, ...]:
@@ -188,7 +189,14 @@ def observation_space(
 
 
 def bounds_of(signals: Sequence[SignalSpec]) -> tuple[Array, Array]:
-    """Return the lower and the upper bounds of n signals, shape (n,) each."""
+    """Return the bounds of signals.
+
+    Args:
+        signals: The signals, n of them.
+
+    Returns:
+        Lower and upper bounds, shape (n,) each.
+    """
     return np.array([s.low for s in signals]), np.array([s.high for s in signals])
 
 

@@ -13,6 +13,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from ..machine import Machine
 from .config import EnvConfig, EnvOptions, check_keywords
 from .environment_batch import EnvironmentBatch, Flags, Index, StepResult
 from .hframe_env import check_reset_options, require_path
@@ -38,6 +39,7 @@ class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]])
     As for `HFrameEnv`, with truncation after `max_episode_steps`. The autoreset modes are Gymnasium's: "NextStep"
     (the step after an episode's end resets and ignores its action), "SameStep" (the last step resets; `final_obs` and
     `final_info` hold the end of the episode) and "Disabled" (reset with options={"reset_mask": (num_envs,) bool}).
+    The columns of `parameters` in an info are read-only; a reset replaces them.
 
     ## Arguments
 
@@ -99,6 +101,22 @@ class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]])
     def privileged_entries(self) -> tuple[SignalSpec, ...]:
         """Name, unit and bounds of every entry of `privileged`; empty without `privileged=True`."""
         return self.batch.observations.privileged
+
+    @property
+    def machine(self) -> Machine:
+        """The machine without randomization, with the chosen sensors and actuators."""
+        return self.batch.machine
+
+    @property
+    def parameters(self) -> Array:
+        """Parameters of the running episodes in the order of `machine.parameters`, SI, shape (num_envs, P)."""
+        return self.batch.values[:, : len(self.machine.parameters)].copy()
+
+    @property
+    def travel(self) -> Array:
+        """True belt travel of all coordinates in full precision, m, shape (num_envs, coordinates)."""
+        count = len(self.machine.coordinates)
+        return self.batch.simulator.state[:, :count].transpose(0, 2, 1).reshape(-1, count)[: self.num_envs].copy()
 
     # -- reset -----------------------------------------------------------------------------------------------------
 

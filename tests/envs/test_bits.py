@@ -1,4 +1,4 @@
-"""The short form of benchmarks/env_bits.py: the same bits in every way to run the environment, through resets."""
+"""Short form of benchmarks/env_bits.py: the single, vector and adapted environments return the same bits."""
 
 import pytest
 
@@ -6,13 +6,13 @@ from benchmarks import env_bits
 
 
 @pytest.mark.parametrize("name", env_bits.OPTIONS)
-def test_single_vector_and_adapter_are_equal_to_the_bit(name):
+def test_single_vector_and_adapted_environments_are_bit_equal(name):
     options = env_bits.OPTIONS[name]
-    found = {way: run(330, options) for way, run in env_bits.WAYS.items()}
-    assert len(set(found["single"])) == env_bits.COMPARED
-    assert found["vector"] == found["single"]
-    assert found["stable-baselines3"] == found["single"]
+    digests = {way: run(330, options) for way, run in env_bits.WAYS.items()}
+    assert len(set(digests["single"])) == env_bits.COMPARED
+    assert digests["vector"] == digests["single"]
+    assert digests["stable-baselines3"] == digests["single"]
 
 
-def test_a_new_process_and_more_threads_change_nothing():
+def test_a_new_process_with_more_threads_is_bit_equal():
     assert env_bits.elsewhere("rig", 160, 3) == env_bits.vector(160, env_bits.OPTIONS["rig"])

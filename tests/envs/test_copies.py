@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import hframe_gym  # noqa: F401  (registers the environments)
+from hframe_gym.effects import EFFECTS
 from hframe_gym.envs import Actuators
 
 IDS = ("HFrame-v0", "HFrameTrack-v0")
@@ -101,3 +102,16 @@ def test_original_and_copy_do_not_share_memory(name):
     for action in changing_actions(5, (2,), seed=0):
         twin.step(action)
     assert_equal(env.step(np.zeros(2, np.float32))[0], before)
+
+
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, through_pickle], ids=["deepcopy", "pickle"])
+def test_copy_with_delayed_sensors_and_drives_continues_bit_equal(duplicate, hframe):
+    effects = [EFFECTS["sensor_delay"].at("x_m", d=0.013), EFFECTS["input_delay"].at("drives", d=0.007)]
+    machine = hframe.with_effects(*effects)
+    envs = gym.make_vec("HFrame-v0", num_envs=9, machine=machine, sensors="machine", drives="machine").unwrapped
+    envs.reset(seed=3)
+    for action in changing_actions(5, (9, 2), seed=0):
+        envs.step(action)
+    twin = duplicate(envs)
+    for action in changing_actions(8, (9, 2), seed=1):
+        assert_equal(envs.step(action), twin.step(action))

@@ -1,15 +1,15 @@
-"""Random numbers by counting: their distribution, their independence, and that only key, step and channel matter."""
+"""Counter-based random numbers: distribution, independence, and dependence on key, step and channel alone."""
 
 import numpy as np
 import pytest
 from scipy.stats import kstest, norm
 
-from hframe_gym.envs.counter_rng import _log, normal_pair, reset_uniforms, turn, uniform
+from hframe_gym.envs.counter_rng import _log, cos_sin_of_turns, normal_pair, reset_uniforms, uniform
 
 KEY = np.uint64(0xDEADBEEF12345678)
 
 
-def test_uniform_numbers_are_uniform_along_every_count():
+def test_uniform_numbers_along_key_step_and_channel():
     for numbers in (
         [uniform(np.uint64(k), 3, 1) for k in range(5000)],
         [uniform(KEY, step, 1) for step in range(5000)],
@@ -28,7 +28,7 @@ def test_normal_pairs_are_normal_and_independent():
     assert abs(np.corrcoef(pairs[1:, 0], pairs[:-1, 1])[0, 1]) < 0.03
 
 
-def test_reset_s_numbers_do_not_depend_on_the_others():
+def test_the_numbers_of_a_reset_do_not_depend_on_other_resets():
     keys = np.arange(7, dtype=np.uint64)
     together = reset_uniforms(keys, 5)
     np.testing.assert_array_equal(reset_uniforms(keys[3:4], 5)[0], together[3])
@@ -36,11 +36,11 @@ def test_reset_s_numbers_do_not_depend_on_the_others():
 
 
 @pytest.mark.parametrize("x", [1e-17, 0.3, 0.70710678, 0.7072, 1.0, 1.5, 7e5])
-def test_own_logarithm(x):
+def test_logarithm(x):
     assert _log(x) == pytest.approx(np.log(x), rel=1e-12, abs=1e-13)
 
 
-def test_own_cosine_and_sine():
+def test_cosine_and_sine():
     u = np.linspace(0.0, 1.0, 1001)
-    both = np.array([turn(v) for v in u])
+    both = np.array([cos_sin_of_turns(v) for v in u])
     np.testing.assert_allclose(both, np.stack([np.cos(2 * np.pi * u), np.sin(2 * np.pi * u)], axis=1), atol=1e-14)

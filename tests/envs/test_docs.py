@@ -7,9 +7,12 @@ PAGE = Path(__file__).parents[2] / "docs" / "environment.md"
 
 
 def test_examples_run():
-    space = {}
+    namespace = {}
     examples = re.findall(r"```python\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
-    assert len(examples) == 3
+    assert len(examples) == 4
     for example in examples:
-        exec(example.replace("4096", "4"), space)
-    assert space["critic_sees"].shape == (len(space["env"].unwrapped.privileged_entries),)
+        exec(example.replace("4096", "4"), namespace)
+    assert namespace["critic_input"].shape == (len(namespace["env"].unwrapped.privileged_entries),)
+    assert 2.5e-6 <= namespace["noise"] <= 1e-5
+    _, info = namespace["hop"].reset(seed=0)
+    assert info["parameters"]["task.distance"] in (0.025, 0.1)

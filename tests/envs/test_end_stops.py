@@ -1,4 +1,4 @@
-"""End stops: where their force is, and that a stage at one changes nothing for its neighbours in the block."""
+"""End stops: active region, parameter order, and independence of neighbors in a SIMD block."""
 
 import numpy as np
 
@@ -6,20 +6,20 @@ from hframe_gym.envs import HFrameVectorEnv
 from hframe_gym.envs.end_stops import END_STOP, with_end_stops
 
 
-def test_the_guard_is_on_just_where_the_force_is():
+def test_the_active_region_is_where_the_force_is():
     stop = END_STOP.at("x", low=-0.1, high=0.2, stiffness=2e5, damping=1.5)
     q = np.linspace(-0.2, 0.3, 1001)
     force = stop("force", q=q, v=0.0, t=0.0)
-    np.testing.assert_array_equal(stop("guard", q=q), force != 0.0)
+    np.testing.assert_array_equal(stop("active_region", q=q), force != 0.0)
     assert np.all(np.sign(force) == np.sign(np.clip(q, -0.1, 0.2) - q))
 
 
-def test_own_parameters_come_first(hframe):
+def test_the_machine_s_parameters_come_first(hframe):
     both = list(with_end_stops(hframe).parameters)
     assert both[: len(hframe.parameters)] == list(hframe.parameters)
 
 
-def test_a_neighbour_at_its_end_changes_no_bit():
+def test_a_neighbor_at_an_end_stop_changes_no_bit():
     count = 8
 
     def histories(start):
@@ -27,11 +27,11 @@ def test_a_neighbour_at_its_end_changes_no_bit():
         envs.reset(seed=0, options={"start": start, "target": np.zeros((count, 2))})
         actions = np.random.default_rng(0).uniform(-1, 1, (40, count, 2)).astype(np.float32)
         actions[:, 2] = [1.0, -1.0]  # along x, which ends 1 mm away from one of the starts
-        seen = []
+        states = []
         for action in actions:
             envs.step(action)
-            seen.append(envs.batch.stages.state[0].copy())
-        return np.array(seen), envs.batch.workspace
+            states.append(envs.batch.simulator.state[0].copy())
+        return np.array(states), envs.batch.workspace
 
     middle = np.zeros((count, 2))
     free, workspace = histories(middle)

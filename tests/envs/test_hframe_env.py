@@ -1,23 +1,32 @@
-"""The single environment: interface, determinism, refusals, copies."""
+"""The single environment: interface, determinism, messages of invalid arguments."""
 
-import copy
-import pickle
+import dataclasses
 
 import gymnasium as gym
 import numpy as np
 import pytest
 
+import hframe_gym  # noqa: F401  (registers the environments)
 from hframe_gym.dynamics import simulate
 from hframe_gym.dynamics.simulation import LONGEST_STEP
-from hframe_gym.envs import Actuators, HFrameEnv, RandomizeParameter, Reach, register
-from hframe_gym.envs.distributions import Uniform
+from hframe_gym.envs import (
+    EnvConfig,
+    EnvOptions,
+    HFrameEnv,
+    HFrameVectorEnv,
+    RandomizeParameter,
+    Reach,
+    Track,
+)
+from hframe_gym.envs.domain_randomization import Uniform
+from hframe_gym.errors import InputError
 from hframe_gym.machine import BUILTIN_MACHINES
 
-register()
 FULL = np.array([1.0, -0.3], np.float32)
 
 
 def episode(env, steps=20, seed=None):
+    """Return the observations and rewards of an episode, concatenated."""
     rows = [env.reset(seed=seed)[0]["observation"]]
     for _ in range(steps):
         observation, reward, *_ = env.step(FULL)
@@ -25,7 +34,7 @@ def episode(env, steps=20, seed=None):
     return np.concatenate(rows)
 
 
-def test_types_are_what_libraries_expect():
+def test_types_of_the_results():
     env = HFrameEnv(randomize="default")
     env.reset(seed=0)
     _, reward, terminated, truncated, info = env.step(FULL)
@@ -51,7 +60,7 @@ def test_entries_describe_the_observation():
     assert env.observation_space["observation"].shape == (8,)
 
 
-def test_seed_fixes_machine_start_target_and_what_follows():
+def test_a_seed_determines_all_episodes():
     env, other = HFrameEnv(randomize="default"), HFrameEnv(randomize="default")
     np.testing.assert_array_equal(episode(env, seed=7), episode(other, seed=7))
     # and the episodes after it, without a new seed
@@ -59,14 +68,14 @@ def test_seed_fixes_machine_start_target_and_what_follows():
     assert not np.array_equal(episode(env), episode(env))
 
 
-def test_draws_are_in_info():
+def test_info_holds_the_randomized_parameters():
     env = HFrameEnv(randomize=[RandomizeParameter("x.mass", Uniform(2.0, 2.0))])
     _, info = env.reset(seed=0)
     assert info["parameters"] == {"x.mass": pytest.approx(2 * 4.07)}
     assert "parameters" not in HFrameEnv().reset(seed=0)[1]
 
 
-def test_startup_draws_last_until_the_next_seed():
+def test_startup_samples_last_until_the_next_seed():
     env = HFrameEnv(randomize=[RandomizeParameter("*.coulomb", Uniform(0.5, 2.0), when="startup")])
     first = env.reset(seed=1)[1]["parameters"]
     assert env.reset()[1]["parameters"] == first
@@ -74,7 +83,7 @@ def test_startup_draws_last_until_the_next_seed():
     assert env.reset(seed=1)[1]["parameters"] == first
 
 
-def test_options_place_the_tool_and_the_target():
+def test_reset_options_set_start_and_target():
     env = HFrameEnv()
     observation, info = env.reset(seed=0, options={"start": (0.1, -0.05), "target": (0.13, -0.01)})
     np.testing.assert_allclose(observation["achieved_goal"], [0.1, -0.05], atol=1e-7)
@@ -86,7 +95,7 @@ def test_options_place_the_tool_and_the_target():
         env.reset(options={"goal": (0.0, 0.0)})
 
 
-def test_rest_stays_at_rest():
+def test_a_machine_at_rest_stays_at_rest():
     env = HFrameEnv()
     start, _ = env.reset(seed=0)
     for _ in range(20):
@@ -94,7 +103,7 @@ def test_rest_stays_at_rest():
     np.testing.assert_array_equal(observation["observation"], start["observation"])
 
 
-def test_follows_the_machine_s_own_simulation():
+def test_motion_equals_the_machine_s_simulation():
     machine = BUILTIN_MACHINES["hframe"]()
     env = HFrameEnv(machine=machine, task=Reach(start=(0.0, 0.0), target=(0.1, 0.0)), longest_step=LONGEST_STEP)
     env.reset(seed=0)
@@ -106,7 +115,7 @@ def test_follows_the_machine_s_own_simulation():
     np.testing.assert_allclose(observation["observation"][:4], q, rtol=1e-5, atol=1e-7)
 
 
-def test_action_out_of_range_is_clipped_and_counted():
+def test_actions_out_of_range_are_clipped_and_counted():
     env, other = HFrameEnv(), HFrameEnv()
     env.reset(seed=0)
     other.reset(seed=0)
@@ -118,23 +127,23 @@ def test_action_out_of_range_is_clipped_and_counted():
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_action_that_is_not_finite_is_refused(value):
+def test_an_action_that_is_not_finite_is_refused(value):
     env = HFrameEnv()
     env.reset(seed=0)
-    before = env.batch.stages.state.copy()
+    before = env.batch.simulator.state.copy()
     with pytest.raises(ValueError, match=r"environment 0, motor2: .* is not finite"):
         env.step(np.array([0.0, value]))
-    np.testing.assert_array_equal(env.batch.stages.state, before)
+    np.testing.assert_array_equal(env.batch.simulator.state, before)
 
 
-def test_action_of_another_shape_is_refused():
+def test_an_action_of_another_shape_is_refused():
     env = HFrameEnv()
     env.reset(seed=0)
     with pytest.raises(ValueError, match="shape"):
         env.step(np.zeros(3))
 
 
-def test_leaving_terminates_with_a_penalty():
+def test_leaving_the_workspace_terminates_with_a_penalty():
     env = HFrameEnv(ends="terminate", task=Reach(start=(0.27, 0.0), target=(0.0, 0.0)), penalty=7.0)
     env.reset(seed=0)
     for _ in range(50):
@@ -147,7 +156,7 @@ def test_leaving_terminates_with_a_penalty():
     assert reward == env.compute_reward(observation["achieved_goal"], observation["desired_goal"], {})
 
 
-def test_end_stops_hold_and_give_no_energy():
+def test_end_stops_hold_the_tool():
     env = HFrameEnv(task=Reach(start=(0.2, 0.0), target=(0.0, 0.0)))
     env.reset(seed=0)
     reached = 0.0
@@ -156,7 +165,7 @@ def test_end_stops_hold_and_give_no_energy():
         reached = max(reached, float(observation["achieved_goal"][0]))
     assert not terminated
     assert 0.28 < reached < 0.295
-    # Full voltage against the stop: at rest, a millimetre in.
+    # Full voltage against the stop compresses it by a millimetre.
     assert observation["achieved_goal"][0] == pytest.approx(0.2812, abs=5e-4)
     assert abs(observation["observation"][4]) < 1e-3
 
@@ -164,10 +173,10 @@ def test_end_stops_hold_and_give_no_energy():
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"machine": "axis"}, "axis"),
+        ({"machine": "axis"}, "no coordinate 'y'.*Use a machine with both"),
         ({"machine": "no-such-machine"}, "no-such-machine"),
         ({"task": "juggle"}, "juggle"),
-        ({"reward": "kind"}, "kind"),
+        ({"reward": 1.0}, "reward is 1.0; choose 'dense'"),
         ({"randomize": "wild"}, "wild"),
         ({"randomize": "identified"}, "covariance"),
         ({"ends": "bounce"}, "bounce"),
@@ -177,34 +186,54 @@ def test_end_stops_hold_and_give_no_energy():
         ({"render_mode": "ascii"}, "ascii"),
     ],
 )
-def test_settings_that_do_not_fit_are_refused_by_name(settings, message):
+def test_invalid_options_are_refused_by_name(settings, message):
     with pytest.raises(ValueError, match=message):
         HFrameEnv(**settings)
 
 
-def test_unknown_keyword_is_refused():
-    with pytest.raises(TypeError, match="colour"):
-        HFrameEnv(colour="blue")
+@pytest.mark.parametrize("make", [HFrameEnv, HFrameVectorEnv])
+def test_an_unknown_keyword_is_refused_with_the_list_of_keywords(make):
+    with pytest.raises(TypeError, match=f"{make.__name__} got .* 'sensor'. Did you mean 'sensors'.* machine, task, .*"):
+        make(sensor="rig")
+    with pytest.raises(TypeError, match="render_mode"):
+        make(color="blue")
 
 
-def through_pickle(env):
-    return pickle.loads(pickle.dumps(env))
+def test_typed_keywords_are_those_of_the_configuration():
+    assert list(EnvOptions.__annotations__) == [field.name for field in dataclasses.fields(EnvConfig)]
 
 
-RIG = {"sensors": "rig", "drives": Actuators(bits=12, current_limit=5.0, delay=0.004), "privileged": True}
+def test_a_machine_without_range_is_refused_with_advice():
+    machine = BUILTIN_MACHINES["hframe"]()
+    unlimited = [dataclasses.replace(c, range=None) if c.name == "x" else c for c in machine.coordinates]
+    with pytest.raises(InputError, match=r"coordinate 'x' has no range.*Add .range.: \[low, high\]"):
+        HFrameEnv(machine=machine.replace(coordinates=tuple(unlimited)))
 
 
-@pytest.mark.parametrize("options", [{}, RIG], ids=["state", "rig"])
-@pytest.mark.parametrize("twin", [copy.deepcopy, through_pickle])
-def test_a_copy_goes_on_alike(twin, options):
-    env = HFrameEnv(randomize="wide", **options)
-    episode(env, steps=5, seed=3)
-    other = twin(env)
-    for _ in range(5):
-        a, b = env.step(FULL), other.step(FULL)
-        np.testing.assert_array_equal(a[0]["observation"], b[0]["observation"])
-        assert a[1:] == b[1:]
-    np.testing.assert_array_equal(episode(env), episode(other))
+@pytest.mark.parametrize("make", [HFrameEnv, HFrameVectorEnv])
+def test_step_before_reset_is_refused(make):
+    env = make()
+    with pytest.raises(gym.error.ResetNeeded, match="call reset before step"):
+        env.step(env.action_space.sample())
+
+
+@pytest.mark.parametrize("task", ["reach", Reach()], ids=["name", "object"])
+def test_the_track_environment_refuses_a_task_without_a_path(task):
+    with pytest.raises(InputError, match="HFrameTrack-v0 needs a task with a path, not 'reach'; use HFrame-v0"):
+        gym.make("HFrameTrack-v0", task=task)
+    with pytest.raises(InputError, match="needs a task with a path"):
+        gym.make_vec("HFrameTrack-v0", num_envs=2, task=task)
+    assert gym.make("HFrameTrack-v0", task=Track(path="square")).unwrapped.batch.task.path == "square"
+
+
+@pytest.mark.parametrize("options", [{"randomize": "default"}, {}, {"task": "track", "randomize": "wide"}], ids=str)
+def test_the_keys_of_info_are_always_the_same(options):
+    env = HFrameEnv(**options)
+    _, first = env.reset(seed=0)
+    *_, second = env.step(np.zeros(2))
+    assert first.keys() == second.keys()
+    assert ("parameters" in first) == ("randomize" in options)
+    assert first.get("parameters") == second.get("parameters")
 
 
 @pytest.mark.parametrize("options", [{}, {"sensors": "rig", "drives": "rig", "privileged": True}], ids=str)

@@ -1,4 +1,4 @@
-"""Pictures: shape, what moves in them, and the extra's name where pygame is missing."""
+"""Pictures: shape, content, and the message where pygame is missing."""
 
 import itertools
 import shutil
@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from hframe_gym.envs import HFrameEnv, HFrameVectorEnv
-from hframe_gym.envs.belt_path import BeltGeometry
-from hframe_gym.envs.rendering import HEIGHT, NEUTRAL, PATH, TARGET, TAUT, UNKNOWN, WIDTH, tension_colour
+from hframe_gym.envs.rendering import HEIGHT, NEUTRAL, PATH, TARGET, TAUT, UNKNOWN, WIDTH, BeltGeometry, tension_color
 
 
 def test_picture_shows_the_target_and_the_motion():
@@ -28,7 +27,7 @@ def test_picture_shows_the_target_and_the_motion():
     assert not np.shares_memory(first, second)
 
 
-def test_vector_gives_a_picture_each():
+def test_one_picture_per_environment():
     envs = HFrameVectorEnv(3, render_mode="rgb_array")
     envs.reset(seed=0)
     frames = envs.render()
@@ -37,7 +36,7 @@ def test_vector_gives_a_picture_each():
 
 
 @pytest.mark.parametrize("position", [(0.0, 0.0), (0.2, -0.1)])
-def test_belt_is_one_closed_line(position):
+def test_the_belt_is_one_closed_line(position):
     sections = BeltGeometry(np.array([[-0.28, 0.28], [-0.19, 0.19]])).sections(*position)
     path = [sections[name] for name in ("s7", "s5", "s1", "s3", "s9", "s4", "s2", "s6", "s8")]
     for a, b in itertools.pairwise(path):
@@ -45,21 +44,21 @@ def test_belt_is_one_closed_line(position):
     assert path[0][0] == pytest.approx(path[-1][-1])
 
 
-def test_colours_follow_tension():
-    assert tension_colour(0.0) == NEUTRAL
-    assert tension_colour(1e4) == TAUT
-    assert tension_colour(None) == UNKNOWN
+def test_colors_follow_the_tension():
+    assert tension_color(0.0) == NEUTRAL
+    assert tension_color(1e4) == TAUT
+    assert tension_color(None) == UNKNOWN
 
 
-def test_missing_pygame_names_the_extra(monkeypatch):
+def test_the_message_without_pygame_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "pygame", None)
     env = HFrameEnv(render_mode="rgb_array")
     env.reset(seed=0)
-    with pytest.raises(ImportError, match=r"hframe-gym\[render\]"):
+    with pytest.raises(ImportError, match=r"hframe_gym\[render\]"):
         env.render()
 
 
-def test_copies_leave_the_window_behind():
+def test_a_copy_has_no_window():
     import copy
 
     env = HFrameEnv(render_mode="rgb_array")
@@ -68,7 +67,7 @@ def test_copies_leave_the_window_behind():
     np.testing.assert_array_equal(copy.deepcopy(env).render(), env.render())
 
 
-def test_a_moving_goal_s_path_is_drawn():
+def test_the_path_of_a_moving_goal_is_drawn():
     env = HFrameEnv(render_mode="rgb_array", task="track")
     env.reset(seed=0)
     on_path = np.argwhere((env.render() == np.array(PATH)).all(axis=2))

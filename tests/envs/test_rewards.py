@@ -1,4 +1,4 @@
-"""Rewards: exact again, sloping near the target, and users' own."""
+"""Rewards: exact recomputation, slope near the goal, and functions of a user."""
 
 import numpy as np
 import pytest
@@ -7,23 +7,24 @@ from hframe_gym.envs import HFrameEnv, HFrameVectorEnv
 from hframe_gym.envs.rewards import as_reward
 
 
-def line(distances):
+def dense(distances):
+    """Return the dense rewards at distances from the goal."""
     achieved = np.zeros((len(distances), 2), np.float32)
     achieved[:, 0] = distances
     return as_reward("dense", 1e-3)(achieved, np.zeros_like(achieved))
 
 
-def test_dense_pays_for_every_halving():
+def test_the_dense_reward_pays_for_every_halving():
     d = 0.4 * 0.5 ** np.arange(16)  # down to 12 um
-    gains = np.diff(line(d))
+    gains = np.diff(dense(d))
     assert np.all(gains > 0.015)
     assert gains.max() < 3.5 * gains.min()
-    assert line([0.0])[0] == 0.0
+    assert dense([0.0])[0] == 0.0
 
 
 @pytest.mark.parametrize("reward", ["dense", "sparse"])
 @pytest.mark.parametrize("ends", ["stops", "terminate"])
-def test_compute_reward_gives_the_same_bits(reward, ends):
+def test_compute_reward_returns_the_bits_of_step(reward, ends):
     envs = HFrameVectorEnv(37, reward=reward, ends=ends, randomize="default", autoreset_mode="SameStep")
     envs.reset(seed=0)
     single = HFrameEnv(reward=reward, ends=ends)
@@ -42,7 +43,7 @@ def test_compute_reward_gives_the_same_bits(reward, ends):
     assert (ended > 0) == (ends == "terminate")
 
 
-def test_sparse_knows_the_band():
+def test_the_sparse_reward_is_zero_in_the_band():
     reward = as_reward("sparse", 1e-3)
     goals = np.zeros((2, 2), np.float32)
     goals[:, 1] = [0.0009, 0.0011]
@@ -50,16 +51,17 @@ def test_sparse_knows_the_band():
 
 
 def manhattan(achieved, desired):
+    """Return minus the sum of the distances along x and y."""
     return -np.abs(achieved - desired).sum(axis=1)
 
 
-def test_a_user_s_reward_is_used():
+def test_a_function_can_be_the_reward():
     env = HFrameEnv(reward=manhattan)
     observation, _ = env.reset(seed=0)
     observation, reward, *_ = env.step(np.zeros(2))
     assert reward == pytest.approx(-np.abs(observation["achieved_goal"] - observation["desired_goal"]).sum())
 
 
-def test_a_user_s_reward_of_another_shape_is_refused():
-    with pytest.raises(ValueError, match="one finite number a row"):
+def test_a_function_of_another_shape_is_refused():
+    with pytest.raises(ValueError, match="one finite number per row"):
         HFrameEnv(reward=lambda achieved, desired: 0.0)

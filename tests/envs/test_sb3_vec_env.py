@@ -1,4 +1,4 @@
-"""The stable-baselines3 adapter: the vector environment's bits in another interface."""
+"""The stable-baselines3 adapter returns the bits of the vector environment."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from hframe_gym.envs import HFrameVectorEnv
 from hframe_gym.envs.sb3_vec_env import HFrameVecEnv
 
 
-def test_same_bits_and_episode_ends():
+def test_bits_and_episode_ends():
     keywords = {"randomize": "default", "max_episode_steps": 10}
     vec, plain = HFrameVecEnv(6, **keywords), HFrameVectorEnv(6, autoreset_mode="SameStep", **keywords)
     vec.seed(4)
@@ -33,7 +33,7 @@ def test_same_bits_and_episode_ends():
             assert not np.array_equal(terminal["desired_goal"], observation["desired_goal"][3])
 
 
-def test_end_at_the_edge_is_not_a_cut():
+def test_an_end_at_the_edge_is_not_a_truncation():
     vec = HFrameVecEnv(1, ends="terminate")
     vec.set_options({"start": (0.27, 0.0)})
     vec.reset()
@@ -43,14 +43,14 @@ def test_end_at_the_edge_is_not_a_cut():
     assert infos[0]["TimeLimit.truncated"] is False
 
 
-def test_options_must_be_given_to_all():
+def test_options_must_be_the_same_for_all():
     vec = HFrameVecEnv(2)
     vec.set_options([{"start": (0.0, 0.0)}, {}])
     with pytest.raises(ValueError, match="same options"):
         vec.reset()
 
 
-def test_hindsight_replay_takes_it():
+def test_hindsight_replay_works():
     vec = VecMonitor(HFrameVecEnv(4, reward="sparse", max_episode_steps=20))
     model = SAC(
         "MultiInputPolicy",

@@ -1,18 +1,17 @@
-"""One is many: the vector environment gives the bits of single ones, in every autoreset mode, on any thread count."""
+"""The vector environment returns the bits of single ones, in every autoreset mode and for any thread count."""
 
 import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-from hframe_gym.envs import HFrameVectorEnv, register
-from hframe_gym.envs import batched_simulator as stage_module
-
-register()
+import hframe_gym  # noqa: F401  (registers the environments)
+from hframe_gym.envs import HFrameVectorEnv
+from hframe_gym.envs import batched_simulator as simulator_module
 
 
 def same(a, b, path=""):
-    """Equal to the bit, through dicts, arrays of dicts and masks."""
+    """Compare bit by bit, through dictionaries, arrays of dictionaries and masks."""
     if isinstance(a, dict):
         assert set(a) == set(b), path
         for key in a:
@@ -29,7 +28,7 @@ def same(a, b, path=""):
 
 
 def actions(n, steps, seed=0):
-    # Held for a few steps, so that stages get somewhere, and beyond the range now and then.
+    """Return random actions, (steps, n, 2), held for five steps so that tools move, some outside the range."""
     drawn = np.random.default_rng(seed).uniform(-1.2, 1.2, (steps // 5 + 1, n, 2))
     return np.repeat(drawn, 5, axis=0)[:steps].astype(np.float32)
 
@@ -42,7 +41,7 @@ OPTIONS = [
 
 @pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
 @pytest.mark.parametrize("options", OPTIONS, ids=["stops", "terminate"])
-def test_equals_gymnasium_s_vector_of_singles(mode, options):
+def test_equals_gymnasium_s_vector_of_single_environments(mode, options):
     n = 11
     ours = HFrameVectorEnv(n, max_episode_steps=23, autoreset_mode=mode, **options)
     make = lambda: gym.wrappers.TimeLimit(gym.make("HFrame-v0", **options).unwrapped, 23)  # noqa: E731
@@ -74,7 +73,7 @@ def test_disabled_mode_resets_by_mask():
             same(info, other_info)
 
 
-def test_disabled_mode_refuses_to_go_on():
+def test_disabled_mode_refuses_steps_after_the_end():
     envs = HFrameVectorEnv(3, max_episode_steps=2, autoreset_mode="Disabled")
     envs.reset(seed=0)
     action = np.zeros((3, 2), np.float32)
@@ -92,8 +91,8 @@ def run(n, steps, seed=3, **options):
 
 
 @pytest.mark.parametrize("threads", ["2", "3"])
-def test_thread_count_changes_nothing(monkeypatch, threads):
-    monkeypatch.setattr(stage_module, "BLOCKS_FOR_THREADS", 1)
+def test_the_thread_count_changes_no_bit(monkeypatch, threads):
+    monkeypatch.setattr(simulator_module, "BLOCKS_FOR_THREADS", 1)
     monkeypatch.setenv("HFRAME_THREADS", "1")
     alone = run(70, 90)
     monkeypatch.setenv("HFRAME_THREADS", threads)
@@ -102,7 +101,7 @@ def test_thread_count_changes_nothing(monkeypatch, threads):
         same(a[1], b[1])
 
 
-def test_seed_fixes_everything_and_seeds_differ():
+def test_a_seed_determines_everything():
     first, second = run(5, 60), run(5, 60)
     for a, b in zip(first, second, strict=True):
         same(a, b)
@@ -121,7 +120,7 @@ def test_returned_arrays_are_fresh():
     same(observation, kept)
 
 
-def test_declares_its_mode_and_survives_make_vec():
+def test_the_autoreset_mode_is_declared():
     envs = gym.make_vec("HFrame-v0", num_envs=3, autoreset_mode="SameStep")
     assert envs.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
     assert envs.max_episode_steps == 150
@@ -130,15 +129,15 @@ def test_declares_its_mode_and_survives_make_vec():
     assert again.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
 
 
-def test_a_hundred_thousand_steps_stay_finite_and_inside():
+def test_a_hundred_thousand_steps_stay_finite_and_inside_the_end_stops():
     envs = HFrameVectorEnv(500, randomize="wide")
     envs.reset(seed=0)
     box = envs.observation_space
     for action in actions(500, 200):
         observation, reward, *_ = envs.step(action)
         assert np.isfinite(reward).all()
-    assert box.contains(observation)
-    # End stops hold: nobody is further out than a buffer gives way.
+        assert box.contains(observation)
+    # No tool is farther outside than a buffer yields.
     x, y = np.abs(observation["achieved_goal"]).max(axis=0)
     assert x < 0.28 + 0.02
     assert y < 0.19 + 0.02
@@ -153,14 +152,26 @@ def test_a_hundred_thousand_steps_stay_finite_and_inside():
         ({"render_mode": "human"}, "render_mode"),
     ],
 )
-def test_refuses_settings(keywords, message):
+def test_invalid_options_are_refused(keywords, message):
     with pytest.raises(ValueError, match=message):
         HFrameVectorEnv(**keywords)
 
 
-def test_refuses_masks():
+def test_invalid_masks_are_refused():
     envs = HFrameVectorEnv(3)
     with pytest.raises(TypeError, match="reset_mask"):
         envs.reset(options={"reset_mask": [True, False, False]})
     with pytest.raises(ValueError, match="reset_mask"):
         envs.reset(options={"reset_mask": np.zeros(3, bool)})
+
+
+def test_parameters_and_travel_are_those_of_the_episodes(hframe):
+    envs = HFrameVectorEnv(11, randomize="default")
+    _, info = envs.reset(seed=0, options={"start": (0.05, -0.02)})
+    observation, *_ = envs.step(np.full((11, 2), 0.5, np.float32))
+    column = list(envs.machine.parameters).index("x.mass")
+    np.testing.assert_array_equal(envs.parameters[:, column], info["parameters"]["x.mass"])
+    np.testing.assert_array_equal(envs.travel[:, :2].astype(np.float32), observation["achieved_goal"])
+    np.testing.assert_allclose(
+        envs.travel[:, 2:] / hframe.travel_per_unit[2:], observation["observation"][:, 2:4], rtol=1e-6
+    )

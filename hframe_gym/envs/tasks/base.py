@@ -186,19 +186,35 @@ class ReferenceTrajectories:
         self._times = np.array([0.0, *task.ahead_s])
 
     def begin(self, index: Index, plans: Array) -> None:
-        """Begin episodes of environments index (k,) with plans (k, plan_size)."""
+        """Begin episodes.
+
+        Args:
+            index: Environments, shape (k,).
+            plans: Their plans, shape (k, plan_size).
+        """
         self._plans[index] = plans
         self.elapsed[index] = 0
         self._fixed_goals[index] = self._task.goal(plans, np.zeros(len(index)))
 
     def goals(self, index: Index | slice) -> NDArray[np.float32]:
-        """Return the present goals of environments index (k,), m, shape (k, 2), as a new array."""
+        """Return the present goals.
+
+        Args:
+            index: Environments, shape (k,).
+
+        Returns:
+            Goals, m, shape (k, 2), a new array.
+        """
         if not self.moving:
             return np.array(self._fixed_goals[index])
         return self._task.goal(self._plans[index], self._elapsed_s(index)).astype(np.float32)
 
     def blank(self) -> dict[str, NDArray[np.float32]]:
-        """Allocate `desired_goal` and `preview` of all environments; goals that do not move are filled in already."""
+        """Allocate the goals of an observation.
+
+        Returns:
+            `desired_goal`, already filled in if goals do not move, and `preview`, first axis count.
+        """
         if not self.moving:
             return {"desired_goal": self._fixed_goals.copy()}
         count, size = len(self._fixed_goals), 2 * len(self._task.ahead_s)
@@ -223,13 +239,29 @@ class ReferenceTrajectories:
             observation["preview"][index] = goals[:, 2:]
 
     def path(self, b: int, elapsed_s: Array) -> NDArray[np.float32]:
-        """Return the goals of environment b at times elapsed_s (n,) after its reset, s, shape (n, 2); none if fixed."""
+        """Return the goals of one environment over time.
+
+        Args:
+            b: Index of the environment.
+            elapsed_s: Times since its reset, s, shape (n,).
+
+        Returns:
+            Goals, m, shape (n, 2), or (0, 2) if they do not move.
+        """
         if not self.moving:
             return np.zeros((0, 2), np.float32)
         return self._task.goal(self._plans[b : b + 1], elapsed_s[None])[0].astype(np.float32)
 
     def contour(self, index: Index | slice, tools: Array) -> Array | None:
-        """Return the distances of tools (k, 2) to their paths, m, shape (k,); None for a task without a path."""
+        """Return the distances of tools to their paths.
+
+        Args:
+            index: Environments, shape (k,).
+            tools: Tool positions, m, shape (k, 2).
+
+        Returns:
+            Distances, m, shape (k,); None for a task without a path.
+        """
         if self._task.metrics != "track":
             return None
         return self._task.contour(self._plans[index], tools, self._elapsed_s(index))

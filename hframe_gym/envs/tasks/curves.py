@@ -61,7 +61,7 @@ class Curve(Protocol):
 
 
 @dataclass(frozen=True)
-class Circle:
+class Circle(Curve):
     """A circle, counterclockwise from (radius, 0).
 
     Args:
@@ -124,7 +124,14 @@ class Polyline:
         return np.mod(s, self.length) if self.closed else np.clip(s, 0.0, self.length)
 
     def point(self, s: Array) -> Array:
-        """Return the points, m, shape (n, 2), at arc lengths s, m, shape (n,)."""
+        """Return the points at arc lengths s.
+
+        Args:
+            s: Arc lengths, m, shape (n,).
+
+        Returns:
+            Points, m, shape (n, 2).
+        """
         points: Array = _points_on_segments(self._vertices, self._s, self._wrapped(s))
         return points
 
@@ -224,18 +231,39 @@ def _nearest_distances(vertices: Any, vertex_s: Any, closed: bool, points: Any, 
 
 
 def circle(size: float) -> Circle:
-    """Return a circle of diameter `size`, m."""
+    """Return a circle.
+
+    Args:
+        size: Diameter, m.
+
+    Returns:
+        The curve.
+    """
     return Circle(size / 2)
 
 
 def square(size: float) -> Polyline:
-    """Return a square with sides of `size`, m, counterclockwise from the middle of its right side."""
+    """Return a square, counterclockwise from the middle of its right side.
+
+    Args:
+        size: Length of a side, m.
+
+    Returns:
+        The curve.
+    """
     corners = [(1, 0), (1, 1), (-1, 1), (-1, -1), (1, -1), (1, 0)]
     return Polyline(0.5 * size * np.array(corners, float))
 
 
 def lissajous(size: float) -> Polyline:
-    """Return the figure of eight x = sin a, y = sin 2a, `size` (m) across in both axes, in segments of equal length."""
+    """Return the figure of eight x = sin a, y = sin 2a, in segments of equal length.
+
+    Args:
+        size: Width in both axes, m.
+
+    Returns:
+        The curve.
+    """
     angle = np.linspace(0.0, 2.0 * np.pi, 4 * SEGMENTS + 1)
     fine = 0.5 * size * np.stack([np.sin(angle), np.sin(2.0 * angle)], axis=1)
     s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(fine, axis=0).T))])

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ...errors import InputError
-from ...recordings.path_file import read_path
+from ...recordings import read_path
 from ..counter_rng import compiled
 from .base import TASKS, Array, Metrics, Task
 from .curves import SHAPES, Curve, Polyline
@@ -237,7 +237,7 @@ class Track(Task):
         if timed is not None and timed[1] is not None:
             return np.interp(elapsed_s, timed[1], timed[0].vertex_s)
         length = np.inf if curve.closed else curve.length
-        s: Array = _arc_lengths(plan, elapsed_s, self.lead_s, length)
+        s: Array = arc_lengths(plan, elapsed_s, self.lead_s, length)
         return s
 
 
@@ -258,31 +258,30 @@ def _speed_up(t: float, speed: float, lead_s: float) -> float:
 
 
 @compiled
-def distance_traveled(t: float, speed: float, lead_s: float, length: float) -> float:
-    """Compute the distance traveled along a path from rest.
+def arc_lengths(plan: Any, elapsed_s: Any, lead_s: float, length: float) -> Any:
+    """Compute where goals are along their paths.
+
+    A goal starts at rest and reaches its speed in lead_s. On an open path it slows down to rest at the end; a speed
+    that is too high for the length is reduced.
 
     Args:
-        t: Time, s.
-        speed: Speed, m/s; reduced where the length is too short to reach it.
-        lead_s: Duration of the speed-up, and of the slow-down at the end of an open path, s.
+        plan: Plans, shape (n, 6).
+        elapsed_s: Times since the reset, s, shape (n, m).
+        lead_s: Duration of the speed-up and of the slow-down, s.
         length: Length of the path, m; infinite for a closed one.
 
     Returns:
-        Distance, m.
+        Arc lengths, m, shape (n, m).
     """
-    speed = min(speed, length / lead_s)
-    duration = length / speed + lead_s
-    if t < 0.5 * duration:
-        return _speed_up(t, speed, lead_s)
-    return length - _speed_up(max(duration - t, 0.0), speed, lead_s)
-
-
-@compiled
-def _arc_lengths(plan: Any, elapsed_s: Any, lead_s: float, length: float) -> Any:
-    """Return the arc lengths (n, m), m, of goals with plans (n, 6) at times elapsed_s (n, m), s."""
     out = np.empty(elapsed_s.shape)
     for i in range(elapsed_s.shape[0]):
+        speed = min(plan[i, SPEED], length / lead_s)
+        duration = length / speed + lead_s
         for j in range(elapsed_s.shape[1]):
-            s = distance_traveled(elapsed_s[i, j], plan[i, SPEED], lead_s, length)
+            t = elapsed_s[i, j]
+            if t < 0.5 * duration:
+                s = _speed_up(t, speed, lead_s)
+            else:
+                s = length - _speed_up(max(duration - t, 0.0), speed, lead_s)
             out[i, j] = s * plan[i, DIRECTION] + plan[i, START]
     return out

@@ -1,4 +1,4 @@
-"""The task `track`: its goals against closed forms, its preview, its path's distance, and both libraries' checkers."""
+"""Task `track`: goals against closed forms, preview, contour error, path files, and both environment checkers."""
 
 import warnings
 
@@ -10,12 +10,12 @@ from gymnasium.utils import env_checker
 from scipy.integrate import quad
 from scipy.optimize import minimize_scalar
 
-from hframe_gym.envs import HFrameEnv, HFrameVectorEnv, Reach, Track, register
+import hframe_gym  # noqa: F401  (registers the environments)
+from hframe_gym.envs import HFrameEnv, HFrameVectorEnv, Reach, Track
 from hframe_gym.envs.tasks.curves import SHAPES, Polyline
-from hframe_gym.envs.tasks.track import travelled
+from hframe_gym.envs.tasks.track import arc_lengths
 from hframe_gym.errors import InputError
 
-register()
 WORKSPACE = np.array([[-0.28, 0.28], [-0.19, 0.19]])
 SHAPE_NAMES = ("circle", "square", "lissajous")
 
@@ -25,23 +25,29 @@ def plans(task, count=8, seed=0):
     return task.begin(WORKSPACE, uniforms)
 
 
+def distances(times, length=np.inf):
+    """Return the distances of a goal at 0.3 m/s along a path, m, shape (n,)."""
+    plan = np.array([[0.0, 0.0, 0.0, 1.0, 0.0, 0.3]])
+    return arc_lengths(plan, np.array([times], float), 0.2, length)[0]
+
+
 def write(folder, text):
     path = folder / "path.csv"
     path.write_text(text)
     return path
 
 
-def test_the_circle_is_that_of_the_closed_form():
+def test_circle_against_the_closed_form():
     task = Track(centre=(0.1, -0.05), direction=-1, phase=0.25, size=0.05, speed=0.3, lead_s=0.2)
     _, plan = plans(task, 1)
     t = 0.7
-    turned = np.pi / 2 - 0.3 * (t - 0.1) / 0.025  # half of the lead-in is lost
+    turned = np.pi / 2 - 0.3 * (t - 0.1) / 0.025  # half of the speed-up time is lost
     expected = [0.1 + 0.025 * np.cos(turned), -0.05 + 0.025 * np.sin(turned)]
     np.testing.assert_allclose(task.goal(plan, np.array([t]))[0], expected, atol=1e-14)
 
 
 @pytest.mark.parametrize("path", SHAPE_NAMES)
-def test_the_goal_starts_at_rest_and_keeps_its_speed(path):
+def test_goal_starts_at_rest_and_keeps_its_speed(path):
     task = Track(path=path)
     start, plan = plans(task)
     np.testing.assert_array_equal(task.goal(plan, np.zeros(8)), start)
@@ -52,47 +58,47 @@ def test_the_goal_starts_at_rest_and_keeps_its_speed(path):
         return np.linalg.norm(ends[1] - ends[0], axis=1) / step
 
     assert speed(0.0).max() < 1e-4
-    # Half-way through the lead-in half the speed is reached; a chord across a corner is a little short.
+    # Half of the speed is reached half-way through the speed-up. A chord across a corner is slightly too short.
     np.testing.assert_allclose(speed(0.1), 0.15, rtol=1e-3)
     np.testing.assert_allclose(speed(0.61), 0.3, rtol=1e-4)
 
 
-def test_the_way_is_the_integral_of_the_documented_speed():
+def test_distance_is_the_integral_of_the_documented_speed():
     def speed(t):
         u = min(t / 0.2, 1.0)
         return 0.3 * (3 * u**2 - 2 * u**3)
 
     for t in (0.05, 0.2, 0.9):
         expected = quad(speed, 0.0, t, points=[0.2] if t > 0.2 else None)[0]
-        assert travelled(np.array([t]), 0.3, 0.2, np.inf)[0] == pytest.approx(expected, abs=1e-12)
+        assert distances([t])[0] == pytest.approx(expected, abs=1e-12)
 
 
 @pytest.mark.parametrize("length", [0.2, 0.01])
-def test_an_open_way_ends_at_rest_at_its_length(length):
+def test_an_open_path_ends_at_rest(length):
     t = np.linspace(0.0, 3.0, 3001)
-    way = travelled(t, 0.3, 0.2, length)
+    way = distances(t, length)
     assert np.all(np.diff(way) >= 0.0)
     assert way[-1] == length
     assert np.abs(np.diff(way, 2)).max() < 2.3e-6 * 1.1  # no jump of the speed anywhere: 1.5 v / lead_s at most
 
 
 @pytest.mark.parametrize("path", SHAPE_NAMES)
-def test_preview_shows_what_will_be_the_goal(path):
+def test_preview_holds_the_future_goals(path):
     env = HFrameEnv(task=Track(path=path), randomize="default")
-    seen = [env.reset(seed=3)[0]]
-    seen += [env.step(np.zeros(2))[0] for _ in range(20)]
+    observations = [env.reset(seed=3)[0]]
+    observations += [env.step(np.zeros(2))[0] for _ in range(20)]
     for k in range(10):
-        later = np.concatenate([seen[k + i + 1]["desired_goal"] for i in range(10)])
-        np.testing.assert_allclose(seen[k]["preview"], later, atol=1e-7)
+        later = np.concatenate([observations[k + i + 1]["desired_goal"] for i in range(10)])
+        np.testing.assert_allclose(observations[k]["preview"], later, atol=1e-7)
 
 
-def test_contour_error_is_the_least_distance_to_the_curve():
+def test_contour_error_is_the_smallest_distance_to_the_curve():
     rng = np.random.default_rng(1)
     for name, make in SHAPES.items():
         curve = make(0.05)
         for s in rng.uniform(0.0, curve.length, 20):
             near = curve.point(np.array([s]))[0] + rng.normal(0.0, 3e-4, 2)
-            found = curve.distance(near[None], np.array([s]))[0]
+            distance = curve.distance(near[None], np.array([s]))[0]
             window = np.linspace(s - 0.003, s + 0.003, 2001)
             apart = np.linalg.norm(curve.point(window) - near, axis=1)
             i = window[apart.argmin()]
@@ -102,15 +108,15 @@ def test_contour_error_is_the_least_distance_to_the_curve():
                 method="bounded",
                 options={"xatol": 1e-10},
             ).fun
-            assert found == pytest.approx(best, abs=2e-8), name
+            assert distance == pytest.approx(best, abs=2e-8), name
 
 
-def test_a_tool_that_cuts_a_corner_is_off_by_its_distance_to_the_sides():
+def test_contour_error_at_a_corner_is_the_distance_to_the_sides():
     square = SHAPES["square"](0.05)
     assert square.distance(np.array([[0.0245, 0.0243]]), np.array([0.026]))[0] == pytest.approx(0.0005)
 
 
-def test_a_late_tool_on_the_path_has_no_contour_error():
+def test_a_delayed_tool_on_the_path_has_no_contour_error():
     env = HFrameVectorEnv(4, task=Track(path=SHAPE_NAMES), autoreset_mode="Disabled")
     env.reset(seed=0)
     for _ in range(30):
@@ -120,7 +126,7 @@ def test_a_late_tool_on_the_path_has_no_contour_error():
     assert not info["is_success"].any()
 
 
-def test_a_distant_tool_is_as_far_as_all_vertices_say():
+def test_contour_error_of_a_distant_tool():
     figure = SHAPES["lissajous"](0.05)
     points = np.array([[0.2, 0.1], [-0.1, 0.02], [0.0, -0.15]])
     fine = figure.point(np.linspace(0.0, figure.length, 200001))
@@ -128,7 +134,7 @@ def test_a_distant_tool_is_as_far_as_all_vertices_say():
     np.testing.assert_allclose(figure.distance(points, np.zeros(3)), expected, rtol=1e-3)
 
 
-def test_every_shape_is_drawn_and_keeps_inside():
+def test_every_shape_is_chosen_and_stays_in_the_workspace():
     task = Track(path=SHAPE_NAMES, size=0.1)
     _, plan = plans(task, 300)
     assert set(plan[:, 0]) == {0.0, 1.0, 2.0}
@@ -139,7 +145,7 @@ def test_every_shape_is_drawn_and_keeps_inside():
         assert np.all(goal <= WORKSPACE[:, 1] - 0.02 + 1e-12)
 
 
-def test_a_file_is_followed_point_by_point(tmp_path):
+def test_a_path_file_is_followed_point_by_point(tmp_path):
     task = Track(path=write(tmp_path, "x_m,y_m\n0,0\n0.1,0\n0.1,0\n0.1,0.05\n"), speed=0.2, lead_s=0.1)
     _, plan = plans(task, 1)
     duration = 0.15 / 0.2 + 0.1
@@ -147,7 +153,7 @@ def test_a_file_is_followed_point_by_point(tmp_path):
         np.testing.assert_allclose(task.goal(plan, np.array([t]))[0], point, atol=1e-12)
 
 
-def test_a_timed_file_keeps_its_times(tmp_path):
+def test_a_path_file_with_times_keeps_its_times(tmp_path):
     task = Track(path=write(tmp_path, "time_s,x_m,y_m\n10,0,0\n10.5,0.1,0\n11,0.1,0\n12,0.1,0.1\n"))
     _, plan = plans(task, 1)
     for t, point in ((0.25, (0.05, 0.0)), (0.75, (0.1, 0.0)), (1.25, (0.1, 0.025)), (9.0, (0.1, 0.1))):
@@ -168,7 +174,7 @@ def test_a_timed_file_keeps_its_times(tmp_path):
         ("time_s,x_m,y_m\n0,0,0\n0,0.1,0.1\n", "row 2, column time_s"),
     ],
 )
-def test_a_file_at_fault_is_refused_by_row_and_column(tmp_path, text, message):
+def test_a_faulty_path_file_is_refused_with_row_and_column(tmp_path, text, message):
     with pytest.raises(InputError, match=message):
         HFrameEnv(task=Track(path=write(tmp_path, text)))
 
@@ -188,7 +194,7 @@ def test_a_file_at_fault_is_refused_by_row_and_column(tmp_path, text, message):
         ({"lead_s": float("nan")}, "lead_s"),
     ],
 )
-def test_settings_that_cannot_be_are_refused(settings, message):
+def test_invalid_settings_are_refused(settings, message):
     with pytest.raises(ValueError, match=message):
         HFrameEnv(task=Track(**settings))
 
@@ -199,7 +205,7 @@ def test_a_target_is_refused():
         env.reset(seed=0, options={"target": (0.0, 0.0)})
 
 
-def test_a_line_of_no_length_is_no_path():
+def test_a_path_needs_two_different_points():
     with pytest.raises(ValueError, match="two different"):
         Polyline(np.zeros((3, 2)))
 
@@ -212,7 +218,7 @@ def test_reach_has_no_preview_and_no_contour():
 
 
 @pytest.mark.parametrize("path", ["circle", SHAPE_NAMES], ids=str)
-def test_checkers_have_nothing_to_say(path):
+def test_environment_checkers_pass(path):
     env = gym.make("HFrameTrack-v0", task=Track(path=path), randomize="default")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -220,7 +226,7 @@ def test_checkers_have_nothing_to_say(path):
         sb3.check_env(HFrameEnv(task=Track(path=path)), warn=True, skip_render_check=True)
 
 
-def test_single_and_vector_see_the_same():
+def test_single_and_vector_environment_are_equal():
     envs = gym.make_vec("HFrameTrack-v0", num_envs=3, randomize="default")
     many, _ = envs.reset(seed=5)
     single = gym.make("HFrameTrack-v0", randomize="default")
