@@ -44,12 +44,17 @@ class PreviewGains:
         last: Gains on the last voltages, V/V, shape (points, 2, 2).
         goal: Gains on the goals, V/m, shape (points, 2, 2 H).
         force: Gains on the force on each coordinate in each period, V/N, shape (points, 2, n H).
+        A: Discrete-time system matrices, shape (points, 2 n, 2 n).
+        B: Discrete-time input matrices, shape (points, 2 n, 2).
+        E: Discrete-time matrices of the forces, shape (points, 2 n, n).
     """
 
     def __init__(
         self, model: MotionModel, grid: OperatingPointGrid, period: float, horizon: int, change_weight: float
     ) -> None:
-        gains = [self._solve(model, *model.discretize(point, period), horizon, change_weight) for point in grid.points]
+        matrices = [model.discretize(point, period) for point in grid.points]
+        self.A, self.B, self.E = (np.stack(by_point) for by_point in zip(*matrices, strict=True))
+        gains = [self._solve(model, *ABE, horizon, change_weight) for ABE in matrices]
         self.state, self.last, self.goal, self.force = (np.stack(g) for g in zip(*gains, strict=True))
 
     @staticmethod
@@ -97,10 +102,8 @@ class PreviewTracker:
         self.model, self.grid, self.period = model, grid, period
         self.horizon = min(goals, max(1, round(HORIZON_S / period)))
         self.gains = PreviewGains(model, grid, period, self.horizon, VOLTAGE_CHANGE_WEIGHT)
-        matrices = [model.discretize(point, period) for point in grid.points]
-        self._A, self._B, self._E = (np.stack(by_point) for by_point in zip(*matrices, strict=True))
         self._filter_gain = 1.0 - np.exp(-period / DISTURBANCE_TIME_CONSTANT_S)
-        self._force_from_residual = np.linalg.pinv(self._E)
+        self._force_from_residual = np.linalg.pinv(self.gains.E)
         self._planned_force = self._disturbance = np.zeros((0, len(model.mass)))  # N
 
     def update_disturbance(self, before: Array, after: Array, volts: Array, starts: NDArray[np.bool_]) -> None:
@@ -115,7 +118,7 @@ class PreviewTracker:
         if len(self._disturbance) != len(after):
             self._planned_force = self._disturbance = np.zeros((len(after), len(self.model.mass)))
         points = self.grid.nearest(self.model.tool_position(before))
-        predicted = _matvec(self._A[points], before) + _matvec(self._B[points], volts)
+        predicted = _matvec(self.gains.A[points], before) + _matvec(self.gains.B[points], volts)
         residual = _matvec(self._force_from_residual[points], after - predicted) - self._planned_force
         self._disturbance = np.where(starts[:, None], 0.0, self._disturbance + self._filter_gain * residual)
 

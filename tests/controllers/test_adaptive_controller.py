@@ -21,12 +21,6 @@ MODELED_EFFECTS = {
 }
 
 
-@pytest.fixture
-def adaptive(hframe: Machine) -> AdaptiveController:
-    """Return a new adaptive controller of the H-frame."""
-    return AdaptiveController(hframe, PERIOD)
-
-
 @pytest.mark.parametrize("effects", MODELED_EFFECTS)
 def test_tracks_circles_more_accurately(hframe: Machine, effects: str) -> None:
     machine = hframe.with_effects(*MODELED_EFFECTS[effects])
