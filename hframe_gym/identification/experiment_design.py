@@ -25,9 +25,8 @@ from ..atomic_files import whole_file
 from ..dynamics.simulation import Motion, simulate_batch
 from ..machine import AppliedEffect, Machine
 from .candidates import effect_parameters
-from .covariance import with_uncertainty
 from .dataset import Dataset, TypicalScales
-from .estimation import Fit, fit
+from .estimation import Fit, fit, with_uncertainty
 from .forward_selection import typical_scales
 from .linearization import NormalEquations, forward_differences
 from .prediction import POLISH_STEP, SEARCH_STEP

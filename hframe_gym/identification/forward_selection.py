@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 
 from ..machine import AppliedEffect, Machine
 from .candidates import candidates, effect_parameters
-from .covariance import with_uncertainty
 from .criteria import SelectionCriteria
 from .dataset import Dataset, TypicalScales, scales_of_motion
-from .estimation import Fit, fit
+from .estimation import Fit, fit, with_uncertainty
 from .free_parameters import FreeParameter, default_free_parameters
 from .prediction import POLISH_STEP, SEARCH_STEP, has_feedback, map_runs, predict
 from .residual import missing_force

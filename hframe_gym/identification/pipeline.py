@@ -11,10 +11,9 @@ import numpy as np
 from ..errors import InputError
 from ..machine import Machine
 from ..recordings import Recording
-from .covariance import with_uncertainty
 from .criteria import SelectionCriteria
 from .dataset import Dataset, prepare, refine_encoder_offsets, with_all_measurements
-from .estimation import Fit, fit
+from .estimation import Fit, fit, with_uncertainty
 from .experiment_design import design_discriminating_experiment
 from .forward_selection import Log, SelectedEffect, Selection, minimum_gain, prune_effects, select_effects
 from .free_parameters import default_free_parameters

@@ -12,7 +12,7 @@ from hframe_gym.cli import app
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, FreeParameter, default_free_parameters, fit, prepare
-from hframe_gym.identification.covariance import with_uncertainty
+from hframe_gym.identification.estimation import with_uncertainty
 from hframe_gym.identification.experiment_design import (
     MINIMUM_SIGMA,
     ExperimentDesign,
