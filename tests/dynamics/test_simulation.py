@@ -116,8 +116,8 @@ def test_energy_is_kept_without_friction_and_drives(hframe: Machine) -> None:
     travel = trajectory.positions * RADII
     potential = np.zeros(len(TIME))
     for b in machine.belts:
-        length = b.rest_length + travel @ machine.row(b.length)
-        potential += 0.5 * b.EA / length * (travel @ machine.row(b.extension)) ** 2
+        length = b.rest_length + travel @ machine.coefficients(b.length)
+        potential += 0.5 * b.EA / length * (travel @ machine.coefficients(b.extension)) ** 2
     kinetic = trajectory.velocities**2 @ np.array([0.5 * c.mass for c in machine.coordinates])
     total = potential + kinetic
     assert np.ptp(total) / total[0] < 2e-4
