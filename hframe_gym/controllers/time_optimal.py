@@ -53,16 +53,7 @@ IPOPT_OPTIONS: dict[str, Any] = {
     "sb": "yes",
 }
 # Hooks of an effect that enter the collocation equations, and CasADi's operations that switch between branches.
-DIFFERENTIATED_HOOKS = (
-    "force",
-    "coulomb",
-    "friction",
-    "viscous",
-    "tension",
-    "energy_slope",
-    "belt_travel",
-    "lever_arm",
-)
+MOTION_HOOKS = ("force", "coulomb", "friction", "viscous", "tension", "energy_slope", "belt_travel", "lever_arm")
 SWITCHING_OPERATIONS = (ca.OP_FMIN, ca.OP_FMAX, ca.OP_IF_ELSE_ZERO, ca.OP_SIGN, ca.OP_COPYSIGN, ca.OP_LT, ca.OP_LE)
 INITIAL_GUESSES = (1.0, 1.6, 0.8)  # of T, in times of the rigid stage; tried in turn until one converges
 
@@ -332,7 +323,7 @@ def _unsupported_because(effect: AppliedEffect) -> str:
         return "it has a memory"
     if definition.current and effect.name != "current_limit":
         return "effects on the current are not supported, except for current_limit"
-    hooks = [getattr(definition, name) for name in DIFFERENTIATED_HOOKS]
+    hooks = [getattr(definition, name) for name in MOTION_HOOKS]
     if any(_has_kink(hook) for hook in hooks if hook):
         return "its formula is not differentiable"
     return ""

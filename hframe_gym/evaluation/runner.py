@@ -21,7 +21,7 @@ from ..envs import HFrameVectorEnv, MachineLike, RandomizationLike, SensorsLike,
 from ..errors import InputError
 from ..machine import Machine
 from .metrics import score_episodes, stored_bounds
-from .scenario import Episodes, Scenario, make_controller, sampled_parameters
+from .scenario import Episodes, Scenario, make_controller
 
 Array = NDArray[np.float64]
 SAMPLES_PER_PERIOD = 10
@@ -153,8 +153,8 @@ class _Recorder:
         scenario, simulator = self.scenario, self.envs.batch.simulator
         count, samples = scenario.episodes, scenario.periods * SAMPLES_PER_PERIOD + 1
         observation, info = self.envs.reset(seed=scenario.seed)
-        machine = self.envs.batch.machine
-        loads = _Loads(machine, sampled_parameters(self.envs))
+        machine = self.envs.machine
+        loads = _Loads(machine, self.envs.parameters)
         rated = np.array([d.rated_voltage for d in machine.drives])
         position, goal = np.empty((2, count, samples, 2))
         contour = np.empty((count, samples)) if "contour_m" in info else None
@@ -168,26 +168,20 @@ class _Recorder:
 
         controller.reset()
         record(0)
-        travel = [self._travel()]
+        travel = [self.envs.travel]
         for k in range(scenario.periods):
             actions = np.clip(controller.act(observation), -1.0, 1.0)
             volts[:, k] = actions * rated
             for sample in range(k * SAMPLES_PER_PERIOD + 1, (k + 1) * SAMPLES_PER_PERIOD + 1):
                 observation, _, _, _, info = self.envs.step(actions)
                 record(sample)
-                travel.append(self._travel())
+                travel.append(self.envs.travel)
             in_period = np.stack(travel)
             energy += loads.energy(in_period, volts[:, k], self.sample_s)
             peak = np.maximum(peak, loads.largest_tension(in_period))
             travel = travel[-1:]
         time_s = self.sample_s * np.arange(samples, dtype=np.float64)
         return Episodes(time_s, position, goal, contour, volts, rated, energy, peak)
-
-    def _travel(self) -> Array:
-        """Return the true travel of all coordinates (B, n), m, in double precision."""
-        state = self.envs.batch.simulator.state  # (blocks, states, lanes)
-        rows = state.transpose(0, 2, 1).reshape(-1, state.shape[1])[: self.scenario.episodes]
-        return np.asarray(rows[:, : len(self.envs.batch.machine.coordinates)]).copy()
 
 
 class _Loads:

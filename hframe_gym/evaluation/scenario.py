@@ -172,21 +172,7 @@ def episode_conditions(scenario: Scenario) -> EpisodeConditions:
     )
     observation, _ = envs.reset(seed=scenario.seed)
     goal = np.asarray(observation["desired_goal"], np.float64)
-    return EpisodeConditions(envs.batch.machine, sampled_parameters(envs), envs.batch.simulator.tools().copy(), goal)
-
-
-def sampled_parameters(envs: HFrameVectorEnv) -> Array:
-    """Return the parameters of the running episodes.
-
-    Args:
-        envs: Environment after a reset.
-
-    Returns:
-        Parameters in the order of `Machine.parameters`, shape (B, P).
-    """
-    indices = np.arange(envs.num_envs)
-    count = len(envs.batch.machine.parameters)
-    return np.stack([envs.batch.simulator.values(indices, i) for i in range(count)], axis=1)
+    return EpisodeConditions(envs.machine, envs.parameters, envs.batch.simulator.tools().copy(), goal)
 
 
 class ControllerSource(ABC):
