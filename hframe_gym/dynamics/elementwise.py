@@ -109,7 +109,7 @@ def named(role: str, index: int, value: Any) -> Any:
 def reciprocals(values: Sequence[Any]) -> list[Any]:
     """Return 1/value of each value.
 
-    Traced values share one division in groups of up to three, because a division costs as much as ten products.
+    Traced values are inverted by one division per group of three, because a division costs as much as ten products.
     """
     if not any(hasattr(v, "traced_function") for v in values):
         return [1.0 / v for v in values]

@@ -82,7 +82,7 @@ class Equations(ParameterizedMachine):
             if not length_row:
                 extensions.append(named("extension", b, combination(row, travel)))
                 continue
-            # Extension and length share the carriage's displacement if the belt only follows motors besides.
+            # The carriage's displacement changes extension and length alike; motors change the extension only.
             displacement = named("displacement", b, combination(length_row, travel))
             shared = all(row.get(i) == factor for i, factor in length_row.items())
             rest = {i: factor for i, factor in row.items() if not shared or i not in length_row}
@@ -98,7 +98,7 @@ class Equations(ParameterizedMachine):
         return [self._belt_state(b, s, rates[b], per_length.get(b)) for b, s in enumerate(extensions)]
 
     def _belt_state(self, b: int, extension: Value, rate: Value, per_length: Value | None) -> BeltState:
-        """State of belt b; per_length: 1/l, 1/m, None for constant stiffness."""
+        """Return the state of belt b; per_length: 1/l, 1/m, None for constant stiffness."""
         s, name = extension, self.machine.belts[b].name
         k = self.constant_stiffness(b) if per_length is None else self.parameter(f"{name}.EA") * per_length
         k = named("stiffness", b, k)
@@ -125,14 +125,14 @@ class Equations(ParameterizedMachine):
         return {"q": self.position(point, i), "z": self.effect_state(k, point), "per_radius": self.per_radius(i)}
 
     def _belt_travel(self, i: int, point: MotionPoint) -> Value:
-        """Travel that the belts see of coordinate i, m: its own, and what an eccentric pulley adds."""
+        """Return the travel of coordinate i for the belts, m, with the part that an eccentric pulley adds."""
         travel = point.travel[i]
         for k, e in self.effects_on("belt_travel", i):
             travel = travel + self.evaluate(e, "belt_travel", self._pulley_quantities(k, i, point))
         return travel
 
     def _lever_arms(self, point: MotionPoint) -> list[Value]:
-        """Derivative of the belts' travel by the travel of each coordinate: 1 but for eccentric pulleys."""
+        """Return d(belt travel)/d(travel) of each coordinate: 1 except for eccentric pulleys."""
         arms: list[Value] = []
         for i in range(len(point.travel)):
             effects = list(self.effects_on("lever_arm", i))
@@ -186,7 +186,7 @@ class Equations(ParameterizedMachine):
     def _current_change(
         self, j: int, point: MotionPoint, motor_voltage: Value, arguments: dict[int, dict[str, Value]]
     ) -> Value:
-        """Force that effects on the current of drive j add, in the unit of its coordinate (N or Nm)."""
+        """Return the force that effects on the current of drive j add, N or Nm."""
         ohmic = named("ohmic_current", j, self.ohmic_current(j, point, motor_voltage))
         current = ohmic
         for k, e in self.effects_at("current", self.machine.drives[j].name):
@@ -232,7 +232,7 @@ class Equations(ParameterizedMachine):
         return ForceBalance(self._with_guarded_forces(held, point), levels, arguments)
 
     def _coulomb_level(self, i: int, point: MotionPoint) -> Value:
-        """Coulomb level of coordinate i with its effects, N; never negative."""
+        """Return the Coulomb level of coordinate i with its effects, N; never negative."""
         level = self.coulomb(i)
         effects = list(self.effects_on("coulomb", i))
         for k, e in effects:
@@ -240,7 +240,7 @@ class Equations(ParameterizedMachine):
         return maximum(level, 0.0) if effects else level
 
     def _force_of(self, k: int, i: int, point: MotionPoint) -> Value:
-        """Force of effect k on the travel of coordinate i, N."""
+        """Return the force of effect k on the travel of coordinate i, N."""
         effect = self.machine.effects[k]
         return self.evaluate(effect, "force", self._with_state(k, i, point)) * self.per_radius(i)
 

@@ -46,7 +46,16 @@ COORDINATES, STATES, INPUTS, SENSORS, PARAMETERS, DERIVED = {sizes}
 DELAYED, LAGGED, FORCED = {delayed}, {lagged}, {forced}
 
 '''
-_HELPERS = (time_loops.held_mean, time_loops.interpolated)
+_HELPERS = (
+    time_loops.held_mean,
+    time_loops.interpolated,
+    time_loops.most_steps,
+    time_loops.start_block,
+    time_loops.copy_lanes,
+    time_loops.delay_readings,
+    time_loops.inject_outputs,
+    time_loops.hold_inputs,
+)
 _LOOPS = (
     time_loops.rollout,
     time_loops.prepare_blocks,

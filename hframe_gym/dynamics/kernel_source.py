@@ -19,11 +19,11 @@ The scheme is of second order and needs two force evaluations and one division p
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from ..machine import Machine
-from ..machine.effect import argument_names
+from ..machine.effect import HOOKS, argument_names
 from .elementwise import exp, fma, named, where
 from .equations import Equations, ForceBalance
 from .parameterized_machine import MotionPoint, combination
@@ -83,19 +83,16 @@ class KernelSource:
         self.lagged = any(d.measurement_delay for d in definitions)
         # The forces of these belts are not linear around the half-way point: a step evaluates them twice.
         self._nonlinear_belts = any(d.tension or d.belt_travel for d in definitions)
-        hooks = [d.force or d.coulomb or d.friction for d in definitions]
-        self._uses_time = any(
-            d.against == "time" or (hook is not None and "t" in argument_names(hook))
-            for d, hook in zip(definitions, hooks, strict=True)
+        hooks = [getattr(d, hook) for d in definitions for hook in HOOKS if getattr(d, hook)]
+        self._uses_time = any("t" in argument_names(f) for f in hooks) or any(d.against == "time" for d in definitions)
+        traces = (
+            self._prepare(),
+            self._delays("voltage_delays"),
+            _StepTrace(self).trace,
+            self._read_sensors(),
+            self._delays("measurement_delays"),
         )
-        functions: tuple[Callable[[], Trace], ...] = (
-            self._prepare,
-            self._voltage_delays,
-            self._advance,
-            self._read_sensors,
-            self._measurement_delays,
-        )
-        self.text = "\n\n".join(f"@inlined\n{function_source(function())}" for function in functions)
+        self.text = "\n\n".join(f"@inlined\n{function_source(trace)}" for trace in traces)
 
     def _directions(self, i: int) -> tuple[str, ...]:
         """Return suffixes of the derived constants that depend on the direction of motion of coordinate i."""
@@ -140,18 +137,11 @@ class KernelSource:
 
     # -- sensors and delays ----------------------------------------------------------------------------------------
 
-    def _voltage_delays(self) -> Trace:
-        """Trace the delay of each drive, s."""
-        trace = Trace("voltage_delays(parameters, delays)")
-        for j, delay in enumerate(self._equations(trace).voltage_delays()):
-            trace.store("delays", j, delay)
-        return trace
-
-    def _measurement_delays(self) -> Trace:
-        """Trace the delay of each sensor, s."""
-        trace = Trace("measurement_delays(parameters, delays)")
-        for j, delay in enumerate(self._equations(trace).measurement_delays()):
-            trace.store("delays", j, delay)
+    def _delays(self, function: str) -> Trace:
+        """Trace voltage_delays (delay of each drive, s) or measurement_delays (delay of each sensor, s)."""
+        trace = Trace(f"{function}(parameters, delays)")
+        for row, delay in enumerate(getattr(self._equations(trace), function)()):
+            trace.store("delays", row, delay)
         return trace
 
     def _read_sensors(self) -> Trace:
@@ -163,12 +153,6 @@ class KernelSource:
         for j, reading in enumerate(equations.sensor_readings(positions)):
             trace.store("readings", j, reading)
         return trace
-
-    # -- the step --------------------------------------------------------------------------------------------------
-
-    def _advance(self) -> Trace:
-        """Trace `steps` steps of length h of one block of lanes, in place."""
-        return _StepTrace(self).trace
 
 
 class _PreparedEquations(Equations):
@@ -276,7 +260,7 @@ class _StepTrace:
                 self.time = trace.assign(self.time, self.time + h)
 
     def _voltages(self) -> list[Expression]:
-        """Return the commanded voltage of each drive; with a delay every step has its own."""
+        """Return the commanded voltage of each drive; with a delay it changes from step to step."""
         count = len(self.source.machine.drives)
         if self.source.delayed:
             return [self.trace.load("inputs", f"step * {count} + {j}", f"u{j}", invariant=False) for j in range(count)]
@@ -289,10 +273,7 @@ class _StepTrace:
         forces = self.equations.add_drive_forces(belt_forces, motor_voltages)
         if self.source.forced:
             forces = [f + self.trace.load("external_forces", i, f"w{i}") for i, f in enumerate(forces)]
-        return [named("drive_and_belts", i, self._expression(f)) for i, f in enumerate(forces)]
-
-    def _expression(self, value: Expression | float) -> Expression:
-        return value if isinstance(value, Expression) else self.trace._number(value)
+        return [named("drive_and_belts", i, self.trace.expression(f)) for i, f in enumerate(forces)]
 
     def _balance(
         self, point: MotionPoint, motor_voltages: Sequence[Expression], forces: Sequence[Expression]

@@ -119,11 +119,11 @@ class ParameterizedMachine:
         return self.parameter(f"{self.machine.drives[j].name}.{key}")
 
     def _torque_per_volt(self, j: int) -> Value:
-        """N Kt / R of drive j at standstill, N/V or Nm/V."""
+        """Return N Kt / R of drive j, N/V or Nm/V."""
         return self._of_drive(j, "gear_ratio") * self._of_drive(j, "Kt") / self._of_drive(j, "resistance")
 
     def _emf_constant(self, j: int) -> Value:
-        """N Ke of drive j, V per speed of its coordinate."""
+        """Return N Ke of drive j, V per unit of speed."""
         return self._of_drive(j, "gear_ratio") * self._of_drive(j, "Ke")
 
     def force_per_volt(self, j: int) -> Value:
@@ -160,11 +160,11 @@ class ParameterizedMachine:
         )
 
     def position(self, point: MotionPoint, i: int) -> Value:
-        """Return the position of coordinate i in its own unit, m or rad."""
+        """Return the position of coordinate i in the coordinate's unit, m or rad."""
         return point.travel[i] * self.per_radius(i)
 
     def speed(self, point: MotionPoint, i: int) -> Value:
-        """Return the speed of coordinate i in its own unit, m/s or rad/s."""
+        """Return the speed of coordinate i in the coordinate's unit, m/s or rad/s."""
         return point.speed[i] * self.per_radius(i)
 
     def effect_state(self, k: int, point: MotionPoint, **arguments: Value) -> Value:
@@ -229,7 +229,7 @@ class ParameterizedMachine:
         """Return the reading of every sensor, in its unit, without delay, noise and resolution.
 
         Args:
-            positions: Position of each coordinate in its own unit.
+            positions: Position of each coordinate in the coordinate's unit.
         """
         names = self.machine.coordinate_names
         readings = []

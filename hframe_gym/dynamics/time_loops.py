@@ -1,7 +1,7 @@
 """Loops around a kernel's step: recordings (`rollout`) and control periods (`advance_blocks`).
 
 These functions are templates. `kernel` appends their text to the generated functions of a machine's shape, so that
-Numba inlines and caches them together. They run without the interpreter lock, each on its own range of blocks; a block
+Numba inlines and caches them together. They run without the interpreter lock, each on a range of blocks; a block
 is `LANES` machines, side by side in the last axis of the arrays.
 """
 # mypy: ignore-errors
@@ -62,6 +62,76 @@ def interpolated(rows, i, lane, j, back):
     return middle + 0.5 * u * (after - before) + 0.5 * u * u * (after - 2.0 * middle + before)
 
 
+def most_steps(time, longest_step):
+    """Return the largest number of steps between two samples."""
+    steps = 1
+    for i in range(time.shape[0] - 1):
+        steps = max(steps, int(np.ceil((time[i + 1] - time[i]) / longest_step - 1e-6)))
+    return steps
+
+
+def start_block(block, start_time, parameters, start, state, block_parameters):
+    """Copy parameters and initial states to the lanes of a block; spare lanes repeat its first machine."""
+    for lane in range(LANES):
+        b = block * LANES + lane
+        b = b if b < parameters.shape[0] else block * LANES
+        for k in range(PARAMETERS):
+            block_parameters[k, lane] = parameters[b, k]
+        for k in range(2 * COORDINATES):
+            state[k, lane] = start[b, k]
+        state[2 * COORDINATES, lane] = start_time
+        for k in range(2 * COORDINATES + 1, STATES):
+            state[k, lane] = 0.0
+
+
+def copy_lanes(block, i, rows, table):
+    """Copy the first rows of a block to sample i of a table, shape (B, n, k), unless the table is empty."""
+    for lane in range(min(LANES, table.shape[0] - block * LANES)):
+        for k in range(table.shape[2]):
+            table[block * LANES + lane, i, k] = rows[k, lane]
+
+
+def delay_readings(time, i, sensor_delays, past_readings, reading):
+    """Keep the readings of sample i, and replace those of sensors with a delay by earlier ones."""
+    past_readings[i] = reading
+    sample_period = max(1e-12, time[i] - time[max(0, i - 1)])
+    for j in range(SENSORS):
+        for lane in range(LANES):
+            if sensor_delays[j, lane] > 0.0:
+                reading[j, lane] = interpolated(past_readings, i, lane, j, sensor_delays[j, lane] / sample_period)
+
+
+def inject_outputs(block, i, machines, measured, gains, reading, state):
+    """Correct the states by the measurements of sample i: state += gains @ (measured - reading)."""
+    for lane in range(min(LANES, machines - block * LANES)):
+        for j in range(SENSORS):
+            measurement = measured[block * LANES + lane if measured.shape[0] > 1 else 0, i, j]
+            if np.isfinite(measurement):
+                innovation = measurement - reading[j, lane]
+                for k in range(2 * COORDINATES):
+                    state[k, lane] += gains[k, j] * innovation
+
+
+def hold_inputs(block, parameters, time, i, steps, h, inputs, extra, drive_delays, voltages, external_forces):
+    """Set the voltages and external forces from sample i until the next; with a delay every step has its voltages."""
+    for lane in range(LANES):
+        b = block * LANES + lane
+        b = b if b < parameters.shape[0] else block * LANES
+        u = b if inputs.shape[0] > 1 else 0
+        if DELAYED:
+            for s in range(steps):
+                for k in range(INPUTS):
+                    begin = time[i] + s * h - drive_delays[k, lane]
+                    voltages[s * INPUTS + k, lane] = held_mean(time, inputs[u, :, k], begin, begin + h, i)
+        else:
+            for k in range(INPUTS):
+                voltages[k, lane] = inputs[u, i, k]
+        if FORCED:
+            e = b if extra.shape[0] > 1 else 0
+            for k in range(COORDINATES):
+                external_forces[k, lane] = extra[e, i, k]
+
+
 def rollout(time, inputs, parameters, start, measured, gains, extra, longest_step, first, last, out, readings):
     """Simulate the machines of blocks first..last-1 over a recording.
 
@@ -81,70 +151,32 @@ def rollout(time, inputs, parameters, start, measured, gains, extra, longest_ste
         readings: Output, sensor readings, shape (B, n, SENSORS); empty if not needed.
     """
     state = np.zeros((STATES, LANES))
-    lane_parameters = np.zeros((PARAMETERS, LANES))
+    block_parameters = np.zeros((PARAMETERS, LANES))
     derived = np.zeros((DERIVED, LANES))
     drive_delays = np.zeros((INPUTS, LANES))
+    sensor_delays = np.zeros((SENSORS, LANES))
     external_forces = np.zeros((COORDINATES, LANES))
     reading = np.zeros((SENSORS, LANES))
-    sensor_delays = np.zeros((SENSORS, LANES))
-    longest = 1
-    for i in range(time.shape[0] - 1):
-        longest = max(longest, int(np.ceil((time[i + 1] - time[i]) / longest_step - 1e-6)))
-    voltages = np.zeros((INPUTS * longest if DELAYED else INPUTS, LANES))
-    machines = parameters.shape[0]
-    inputs_per_machine = inputs.shape[0] > 1
-    extra_per_machine = extra.shape[0] > 1
-    observed = measured.shape[0] > 0
-    measured_per_machine = measured.shape[0] > 1
-    read = observed or readings.shape[0] > 0
-    past = np.zeros((time.shape[0] if LAGGED else 0, SENSORS, LANES))
+    past_readings = np.zeros((time.shape[0] if LAGGED else 0, SENSORS, LANES))
+    voltages = np.zeros((INPUTS * most_steps(time, longest_step) if DELAYED else INPUTS, LANES))
     for block in range(first, last):
-        # The spare lanes of the last block repeat its first machine.
-        for lane in range(LANES):
-            b = block * LANES + lane
-            b = b if b < machines else block * LANES
-            for k in range(PARAMETERS):
-                lane_parameters[k, lane] = parameters[b, k]
-            for k in range(2 * COORDINATES):
-                state[k, lane] = start[b, k]
-            state[2 * COORDINATES, lane] = time[0]
-            for k in range(2 * COORDINATES + 1, STATES):
-                state[k, lane] = 0.0
+        start_block(block, time[0], parameters, start, state, block_parameters)
         if DELAYED:
-            voltage_delays(lane_parameters, drive_delays)
+            voltage_delays(block_parameters, drive_delays)
         if LAGGED:
-            measurement_delays(lane_parameters, sensor_delays)
-        used_lanes = min(LANES, machines - block * LANES)
+            measurement_delays(block_parameters, sensor_delays)
         period = -1.0
         h = longest_step
         steps = 1
         for i in range(time.shape[0]):
-            if out.shape[0] > 0:
-                for lane in range(used_lanes):
-                    for k in range(out.shape[2]):
-                        out[block * LANES + lane, i, k] = state[k, lane]
-            if read:
-                read_sensors(state, lane_parameters, reading)
+            copy_lanes(block, i, state, out)
+            if measured.shape[0] > 0 or readings.shape[0] > 0:
+                read_sensors(state, block_parameters, reading)
                 if LAGGED:
-                    past[i] = reading
-                    sample_period = max(1e-12, time[i] - time[max(0, i - 1)])
-                    for j in range(SENSORS):
-                        for lane in range(LANES):
-                            if sensor_delays[j, lane] > 0.0:
-                                back = sensor_delays[j, lane] / sample_period
-                                reading[j, lane] = interpolated(past, i, lane, j, back)
-            if readings.shape[0] > 0:
-                for lane in range(used_lanes):
-                    for j in range(SENSORS):
-                        readings[block * LANES + lane, i, j] = reading[j, lane]
-            if observed:
-                for j in range(SENSORS):
-                    for lane in range(used_lanes):
-                        measurement = measured[block * LANES + lane if measured_per_machine else 0, i, j]
-                        if np.isfinite(measurement):
-                            innovation = measurement - reading[j, lane]
-                            for k in range(2 * COORDINATES):
-                                state[k, lane] += gains[k, j] * innovation
+                    delay_readings(time, i, sensor_delays, past_readings, reading)
+                copy_lanes(block, i, reading, readings)
+            if measured.shape[0] > 0:
+                inject_outputs(block, i, parameters.shape[0], measured, gains, reading, state)
             if i + 1 == time.shape[0]:
                 break
             dt = time[i + 1] - time[i]
@@ -152,24 +184,9 @@ def rollout(time, inputs, parameters, start, measured, gains, extra, longest_ste
                 period = dt
                 steps = max(1, int(np.ceil(dt / longest_step - 1e-6)))
                 h = dt / steps
-                prepare(lane_parameters, derived, h)
-            for lane in range(LANES):
-                b = block * LANES + lane
-                b = b if b < machines else block * LANES
-                u = b if inputs_per_machine else 0
-                if DELAYED:
-                    for s in range(steps):
-                        for k in range(INPUTS):
-                            begin = time[i] + s * h - drive_delays[k, lane]
-                            voltages[s * INPUTS + k, lane] = held_mean(time, inputs[u, :, k], begin, begin + h, i)
-                else:
-                    for k in range(INPUTS):
-                        voltages[k, lane] = inputs[u, i, k]
-                if FORCED:
-                    e = b if extra_per_machine else 0
-                    for k in range(COORDINATES):
-                        external_forces[k, lane] = extra[e, i, k]
-            advance(state, lane_parameters, derived, voltages, external_forces, h, steps)
+                prepare(block_parameters, derived, h)
+            hold_inputs(block, parameters, time, i, steps, h, inputs, extra, drive_delays, voltages, external_forces)
+            advance(state, block_parameters, derived, voltages, external_forces, h, steps)
 
 
 def prepare_blocks(parameters, h, first, last, derived):

@@ -25,7 +25,7 @@ def function_source(trace: Trace) -> str:
 class _Writer:
     """Writes the statements of a trace.
 
-    A value gets a line of its own if it has a name, is used more than once, or is computed before the loop.
+    A value gets a separate line if it has a name, is used more than once, or is computed before the loop.
     """
 
     def __init__(self, statements: list[Statement], names: dict[Expression, str]) -> None:

@@ -138,7 +138,7 @@ class Statement:
     """A line of the function, or a block of lines.
 
     Attributes:
-        text: Template of the line; "{}" stands for the values.
+        text: Template of the line; "{}" marks the places of the values.
         values: Values in the line.
         sets: Variables that the line sets.
         body: Lines of a block.
@@ -176,7 +176,7 @@ class Trace:
 
     def node(self, operation: str, *operands: Any) -> Expression:
         """Return the node of an operation, simplified where the result is exact."""
-        values = tuple(o if isinstance(o, Expression) else self._number(o) for o in operands)
+        values = tuple(map(self.expression, operands))
         simple = _simplified(operation, values)
         if simple is not None:
             return simple
@@ -188,11 +188,14 @@ class Trace:
             self._nodes[key] = Expression(self, operation, operands, invariant=invariant)
         return self._nodes[key]
 
-    def _number(self, value: Any) -> Expression:
+    def expression(self, value: Any) -> Expression:
+        """Return a value as expression: numbers become nodes, expressions stay."""
+        if isinstance(value, Expression):
+            return value
         number = float(value)
         if not math.isfinite(number):
             raise ValueError(f"a formula contains the number {number}")
-        # repr tells 0.0 from -0.0, which are equal as keys.
+        # repr distinguishes 0.0 from -0.0, which are equal as keys.
         return self._unique("number", (repr(number),), invariant=True)
 
     def argument(self, name: str) -> Expression:
@@ -245,7 +248,7 @@ class Trace:
     def call(self, function: str, *arguments: Any, results: Sequence[tuple[str, int | None]]) -> list[Expression]:
         """Call a function that returns several values; results: role and index of each. Return them as variables."""
         variables = [self._unique("variable", (self._identifier(*name), 0), invariant=False) for name in results]
-        values = tuple(a if isinstance(a, Expression) else self._number(a) for a in arguments)
+        values = tuple(map(self.expression, arguments))
         text = f"{', '.join(v.operands[0] for v in variables)} = {function}({', '.join(['{}'] * len(values))})"
         self._block.append(Statement(text, values, tuple(variables)))
         return variables
@@ -259,7 +262,7 @@ class Trace:
 
     def store(self, array: str, row: int, value: Any) -> None:
         """Write a value to a row of an array argument."""
-        value = value if isinstance(value, Expression) else self._number(value)
+        value = self.expression(value)
         self._block.append(Statement(f"store({array}, {row}, {{}})", (value,)))
 
     def line(self, text: str) -> None:
@@ -289,8 +292,7 @@ class Trace:
         self, condition: Expression, values: Sequence[Any], update: Callable[[Sequence[Any]], Sequence[Any]]
     ) -> list[Expression]:
         """Update values inside an `if any_of(condition)` block; see `elementwise.update_if_any`."""
-        expressions = [v if isinstance(v, Expression) else self._number(v) for v in values]
-        variables = [self.variable("guarded", i, value) for i, value in enumerate(expressions)]
+        variables = [self.variable("guarded", i, self.expression(value)) for i, value in enumerate(values)]
         with self.block("if any_of({}):", condition):
             return [self.assign(v, value) for v, value in zip(variables, update(variables), strict=True)]
 
@@ -301,13 +303,13 @@ def _simplified(operation: str, values: tuple[Expression, ...]) -> Expression | 
     trace = values[0].trace
     if operation == "neg":
         if numbers[0] is not None:
-            return trace._number(-numbers[0])
+            return trace.expression(-numbers[0])
         return values[0].operands[0] if values[0].operation == "neg" else None
     if operation not in ("+", "-", "*", "/"):
         return None
     (a, b), (first, second) = numbers, values
     if a is not None and b is not None:
-        return trace._number({"+": a + b, "-": a - b, "*": a * b, "/": a / b if b else math.inf}[operation])
+        return trace.expression({"+": a + b, "-": a - b, "*": a * b, "/": a / b if b else math.inf}[operation])
     if operation in ("+", "-"):
         if b == 0.0:
             return first

@@ -1,6 +1,6 @@
 """The library of effects that a declared machine may lack: one file per effect, found because it is in this folder.
 
-A program can add its own effects with `register_effect`; they then work in machine.json, in environments and in
+A program can add effects with `register_effect`; they then work in machine.json, in environments and in
 identification like those of the library.
 """
 
@@ -86,7 +86,7 @@ def effect_sites(effect: Effect, machine: Machine) -> tuple[str, ...]:
         return ()
     drives = tuple(d.name for d in machine.drives)
     sites = {
-        # Coordinates whose mass is tied to another parameter share all parameters; none has an effect alone.
+        # Coordinates whose mass is tied to another parameter have the same parameters; no effect acts on one alone.
         "coordinate": tuple(c for c in machine.coordinate_names if f"{c}.mass" not in machine.ties),
         "motor": drives,
         "drive": drives,

@@ -23,7 +23,7 @@ arguments are the effect's parameters and the quantities of the table's last col
     measurement_delay   delay of a sensor, s
     next_state          state of the effect after the time dt                        z, dq, dt, v, level, i
 
-Symbols: q, v: position and speed of the coordinate in its own unit; t: time since the machine was switched on, s; u:
+Symbols: q, v: position and speed of the coordinate in its unit; t: time since the machine was switched on, s; u:
 the variable that `against` names; z: the effect's state, zero at the start of a run; level: Coulomb level of the
 coordinate; i: current by Ohm's law, A; s, rate, k: extension (m), its rate (m/s) and the stiffness (N/m) of a belt; r:
 ideal measurement; across: position of the other linear coordinate, m; dq: distance traveled in dt; per_radius: 1/radius

@@ -36,5 +36,5 @@ def test_scalars_stay_scalars() -> None:
 
 
 def test_reciprocals_of_numbers() -> None:
-    """Without tracing every reciprocal is its own division."""
+    """Without tracing every reciprocal is a separate division."""
     assert elementwise.reciprocals([2.0, 4.0, 5.0, 8.0]) == [0.5, 0.25, 0.2, 0.125]

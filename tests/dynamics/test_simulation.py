@@ -1,4 +1,4 @@
-"""The kernel against an event-driven simulator with which it shares no code (benchmarks/reference/)."""
+"""Simulation against an independent event-driven simulator (tests/reference_simulator), and its general properties."""
 
 from __future__ import annotations
 
@@ -13,13 +13,15 @@ from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect, Machine, rest_st
 from tests import reference_simulator as reference
 from tests.rigs.rigs import Rig
 
+ORACLE = pytest.mark.oracle
+UNIT = pytest.mark.unit
 TIME = np.arange(401) * 1e-3
 START = (0.08, -0.05)
 RADII = np.array([1.0, 1.0, 0.0194, 0.0194])
 
 
 def history(seed: int) -> np.ndarray:
-    """Random voltages (401, 2), held for 10 ms, after 20 ms of rest."""
+    """Return random voltages (401, 2), held for 10 ms, after 20 ms of rest."""
     rng = np.random.default_rng(seed)
     levels = rng.uniform(-8, 8, (41, 2))
     levels[:2] = 0.0
@@ -27,22 +29,25 @@ def history(seed: int) -> np.ndarray:
 
 
 def difference(machine: Machine, rig: Rig, seed: int) -> float:
-    """Largest difference of travel over 0.4 s of random voltages, m.
+    """Return the largest difference of travel over 0.4 s of random voltages, m.
 
-    A late voltage changes inside a step, which counts as its mean over the step: hence the shorter step.
+    A delayed voltage changes within a step, which uses its mean over the step; therefore the step is shorter then.
     """
     inputs = history(seed)
     exact, _ = reference.simulate(rig, TIME, inputs, START)
     step = 0.1e-3 if any(rig.input_delay_s) else 0.25e-3
-    found = simulate(machine, TIME, inputs, rest_state(machine, START), longest_step=step).positions
-    return float(np.abs((found - exact) * RADII).max())
+    positions = simulate(machine, TIME, inputs, rest_state(machine, START), longest_step=step).positions
+    return float(np.abs((positions - exact) * RADII).max())
 
 
+@ORACLE
 @pytest.mark.parametrize("seed", range(4))
-def test_the_nonlinear_stage(seed: int, hframe: Machine) -> None:
+def test_machine_without_effects(seed: int, hframe: Machine) -> None:
+    """The paper's rig under random voltages."""
     assert difference(hframe, Rig(), seed) < 2e-6
 
 
+@ORACLE
 @pytest.mark.parametrize(
     ("effect", "change"),
     [
@@ -62,29 +67,36 @@ def test_the_nonlinear_stage(seed: int, hframe: Machine) -> None:
     ],
     ids=lambda value: value.label if isinstance(value, AppliedEffect) else "",
 )
-def test_each_effect(effect: AppliedEffect, change: dict[str, tuple[float, ...]], hframe: Machine) -> None:
+def test_effects_at_carriage_and_motor(
+    effect: AppliedEffect, change: dict[str, tuple[float, ...]], hframe: Machine
+) -> None:
+    """The difference is far smaller than the effect."""
     rig = dataclasses.replace(Rig(), **change)
     machine = hframe.with_effects(effect)
     assert difference(machine, rig, 11) < 5e-6
-    # The effect itself is far larger than what the test allows.
     assert difference(hframe, rig, 11) > 5e-5
 
 
-def test_a_held_stage_does_not_creep(hframe: Machine) -> None:
-    """Below breakaway for 10 s under a voltage: the belts stretch, then nothing moves any more."""
+@UNIT
+def test_static_friction_does_not_creep(hframe: Machine) -> None:
+    """Below breakaway the belts stretch, then nothing moves for 10 s."""
     time = np.arange(1001) * 1e-2
     trajectory = simulate(hframe, time, np.full((1001, 2), 0.2))
     assert np.abs(trajectory.positions[-1] - trajectory.positions[100]).max() < 1e-12
     np.testing.assert_array_equal(trajectory.velocities[-1], 0.0)
 
 
-def test_rest_is_rest(hframe: Machine) -> None:
+@UNIT
+def test_machine_at_rest_stays_at_rest(hframe: Machine) -> None:
+    """Without voltage nothing moves."""
     trajectory = simulate(hframe, TIME, np.zeros((401, 2)))
     np.testing.assert_array_equal(trajectory.positions, 0.0)
 
 
+@UNIT
 @pytest.mark.parametrize("batch", [1, 7, 4096])
 def test_bits_do_not_depend_on_batch_or_threads(batch: int, hframe: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The last machine of a batch moves exactly as it does alone."""
     time, inputs = TIME[:51], history(5)[:51]
     alone = rollout(hframe, time, inputs, velocities=True)[0]
     many = np.tile(inputs, (batch, 1, 1))
@@ -94,7 +106,9 @@ def test_bits_do_not_depend_on_batch_or_threads(batch: int, hframe: Machine, mon
         np.testing.assert_array_equal(rollout(hframe, time, many, velocities=True)[-1], alone)
 
 
-def test_the_error_falls_with_the_square_of_the_step(hframe: Machine) -> None:
+@ORACLE
+def test_integrator_is_of_second_order(hframe: Machine) -> None:
+    """A quarter of the step reduces the error at least eightfold."""
     inputs = history(7)
     exact, _ = reference.simulate(Rig(), TIME, inputs, START)
     start = rest_state(hframe, START)
@@ -105,8 +119,9 @@ def test_the_error_falls_with_the_square_of_the_step(hframe: Machine) -> None:
     assert errors[0] / errors[1] > 8
 
 
-def test_energy_is_kept_without_friction_and_drives(hframe: Machine) -> None:
-    """Stretched belts swing; 1/2 s^2 dk/dq is what keeps the balance."""
+@UNIT
+def test_energy_is_conserved_without_friction_and_drives(hframe: Machine) -> None:
+    """Stretched belts oscillate; the force 1/2 s^2 dk/dq closes the balance."""
     coordinates = tuple(dataclasses.replace(c, viscous=0.0, coulomb=0.0) for c in hframe.coordinates)
     drives = tuple(dataclasses.replace(d, Ke=0.0) for d in hframe.drives)
     machine = hframe.replace(coordinates=coordinates, drives=drives)
@@ -124,6 +139,7 @@ def test_energy_is_kept_without_friction_and_drives(hframe: Machine) -> None:
     assert total[-1] == pytest.approx(total[0], rel=1e-4)
 
 
+@UNIT
 @pytest.mark.parametrize(
     ("time", "inputs", "message"),
     [
@@ -133,20 +149,25 @@ def test_energy_is_kept_without_friction_and_drives(hframe: Machine) -> None:
         ([0.0, 1e-3], np.array([[0, 0], [0, np.nan]]), "row 1, v2_V is nan"),
     ],
 )
-def test_bad_input_is_refused(time: list[float], inputs: np.ndarray, message: str, hframe: Machine) -> None:
+def test_invalid_input_is_refused(time: list[float], inputs: np.ndarray, message: str, hframe: Machine) -> None:
+    """The message names the fault."""
     with pytest.raises(ValueError, match=message):
         simulate(hframe, time, inputs)
 
 
-def test_what_does_not_stay_finite_is_said(hframe: Machine) -> None:
-    wild = hframe.replace({"left.EA": 1e15})
-    start = rest_state(wild)
+@UNIT
+def test_divergence_is_reported(hframe: Machine) -> None:
+    """In one line, with time and coordinate."""
+    stiff = hframe.replace({"left.EA": 1e15})
+    start = rest_state(stiff)
     start[0] = 0.1
-    with pytest.raises(NotFiniteError, match="diverges at t = "):
-        simulate(wild, TIME, np.zeros((401, 2)), start)
+    with pytest.raises(NotFiniteError, match=r"diverges at t = \S+ s \((velocity of )?\w+\)\. Check"):
+        simulate(stiff, TIME, np.zeros((401, 2)), start)
 
 
-def test_an_axis_reaches_its_closed_form_speed() -> None:
+@UNIT
+def test_axis_reaches_its_steady_speed() -> None:
+    """The closed form is (gain V - F) / (b + back-EMF)."""
     machine = BUILTIN_MACHINES["axis"]()
     time = np.arange(3001) * 1e-3
     drive, c = machine.drives[0], machine.coordinates[0]

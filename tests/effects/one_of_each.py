@@ -1,6 +1,6 @@
-"""Every effect of the library once, at one site, beside the same effect in the independent simulator.
+"""Every effect of the library at one site, with the same effect of the independent simulator.
 
-One site an effect: all tests of it share one compiled kernel.
+Each effect has a single site, so that all its tests use one compiled kernel.
 """
 
 from __future__ import annotations
@@ -16,13 +16,21 @@ from hframe_gym.machine import AppliedEffect
 from tests.reference_simulator import Rig, Yaw, simulate
 from tests.reference_simulator.sensors import Sensors
 
-START = (0.08, -0.05)  # m, where runs begin
-REST_ROWS = 80  # the mean of the later half places a laser's zero to 3 um
+START = (0.08, -0.05)  # position of the tool at the start of a run, m
+REST_ROWS = 80  # samples at rest; the mean of the later half determines the zero of a laser to 3 um
 
 
 @dataclass(frozen=True)
 class Case:
-    """An effect with numbers, and the independent simulator's fields that mean the same."""
+    """An effect with parameters, and the equivalent fields of the independent simulator.
+
+    Attributes:
+        name: Name of the effect.
+        site: Its site.
+        parameters: Its parameters.
+        rig: Fields of the simulator's rig.
+        sensors: Fields of the simulator's sensors.
+    """
 
     name: str
     site: str
@@ -32,16 +40,17 @@ class Case:
 
     @property
     def effect(self) -> AppliedEffect:
+        """The effect at its site."""
         return EFFECTS[self.name].at(self.site, **self.parameters)
 
     def run(self, time_s: np.ndarray, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Positions (n, 4), velocities (n, 4) and ideal readings (n, 4: phi1, phi2, x, y) of a rig with the effect."""
+        """Return positions, velocities and ideal readings (phi1, phi2, x, y), each (n, 4), of a rig with the effect."""
         positions, velocities = simulate(dataclasses.replace(Rig(), **self.rig), time_s, inputs, START)
         return positions, velocities, Sensors(**self.sensors).ideal(time_s, positions, velocities)
 
 
 def history(seed: int, seconds: float = 0.45, hold_s: float = 0.01) -> tuple[np.ndarray, np.ndarray]:
-    """Times (n,) at 1 kHz and random voltages (n, 2) up to 8 V, each held, after 80 ms of rest."""
+    """Return times (n,) at 1 kHz and random voltages (n, 2) up to 8 V, held for `hold_s`, after 80 ms of rest."""
     time_s = np.arange(round(seconds * 1000) + 1) * 1e-3
     rows = round(hold_s * 1000)
     levels = np.random.default_rng(seed).uniform(-8.0, 8.0, (len(time_s) // rows + 1, 2))
@@ -58,7 +67,7 @@ def _turned(value: float) -> tuple[float, ...]:
     return (0.0, 0.0, value, 0.0)
 
 
-_EVERY = (
+_CASES = (
     Case(
         "stribeck_friction",
         "x",
@@ -110,7 +119,7 @@ _EVERY = (
         {"J": 0.06, "k": 4000.0, "c": 0.6, "w": 0.3},
         {"yaw": Yaw(inertia=0.06, stiffness=4000.0, viscous=0.6, half_width_m=0.3)},
     ),
-    # The simulator takes half of each motor's inertia and friction for its idlers.
+    # The idlers of the simulator have half of the inertia and friction of each motor.
     Case(
         "idler_inertia",
         "machine",
@@ -122,4 +131,4 @@ _EVERY = (
     Case("sensor_range", "x_m", {"low": 0.077, "high": 0.083}, sensors={"range_x_m": (0.077, 0.083)}),
     Case("sensor_delay", "x_m", {"d": 2.3e-3}, sensors={"delay_s": (0.0, 0.0, 2.3e-3, 0.0)}),
 )
-CASES = {case.name: case for case in _EVERY}
+CASES = {case.name: case for case in _CASES}
