@@ -6,8 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from ..machine import AppliedEffect, Machine
-from ..machine.effect import argument_names
+from ..machine import AppliedEffect, Machine, argument_names
 from .elementwise import named
 
 Value = Any

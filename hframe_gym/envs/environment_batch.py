@@ -13,7 +13,7 @@ import numpy as np
 from gymnasium import error
 from numpy.typing import ArrayLike, NDArray
 
-from ..dynamics.simd import LANES
+from ..dynamics import LANES
 from ..errors import InputError
 from .actuators import with_actuators
 from .batched_simulator import BatchedSimulator, block_ranges

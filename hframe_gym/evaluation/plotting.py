@@ -102,7 +102,3 @@ def save_plot(path: str | Path, episodes: Episodes, episode: int = 0, *, title: 
     figure = plot_episode(episodes, episode, title=title)
     with atomic_file(path) as temporary:
         figure.savefig(temporary, dpi=150)
-
-
-# Aliases until all packages use the new names.
-draw, save = plot_episode, save_plot

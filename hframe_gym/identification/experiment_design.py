@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from ..atomic_files import atomic_file
-from ..dynamics.simulation import Motion, simulate_batch
+from ..dynamics import simulate_batch
+from ..dynamics.simulation import Motion
 from ..machine import AppliedEffect, Machine
 from .candidates import effect_parameters
 from .dataset import Dataset, TypicalScales

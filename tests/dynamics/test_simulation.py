@@ -11,7 +11,7 @@ from hframe_gym.dynamics import NotFiniteError, rollout, simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect, Machine, rest_state
 from tests import reference_simulator as reference
-from tests.rigs.rigs import Rig
+from tests.reference_simulator import Rig
 
 ORACLE = pytest.mark.oracle
 UNIT = pytest.mark.unit
