@@ -133,11 +133,11 @@ def stored_energy(machine: Machine, out: Array) -> Array:
         Energy, J, shape (...).
     """
     n = len(machine.coordinates)
-    travel, velocity = out[..., :n] * machine.radii, out[..., n:]
+    travel, velocity = out[..., :n] * machine.travel_per_unit, out[..., n:]
     energy = 0.5 * (np.array([c.mass for c in machine.coordinates]) * velocity**2).sum(-1)
     for b in machine.belts:
-        k = b.EA / (b.rest_length + travel @ machine.row(b.length))
-        energy = energy + 0.5 * k * (travel @ machine.row(b.extension)) ** 2
+        k = b.EA / (b.rest_length + travel @ machine.coefficients(b.length))
+        energy = energy + 0.5 * k * (travel @ machine.coefficients(b.extension)) ** 2
     return energy
 
 

@@ -28,15 +28,21 @@ from numpy.typing import NDArray
 from scipy.stats import bootstrap
 
 from benchmarks.results_file import write_results
-from hframe_gym.agents import train
-from hframe_gym.agents.agent import Agent
+from hframe_gym.agents import Agent, train
 from hframe_gym.agents.model_card import write_card
 from hframe_gym.controllers import CONTROLLERS, Controller
-from hframe_gym.envs import Track
-from hframe_gym.envs.tasks import TaskLike
-from hframe_gym.evaluation import BANDS, Episodes, Scenario, rollout, scores
-from hframe_gym.evaluation.bound_times import known_bounds
-from hframe_gym.evaluation.metrics import JUDGED, RESAMPLES, settling
+from hframe_gym.envs import TaskLike, Track
+from hframe_gym.evaluation import (
+    BANDS,
+    BOOTSTRAP_RESAMPLES,
+    BOUND_BAND,
+    Episodes,
+    Scenario,
+    rollout,
+    score_episodes,
+    settling_times,
+    stored_bounds,
+)
 from hframe_gym.machine import BUILTIN_MACHINES
 
 Array = NDArray[np.float64]
@@ -69,10 +75,15 @@ def drive(controller: Controller, task: str) -> dict[str, Episodes]:
 def write_scores(folder: Path, runs: Mapping[str, Episodes]) -> dict[str, Any]:
     """Write scores and failures to the card in an agent's folder, and return the card."""
     card: dict[str, Any] = json.loads((folder / "card.json").read_text("utf-8"))
-    card["scores"] = {name: {**TRIAL, **scores(run, known_bounds(scenario(name)))} for name, run in runs.items()}
+    card["scores"] = {name: {**TRIAL, **scores(name, run)} for name, run in runs.items()}
     card["failures"] = {name: failures(run) for name, run in runs.items()}
     write_card(folder, card)
     return card
+
+
+def scores(name: str, run: Episodes) -> dict[str, Any]:
+    """Return the scores of episodes of the scenario of a name in `TRIALS`."""
+    return score_episodes(run, stored_bounds(scenario(name)).times_s)
 
 
 def scenario(name: str) -> Scenario:
@@ -82,11 +93,11 @@ def scenario(name: str) -> Scenario:
 
 def failures(run: Episodes) -> dict[str, Any]:
     """Return, by band, the number of failed episodes and the environment seeds of the first ones."""
-    error = np.linalg.norm(run.position - run.goal, axis=2)
+    error = run.goal_error
     failed_by_band = {}
     for name, band in BANDS.items():
         # A constant goal must be reached and kept; a path must never be left.
-        failed = ~settling(error, run.time_s, band)[1] if run.contour is None else run.contour.max(axis=1) > band
+        failed = ~settling_times(error, run.time_s, band)[1] if run.contour is None else run.contour.max(axis=1) > band
         seeds = TRIAL["seed"] + np.flatnonzero(failed)
         failed_by_band[name] = {"episodes": len(seeds), "seeds": seeds[:LISTED].tolist()}
     return failed_by_band
@@ -96,7 +107,7 @@ def criterion(run: Episodes) -> Array:
     """Return the criterion of each episode: settling time, s, or rms contour error, m; shape (episodes,)."""
     if run.contour is not None:
         return np.asarray(np.sqrt(np.mean(run.contour**2, axis=1)))
-    return settling(np.linalg.norm(run.position - run.goal, axis=2), run.time_s, BANDS[JUDGED])[0]
+    return settling_times(run.goal_error, run.time_s, BANDS[BOUND_BAND])[0]
 
 
 def ratio(numerator: Array, denominator: Array) -> dict[str, Any]:
@@ -118,7 +129,7 @@ def ratio(numerator: Array, denominator: Array) -> dict[str, Any]:
     interval = bootstrap(
         (np.arange(len(denominator)), seeds if len(seeds) > 1 else np.zeros(2)),
         resampled,
-        n_resamples=RESAMPLES,
+        n_resamples=BOOTSTRAP_RESAMPLES,
         vectorized=False,
         method="percentile",
         rng=np.random.default_rng(TRIAL["seed"]),
@@ -131,8 +142,8 @@ def score(task: str) -> dict[str, Any]:
     agents: dict[str, Any] = {}
     rows: dict[str, dict[str, list[Array]]] = {name: {} for name in TRIALS[task]}
     for kind in ("pid", "adaptive-pid"):
-        runs = drive(CONTROLLERS[kind](BUILTIN_MACHINES["hframe"](), 0.01), task)
-        agents[kind] = {"scores": {name: scores(run, known_bounds(scenario(name))) for name, run in runs.items()}}
+        runs = drive(CONTROLLERS.get(kind)(BUILTIN_MACHINES["hframe"](), 0.01), task)
+        agents[kind] = {"scores": {name: scores(name, run) for name, run in runs.items()}}
         for name, run in runs.items():
             rows[name][kind] = [criterion(run)]
     for folder in sorted((SHIPPED / task).iterdir()):
@@ -146,7 +157,7 @@ def score(task: str) -> dict[str, Any]:
         print(folder.name, {name: f"{criterion(run).mean():.4g}" for name, run in runs.items()}, flush=True)
     compared = {
         name: {
-            recipe: compare(np.stack(values), by_recipe["pid"][0], known_bounds(scenario(name)))
+            recipe: compare(np.stack(values), by_recipe["pid"][0], stored_bounds(scenario(name)).times_s)
             for recipe, values in by_recipe.items()
         }
         for name, by_recipe in rows.items()

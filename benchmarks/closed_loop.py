@@ -30,14 +30,11 @@ import numpy as np
 from benchmarks.closed_loop_plots import draw
 from benchmarks.results_file import RESULTS, write_results
 from benchmarks.rig_loop import PERIOD_S, Driven, drive
-from hframe_gym.agents import train
-from hframe_gym.agents.agent import Agent
-from hframe_gym.agents.recipe import load_recipe
+from hframe_gym.agents import Agent, load_recipe, train
 from hframe_gym.controllers import CONTROLLERS, Controller
 from hframe_gym.envs import Reach, Track
-from hframe_gym.evaluation.metrics import BANDS, JUDGED, mean_with_interval, settling
-from hframe_gym.identification import identify
-from hframe_gym.identification.result_output import write_answer
+from hframe_gym.evaluation import BANDS, BOUND_BAND, mean_with_interval, settling_times
+from hframe_gym.identification import identify, write_result
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import load_machine
 from tests.reference_simulator import Array
@@ -66,7 +63,7 @@ LEARNED = {"ppo": ("adapt", 200_000), "residual": ("residual", 100_000)}  # reci
 SEED, EPISODES = 2000, 24  # seed of starts and goals, number of episodes
 AGENTS = (0, 1, 2)  # seeds
 REACH, TRACK = Reach(), Track()
-SETTLED = f"settling_s_{JUDGED}"
+SETTLED = f"settling_s_{BOUND_BAND}"
 DESIGNED = ("pid", "adaptive-pid")
 CIRCLE = ", circle"
 # The decisive score of each controller: lower is better, if the success rate is not lower.
@@ -81,7 +78,7 @@ def machines(session: Session) -> dict[str, Machine]:
     """Return the three machines of a rig; identify it if that has not been done."""
     folder = CACHE / session.folder.name
     if not (folder / "report.json").is_file():
-        write_answer(identify(session.recordings(), session.machine()), folder)
+        write_result(identify(session.recordings(), session.machine()), folder)
     return {stage: load_machine(folder / f"{stage}.json") for stage in STAGES}
 
 
@@ -103,7 +100,7 @@ def trained(name: str, steps: int, machine: Machine, randomize: str, folder: Pat
     recipe = replace(recipe, steps=steps, env={**recipe.env, "randomize": randomize})
     present = json.loads(card.read_text()) if card.is_file() else None
     if present is None or present["settings"] != recipe.as_dict() or present["curve"][-1]["steps"] < steps:
-        train(recipe, machine, seed=seed, out=folder, say=lambda line: None)
+        train(recipe, machine, seed=seed, out=folder, log=lambda line: None)
     return Agent.load(folder)
 
 
@@ -114,7 +111,7 @@ def controllers(session: Session, seeds: tuple[int, ...]) -> Iterator[tuple[str,
         agents = CACHE / ("declared" if stage == "declared" else session.folder.name)
         for kind in DESIGNED:
             for course in ("", CIRCLE):
-                yield kind + course, NAMES[stage], CONTROLLERS[kind](machine, PERIOD_S)
+                yield kind + course, NAMES[stage], CONTROLLERS.get(kind)(machine, PERIOD_S)
         for kind, (recipe, steps) in LEARNED.items():
             for seed in seeds:
                 folder = agents / f"{recipe}-{stage}-{seed}"
@@ -136,7 +133,7 @@ def score(run: Driven) -> dict[str, Array]:
         return {"contour_rms_mm": rms, "contour_max_mm": 1e3 * run.contour.max(axis=1)}
     scores = {"final_error_mm": 1e3 * run.error[:, -1]}
     for name, band in BANDS.items():
-        times, success = settling(run.error, run.time_s, band)
+        times, success = settling_times(run.error, run.time_s, band)
         scores |= {f"success_{name}": success.astype(np.float64), f"settling_s_{name}": times}
     return scores
 
@@ -179,7 +176,7 @@ def _with_gains(by_machine: dict[str, list[dict[str, Array]]]) -> dict[str, Any]
 def better(row: dict[str, Any], kind: str, over: str) -> bool:
     """Return whether the corrected machine's controller is significantly better and succeeds at least as often."""
     gain = row[kind]["gain"][over]
-    return gain[DECIDES[kind]]["ci95"][1] < 0.0 and gain.get(f"success_{JUDGED}", {"mean": 0.0})["mean"] >= 0.0
+    return gain[DECIDES[kind]]["ci95"][1] < 0.0 and gain.get(f"success_{BOUND_BAND}", {"mean": 0.0})["mean"] >= 0.0
 
 
 def main() -> None:
@@ -200,7 +197,7 @@ def main() -> None:
         for kind, key in DECIDES.items():
             by_machine = []
             for machine, scores in row[kind]["scores"].items():
-                success = scores.get(f"success_{JUDGED}")
+                success = scores.get(f"success_{BOUND_BAND}")
                 by_machine.append(
                     f"{machine} {scores[key]['mean']:.4f}" + (f" ({100 * success['mean']:.0f} %)" if success else "")
                 )

@@ -13,13 +13,13 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.results_file import write_results
-from hframe_gym.envs import Track
-from hframe_gym.evaluation import Scenario, known_bounds, make_controller, rollout, scores
+from hframe_gym.envs import SensorsLike, Track
+from hframe_gym.evaluation import Scenario, make_controller, rollout, score_episodes, stored_bounds
 
 # The state estimator of `pid, rig` was developed on these episodes; those of seed 0 verify it (bound_seed0.json).
 SEED, EPISODES = 1000, 512
 BAND = "0.2mm"
-RUNS = {
+RUNS: dict[str, tuple[str, float, SensorsLike]] = {
     "pid": ("pid", 0.01, "state"),
     "pid 2 ms": ("pid", 0.002, "state"),
     "pid, rig": ("pid", 0.01, "rig"),
@@ -32,7 +32,7 @@ PATHS = ("circle", "square", "lissajous")
 
 
 def measure(seed: int, episodes: int, pictures: Path | None = None) -> dict[str, Any]:
-    """Return the scores by task and controller, and save a picture of each first episode if a folder is arguments."""
+    """Return the scores by task and controller, and save a picture of each first episode if a folder is given."""
     by_task: dict[str, Any] = {}
     for task in ("reach", *PATHS):
         by_task[task] = {}
@@ -40,7 +40,7 @@ def measure(seed: int, episodes: int, pictures: Path | None = None) -> dict[str,
             task_option = Track(path=task) if task in PATHS else task
             scenario = Scenario("hframe", task_option, "default", sensors, episodes, seed, period)
             run = rollout(make_controller(name, scenario), scenario)
-            by_task[task][label] = card = scores(run, known_bounds(scenario), seed=seed)
+            by_task[task][label] = card = score_episodes(run, stored_bounds(scenario).times_s, seed=seed)
             if "settling_s" in card:
                 time = card["settling_s"][BAND]
                 line = f"to {BAND} {time['mean']:.3f} s {time['ci95']}, success {card['success'][BAND]:.3f}"
@@ -54,9 +54,11 @@ def measure(seed: int, episodes: int, pictures: Path | None = None) -> dict[str,
                 line = f"contour error, mm: {', '.join(parts)}; tracking error {card['tracking_mm']['rms']['mean']:.3f}"
             print(f"{task:10s} {label:14s} {line}", flush=True)
             if pictures is not None:
-                from hframe_gym.evaluation.plotting import save
+                from hframe_gym.evaluation.plotting import save_plot
 
-                save(pictures / f"{task}_{label.replace(' ', '_').replace(',', '')}.png", run, title=f"{label}: {task}")
+                save_plot(
+                    pictures / f"{task}_{label.replace(' ', '_').replace(',', '')}.png", run, title=f"{label}: {task}"
+                )
     return by_task
 
 

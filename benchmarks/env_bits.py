@@ -154,10 +154,6 @@ def in_new_process(name: str, steps: int, threads: int) -> list[str]:
     return digests
 
 
-# Aliases until all packages use the new names.
-elsewhere = in_new_process
-
-
 def compare(name: str, steps: int) -> dict[str, list[str]]:
     """Return the digests of every way to run the environment, for the options of a name."""
     options = OPTIONS[name]

@@ -40,8 +40,8 @@ class Energy:
     """
 
     def __init__(self, envs: HFrameVectorEnv) -> None:
-        self.stages = envs.batch.stages
-        machine = self.stages.machine
+        self.simulator = envs.batch.simulator
+        machine = self.simulator.machine
         names = list(machine.parameters)
         self.mass = [names.index(f"{c.name}.mass") for c in machine.coordinates]
         self.radius = [names.index(f"{c.name}.radius") if c.kind == "rotary" else None for c in machine.coordinates]
@@ -49,31 +49,31 @@ class Energy:
             (
                 names.index(f"{b.name}.EA"),
                 names.index(f"{b.name}.rest_length"),
-                machine.row(b.extension),
-                machine.row(b.length),
+                machine.coefficients(b.extension),
+                machine.coefficients(b.length),
             )
             for b in machine.belts
         ]
 
     def __call__(self) -> NDArray[np.float64]:
         """Return the energies, J, shape (blocks, lanes)."""
-        P, n = self.stages.parameters, len(self.mass)
-        q, v = self.stages.state[:, :n], self.stages.state[:, n : 2 * n]
+        P, n = self.simulator.parameters, len(self.mass)
+        q, v = self.simulator.state[:, :n], self.simulator.state[:, n : 2 * n]
         total = np.zeros(P.shape[::2])
         for i, (mass, radius) in enumerate(zip(self.mass, self.radius, strict=True)):
             linear_mass = P[:, mass] if radius is None else P[:, mass] / P[:, radius] ** 2
             total += 0.5 * linear_mass * v[:, i] ** 2
         for EA, rest, extension, length in self.belts:
-            s, growth = (np.einsum("j,bjl->bl", row, q) for row in (extension, length))
-            total += 0.5 * P[:, EA] / (P[:, rest] + growth) * s**2
+            stretch, elongation = (np.einsum("j,bjl->bl", row, q) for row in (extension, length))
+            total += 0.5 * P[:, EA] / (P[:, rest] + elongation) * stretch**2
         return total
 
 
 def bound(envs: HFrameVectorEnv) -> float:
     """Return an upper bound of a stage's energy, J: all masses at no-load speed, belts at twice the stall force."""
-    machine, batch = envs.batch.machine, envs.batch
-    upper = dict(zip(machine.parameters, batch.population.high.tolist(), strict=True))
-    lower = dict(zip(machine.parameters, batch.population.low.tolist(), strict=True))
+    machine, sampler = envs.batch.machine, envs.batch.sampler
+    upper = dict(zip(sampler.space.names, sampler.high.tolist(), strict=True))
+    lower = dict(zip(sampler.space.names, sampler.low.tolist(), strict=True))
     speed = 0.0
     for d in machine.drives:
         w = d.rated_voltage / (lower[f"{d.name}.Ke"] * d.gear_ratio)
@@ -104,7 +104,7 @@ def soak(name: str, steps: int, console: Console, content: dict[str, Any]) -> No
             actions = rng.uniform(-1.0, 1.0, (ENVS, 2)).astype(np.float32)
             actions[::2] = np.sign(actions[::2])  # every second one at full voltage
         _, reward, *_ = envs.step(actions)
-        tool = envs.batch.stages.tools()
+        tool = envs.batch.simulator.tools()
         extremes["not_finite"] += int((~np.isfinite(reward)).sum() + (~np.isfinite(tool)).sum())
         outside = np.maximum(workspace[:, 0] - tool, tool - workspace[:, 1]).max()
         extremes["furthest_beyond_m"] = max(extremes["furthest_beyond_m"], float(outside))

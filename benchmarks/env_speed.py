@@ -23,9 +23,8 @@ from rich.table import Table
 import hframe_gym  # noqa: F401  registers the environment
 from benchmarks.kernel_batch import interleaved
 from benchmarks.results_file import write_results
-from hframe_gym.dynamics.kernel import kernel_for
-from hframe_gym.dynamics.simd import LANES
-from hframe_gym.dynamics.simulation import in_parallel, threads
+from hframe_gym.dynamics import LANES, in_parallel, kernel_for
+from hframe_gym.dynamics.simulation import threads
 from hframe_gym.envs import HFrameVectorEnv
 
 SEED, ENVS, STEPS, REPEATS = 3, 4096, 150, 7  # STEPS is one episode, so every run contains a reset of each environment
@@ -79,24 +78,26 @@ class Vector:
         Returns:
             Seconds of the steps and of the kernel, by clock: "processor" (time of all threads) and "wall".
         """
-        stages = self.envs.batch.stages
-        kernel = kernel_for(stages.machine)
-        parameters = np.empty((stages.blocks, len(kernel.layout.parameters), LANES))
-        tables = parameters, stages.derived, stages.supply.inputs, stages.h, stages.steps
+        simulator = self.envs.batch.simulator
+        kernel = kernel_for(simulator.machine)
+        parameters = np.empty((simulator.blocks, len(kernel.layout.parameters), LANES))
+        derived = np.empty((simulator.blocks, len(kernel.layout.derived), LANES))
+        arguments = parameters, derived, simulator.actuators.inputs, simulator.h, simulator.steps
         clocks = {"processor": time.process_time, "wall": time.perf_counter}
         spent = dict.fromkeys(clocks, np.zeros(2))
         for action in self.actions:
-            state = stages.state.copy()
+            state = simulator.state.copy()
             began = {name: clock() for name, clock in clocks.items()}
             self.envs.step(action)
             between = {name: clock() for name, clock in clocks.items()}
-            parameters[:] = stages.parameters[:, : parameters.shape[1]]
+            parameters[:] = simulator.parameters[:, : parameters.shape[1]]
+            kernel.prepare_blocks(parameters, simulator.h, 0, simulator.blocks, derived)
 
             def advance(first: int, last: int, state: Any = state) -> None:
-                kernel.advance_blocks(state, *tables, first, last)
+                kernel.advance_blocks(state, *arguments, first, last)
 
             again = {name: clock() for name, clock in clocks.items()}
-            in_parallel(advance, stages.blocks)
+            in_parallel(advance, simulator.blocks)
             for name, clock in clocks.items():
                 spent[name] = spent[name] + (between[name] - began[name], clock() - again[name])
         return {name: (float(step), float(kernel)) for name, (step, kernel) in spent.items()}

@@ -16,10 +16,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.results_file import write_results
-from hframe_gym.agents import train
-from hframe_gym.agents.agent import Agent
-from hframe_gym.evaluation import Scenario, rollout
-from hframe_gym.evaluation.metrics import settling
+from hframe_gym.agents import Agent, train
+from hframe_gym.evaluation import Scenario, rollout, settling_times
 
 BAND = 5e-3  # m, the band of the recipe's reward
 BAR = 0.9
@@ -33,8 +31,8 @@ def train_and_evaluate(seed: int) -> dict[str, Any]:
         card = train("sac_her", seed=seed, out=folder)
         agent = Agent.load(folder)
     run = rollout(agent, Scenario(episodes=EPISODES, seed=EVALUATION_SEED))
-    error = np.linalg.norm(run.position - run.goal, axis=2)
-    times, success = settling(error, run.time_s, BAND)
+    error = run.goal_error
+    times, success = settling_times(error, run.time_s, BAND)
     last = card["curve"][-1]
     first = next((row for row in card["curve"] if row["success"] > BAR), None)
     return {

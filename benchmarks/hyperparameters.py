@@ -18,8 +18,7 @@ from typing import Any
 import optuna
 
 from benchmarks.results_file import write_results
-from hframe_gym.agents import train
-from hframe_gym.agents.recipe import Recipe, load_recipe
+from hframe_gym.agents import Recipe, load_recipe, train
 
 STEPS = 300_000
 SEED = 0
@@ -44,7 +43,7 @@ def suggest_recipe(trial: optuna.Trial) -> Recipe:
 def objective(trial: optuna.Trial) -> float:
     """Train and return the logarithm (base 10) of the median final error in mm."""
     with tempfile.TemporaryDirectory() as folder:
-        card = train(suggest_recipe(trial), seed=SEED, out=folder, say=lambda line: None)
+        card = train(suggest_recipe(trial), seed=SEED, out=folder, log=lambda line: None)
     return math.log10(card["curve"][-1]["final_error_mm"])
 
 

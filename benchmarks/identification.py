@@ -56,7 +56,7 @@ def examples(console: Console) -> None:
         for channel in machine.output_channels:
             ratios = [results[rig][s]["held_out"][channel]["noise_ratio"] for s in ("declared", "before", "after")]
             table.add_row(channel, *(f"{r:.3g}" for r in ratios))
-        effects = " + ".join(f.effect.label for f in result.found)
+        effects = " + ".join(f.effect.label for f in result.effects)
         console.print(table, f"effects: {effects or 'none'}; {result.seconds:.1f} s")
     write_results("identify_examples", results, seed=None)
 

@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hframe_gym.dynamics.kernel import in_blocks, kernel_for
-from hframe_gym.dynamics.simd import LANES
-from hframe_gym.dynamics.simulation import in_parallel, parameter_batch
+from hframe_gym.dynamics import LANES, in_blocks, in_parallel, kernel_for
+from hframe_gym.dynamics.simulation import parameter_batch
 from hframe_gym.machine import Machine
 
 Array = NDArray[np.float64]

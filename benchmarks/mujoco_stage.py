@@ -84,7 +84,7 @@ def xml(machine: Machine, step: float, choice: Choice) -> str:
     pulleys = "".join(f"<body>{inertia(0.1, c.mass)}{joint(c.name, 'hinge', '0 0 1')}</body>" for c in motors)
     tendons = ""
     for b in machine.belts:
-        row = machine.row(b.extension) * machine.radii
+        row = machine.coefficients(b.extension) * machine.travel_per_unit
         ends = "".join(
             f'<joint joint="{n}" coef="{c!r}"/>'
             for n, c in zip(machine.coordinate_names, row.tolist(), strict=True)

@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.results_file import FIGURES, write_results
-from hframe_gym.atomic_files import whole_file
+from hframe_gym.atomic_files import atomic_file
 from hframe_gym.dynamics import simulate
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, mode_frequencies, with_constant_stiffness
 from hframe_gym.machine.presets import STIFFNESS
@@ -213,7 +213,7 @@ def main() -> None:
         "figure_10": figure_stiffness,
     }
     for name, draw in figures.items():
-        with whole_file(FIGURES / f"{name}.png") as temporary:
+        with atomic_file(FIGURES / f"{name}.png") as temporary:
             draw().savefig(temporary, dpi=110)
         console.print(f"docs/figures/{name}.png")
     write_results("paper", {"statements": [row._asdict() for row in statements]}, seed=None)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hframe_gym.controllers import Controller
-from hframe_gym.envs.tasks import Task
+from hframe_gym.envs import Task
 from hframe_gym.machine import Machine
 from tests.reference_simulator import Array, Rig, Stage
 

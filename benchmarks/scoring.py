@@ -63,7 +63,7 @@ def score_session(session: Session, answer: IdentificationResult) -> dict[str, A
         Plain data.
     """
     case = session.case
-    named = [f.effect.label for f in answer.found]
+    named = [f.effect.label for f in answer.effects]
     score = classify(case, answer.verdict, named)
     stages = {"declared": answer.declared, "before": answer.before, "after": answer.after}
     mean = {
@@ -79,7 +79,7 @@ def score_session(session: Session, answer: IdentificationResult) -> dict[str, A
         "hides": " + ".join(hidden.label for hidden in case.hidden_effects),
         "verdict": answer.verdict,
         "found": " + ".join(named),
-        "rivals": {f.effect.label: list(f.rivals) for f in answer.found},
+        "rivals": {f.effect.label: list(f.rivals) for f in answer.effects},
         "score": score,
         "hit": score in RIGHT,
         **mean,
@@ -120,7 +120,7 @@ def _parameter_error(case: Case, answer: IdentificationResult) -> dict[str, floa
 
 def _estimates(hidden: HiddenEffect, answer: IdentificationResult) -> dict[str, float]:
     """Return the estimated parameters of a hidden effect; none if it was not named by its label."""
-    for f in answer.found:
+    for f in answer.effects:
         if f.effect.label == hidden.label:
             return dict(f.effect.parameters)
     return {}

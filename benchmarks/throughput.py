@@ -32,9 +32,9 @@ from scipy.integrate import solve_ivp
 from benchmarks.kernel_batch import HOLD, PERIODS, REPEATS, SEED, STEP, VOLTS, KernelBatch, interleaved, random_voltages
 from benchmarks.mujoco_stage import Choice, MujocoStage, constant_at_center
 from benchmarks.results_file import write_results
-from hframe_gym.dynamics import friction, simulate
+from hframe_gym.dynamics import LANES, friction, simulate
 from hframe_gym.dynamics.kernel import generate
-from hframe_gym.dynamics.simd import LANES, fma, load, store
+from hframe_gym.dynamics.simd import fma, load, store
 from hframe_gym.dynamics.simulation import threads
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, linearize
 
@@ -131,7 +131,7 @@ def scipy_rate(machine: Machine, creep: float = 1e-4) -> float:
     system = linearize(stage)
     mass = np.array([c.mass for c in stage.coordinates])
     coulomb = np.array([c.coulomb for c in stage.coordinates]) / mass
-    scale = stage.radii / creep
+    scale = stage.travel_per_unit / creep
     begin = time.perf_counter()
     z = np.zeros(8)
     for u in random_voltages(1)[:, 0]:

@@ -42,7 +42,3 @@ def write_text(path: str | Path, text: str) -> None:
     """
     with atomic_file(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
-
-
-# Aliases until all packages use the new names.
-whole_file = atomic_file

@@ -256,12 +256,12 @@ def evaluate(
         _log(reason)
     _log(f"wrote {written}")
     try:
-        from .evaluation.plotting import save
+        from .evaluation.plotting import save_plot
 
         for name, episode in recorded.items():
             label = Path(name).name.replace(":", "-")  # of a folder the last part; no colon in a file name
             plot = out / f"{label}.png"
-            save(plot, episode, title=f"{label} on {declared.name}")
+            save_plot(plot, episode, title=f"{label} on {declared.name}")
             _log(f"wrote {plot}")
     except ImportError as error:
         _log(f"no plots: {error}")

@@ -72,11 +72,13 @@ def test_measures_of_a_small_tree(tmp_path: Path) -> None:
         (tmp_path / folder).mkdir(parents=True)
     body = "\n".join("    x = 1" for _ in range(house.MAX_FUNCTION_LINES))
     (tmp_path / "hframe_gym" / "long.py").write_text(f"def f() -> None:\n    '''Do it its own way.'''\n{body}\n")
+    (tmp_path / "hframe_gym" / "__init__.py").write_text("x = 1\n")
     (tmp_path / "hframe_gym" / "effects" / "spring.py").write_text("x = 1\n")
     (tmp_path / "agents" / "big.py").write_text("x = 'owner'\n" * (house.MAX_MODULE_LINES + 1))
     found = measure(tmp_path)
     assert found.words == ["hframe_gym/long.py:2: own"]
     assert [str(path) for path in found.modules] == ["hframe_gym/long.py"]
+    assert [str(path) for path in found.packages] == ["hframe_gym/__init__.py"]
     assert found.long_modules == [f"agents/big.py: {house.MAX_MODULE_LINES + 1}"]
     assert found.long_functions == [f"hframe_gym/long.py:1: f ({house.MAX_FUNCTION_LINES + 2})"]
 

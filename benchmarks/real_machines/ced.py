@@ -91,7 +91,7 @@ def run(console: Console) -> None:
             for r in recordings
         }
 
-    answer = identify(recordings, machine, held_out=(HELD_OUT,), say=console.print)
+    answer = identify(recordings, machine, held_out=(HELD_OUT,), log=console.print)
     errors = errors_by_machine(answer, measure)
     print_errors("CED, rms of |speed| over its std", "", errors, console)
     print_effects(answer, console)

@@ -47,7 +47,7 @@ def run(console: Console) -> None:
     with tempfile.TemporaryDirectory() as folder:
         convert(source, Path(folder))
         recordings = load_recordings(folder, machine)
-    answer = identify(recordings, machine, held_out=("emps_test_pulses",), say=console.print)
+    answer = identify(recordings, machine, held_out=("emps_test_pulses",), log=console.print)
 
     def measure(m: Machine) -> dict[str, float]:
         return {

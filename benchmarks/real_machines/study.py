@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.results_file import FIGURES, ROOT
-from hframe_gym.atomic_files import whole_file
+from hframe_gym.atomic_files import atomic_file
 from hframe_gym.identification import IdentificationResult
 from hframe_gym.machine import Machine
 
@@ -41,7 +41,7 @@ def data_folder(name: str, console: Console) -> Path | None:
 def write_recording(path: Path, columns: Mapping[str, Array]) -> None:
     """Write a recording, completely or not at all; columns by name."""
     table = np.column_stack(list(columns.values()))
-    with whole_file(path) as temporary:
+    with atomic_file(path) as temporary:
         np.savetxt(temporary, table, fmt="%.9g", delimiter=",", header=",".join(columns), comments="")
 
 
@@ -112,7 +112,7 @@ def picture(
         axis.legend(fontsize=7, ncols=len(curves))
     axes[-1].set_xlabel(abscissa)
     figure.suptitle(title, fontsize=10)
-    with whole_file(FIGURES / f"real_{name}.png") as temporary:
+    with atomic_file(FIGURES / f"real_{name}.png") as temporary:
         figure.savefig(temporary, dpi=110)
 
 

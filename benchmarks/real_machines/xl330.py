@@ -18,7 +18,6 @@ from rich.console import Console
 
 from benchmarks.real_machines.study import (
     MACHINES,
-    ROOT,
     Array,
     data_folder,
     errors_by_machine,
@@ -27,7 +26,7 @@ from benchmarks.real_machines.study import (
     print_errors,
     write_recording,
 )
-from benchmarks.results_file import write_results
+from benchmarks.results_file import ROOT, write_results
 from hframe_gym.identification import identify
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import Recording, load_machine, load_recordings
@@ -74,7 +73,7 @@ def run(console: Console) -> None:
     def measure(m: Machine) -> dict[str, float]:
         return {k: _rms([simulate_angle(m, r) - r.outputs[:, 0] for r in runs]) for k, runs in groups.items()}
 
-    answer = identify(recordings, machine, held_out=HELD_OUT, say=console.print)
+    answer = identify(recordings, machine, held_out=HELD_OUT, log=console.print)
     errors = errors_by_machine(answer, measure)
     in_mrad = {stage: {k: 1e3 * v for k, v in e.items()} for stage, e in errors.items()}
     print_errors("XL330, rms angle error in open-loop simulation", "mrad", in_mrad, console)

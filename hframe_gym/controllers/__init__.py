@@ -24,13 +24,9 @@ from .preview_control import PreviewGains, PreviewTracker
 from .state_estimator import StateEstimator
 from .textbook_pid import TextbookPID
 
-# Aliases until all packages use the new names.
-AdaptivePID = AdaptiveController
-
 __all__ = [
     "CONTROLLERS",
     "AdaptiveController",
-    "AdaptivePID",
     "Controller",
     "DeadTime",
     "EpisodeStarts",

@@ -160,22 +160,6 @@ class AdaptiveController(Controller):
         """Iterate over all controllers of the bank."""
         return (controller for row in self._bank for controller in row)
 
-    # Aliases until all packages use the new names.
-    @property
-    def told(self) -> dict[str, int]:
-        """See `feature_sizes`."""
-        return {"expected": self.feature_sizes["expected_friction"], "learnt": self.feature_sizes["estimates"]}
-
-    @property
-    def expected(self) -> Array:
-        """See `expected_friction`."""
-        return self.expected_friction
-
-    @property
-    def learnt(self) -> Array:
-        """See `estimates`."""
-        return self.estimates
-
 
 def _scaled(machine: Machine, stiffness_ratio: float, mass_ratio: float) -> Machine:
     """Return the machine with all EA and all masses multiplied by a ratio."""

@@ -100,15 +100,6 @@ class Controller(ABC):
             actions: Actions that were applied, in [-1, 1], shape (B, drives).
         """
 
-    # Aliases until all packages use the new names.
-    def applied(self, actions: Array) -> None:
-        """Call `replace_last_action`.
-
-        Args:
-            actions: Actions that were applied, shape (B, drives).
-        """
-        self.replace_last_action(actions)
-
 
 CONTROLLERS: Registry[type[Controller]] = Registry("controller")
 

@@ -16,8 +16,7 @@ from scipy.linalg import expm
 
 from ..dynamics import Equations, ForceBalance, MotionPoint
 from ..errors import InputError
-from ..machine import AppliedEffect, Machine, linearize, rest_state
-from ..machine.effect import argument_names
+from ..machine import AppliedEffect, Machine, argument_names, linearize, rest_state
 
 Array = NDArray[np.float64]
 AXES = ("x", "y")

@@ -27,8 +27,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..dynamics import Equations, MotionPoint
 from ..dynamics.elementwise import tanh
 from ..errors import InputError
-from ..machine import AppliedEffect, Machine, rest_state
-from ..machine.effect import Hook, argument_names
+from ..machine import AppliedEffect, Hook, Machine, argument_names, rest_state
 from .input_compensation import InputInversion
 
 try:
@@ -342,7 +341,3 @@ def _has_kink(hook: Hook) -> bool:
     symbols = [ca.SX.sym(name) for name in argument_names(hook)]
     formula = ca.Function("hook", symbols, [ca.SX(hook(*symbols))])
     return any(formula.instruction_id(k) in SWITCHING_OPERATIONS for k in range(formula.n_instructions()))
-
-
-# Aliases until all packages use the new names.
-TURNING = REVERSAL_SPEED

@@ -13,6 +13,3 @@ __all__ = [
     "recording_warnings",
     "write_findings",
 ]
-
-# Aliases until all packages use the new names.
-warnings_of = recording_warnings

@@ -52,7 +52,7 @@ def check_recordings(recordings: Sequence[Recording], machine: Machine) -> list[
             moving.append(recording.name)
     findings += check_excitation(recordings, data, machine)
     if moving:
-        findings += check_wiring(data.only(moving), machine) + check_parameters(data.only(moving), machine)
+        findings += check_wiring(data.with_runs(moving), machine) + check_parameters(data.with_runs(moving), machine)
     order = ("fault", "advice", "note")
     return sorted(findings, key=lambda finding: order.index(finding.severity))
 
@@ -120,7 +120,7 @@ def _overlapping_clocks(recordings: Sequence[Recording]) -> list[Finding]:
 
 def _check_initial_rest(recording: Recording, machine: Machine) -> list[Finding]:
     """Report a run that does not begin at rest long enough to determine the initial state and the sensors' zeros."""
-    rows = estimate_initial_state(recording, machine).rows
+    rows = estimate_initial_state(recording, machine).resting_rows
     seconds = float(recording.time_s[min(rows, len(recording.time_s)) - 1] - recording.time_s[0])
     if seconds >= _MIN_REST:
         return []

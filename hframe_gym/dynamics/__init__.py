@@ -1,6 +1,5 @@
 """Equations of motion, the integrator, its generated kernel and simulation."""
 
-from ..machine import Trajectory as Trajectory  # alias until all packages use the new name
 from .equations import BeltState, Equations, ForceBalance
 from .kernel import Kernel, in_blocks, kernel_for, kernel_source_text
 from .motion_forces import (

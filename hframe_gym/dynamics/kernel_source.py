@@ -22,8 +22,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from ..machine import Machine
-from ..machine.effect import HOOKS, argument_names
+from ..machine import HOOKS, Machine, argument_names
 from .elementwise import exp, fma, named, where
 from .equations import Equations, ForceBalance
 from .parameterized_machine import MotionPoint, combination

@@ -6,8 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from ..machine import AppliedEffect, Machine
-from ..machine.effect import argument_names
+from ..machine import AppliedEffect, Machine, argument_names
 from .elementwise import named
 
 Value = Any
@@ -66,7 +65,7 @@ class ParameterizedMachine:
             return next((d.coordinate for d in machine.drives if d.name == effect.site), "")
         if definition.site == "sensor":
             return ""
-        return machine.site_coordinate(effect.site) or ""
+        return machine.coordinate_of_site(effect.site) or ""
 
     # -- parameters ------------------------------------------------------------------------------------------------
 
@@ -242,7 +241,7 @@ class ParameterizedMachine:
                     value = value * positions[names.index(factor)]
                 terms.append(value)
             reading = combination(dict(enumerate(sensor.row.values())), terms)
-            across = self.machine.across(sensor.coordinate)
+            across = self.machine.other_axis(sensor.coordinate)
             quantities = {"across": positions[names.index(across)] if across else 0.0}
             for _, e in self.effects_at("measurement", sensor.channel):
                 reading = self.evaluate(e, "measurement", {"r": reading, **quantities})

@@ -15,7 +15,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..dynamics.simd import LANES
+from ..dynamics import LANES
 from ..effects import EFFECTS
 from ..errors import InputError
 from ..machine import Machine

@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..dynamics import Equations, MotionPoint, NotFiniteError, in_blocks, in_parallel, kernel_for
-from ..dynamics.simd import LANES
+from ..dynamics import LANES, Equations, MotionPoint, NotFiniteError, in_blocks, in_parallel, kernel_for
 from ..errors import InputError
 from ..machine import Machine, rest_state
 from .actuators import ActuatorModel

@@ -304,7 +304,3 @@ def matching(names: Sequence[str], rule: RandomizeParameter) -> list[int]:
         Indices into `names`, ascending.
     """
     return [i for i, name in enumerate(names) if fnmatchcase(name, rule.parameter)]
-
-
-# Aliases until all packages use the new names.
-PRESETS = RANDOMIZATION_PRESETS

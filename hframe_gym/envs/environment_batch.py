@@ -13,12 +13,11 @@ import numpy as np
 from gymnasium import error
 from numpy.typing import ArrayLike, NDArray
 
-from ..dynamics.simd import LANES
+from ..dynamics import LANES
 from ..errors import InputError
 from .actuators import with_actuators
 from .batched_simulator import BatchedSimulator, block_ranges
 from .config import EnvConfig, as_machine
-from .config import MachineLike as MachineLike  # alias until all packages use the new name
 from .counter_rng import compiled
 from .machine_sampler import MachineSampler
 from .observations import Observation, ObservationBuilder
@@ -316,22 +315,6 @@ class EnvironmentBatch:
         if a.ndim == 1:
             return float(self.reward(a[None], d[None])[0])
         return np.asarray(self.reward(a, d), np.float64)
-
-    # Aliases until all packages use the new names.
-    @property
-    def settings(self) -> EnvConfig:
-        """Return `config`."""
-        return self.config
-
-    @property
-    def stages(self) -> BatchedSimulator:
-        """Return `simulator`."""
-        return self.simulator
-
-    @property
-    def population(self) -> MachineSampler:
-        """Return `sampler`."""
-        return self.sampler
 
 
 @compiled

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..dynamics.simd import LANES
+from ..dynamics import LANES
 from ..machine import SENSOR_KINDS, Machine, Sensor, SensorKind
 from .counter_rng import compiled, normal_pair
 from .sensors import sensor_range_names

@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..dynamics.simd import LANES, any_of, load, store, where
+from ..dynamics import LANES
+from ..dynamics.simd import any_of, load, store, where
 from ..dynamics.simd_math import maximum, minimum
 from ..machine import Sensor
 from .batched_simulator import BatchedSimulator

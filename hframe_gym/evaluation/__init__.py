@@ -13,10 +13,6 @@ from .metrics import (
     settling_times,
     stored_bounds,
 )
-
-# Aliases until all packages use the new names.
-from .metrics import known_bounds as known_bounds
-from .metrics import scores as scores
 from .runner import Evaluation, evaluate, rollout, write_scores
 from .scenario import (
     CONTROLLER_SOURCES,

@@ -330,12 +330,3 @@ def stored_bounds(scenario: Scenario) -> StoredBounds:
         "randomize 'default' and seeds 0 to 511 and 1000 to 1511 (see docs/bound.md)"
     )
     return StoredBounds(None if missing == len(times) else times, reason)
-
-
-# Aliases until all packages use the new names.
-settling, JUDGED, RESAMPLES, scores = settling_times, BOUND_BAND, BOOTSTRAP_RESAMPLES, score_episodes
-
-
-def known_bounds(scenario: Scenario) -> Array | None:
-    """See `stored_bounds`."""
-    return stored_bounds(scenario).times_s

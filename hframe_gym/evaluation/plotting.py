@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..atomic_files import whole_file
+from ..atomic_files import atomic_file
 from .metrics import BANDS
 from .scenario import Episodes
 
@@ -100,9 +100,5 @@ def save_plot(path: str | Path, episodes: Episodes, episode: int = 0, *, title: 
         IndexError: If there is no such episode.
     """
     figure = plot_episode(episodes, episode, title=title)
-    with whole_file(path) as temporary:
+    with atomic_file(path) as temporary:
         figure.savefig(temporary, dpi=150)
-
-
-# Aliases until all packages use the new names.
-draw, save = plot_episode, save_plot

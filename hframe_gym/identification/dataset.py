@@ -107,9 +107,6 @@ class Dataset:
         pairs = zip(self.runs, rows, strict=True)
         return dataclasses.replace(self, runs=tuple(dataclasses.replace(run, rows=counted) for run, counted in pairs))
 
-    # Alias until all packages use the new name.
-    only = with_runs
-
 
 def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:
     """Prepare recordings for fitting a machine: fill gaps, estimate initial states, zeros and noise.

@@ -21,8 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-from ..atomic_files import whole_file
-from ..dynamics.simulation import Motion, simulate_batch
+from ..atomic_files import atomic_file
+from ..dynamics import simulate_batch
+from ..dynamics.simulation import Motion
 from ..machine import AppliedEffect, Machine
 from .candidates import effect_parameters
 from .dataset import Dataset, TypicalScales
@@ -89,7 +90,7 @@ class ExperimentDesign:
             path: CSV file to write; it appears only when it is complete.
             machine: Machine that names the input channels.
         """
-        with whole_file(path) as temporary:
+        with atomic_file(path) as temporary:
             header = ",".join(["time_s", *machine.input_channels])
             table = np.column_stack([self.time_s, self.inputs])
             np.savetxt(temporary, table, fmt="%.9g", delimiter=",", header=header, comments="")

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..dynamics import effect_forces, simulate_batch
-from ..machine import Machine, rest_state
-from ..machine.linearization import stiffness_matrix
+from ..machine import Machine, rest_state, stiffness_matrix
 from ..recordings import Recording
 from .criteria import SelectionCriteria
 from .rest_measurement import (

@@ -60,7 +60,6 @@ def identify(
     held_out: Sequence[str] = (),
     criteria: SelectionCriteria | None = None,
     log: Log | None = None,
-    say: Log | None = None,  # Alias of log until all packages use the new names.
 ) -> IdentificationResult:
     """Identify the effects that a machine's model lacks.
 
@@ -73,7 +72,6 @@ def identify(
         held_out: Names of the runs to evaluate on. Default: every fourth.
         criteria: Decision thresholds. Default: `SelectionCriteria()`.
         log: Called with a line of text at each stage. Default: nothing is reported.
-        say: Former name of `log`.
 
     Returns:
         Verdict, machines, selected effects and their errors on the held-out runs.
@@ -83,7 +81,7 @@ def identify(
     """
     began = time.perf_counter()
     criteria = criteria or SelectionCriteria()
-    log = log or say or (lambda line: None)
+    log = log or (lambda line: None)
     kept = hold_out(recordings, held_out)
     everything, ranges = _prepare(recordings, machine, criteria, log)
     validation = with_all_measurements(everything.with_runs(kept), recordings)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..atomic_files import whole_file
+from ..atomic_files import atomic_file
 from ..machine import AppliedEffect, Machine
 
 Array = NDArray[np.float64]
@@ -61,7 +61,7 @@ def draw_plots(report: Mapping[str, Any], curves: Mapping[str, Array], machine: 
             if figure is None:
                 path.unlink(missing_ok=True)
                 continue
-            with whole_file(path) as temporary:
+            with atomic_file(path) as temporary:
                 figure.savefig(temporary, dpi=110)
             written.append(path)
     return written

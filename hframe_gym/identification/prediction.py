@@ -18,7 +18,8 @@ from typing import Literal, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..dynamics.simulation import Motion, simulate_batch, threads
+from ..dynamics import simulate_batch
+from ..dynamics.simulation import Motion, threads
 from ..machine import Machine
 from .dataset import Dataset, PreparedRecording
 from .rest_measurement import sensor_zero_error

@@ -54,11 +54,6 @@ class InitialState:
         """Positions at rest, in the coordinates' units, shape (coordinates,)."""
         return self.state[: len(self.state) // 2]
 
-    @property
-    def rows(self) -> int:
-        """Alias of resting_rows until all packages use the new names."""
-        return self.resting_rows
-
 
 class EncoderZeros(NamedTuple):
     """Zeros of the encoders that kept them from run to run.

@@ -16,7 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ..atomic_files import whole_file, write_text
+from ..atomic_files import atomic_file, write_text
 from ..machine import Machine
 from ..recordings import save_machine
 from .criteria import SelectionCriteria
@@ -142,11 +142,6 @@ class IdentificationResult:
             "rivals": list(selected.rivals),
         }
 
-    @property
-    def found(self) -> tuple[SelectedEffect, ...]:
-        """Alias of effects until all packages use the new names."""
-        return self.effects
-
 
 def write_result(result: IdentificationResult, folder: Path, warnings: Sequence[str] = ()) -> None:
     """Write a result to a folder, everything except plots and report.html.
@@ -162,7 +157,7 @@ def write_result(result: IdentificationResult, folder: Path, warnings: Sequence[
     save_machine(result.declared.machine, folder / "declared.json")
     save_machine(result.before.machine, folder / "before.json")
     save_machine(result.after.machine, folder / "machine.json")
-    with whole_file(folder / "evidence.npz") as temporary:
+    with atomic_file(folder / "evidence.npz") as temporary:
         arrays: dict[str, Any] = {name: values.astype(np.float32) for name, values in plot_data(result).items()}
         np.savez_compressed(temporary, **arrays)
     if result.experiment:
@@ -217,7 +212,3 @@ def _coverage(result: IdentificationResult) -> dict[str, Array]:
     return {
         name: np.concatenate([values[name] for values in by_run])[::thin] for name in (*names, *machine.input_channels)
     }
-
-
-# Aliases until all packages use the new names.
-write_answer = write_result

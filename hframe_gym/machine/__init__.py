@@ -16,7 +16,7 @@ from .components import (
     SensorKind,
     Uncertainty,
 )
-from .effect import AppliedEffect, Effect, EffectParameter
+from .effect import HOOKS, AppliedEffect, Effect, EffectParameter, Hook, argument_names
 from .linearization import StateSpace, linearize, mode_frequencies, rest_state, rigid_motions, stiffness_matrix
 from .machine import SIMULATORS, Machine, Simulator, Trajectory
 from .presets import BUILTIN_MACHINES, with_constant_stiffness
@@ -24,6 +24,7 @@ from .presets import BUILTIN_MACHINES, with_constant_stiffness
 __all__ = [
     "BUILTIN_MACHINES",
     "FIXED_UNITS",
+    "HOOKS",
     "SENSOR_KINDS",
     "SIMULATORS",
     "UNITS",
@@ -34,6 +35,7 @@ __all__ = [
     "Drive",
     "Effect",
     "EffectParameter",
+    "Hook",
     "Machine",
     "Row",
     "Sensor",
@@ -42,6 +44,7 @@ __all__ = [
     "StateSpace",
     "Trajectory",
     "Uncertainty",
+    "argument_names",
     "linearize",
     "mode_frequencies",
     "rest_state",

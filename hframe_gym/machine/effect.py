@@ -146,11 +146,6 @@ class Effect:
     refitted: bool = False
     against: str = ""
     coordinate: str = ""
-    guard: dataclasses.InitVar[Hook | None] = None  # alias of active_region, see the end of the module
-
-    def __post_init__(self, guard: Hook | None) -> None:
-        if guard is not None:
-            object.__setattr__(self, "active_region", guard)
 
     def parameter(self, name: str) -> EffectParameter:
         """Return the parameter of that name."""
@@ -184,11 +179,6 @@ class Effect:
                     f"[{p.lower:g}, {p.upper:g}]"
                 )
         return AppliedEffect(self, site, {n: float(parameters[n]) for n in names})
-
-    def __getattr__(self, name: str) -> Any:
-        if name in _FORMER_HOOKS:
-            return getattr(self, _FORMER_HOOKS[name])
-        raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
 
 
 @dataclass(frozen=True)
@@ -241,21 +231,3 @@ class AppliedEffect:
 def argument_names(function: Hook) -> tuple[str, ...]:
     """Return the names of a hook's arguments."""
     return tuple(inspect.signature(function).parameters)
-
-
-# Aliases until all packages use the new names.
-delattr(Effect, "guard")  # the default of the alias keyword must not hide __getattr__
-_FORMER_HOOKS = {
-    "guard": "active_region",
-    "growth": "energy_slope",
-    "travel": "belt_travel",
-    "arm": "lever_arm",
-    "behind": "rest_angle_offset",
-    "reading": "measurement",
-    "lag": "measurement_delay",
-    "evolve": "next_state",
-}
-asked = argument_names
-CONTRIBUTIONS = HOOKS
-Contribution = Hook
-Site = SiteKind

@@ -340,21 +340,6 @@ class Machine:
             raise RuntimeError("no simulator is registered; import hframe_gym.dynamics before Machine.simulate")
         return SIMULATORS.get("default")(self, time_s, inputs, initial)
 
-    # Aliases until all packages use the new names.
-    @property
-    def radii(self) -> Array:
-        """Return `travel_per_unit`."""
-        return self.travel_per_unit
-
-    @property
-    def sprung(self) -> tuple[str, ...]:
-        """Return `spring_loaded`."""
-        return self.spring_loaded
-
-    row = coefficients
-    across = other_axis
-    site_coordinate = coordinate_of_site
-
 
 def _with_values(component: Any, name: str, keys: tuple[str, ...], values: Mapping[str, float]) -> Any:
     """Return a component with those of its parameters replaced that `values` holds under `name.key`."""

@@ -261,10 +261,9 @@ class _FileReader:
             Sensor(entry.channel, self.row(f"{field}.row", entry.row, products=True)).coordinate
         ]
         kind = entry.kind or ("encoder" if coordinate_kind == "rotary" else "laser")
-        try:
-            SENSOR_KINDS.get(kind)
-        except InputError as error:
-            raise self.error(f"{field}.kind", str(error)) from None
+        if kind not in SENSOR_KINDS:  # `SENSOR_KINDS.get` would import the module of a name such as "module:kind"
+            choices = ", ".join(SENSOR_KINDS)
+            raise self.error(f"{field}.kind", f"sensor kind {kind!r} is not registered; choose one of {choices}")
         if entry.range is not None and not entry.range[0] < entry.range[1]:
             raise self.error(f"{field}.range", "must be [lowest, highest]")
         unit = UNITS[coordinate_kind]["position"]

@@ -8,10 +8,10 @@ from scipy.linalg import solve_discrete_are
 
 from hframe_gym.controllers import ModelBasedController, OutputFeedbackController, StateEstimator
 from hframe_gym.controllers.state_estimator import sigma_points, transformed_moments
-from hframe_gym.dynamics import Trajectory, simulate
+from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.errors import InputError
-from hframe_gym.machine import BUILTIN_MACHINES, Machine, Sensor, rest_state
+from hframe_gym.machine import BUILTIN_MACHINES, Machine, Sensor, Trajectory, rest_state
 from tests.controllers.closed_loop import PERIOD, closed_loop, random_points, random_stages
 
 QUANTUM = 2 * np.pi / (4 * 512 * 5.9)  # rad, one count of the encoders

@@ -7,8 +7,9 @@ import pytest
 from numba import njit
 from scipy.integrate import solve_ivp
 
+from hframe_gym.dynamics import LANES
 from hframe_gym.dynamics.friction import decay_integral, end_weight, stop_or_reverse, update_speed
-from hframe_gym.dynamics.simd import LANES, load, store, where
+from hframe_gym.dynamics.simd import load, store, where
 
 pytestmark = pytest.mark.oracle
 

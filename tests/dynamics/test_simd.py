@@ -8,9 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numba import njit
 
-from hframe_gym.dynamics import simd_math
+from hframe_gym.dynamics import LANES, simd_math
 from hframe_gym.dynamics.simd import (
-    LANES,
     absolute,
     any_of,
     copysign,

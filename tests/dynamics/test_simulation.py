@@ -11,7 +11,7 @@ from hframe_gym.dynamics import NotFiniteError, rollout, simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect, Machine, rest_state
 from tests import reference_simulator as reference
-from tests.rigs.rigs import Rig
+from tests.reference_simulator import Rig
 
 ORACLE = pytest.mark.oracle
 UNIT = pytest.mark.unit
@@ -131,8 +131,8 @@ def test_energy_is_conserved_without_friction_and_drives(hframe: Machine) -> Non
     travel = trajectory.positions * RADII
     potential = np.zeros(len(TIME))
     for b in machine.belts:
-        length = b.rest_length + travel @ machine.row(b.length)
-        potential += 0.5 * b.EA / length * (travel @ machine.row(b.extension)) ** 2
+        length = b.rest_length + travel @ machine.coefficients(b.length)
+        potential += 0.5 * b.EA / length * (travel @ machine.coefficients(b.extension)) ** 2
     kinetic = trajectory.velocities**2 @ np.array([0.5 * c.mass for c in machine.coordinates])
     total = potential + kinetic
     assert np.ptp(total) / total[0] < 2e-4

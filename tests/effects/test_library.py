@@ -9,9 +9,7 @@ import pytest
 
 from hframe_gym.effects import EFFECTS, effect_sites, get_effect
 from hframe_gym.effects.smooth_table import KNOTS
-from hframe_gym.machine import BUILTIN_MACHINES, Effect, Machine
-from hframe_gym.machine.effect import HOOKS, argument_names
-from hframe_gym.machine.machine import UNITS
+from hframe_gym.machine import BUILTIN_MACHINES, HOOKS, UNITS, Effect, Machine, argument_names
 from tests.effects.one_of_each import CASES, Case, history
 
 pytestmark = pytest.mark.unit

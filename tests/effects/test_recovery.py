@@ -10,8 +10,8 @@ import pytest
 
 from hframe_gym.identification import fit, prepare
 from hframe_gym.identification.candidates import effect_parameters
+from hframe_gym.identification.dataset import scales_of_motion
 from hframe_gym.identification.prediction import POLISH_STEP
-from hframe_gym.identification.dataset import scales_of_motion as references
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import Recording
 from tests.effects.one_of_each import CASES, Case, history
@@ -44,11 +44,11 @@ def test_parameters_are_recovered(case: Case, hframe: Machine) -> None:
         motions.append(motion)
     data = prepare(recordings, hframe)
     positions, velocities = (np.concatenate(part) for part in zip(*motions, strict=True))
-    scale = references(hframe, positions, velocities, [r.inputs for r in recordings])
+    scale = scales_of_motion(hframe, positions, velocities, [r.inputs for r in recordings])
     # The exact parameters come first, because a structural effect subtracts its inertia from declared components.
     machine = hframe.with_effects(case.effect).replace(near(case))
     free = effect_parameters(machine.effects[0], machine, scale)
-    result = fit(machine, free, data, "free", longest_step=POLISH_STEP)
+    result = fit(machine, free, data, "simulation", longest_step=POLISH_STEP)
     assert result.chi2 < 1.3
     for p in case.effect.definition.parameters:
         error = result.machine.effects[0].parameters[p.name] - case.parameters[p.name]

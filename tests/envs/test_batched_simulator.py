@@ -6,8 +6,7 @@ import pytest
 from hframe_gym.dynamics import simulate
 from hframe_gym.dynamics.simulation import LONGEST_STEP
 from hframe_gym.effects import EFFECTS
-from hframe_gym.envs import HFrameEnv, RandomizeParameter, Reach
-from hframe_gym.envs.domain_randomization import Uniform
+from hframe_gym.envs import HFrameEnv, RandomizeParameter, Reach, Uniform
 from hframe_gym.machine import BUILTIN_MACHINES
 
 

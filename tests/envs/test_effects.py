@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from hframe_gym.dynamics.simulation import LONGEST_STEP, simulate
+from hframe_gym.dynamics import simulate
+from hframe_gym.dynamics.simulation import LONGEST_STEP
 from hframe_gym.effects import EFFECTS, effect_sites
 from hframe_gym.envs import HFrameEnv, HFrameVectorEnv, Reach
 from hframe_gym.machine import BUILTIN_MACHINES

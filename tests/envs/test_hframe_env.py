@@ -17,8 +17,8 @@ from hframe_gym.envs import (
     RandomizeParameter,
     Reach,
     Track,
+    Uniform,
 )
-from hframe_gym.envs.domain_randomization import Uniform
 from hframe_gym.errors import InputError
 from hframe_gym.machine import BUILTIN_MACHINES
 

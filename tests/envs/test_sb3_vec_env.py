@@ -50,6 +50,7 @@ def test_options_must_be_the_same_for_all():
         vec.reset()
 
 
+@pytest.mark.train
 def test_hindsight_replay_works():
     vec = VecMonitor(HFrameVecEnv(4, reward="sparse", max_episode_steps=20))
     model = SAC(

@@ -9,11 +9,10 @@ import pytest
 
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
-from hframe_gym.identification import initial_state_of_recording, prepare
-from hframe_gym.identification.dataset import Dataset, PreparedRecording, refine_encoder_offsets
+from hframe_gym.identification import Dataset, InitialState, PreparedRecording, initial_state_of_recording, prepare
+from hframe_gym.identification.dataset import refine_encoder_offsets
 from hframe_gym.identification.initial_state import encoder_zero_errors, model_initial_state, static_equilibrium
 from hframe_gym.identification.residual import channel_errors
-from hframe_gym.identification.rest_measurement import InitialState
 from hframe_gym.machine import Machine, rest_state
 from hframe_gym.recordings import Recording
 from tests import reference_simulator as reference

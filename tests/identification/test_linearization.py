@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from hframe_gym.dynamics.simulation import Motion
-from hframe_gym.identification import Dataset, FreeParameter, default_free_parameters, prepare
-from hframe_gym.identification.dataset import PreparedRecording
+from hframe_gym.identification import Dataset, FreeParameter, PreparedRecording, default_free_parameters, prepare
 from hframe_gym.identification.free_parameters import parameter_table, prior_precision, values_at
 from hframe_gym.identification.linearization import NormalEquations, ResidualModel, forward_differences
 from hframe_gym.machine import BUILTIN_MACHINES, Coordinate, Machine

@@ -7,9 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from hframe_gym.identification import estimate_initial_state
+from hframe_gym.identification import InitialState, estimate_initial_state
 from hframe_gym.identification.rest_measurement import (
-    InitialState,
     common_encoder_zeros,
     count_resting_rows,
     sensor_zero_error,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -62,7 +63,7 @@ def change(path: list[Any], value: Any) -> Callable[[dict[str, Any]], None]:
         (change(["sensors", 0, "noise", "unit"], "m"), "sensors.phi1_rad.noise: unit is 'm', must be 'rad'"),
         (
             change(["sensors", 0, "kind"], "magic"),
-            "sensors.phi1_rad.kind: sensor kind 'magic' is unknown; choose one of encoder",
+            "sensors.phi1_rad.kind: sensor kind 'magic' is not registered; choose one of encoder",
         ),
         (change(["drives", 0, "converter_bits"], 40), "drives.motor1.converter_bits"),
         (change(["sensors", 2, "range"], [0.1, -0.1]), "sensors.x_m.range: must be [lowest, highest]"),
@@ -208,3 +209,20 @@ def test_a_sensor_kind_that_a_user_registers_is_accepted_by_the_file(hframe: Mac
     sensor = load_machine(tmp_path / "m.json").sensors[0]
     assert not sensor.incremental
     assert SENSOR_KINDS.get(sensor.kind) is Resolver
+
+
+def test_a_sensor_kind_in_the_file_imports_no_module(
+    hframe: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "kind_in_a_file.py").write_text(
+        "from hframe_gym.machine import SENSOR_KINDS, SensorKind\n"
+        "SENSOR_KINDS.register('from-a-module')(type('FromAModule', (SensorKind,), {}))\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    content = machine_to_dict(hframe)
+    content["sensors"][0]["kind"] = "kind_in_a_file:from-a-module"
+    (tmp_path / "m.json").write_text(json.dumps(content))
+    with pytest.raises(InputError, match=r"sensors\.phi1_rad\.kind: .* is not registered; choose one of encoder"):
+        load_machine(tmp_path / "m.json")
+    assert "kind_in_a_file" not in sys.modules
+    assert "from-a-module" not in SENSOR_KINDS
