@@ -1,6 +1,7 @@
 """Equations of motion, the integrator, its generated kernel and simulation."""
 
-from .equations import BeltState, Equations, ForceBalance
+from .belts import BeltState
+from .equations import Equations, ForceBalance
 from .kernel import Kernel, in_blocks, kernel_for, kernel_source_text
 from .motion_forces import (
     belt_forces,

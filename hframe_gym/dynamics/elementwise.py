@@ -22,87 +22,215 @@ _PLAIN = (float, int, np.ndarray, np.generic)
 
 
 def exp(x: Any) -> Any:
-    """Return e**x; in a kernel, x below -700 gives zero and x above 700 is clipped."""
+    """Return e**x; in a kernel, x below -700 gives zero and x above 700 is clipped.
+
+    Args:
+        x: Exponent.
+
+    Returns:
+        e**x, with the type and shape of the operand.
+    """
     return _apply("exp", x)
 
 
 def sin(x: Any) -> Any:
-    """Return the sine of an angle in rad; in a kernel for |x| up to 1e6."""
+    """Return the sine of an angle in rad; in a kernel for |x| up to 1e6.
+
+    Args:
+        x: Angle, rad.
+
+    Returns:
+        Sine, in [-1, 1].
+    """
     return _apply("sin", x)
 
 
 def cos(x: Any) -> Any:
-    """Return the cosine of an angle in rad; in a kernel for |x| up to 1e6."""
+    """Return the cosine of an angle in rad; in a kernel for |x| up to 1e6.
+
+    Args:
+        x: Angle, rad.
+
+    Returns:
+        Cosine, in [-1, 1].
+    """
     return _apply("cos", x)
 
 
 def tanh(x: Any) -> Any:
-    """Return the hyperbolic tangent (not available in a kernel)."""
+    """Return the hyperbolic tangent (not available in a kernel).
+
+    Args:
+        x: Operand.
+
+    Returns:
+        Hyperbolic tangent, in [-1, 1].
+    """
     return _apply("tanh", x)
 
 
 def sqrt(x: Any) -> Any:
-    """Return the square root."""
+    """Return the square root.
+
+    Args:
+        x: Operand, not negative.
+
+    Returns:
+        Square root.
+    """
     return _apply("sqrt", x)
 
 
 def absolute(x: Any) -> Any:
-    """Return |x|."""
+    """Return |x|.
+
+    Args:
+        x: Operand.
+
+    Returns:
+        Absolute value.
+    """
     return _apply("absolute", x)
 
 
 def sign(x: Any) -> Any:
-    """Return -1, 0 or 1 (not available in a kernel; there see `copysign`)."""
+    """Return -1, 0 or 1 (not available in a kernel; there see `copysign`).
+
+    Args:
+        x: Operand.
+
+    Returns:
+        -1, 0 or 1.
+    """
     return _apply("sign", x)
 
 
 def minimum(a: Any, b: Any) -> Any:
-    """Return the smaller of two values."""
+    """Return the smaller of two values.
+
+    Args:
+        a: First operand.
+        b: Second operand.
+
+    Returns:
+        The smaller value, element by element.
+    """
     return _apply("minimum", a, b)
 
 
 def maximum(a: Any, b: Any) -> Any:
-    """Return the larger of two values."""
+    """Return the larger of two values.
+
+    Args:
+        a: First operand.
+        b: Second operand.
+
+    Returns:
+        The larger value, element by element.
+    """
     return _apply("maximum", a, b)
 
 
 def copysign(size: Any, sign_of: Any) -> Any:
-    """Return |size| with the sign of `sign_of`."""
+    """Return |size| with the sign of `sign_of`.
+
+    Args:
+        size: Operand whose magnitude is used.
+        sign_of: Operand whose sign is used.
+
+    Returns:
+        |size| with the sign of `sign_of`.
+    """
     return _apply("copysign", size, sign_of)
 
 
 def where(condition: Any, yes: Any, no: Any) -> Any:
-    """Return `yes` where the condition holds and `no` elsewhere, element by element."""
+    """Return `yes` where the condition holds and `no` elsewhere, element by element.
+
+    Args:
+        condition: Truth value, or an array of them.
+        yes: Value where the condition holds.
+        no: Value elsewhere.
+
+    Returns:
+        The selected values.
+    """
     return _apply("where", condition, yes, no)
 
 
 def fma(a: Any, b: Any, c: Any) -> Any:
-    """Return a * b + c, rounded once in a kernel and twice elsewhere."""
+    """Return a * b + c, rounded once in a kernel and twice elsewhere.
+
+    Args:
+        a: First factor.
+        b: Second factor.
+        c: Summand.
+
+    Returns:
+        a * b + c.
+    """
     return _apply("fma", a, b, c)
 
 
 def rint(x: Any) -> Any:
-    """Return the nearest integer, ties to even."""
+    """Return the nearest integer, ties to even.
+
+    Args:
+        x: Operand.
+
+    Returns:
+        Nearest integer, as a floating-point value.
+    """
     return _apply("rint", x)
 
 
 def floor(x: Any) -> Any:
-    """Return the largest integer that does not exceed x."""
+    """Return the largest integer that does not exceed x.
+
+    Args:
+        x: Operand.
+
+    Returns:
+        Largest integer that does not exceed x, as a floating-point value.
+    """
     return _apply("floor", x)
 
 
 def pow2(n: Any) -> Any:
-    """Return 2**n for integers n in [-1022, 1023], exactly."""
+    """Return 2**n for integers n in [-1022, 1023], exactly.
+
+    Args:
+        n: Exponent, an integer as a floating-point value.
+
+    Returns:
+        2**n.
+    """
     return _apply("pow2", n)
 
 
 def any_of(condition: Any) -> Any:
-    """Return whether the condition holds in any element."""
+    """Return whether the condition holds in any element.
+
+    Args:
+        condition: Truth value, or an array of them.
+
+    Returns:
+        One truth value.
+    """
     return _apply("any_of", condition)
 
 
 def named(role: str, index: int, value: Any) -> Any:
-    """Return the value; in a generated kernel it becomes the variable `role_index`."""
+    """Name a value: in a generated kernel it becomes the variable `role_index`.
+
+    Args:
+        role: What the value is, for example "extension".
+        index: Index of the coordinate, belt, drive, sensor or effect.
+        value: Value to name.
+
+    Returns:
+        The same value.
+    """
     return value.name_as(role, index) if hasattr(value, "name_as") else value
 
 
@@ -110,6 +238,12 @@ def reciprocals(values: Sequence[Any]) -> list[Any]:
     """Return 1/value of each value.
 
     Traced values are inverted by one division per group of three, because a division costs as much as ten products.
+
+    Args:
+        values: Values, none of them zero.
+
+    Returns:
+        1/value of each value.
     """
     if not any(hasattr(v, "traced_function") for v in values):
         return [1.0 / v for v in values]

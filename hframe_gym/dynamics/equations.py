@@ -25,28 +25,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .elementwise import fma, maximum, named, reciprocals, sign, update_if_any
-from .parameterized_machine import MotionPoint, ParameterizedMachine, Value, add_combination, combination
-
-
-class BeltState(NamedTuple):
-    """State of one belt.
-
-    Attributes:
-        extension: s, m.
-        rate: ds/dt, m/s.
-        stiffness: k = EA / l, N/m.
-        tension: T beyond the pretension, N.
-        stiffness_force: e = -(1/2) s^2 dk/dl, N: force per unit of dl/dp; 0 for constant length.
-        net_tension: T - e, N: acts where extension and length follow a coordinate alike.
-    """
-
-    extension: Value
-    rate: Value
-    stiffness: Value
-    tension: Value
-    stiffness_force: Value
-    net_tension: Value
+from .belts import BeltEquations
+from .elementwise import fma, maximum, named, sign, update_if_any
+from .parameterized_machine import MotionPoint, Value, combination
 
 
 class ForceBalance(NamedTuple):
@@ -63,7 +44,7 @@ class ForceBalance(NamedTuple):
     arguments: dict[int, dict[str, Value]]
 
 
-class Equations(ParameterizedMachine):
+class Equations(BeltEquations):
     """Equations of motion of one machine.
 
     Args:
@@ -71,98 +52,17 @@ class Equations(ParameterizedMachine):
         values: Parameter values by full name; parameters that are missing keep the machine's values.
     """
 
-    # -- belts -----------------------------------------------------------------------------------------------------
-
-    def belt_states(self, point: MotionPoint) -> list[BeltState]:
-        """Return the state of each belt (eq. 38-44)."""
-        travel = [self._belt_travel(i, point) for i in range(len(point.travel))]
-        speed = [v * arm for v, arm in zip(point.speed, self._lever_arms(point), strict=True)]
-        extensions, lengths = [], {}
-        for b, (row, length_row) in enumerate(zip(self.extension_rows, self.length_rows, strict=True)):
-            if not length_row:
-                extensions.append(named("extension", b, combination(row, travel)))
-                continue
-            # The carriage's displacement changes extension and length alike; motors change the extension only.
-            displacement = named("displacement", b, combination(length_row, travel))
-            shared = all(row.get(i) == factor for i, factor in length_row.items())
-            rest = {i: factor for i, factor in row.items() if not shared or i not in length_row}
-            extension = add_combination(displacement, rest, travel) if shared else combination(rest, travel)
-            extensions.append(named("extension", b, extension))
-            rest_length = self.parameter(f"{self.machine.belts[b].name}.rest_length")
-            lengths[b] = named("length", b, rest_length + displacement)
-        per_length = {
-            b: named("per_length", b, value)
-            for b, value in zip(lengths, reciprocals(list(lengths.values())), strict=True)
-        }
-        rates = [combination(row, speed) for row in self.extension_rows]
-        return [self._belt_state(b, s, rates[b], per_length.get(b)) for b, s in enumerate(extensions)]
-
-    def _belt_state(self, b: int, extension: Value, rate: Value, per_length: Value | None) -> BeltState:
-        """Return the state of belt b; per_length: 1/l, 1/m, None for constant stiffness."""
-        s, name = extension, self.machine.belts[b].name
-        k = self.constant_stiffness(b) if per_length is None else self.parameter(f"{name}.EA") * per_length
-        k = named("stiffness", b, k)
-        linear = k * s
-        tension = linear
-        for _, e in self.effects_at("tension", "belts", name):
-            tension = tension + (self.evaluate(e, "tension", {"s": s, "rate": rate, "k": k}) - linear)
-        tension = named("tension", b, tension)
-        if per_length is None:
-            return BeltState(s, rate, k, tension, 0.0, tension)
-        effects = self.effects_at("energy_slope", "belts", name)
-        slopes = [self.evaluate(e, "energy_slope", {"s": s, "k": k}) for _, e in effects]
-        if slopes:  # dV/dk in place of s^2/2
-            slope = slopes[0]
-            for more in slopes[1:]:
-                slope = slope + (more - 0.5 * s * s)
-            force = named("stiffness_force", b, slope * k * per_length)
-            return BeltState(s, rate, k, tension, force, named("net_tension", b, tension - force))
-        strain = named("strain", b, s * per_length)
-        net = named("net_tension", b, fma(-0.5 * strain, tension, tension))
-        return BeltState(s, rate, k, tension, 0.5 * strain * tension, net)
-
-    def _pulley_quantities(self, k: int, i: int, point: MotionPoint) -> dict[str, Value]:
-        return {"q": self.position(point, i), "z": self.effect_state(k, point), "per_radius": self.per_radius(i)}
-
-    def _belt_travel(self, i: int, point: MotionPoint) -> Value:
-        """Return the travel of coordinate i for the belts, m, with the part that an eccentric pulley adds."""
-        travel = point.travel[i]
-        for k, e in self.effects_on("belt_travel", i):
-            travel = travel + self.evaluate(e, "belt_travel", self._pulley_quantities(k, i, point))
-        return travel
-
-    def _lever_arms(self, point: MotionPoint) -> list[Value]:
-        """Return d(belt travel)/d(travel) of each coordinate: 1 except for eccentric pulleys."""
-        arms: list[Value] = []
-        for i in range(len(point.travel)):
-            effects = list(self.effects_on("lever_arm", i))
-            added = [self.evaluate(e, "lever_arm", self._pulley_quantities(k, i, point)) for k, e in effects]
-            arms.append(1.0 + sum(added[1:], added[0]) * self.per_radius(i) if added else 1.0)
-        return arms
-
-    def belt_forces(self, point: MotionPoint, belts: Sequence[BeltState]) -> list[Value]:
-        """Return the force of the belts on the travel of each coordinate, N: -G' T - (1/2) s^2 dk/dp."""
-        forces = []
-        for i, arm in enumerate(self._lever_arms(point)):
-            row: dict[int, float] = {}
-            terms: list[Value] = []
-            for b, belt in enumerate(belts):
-                stretch, lengthen = (rows[b].get(i, 0.0) for rows in (self.extension_rows, self.length_rows))
-                if lengthen and lengthen == stretch:
-                    parts = [(-stretch, belt.net_tension)]
-                else:
-                    parts = [(-stretch, belt.tension), (lengthen, belt.stiffness_force)]
-                for factor, value in parts:
-                    if factor:
-                        row[len(terms)] = factor
-                        terms.append(value)
-            forces.append(combination(row, terms) * arm)
-        return forces
-
     # -- drives ----------------------------------------------------------------------------------------------------
 
     def motor_voltages(self, voltages: Sequence[Value]) -> list[Value]:
-        """Return the voltages at the motors, V, for those that the controller commands, V."""
+        """Apply the effects on voltages to the commanded voltages.
+
+        Args:
+            voltages: Commanded voltage of each drive, V.
+
+        Returns:
+            Voltage at each motor, V.
+        """
         result = []
         for j, (drive, voltage) in enumerate(zip(self.machine.drives, voltages, strict=True)):
             for _, e in self.effects_at("voltage", drive.name, "drives"):
@@ -171,7 +71,15 @@ class Equations(ParameterizedMachine):
         return result
 
     def add_drive_forces(self, forces: Sequence[Value], motor_voltages: Sequence[Value]) -> list[Value]:
-        """Add the forces of the drives at standstill to forces on each coordinate, N (eq. 17 with w = 0)."""
+        """Add the force of each drive at standstill (eq. 17 with w = 0).
+
+        Args:
+            forces: Force on the travel of each coordinate, N.
+            motor_voltages: Voltage at each motor, V.
+
+        Returns:
+            The sum of both, N.
+        """
         result = list(forces)
         for j, voltage in enumerate(motor_voltages):
             i = self.drive_coordinates[j]
@@ -179,7 +87,16 @@ class Equations(ParameterizedMachine):
         return result
 
     def ohmic_current(self, j: int, point: MotionPoint, motor_voltage: Value) -> Value:
-        """Return the current (V - Ke N w) / R of drive j, A (eq. 17)."""
+        """Return the current (V - Ke N w) / R of a drive (eq. 17).
+
+        Args:
+            j: Index of the drive.
+            point: Point of the motion.
+            motor_voltage: Voltage at the motor, V.
+
+        Returns:
+            Current, A.
+        """
         speed = self.speed(point, self.drive_coordinates[j])
         return (motor_voltage - self._emf_constant(j) * speed) * (1.0 / self._of_drive(j, "resistance"))
 
@@ -272,7 +189,15 @@ class Equations(ParameterizedMachine):
         return [updated.get(i, force) for i, force in enumerate(forces)]
 
     def balance(self, point: MotionPoint, voltages: Sequence[Value]) -> ForceBalance:
-        """Return all forces at a point under the given commanded voltages, V."""
+        """Return all forces at a point.
+
+        Args:
+            point: Point of the motion.
+            voltages: Commanded voltage of each drive, V.
+
+        Returns:
+            Forces and Coulomb level of each coordinate.
+        """
         motor_voltages = self.motor_voltages(voltages)
         forces = self.belt_forces(point, self.belt_states(point))
         return self.force_balance(point, motor_voltages, self.add_drive_forces(forces, motor_voltages))
@@ -280,13 +205,16 @@ class Equations(ParameterizedMachine):
     def net_forces(
         self, point: MotionPoint, voltages: Sequence[Value], direction: Callable[[Value], Value] = sign
     ) -> list[Value]:
-        """Return the sum of all forces on the travel of each coordinate, N, with friction.
+        """Return the sum of all forces on each coordinate, with friction.
 
         Args:
             point: Point of the motion.
             voltages: Commanded voltages, V.
             direction: Direction of the motion as a function of speed, m/s: `sign`, or a smooth function such as
                 tanh(v / turning) for optimization.
+
+        Returns:
+            Force on the travel of each coordinate, N.
         """
         held, coulomb, _ = self.balance(point, voltages)
         sides = [direction(v) for v in point.speed]
@@ -298,8 +226,68 @@ class Equations(ParameterizedMachine):
     def accelerations(
         self, point: MotionPoint, voltages: Sequence[Value], direction: Callable[[Value], Value] = sign
     ) -> list[Value]:
-        """Return the acceleration of the travel of each coordinate, m/s^2; arguments as of `net_forces`."""
+        """Return the acceleration of each coordinate.
+
+        Args:
+            point: Point of the motion.
+            voltages: Commanded voltages, V.
+            direction: Direction of the motion as a function of speed, see `net_forces`.
+
+        Returns:
+            Acceleration of the travel of each coordinate, m/s^2.
+        """
         return [force / self.mass(i) for i, force in enumerate(self.net_forces(point, voltages, direction))]
+
+    # -- sensors and delays ----------------------------------------------------------------------------------------
+
+    def sensor_readings(self, positions: Sequence[Value]) -> list[Value]:
+        """Return the reading of every sensor, without delay, noise and resolution.
+
+        Args:
+            positions: Position of each coordinate in the coordinate's unit.
+
+        Returns:
+            Reading of every sensor, in the unit of its channel.
+        """
+        names = self.machine.coordinate_names
+        readings = []
+        for j, sensor in enumerate(self.machine.sensors):
+            terms = []
+            for key in sensor.row:  # a key is a coordinate, or a product of two
+                factors = [key] if key in names else key.split("*")
+                value = positions[names.index(factors[0])]
+                for factor in factors[1:]:
+                    value = value * positions[names.index(factor)]
+                terms.append(value)
+            reading = combination(dict(enumerate(sensor.row.values())), terms)
+            across = self.machine.other_axis(sensor.coordinate)
+            quantities = {"across": positions[names.index(across)] if across else 0.0}
+            for _, e in self.effects_at("measurement", sensor.channel):
+                reading = self.evaluate(e, "measurement", {"r": reading, **quantities})
+            readings.append(named("reading", j, reading))
+        return readings
+
+    def voltage_delays(self) -> list[Value]:
+        """Return the delay of each drive's voltage.
+
+        Returns:
+            Delay by drive, s.
+        """
+        return [self._delay("delay", d.name, "drives") for d in self.machine.drives]
+
+    def measurement_delays(self) -> list[Value]:
+        """Return the delay of each sensor.
+
+        Returns:
+            Delay by sensor, s.
+        """
+        return [self._delay("measurement_delay", s.channel) for s in self.machine.sensors]
+
+    def _delay(self, hook: str, *sites: str) -> Value:
+        delay: Value = 0.0
+        for _, e in self.effects_at(hook, *sites):
+            delay = delay + self.evaluate(e, hook, {})
+        return delay
 
     # -- arrays ----------------------------------------------------------------------------------------------------
 
@@ -317,6 +305,9 @@ class Equations(ParameterizedMachine):
             velocities: Velocities of the same shape; None: at rest.
             time_s: Times (...), s.
             effect_states: States of the effects by index.
+
+        Returns:
+            The point, with arrays of shape (...) for every coordinate.
         """
         q = np.asarray(positions, float)
         v = np.zeros_like(q) if velocities is None else np.asarray(velocities, float)
@@ -329,5 +320,12 @@ class Equations(ParameterizedMachine):
         )
 
     def in_units(self, forces: Sequence[Value]) -> Any:
-        """Return forces on the travel, N, as array (..., coordinates) in the coordinates' units (N or Nm)."""
+        """Convert forces on the travel to the coordinates' units.
+
+        Args:
+            forces: Force on the travel of each coordinate, N, arrays of shape (...).
+
+        Returns:
+            Forces in the coordinates' units (N or Nm), shape (..., coordinates).
+        """
         return np.stack(np.broadcast_arrays(*(f * self.radius(i) for i, f in enumerate(forces))), axis=-1)

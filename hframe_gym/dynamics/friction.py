@@ -24,7 +24,11 @@ inlined = njit(forceinline=True, nogil=True, error_model="numpy")
 
 @inlined
 def decay_integral(z):  # type: ignore[no-untyped-def]
-    """Return (1 - exp(-z)) / z for z >= 0: the speed gained per unit of force, over h/m."""
+    """Return (1 - exp(-z)) / z for z >= 0: the speed gained per unit of force, over h/m.
+
+    Args:
+        z: Viscous damping of the step, b h / m.
+    """
     p = fma(z, -1.0 / 39916800.0, 1.0 / 3628800.0)
     p = fma(z, -p, 1.0 / 362880.0)
     p = fma(z, -p, 1.0 / 40320.0)
@@ -46,6 +50,9 @@ def end_weight(z):  # type: ignore[no-untyped-def]
     """Return the weight w of the last speed in the mean of an exponential decay: mean v = (1 - w) v0 + w v1.
 
     w = 1/(1 - exp(-z)) - 1/z, which is one half for small z (the trapezoidal rule).
+
+    Args:
+        z: Viscous damping of the step, b h / m.
     """
     square = z * z
     p = fma(square, 1.0 / 47900160.0, -1.0 / 1209600.0)
@@ -61,7 +68,11 @@ def end_weight(z):  # type: ignore[no-untyped-def]
 
 @inlined
 def ramp(z):  # type: ignore[no-untyped-def]
-    """Return (z - 1 + exp(-z)) / z**2, z = b t/m: travel from rest per unit of force, over t**2/m."""
+    """Return (z - 1 + exp(-z)) / z**2, z = b t/m: travel from rest per unit of force, over t**2/m.
+
+    Args:
+        z: Viscous damping over the time t, b t / m; negative for motion reversed in time.
+    """
     # Taylor series to z**8, relative remainder 2e-13 for |z| <= 1/4; in pairs, to shorten the chain of dependent terms.
     q = z * z
     low = fma(q, fma(z, -1.0 / 120.0, 1.0 / 24.0), fma(z, -1.0 / 6.0, 0.5))
@@ -77,20 +88,36 @@ def ramp(z):  # type: ignore[no-untyped-def]
 
 @inlined
 def direction(v, f):  # type: ignore[no-untyped-def]
-    """Return a number with the sign of the motion, or of the force where the coordinate is at rest."""
+    """Return a number with the sign of the motion, or of the force where the coordinate is at rest.
+
+    Args:
+        v: Speed, m/s.
+        f: Force without friction, N.
+    """
     return where(v == 0.0, f, v)
 
 
 @inlined
 def static_friction(f, coulomb):  # type: ignore[no-untyped-def]
-    """Return the friction force at rest: equal to f up to the Coulomb level, so that exactly nothing of f remains."""
+    """Return the friction force at rest: equal to f up to the Coulomb level, so that exactly nothing of f remains.
+
+    Args:
+        f: Force without friction, N.
+        coulomb: Coulomb level F, N.
+    """
     below = where(f < coulomb, f, coulomb)
     return where(below > -coulomb, below, -coulomb)
 
 
 @inlined
 def friction_force(v, f, coulomb):  # type: ignore[no-untyped-def]
-    """Return the friction force: the Coulomb level against the motion, and static friction at rest."""
+    """Return the friction force: the Coulomb level against the motion, and static friction at rest.
+
+    Args:
+        v: Speed, m/s.
+        f: Force without friction, N.
+        coulomb: Coulomb level F, N.
+    """
     return where(v == 0.0, static_friction(f, coulomb), copysign(coulomb, v))
 
 
@@ -99,6 +126,13 @@ def update_speed(v, f, coulomb, decay, gain):  # type: ignore[no-untyped-def]
     """Return the speed after a step in which the coordinate does not stop, and whether it does stop.
 
     In lanes that stop, `stop_or_reverse` gives the speed.
+
+    Args:
+        v: Speed before the step, m/s.
+        f: Force without friction, N.
+        coulomb: Coulomb level F, N.
+        decay: Factor exp(-b h / m) by which viscous friction reduces the speed.
+        gain: Speed gained per unit of force, s/kg.
     """
     after = fma(gain, f - friction_force(v, f, coulomb), decay * v)
     return after, after * v < 0.0
@@ -110,6 +144,16 @@ def stop_or_reverse(v, f, coulomb, viscous, viscous_after, mass, per_mass, h):  
 
     The coordinate decelerates to rest in the time `stop`. Then it stays at rest if |f| <= F, or moves the other way for
     the remaining time. The result is meaningful only in lanes where `update_speed` reports a stop.
+
+    Args:
+        v: Speed before the step, m/s.
+        f: Force without friction, N.
+        coulomb: Coulomb level F, N.
+        viscous: Viscous coefficient b in the direction of the motion, Ns/m.
+        viscous_after: Viscous coefficient in the direction of the force, Ns/m.
+        mass: Mass m, kg.
+        per_mass: 1/m, 1/kg.
+        h: Length of the step, s.
     """
     net = f - copysign(coulomb, v)
     # stop = m/b log(1 - b v/net), by the series of atanh in s = x/(2 + x), x = -b v/net.

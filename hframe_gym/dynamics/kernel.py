@@ -98,7 +98,11 @@ class Kernel:
 
 
 def cache_folder() -> Path:
-    """Return the folder of the compiled kernels; create it if necessary."""
+    """Return the folder of the compiled kernels; create it if necessary.
+
+    Returns:
+        `$HFRAME_CACHE`, else the cache folder of the user, else a temporary folder.
+    """
     explicit = os.environ.get("HFRAME_CACHE")
     root = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
     for folder in filter(None, (explicit, f"{root}/hframe_gym", f"{tempfile.gettempdir()}/hframe_gym-{os.getuid()}")):

@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..machine import AppliedEffect, Machine
 from ..machine.effect import argument_names
-from .equations import BeltState, Equations
+from .belts import BeltState
+from .equations import Equations
 from .parameterized_machine import MotionPoint
 
 Array = NDArray[np.float64]
@@ -39,7 +40,16 @@ def belt_states(machine: Machine, positions: ArrayLike, velocities: ArrayLike | 
 
 
 def belt_forces(machine: Machine, positions: ArrayLike, velocities: ArrayLike | None = None) -> Array:
-    """Return the force of the belts on each coordinate (..., coordinates), in the coordinates' units (N or Nm)."""
+    """Return the force of the belts on each coordinate along a motion.
+
+    Args:
+        machine: Machine.
+        positions: Positions (..., coordinates) in the coordinates' units.
+        velocities: Velocities of the same shape; None: at rest.
+
+    Returns:
+        Forces (..., coordinates) in the coordinates' units (N or Nm).
+    """
     equations = Equations(machine)
     point = equations.point(positions, velocities)
     return np.asarray(equations.in_units(equations.belt_forces(point, equations.belt_states(point))))
@@ -108,7 +118,15 @@ def effect_forces(
 
 
 def sensor_readings(machine: Machine, positions: ArrayLike) -> Array:
-    """Return the readings of all sensors (..., sensors) at positions (..., coordinates), without delay and noise."""
+    """Return the readings of all sensors along a motion, without delay and noise.
+
+    Args:
+        machine: Machine.
+        positions: Positions (..., coordinates) in the coordinates' units.
+
+    Returns:
+        Readings (..., sensors) in the channels' units.
+    """
     q = np.asarray(positions, float)
     readings = Equations(machine).sensor_readings([q[..., i] for i in range(q.shape[-1])])
     return np.stack(np.broadcast_arrays(*readings), axis=-1)

@@ -1,4 +1,4 @@
-"""A machine whose parameters are values of any algebra: its coefficients, effects, sensor readings and delays."""
+"""A machine whose parameters are values of any algebra: its coefficients and its effects."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class ParameterizedMachine:
         self.states = [k for k, e in enumerate(machine.effects) if e.definition.next_state]
 
     def _acts_on(self, effect: AppliedEffect) -> str:
-        """Name of the coordinate on which an effect acts, empty for none."""
+        """Return the name of the coordinate on which an effect acts, empty for none."""
         definition, machine = effect.definition, self.machine
         if definition.coordinate:
             return definition.coordinate
@@ -70,41 +70,79 @@ class ParameterizedMachine:
     # -- parameters ------------------------------------------------------------------------------------------------
 
     def parameter(self, name: str) -> Value:
-        """Return the value of a parameter by its full name; a tied one is a factor times another."""
+        """Return the value of a parameter.
+
+        Args:
+            name: Full name, for example "x.mass".
+
+        Returns:
+            Its value; a tied parameter is a factor times another.
+        """
         if name in self.machine.ties:
             other, factor = self.machine.ties[name]
             return factor * self.parameter(other)
         return self._values[name]
 
-    def is_rotary(self, i: int) -> bool:
-        """Return whether coordinate i is rotary."""
+    def _is_rotary(self, i: int) -> bool:
+        """Return whether a coordinate is the angle of a pulley."""
         return self.machine.coordinates[i].kind == "rotary"
 
     def _of_coordinate(self, i: int, key: str) -> Value:
         return self.parameter(f"{self.machine.coordinates[i].name}.{key}")
 
     def radius(self, i: int) -> Value:
-        """Return the travel per unit of coordinate i: the pulley's radius, m, or 1."""
-        return self._of_coordinate(i, "radius") if self.is_rotary(i) else 1.0
+        """Return the travel per unit of a coordinate.
+
+        Args:
+            i: Index of the coordinate.
+
+        Returns:
+            Radius of the pulley, m, or 1 for a linear coordinate.
+        """
+        return self._of_coordinate(i, "radius") if self._is_rotary(i) else 1.0
 
     def per_radius(self, i: int) -> Value:
-        """Return 1/radius of coordinate i, 1/m, or 1 for a linear coordinate."""
-        return 1.0 / self.radius(i) if self.is_rotary(i) else 1.0
+        """Return the reciprocal of `radius`.
+
+        Args:
+            i: Index of the coordinate.
+
+        Returns:
+            1/radius, 1/m, or 1 for a linear coordinate.
+        """
+        return 1.0 / self.radius(i) if self._is_rotary(i) else 1.0
 
     def mass(self, i: int) -> Value:
-        """Return the mass of coordinate i seen by its travel, kg."""
+        """Return the mass of a coordinate that acts on its travel.
+
+        Args:
+            i: Index of the coordinate.
+
+        Returns:
+            Mass m, kg.
+        """
         return self._of_coordinate(i, "mass") / (self.radius(i) * self.radius(i))
 
     def coulomb(self, i: int) -> Value:
-        """Return the Coulomb level of coordinate i seen by its travel, N, without effects."""
+        """Return the Coulomb level of a coordinate that acts on its travel, without effects.
+
+        Args:
+            i: Index of the coordinate.
+
+        Returns:
+            Coulomb level F, N.
+        """
         return self._of_coordinate(i, "coulomb") / self.radius(i)
 
     def viscous(self, i: int, direction: Value) -> Value:
-        """Return the viscous coefficient of coordinate i seen by its travel, Ns/m, with back-EMF and effects.
+        """Return the viscous coefficient that acts on the travel of a coordinate, with back-EMF and effects.
 
         Args:
             i: Index of the coordinate.
             direction: Sign of the motion, +1 or -1.
+
+        Returns:
+            Viscous coefficient b, Ns/m.
         """
         coefficient = self._of_coordinate(i, "viscous")
         for _, e in self.effects_on("viscous", i):
@@ -126,30 +164,57 @@ class ParameterizedMachine:
         return self._of_drive(j, "gear_ratio") * self._of_drive(j, "Ke")
 
     def force_per_volt(self, j: int) -> Value:
-        """Return the force of drive j at standstill on the travel of its coordinate, N/V."""
-        return self._torque_per_volt(j) / self.radius(self.drive_coordinates[j])
+        """Return the force of a drive at standstill on the travel of its coordinate.
 
-    def constant_stiffness(self, b: int) -> Value:
-        """Return EA / rest length of belt b, N/m: its stiffness where its length does not follow the carriage."""
-        name = self.machine.belts[b].name
-        return self.parameter(f"{name}.EA") / self.parameter(f"{name}.rest_length")
+        Args:
+            j: Index of the drive.
+
+        Returns:
+            Force per volt, N/V.
+        """
+        return self._torque_per_volt(j) / self.radius(self.drive_coordinates[j])
 
     # -- effects ---------------------------------------------------------------------------------------------------
 
     def effects_at(self, hook: str, *sites: str) -> Iterator[tuple[int, AppliedEffect]]:
-        """Iterate over the effects with a hook at one of the sites, with their indices."""
+        """Iterate over the effects with a hook at one of the sites.
+
+        Args:
+            hook: Name of the hook.
+            *sites: Names of the sites.
+
+        Returns:
+            Pairs of the index in the machine and the effect.
+        """
         for k, e in enumerate(self.machine.effects):
             if getattr(e.definition, hook) and e.site in sites:
                 yield k, e
 
     def effects_on(self, hook: str, i: int) -> Iterator[tuple[int, AppliedEffect]]:
-        """Iterate over the effects with a hook that act on coordinate i, with their indices."""
+        """Iterate over the effects with a hook that act on a coordinate.
+
+        Args:
+            hook: Name of the hook.
+            i: Index of the coordinate.
+
+        Returns:
+            Pairs of the index in the machine and the effect.
+        """
         for k, e in enumerate(self.machine.effects):
             if getattr(e.definition, hook) and self._effect_coordinates[k] == i:
                 yield k, e
 
     def evaluate(self, effect: AppliedEffect, hook: str, quantities: Mapping[str, Value]) -> Value:
-        """Return a hook's value for the given quantities and the parameter values of these equations."""
+        """Evaluate a hook of an effect with the parameter values of this object.
+
+        Args:
+            effect: Effect of the machine.
+            hook: Name of the hook.
+            quantities: Values of its arguments that are no parameters of the effect.
+
+        Returns:
+            The hook's value, in the unit that `hframe_gym.machine.effect` states.
+        """
         function = getattr(effect.definition, hook)
         return function(
             *(
@@ -159,15 +224,40 @@ class ParameterizedMachine:
         )
 
     def position(self, point: MotionPoint, i: int) -> Value:
-        """Return the position of coordinate i in the coordinate's unit, m or rad."""
+        """Return the position of a coordinate.
+
+        Args:
+            point: Point of the motion.
+            i: Index of the coordinate.
+
+        Returns:
+            Position in the coordinate's unit, m or rad.
+        """
         return point.travel[i] * self.per_radius(i)
 
     def speed(self, point: MotionPoint, i: int) -> Value:
-        """Return the speed of coordinate i in the coordinate's unit, m/s or rad/s."""
+        """Return the speed of a coordinate.
+
+        Args:
+            point: Point of the motion.
+            i: Index of the coordinate.
+
+        Returns:
+            Speed in the coordinate's unit, m/s or rad/s.
+        """
         return point.speed[i] * self.per_radius(i)
 
     def effect_state(self, k: int, point: MotionPoint, **arguments: Value) -> Value:
-        """Return the state of effect k at a point; arguments: level and current, where its `next_state` needs them."""
+        """Return the state of an effect at a point.
+
+        Args:
+            k: Index of the effect.
+            point: Point of the motion.
+            **arguments: Level and current, where its `next_state` needs them.
+
+        Returns:
+            The state in its unit; 0 for an effect without state.
+        """
         if k not in self.states:
             return 0.0
         state = point.effect_states.get(k, 0.0)
@@ -178,7 +268,7 @@ class ParameterizedMachine:
         return named("effect_state", k, self.evaluate(self.machine.effects[k], "next_state", quantities))
 
     def _quantities(self, k: int, i: int, point: MotionPoint) -> dict[str, Value]:
-        """Arguments of the hooks that act on coordinate i, except for the effect's state."""
+        """Return the arguments of the hooks that act on coordinate i, except for the effect's state."""
         effect = self.machine.effects[k]
         quantities = {"q": self.position(point, i), "v": self.speed(point, i), "t": point.time}
         variable, _, name = effect.definition.against.partition(" of ")
@@ -190,7 +280,7 @@ class ParameterizedMachine:
         return quantities
 
     def _with_state(self, k: int, i: int, point: MotionPoint) -> dict[str, Value]:
-        """Arguments of the hooks that act on coordinate i, with the effect's state."""
+        """Return the arguments of the hooks that act on coordinate i, with the effect's state."""
         quantities = self._quantities(k, i, point)
         quantities["z"] = self.effect_state(k, point)
         if self.machine.effects[k].definition.against.startswith("path"):
@@ -215,56 +305,26 @@ class ParameterizedMachine:
             traveled: Travel of each coordinate over the step, m.
             speed: Speed of each coordinate within the step, m/s.
             dt: Length of the step, s.
+
+        Returns:
+            State after the step.
         """
-        i = self.state_coordinates[k]
         quantities = {"z": state, "dt": dt, **arguments}
-        if i >= 0:
+        if (i := self.state_coordinates[k]) >= 0:
             quantities |= {"dq": traveled[i] * self.per_radius(i), "v": speed[i] * self.per_radius(i)}
         return self.evaluate(self.machine.effects[k], "next_state", quantities)
 
-    # -- sensors and delays ----------------------------------------------------------------------------------------
-
-    def sensor_readings(self, positions: Sequence[Value]) -> list[Value]:
-        """Return the reading of every sensor, in its unit, without delay, noise and resolution.
-
-        Args:
-            positions: Position of each coordinate in the coordinate's unit.
-        """
-        names = self.machine.coordinate_names
-        readings = []
-        for j, sensor in enumerate(self.machine.sensors):
-            terms = []
-            for key in sensor.row:  # a key is a coordinate, or a product of two
-                factors = [key] if key in names else key.split("*")
-                value = positions[names.index(factors[0])]
-                for factor in factors[1:]:
-                    value = value * positions[names.index(factor)]
-                terms.append(value)
-            reading = combination(dict(enumerate(sensor.row.values())), terms)
-            across = self.machine.other_axis(sensor.coordinate)
-            quantities = {"across": positions[names.index(across)] if across else 0.0}
-            for _, e in self.effects_at("measurement", sensor.channel):
-                reading = self.evaluate(e, "measurement", {"r": reading, **quantities})
-            readings.append(named("reading", j, reading))
-        return readings
-
-    def voltage_delays(self) -> list[Value]:
-        """Return the delay of each drive's voltage, s."""
-        return [self._delay("delay", d.name, "drives") for d in self.machine.drives]
-
-    def measurement_delays(self) -> list[Value]:
-        """Return the delay of each sensor, s."""
-        return [self._delay("measurement_delay", s.channel) for s in self.machine.sensors]
-
-    def _delay(self, hook: str, *sites: str) -> Value:
-        delay: Value = 0.0
-        for _, e in self.effects_at(hook, *sites):
-            delay = delay + self.evaluate(e, hook, {})
-        return delay
-
 
 def combination(row: IndexRow, values: Sequence[Value]) -> Value:
-    """Return the sum of row[i] * values[i]; positive terms come first, because a leading minus costs an instruction."""
+    """Return the sum of row[i] * values[i]; positive terms come first, because a leading minus costs an instruction.
+
+    Args:
+        row: Factors by index.
+        values: Values.
+
+    Returns:
+        The sum; 0.0 for an empty row.
+    """
     terms = sorted(((i, factor) for i, factor in row.items() if factor), key=lambda term: term[1] < 0)
     if not terms:
         return 0.0
@@ -274,7 +334,16 @@ def combination(row: IndexRow, values: Sequence[Value]) -> Value:
 
 
 def add_combination(total: Value, row: IndexRow, values: Sequence[Value]) -> Value:
-    """Return total + the sum of row[i] * values[i]."""
+    """Return total + the sum of row[i] * values[i].
+
+    Args:
+        total: First summand.
+        row: Factors by index.
+        values: Values.
+
+    Returns:
+        The sum.
+    """
     for i, factor in sorted(row.items(), key=lambda term: term[1] < 0):
         size = values[i] if abs(factor) == 1.0 else abs(factor) * values[i]
         total = total - size if factor < 0 else total + size

@@ -85,12 +85,26 @@ class _MaskModel(models.PrimitiveModel):
 
 
 def load(rows: Any, k: Any) -> Any:
-    """Return row k of a contiguous array, shape (n, LANES), as one register."""
+    """Load a row of an array into one register.
+
+    Args:
+        rows: Contiguous array, shape (n, LANES).
+        k: Index of the row.
+
+    Returns:
+        `LANES` values.
+    """
     raise NotImplementedError
 
 
-def store(rows: Any, k: Any, value: Any) -> Any:
-    """Write a register to row k of a contiguous array, shape (n, LANES)."""
+def store(rows: Any, k: Any, value: Any) -> None:
+    """Write a register to a row of an array.
+
+    Args:
+        rows: Contiguous array, shape (n, LANES).
+        k: Index of the row.
+        value: Register to write.
+    """
     raise NotImplementedError
 
 

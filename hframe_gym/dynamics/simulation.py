@@ -30,7 +30,11 @@ class NotFiniteError(ArithmeticError):
 
 
 def threads() -> int:
-    """Return the number of threads for batches: `$HFRAME_THREADS`, or every core that this process may use."""
+    """Return the number of threads for batches.
+
+    Returns:
+        `$HFRAME_THREADS`, or the number of cores that this process may use.
+    """
     explicit = os.environ.get("HFRAME_THREADS")
     return max(1, int(explicit)) if explicit else _cores(os.getpid())
 
@@ -137,41 +141,55 @@ def simulate_batch(
     Returns:
         The motion.
     """
-    kernel: Kernel = kernel_for(machine, forced=extra_force is not None)
+    kernel = kernel_for(machine, forced=extra_force is not None)
     count = len(machine.coordinates)
     radii = machine.travel_per_unit
 
-    def series(values: Array | None) -> Array:
-        if values is None:
-            return _NO_SERIES
-        return np.ascontiguousarray(values if np.ndim(values) == 3 else np.asarray(values)[None], float)
-
-    inputs, force, observed = series(inputs), series(extra_force), series(measured)
+    inputs, force, observed = _series(inputs), _series(extra_force), _series(measured)
     parameters = parameter_batch(machine) if parameters is None else parameters
     start = np.atleast_2d(rest_state(machine) if start is None else start)
     batch = max(map(len, (inputs, parameters, start, force, observed)))
-    # Copies: a broadcast row would be read-only, which is another type to Numba and a second compilation.
-    parameters = np.array(np.broadcast_to(parameters, (batch, parameters.shape[1])), order="C")
-    travel = np.array(np.broadcast_to(start * np.tile(radii, 2), (batch, 2 * count)), order="C")
+    parameters = _rows(parameters, batch)
+    travel = _rows(start * np.tile(radii, 2), batch)
     force = np.ascontiguousarray(force / radii) if len(force) else np.zeros((1, 1, count))
     travel_gains = gains * np.tile(radii, 2)[:, None] if gains is not None else _NOTHING
     grid = np.ascontiguousarray(time_s, float)
     out = np.empty((batch, len(grid), 2 * count)) if states else _NO_SERIES
     outputs = np.empty((batch, len(grid), len(machine.sensors))) if readings else _NO_SERIES
+    arguments = (grid, inputs, parameters, travel, observed, travel_gains, force, longest_step)
+    _run_kernel(kernel, arguments, out, outputs, blocks=-(-batch // LANES), parallel=parallel)
+    if states:
+        out /= np.tile(radii, 2)
+    return Motion(out[..., :count], out[..., count:], outputs)
+
+
+def _series(values: Array | None) -> Array:
+    """Add the batch axis to an array over samples where it lacks: shape (1 or B, n, k), empty for None."""
+    if values is None:
+        return _NO_SERIES
+    return np.ascontiguousarray(values if np.ndim(values) == 3 else np.asarray(values)[None], float)
+
+
+def _rows(values: Array, batch: int) -> Array:
+    """Return one row per machine, shape (batch, k), of values of shape (1 or batch, k).
+
+    The rows are copies: a broadcast row would be read-only, which is another type to Numba and a second compilation.
+    """
+    return np.array(np.broadcast_to(values, (batch, values.shape[1])), order="C")
+
+
+def _run_kernel(
+    kernel: Kernel, arguments: tuple[Any, ...], out: Array, readings: Array, *, blocks: int, parallel: bool
+) -> None:
+    """Simulate all blocks; `kernel.rollout` writes states and readings to `out` and `readings`."""
 
     def run(first: int, last: int) -> None:
-        kernel.rollout(
-            grid, inputs, parameters, travel, observed, travel_gains, force, longest_step, first, last, out, outputs
-        )
+        kernel.rollout(*arguments, first, last, out, readings)
 
-    blocks = -(-batch // LANES)
     if parallel:
         in_parallel(run, blocks)
     else:
         run(0, blocks)
-    if states:
-        out /= np.tile(radii, 2)
-    return Motion(out[..., :count], out[..., count:], outputs)
 
 
 def rollout(machine: Machine, time_s: Array, inputs: Array, *, velocities: bool = False, **options: Any) -> Array:

@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 
-from .tracing import Expression, Statement, Trace
+from .expressions import Expression
+from .tracing import Statement, Trace
 
 # Binding strength of operators in Python: a stronger one needs no brackets inside a weaker one.
 _COMPARISONS = dict.fromkeys(("<", "<=", ">", ">=", "==", "!="), 1)
@@ -18,7 +19,14 @@ _ATOM = 7  # names, numbers and calls
 
 
 def function_source(trace: Trace) -> str:
-    """Return the source text of a traced function."""
+    """Write a traced function as source text.
+
+    Args:
+        trace: Recorded function.
+
+    Returns:
+        Text of a Python function.
+    """
     return "\n".join([f"def {trace.signature}:", *_Writer(trace.statements, trace.names).lines]) + "\n"
 
 

@@ -14,123 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-_BINDING = {
-    "<": 1,
-    "<=": 1,
-    ">": 1,
-    ">=": 1,
-    "==": 1,
-    "!=": 1,
-    "|": 2,
-    "&": 3,
-    "+": 4,
-    "-": 4,
-    "*": 5,
-    "/": 5,
-    "neg": 6,
-}
-_ATOM = 7
-
-
-class Expression:
-    """A node of a trace: a number, a variable, an element of an array, or an operation on other nodes.
-
-    Attributes:
-        trace: Trace to which the node belongs.
-        operation: "number", "variable", "load", an operator, or the name of a function.
-        operands: Operands; of a number its text, of a load its text, of a variable its name and its version. Every
-            assignment to a variable makes a new version.
-        invariant: Whether the value is the same in all steps of the loop.
-        variables: Reassigned variables on which the value depends.
-    """
-
-    __slots__ = ("invariant", "operands", "operation", "trace", "variables")
-    __array_ufunc__ = None  # NumPy scalars leave mixed operations to this class
-
-    def __init__(self, trace: Trace, operation: str, operands: tuple[Any, ...], *, invariant: bool) -> None:
-        self.trace = trace
-        self.operation = operation
-        self.operands = operands
-        self.invariant = invariant
-        self.variables: frozenset[Expression] = frozenset()
-        if operation == "variable":
-            self.variables = frozenset() if invariant else frozenset([self])
-        else:
-            self.variables = frozenset().union(*(o.variables for o in operands if isinstance(o, Expression)))
-
-    @property
-    def is_leaf(self) -> bool:
-        """Whether the node is a number or a variable."""
-        return self.operation in ("number", "variable")
-
-    def traced_function(self, name: str, operands: Sequence[Any]) -> Expression:
-        """Return the node of a function of `elementwise`."""
-        return self.trace.node(name, *operands)
-
-    def name_as(self, role: str, index: int) -> Expression:
-        """Give the value the name `role_index` in generated source, computed at this point of the trace."""
-        return self.trace.let(role, index, self)
-
-    def __bool__(self) -> bool:
-        raise TypeError("a formula cannot branch on its arguments; use hframe_gym.dynamics.elementwise.where")
-
-    __hash__ = object.__hash__
-
-    def __neg__(self) -> Expression:
-        return self.trace.node("neg", self)
-
-    def __add__(self, other: Any) -> Expression:
-        return self.trace.node("+", self, other)
-
-    def __radd__(self, other: Any) -> Expression:
-        return self.trace.node("+", other, self)
-
-    def __sub__(self, other: Any) -> Expression:
-        return self.trace.node("-", self, other)
-
-    def __rsub__(self, other: Any) -> Expression:
-        return self.trace.node("-", other, self)
-
-    def __mul__(self, other: Any) -> Expression:
-        return self.trace.node("*", self, other)
-
-    def __rmul__(self, other: Any) -> Expression:
-        return self.trace.node("*", other, self)
-
-    def __truediv__(self, other: Any) -> Expression:
-        return self.trace.node("/", self, other)
-
-    def __rtruediv__(self, other: Any) -> Expression:
-        return self.trace.node("/", other, self)
-
-    def __pow__(self, exponent: int) -> Expression:
-        if not isinstance(exponent, int) or exponent < 1:
-            raise TypeError(f"a formula may use ** with positive integers only, not {exponent!r}")
-        return self if exponent == 1 else self * self ** (exponent - 1)
-
-    def __lt__(self, other: Any) -> Expression:
-        return self.trace.node("<", self, other)
-
-    def __le__(self, other: Any) -> Expression:
-        return self.trace.node("<=", self, other)
-
-    def __gt__(self, other: Any) -> Expression:
-        return self.trace.node(">", self, other)
-
-    def __ge__(self, other: Any) -> Expression:
-        return self.trace.node(">=", self, other)
-
-    def __eq__(self, other: Any) -> Expression:  # type: ignore[override]
-        return self.trace.node("==", self, other)
-
-    def __ne__(self, other: Any) -> Expression:  # type: ignore[override]
-        return self.trace.node("!=", self, other)
-
-    def __and__(self, other: Any) -> Expression:
-        return self.trace.node("&", self, other)
-
-    def __or__(self, other: Any) -> Expression:
-        return self.trace.node("|", self, other)
+from .expressions import Expression, simplified
 
 
 @dataclass
@@ -175,9 +59,17 @@ class Trace:
     # -- values ----------------------------------------------------------------------------------------------------
 
     def node(self, operation: str, *operands: Any) -> Expression:
-        """Return the node of an operation, simplified where the result is exact."""
+        """Return the node of an operation, simplified where the result is exact.
+
+        Args:
+            operation: Operator, or name of a function of `elementwise`.
+            *operands: Expressions and numbers.
+
+        Returns:
+            The node; equal operations give the same node.
+        """
         values = tuple(map(self.expression, operands))
-        simple = _simplified(operation, values)
+        simple = simplified(operation, values)
         if simple is not None:
             return simple
         return self._unique(operation, values, invariant=all(v.invariant for v in values))
@@ -189,7 +81,14 @@ class Trace:
         return self._nodes[key]
 
     def expression(self, value: Any) -> Expression:
-        """Return a value as expression: numbers become nodes, expressions stay."""
+        """Convert a value to an expression.
+
+        Args:
+            value: Expression of this trace, or a finite number.
+
+        Returns:
+            The expression; a number becomes a node.
+        """
         if isinstance(value, Expression):
             return value
         number = float(value)
@@ -199,7 +98,14 @@ class Trace:
         return self._unique("number", (repr(number),), invariant=True)
 
     def argument(self, name: str) -> Expression:
-        """Return an argument of the function that it does not change."""
+        """Return an argument of the function that it does not change.
+
+        Args:
+            name: Name of the argument.
+
+        Returns:
+            A variable that is the same in all steps of the loop.
+        """
         return self._unique("variable", (name, 0), invariant=True)
 
     def load(self, array: str, row: int | str, name: str, *, invariant: bool = True) -> Expression:
@@ -210,6 +116,9 @@ class Trace:
             row: Index of the row, as a number or as source text.
             name: Identifier of the value; empty if it is used once.
             invariant: Whether the row is the same in all steps of the loop.
+
+        Returns:
+            The row.
         """
         value = self._unique("load", (f"load({array}, {row})",), invariant=invariant)
         if name:
@@ -240,13 +149,31 @@ class Trace:
     # -- statements ------------------------------------------------------------------------------------------------
 
     def variable(self, role: str, index: int | None, value: Expression) -> Expression:
-        """Return a new variable with a starting value; `assign` changes it."""
+        """Return a new variable with a starting value; `assign` changes it.
+
+        Args:
+            role: What the value is: a fixed identifier.
+            index: Index of the coordinate, belt, drive, sensor or effect; None for none.
+            value: Starting value.
+
+        Returns:
+            The variable.
+        """
         variable = self._unique("variable", (self._identifier(role, index), 0), invariant=False)
         self._block.append(Statement(f"{variable.operands[0]} = {{}}", (value,), (variable,)))
         return variable
 
     def call(self, function: str, *arguments: Any, results: Sequence[tuple[str, int | None]]) -> list[Expression]:
-        """Call a function that returns several values; results: role and index of each. Return them as variables."""
+        """Call a function that returns several values.
+
+        Args:
+            function: Name of the function.
+            *arguments: Expressions and numbers.
+            results: Role and index of each returned value.
+
+        Returns:
+            One variable per returned value.
+        """
         variables = [self._unique("variable", (self._identifier(*name), 0), invariant=False) for name in results]
         values = tuple(map(self.expression, arguments))
         text = f"{', '.join(v.operands[0] for v in variables)} = {function}({', '.join(['{}'] * len(values))})"
@@ -254,24 +181,50 @@ class Trace:
         return variables
 
     def assign(self, variable: Expression, value: Expression) -> Expression:
-        """Change a variable; return its new version, which later expressions must use."""
+        """Change a variable.
+
+        Args:
+            variable: Latest version of the variable.
+            value: New value.
+
+        Returns:
+            The new version, which later expressions must use.
+        """
         name, version = variable.operands
         changed = self._unique("variable", (name, version + 1), invariant=False)
         self._block.append(Statement(f"{name} = {{}}", (value,), (changed,)))
         return changed
 
     def store(self, array: str, row: int, value: Any) -> None:
-        """Write a value to a row of an array argument."""
+        """Write a value to a row of an array argument.
+
+        Args:
+            array: Name of the argument.
+            row: Index of the row.
+            value: Expression or number.
+        """
         value = self.expression(value)
         self._block.append(Statement(f"store({array}, {row}, {{}})", (value,)))
 
     def line(self, text: str) -> None:
-        """Add a line as it is."""
+        """Add a line as it is.
+
+        Args:
+            text: Source text without indentation.
+        """
         self._block.append(Statement(text))
 
     @contextlib.contextmanager
     def section(self, comment: str, prefix: str = "") -> Iterator[None]:
-        """Add a comment; names that are given inside begin with `prefix`."""
+        """Begin a section with a comment.
+
+        Args:
+            comment: Text of the comment.
+            prefix: Prefix of the names that are given inside.
+
+        Returns:
+            Nothing; use it in a `with` statement.
+        """
         self._block.append(Statement(f"# {comment}"))
         self._prefix = prefix
         yield
@@ -279,7 +232,16 @@ class Trace:
 
     @contextlib.contextmanager
     def block(self, head: str, *values: Expression, loop: bool = False) -> Iterator[None]:
-        """Add a block, `head` being its first line; loop: whether it repeats."""
+        """Add a block of lines.
+
+        Args:
+            head: First line of the block, with "{}" for each value.
+            *values: Values in that line.
+            loop: Whether the block repeats.
+
+        Returns:
+            Nothing; use it in a `with` statement.
+        """
         statement = Statement(head, values)
         self._block.append(statement)
         outer, self._block = self._block, statement.body
@@ -291,34 +253,16 @@ class Trace:
     def update_if_any(
         self, condition: Expression, values: Sequence[Any], update: Callable[[Sequence[Any]], Sequence[Any]]
     ) -> list[Expression]:
-        """Update values inside an `if any_of(condition)` block; see `elementwise.update_if_any`."""
+        """Update values inside an `if any_of(condition)` block; see `elementwise.update_if_any`.
+
+        Args:
+            condition: Condition per lane.
+            values: Values to update.
+            update: Function of the values; where the condition does not hold it changes nothing.
+
+        Returns:
+            The updated values.
+        """
         variables = [self.variable("guarded", i, self.expression(value)) for i, value in enumerate(values)]
         with self.block("if any_of({}):", condition):
             return [self.assign(v, value) for v, value in zip(variables, update(variables), strict=True)]
-
-
-def _simplified(operation: str, values: tuple[Expression, ...]) -> Expression | None:
-    """Return the result of operations that need no instruction, or None."""
-    numbers = [float(v.operands[0]) if v.operation == "number" else None for v in values]
-    trace = values[0].trace
-    if operation == "neg":
-        if numbers[0] is not None:
-            return trace.expression(-numbers[0])
-        return values[0].operands[0] if values[0].operation == "neg" else None
-    if operation not in ("+", "-", "*", "/"):
-        return None
-    (a, b), (first, second) = numbers, values
-    if a is not None and b is not None:
-        return trace.expression({"+": a + b, "-": a - b, "*": a * b, "/": a / b if b else math.inf}[operation])
-    if operation in ("+", "-"):
-        if b == 0.0:
-            return first
-        if a == 0.0:
-            return second if operation == "+" else -second
-        if second.operation == "neg":
-            return trace.node("-" if operation == "+" else "+", first, second.operands[0])
-    elif b == 1.0:
-        return first
-    elif operation == "*" and a == 1.0:
-        return second
-    return None

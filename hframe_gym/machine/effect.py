@@ -148,7 +148,14 @@ class Effect:
     coordinate: str = ""
 
     def parameter(self, name: str) -> EffectParameter:
-        """Return the parameter of that name."""
+        """Return a parameter by its name.
+
+        Args:
+            name: Name of the parameter.
+
+        Returns:
+            Its declaration.
+        """
         return next(p for p in self.parameters if p.name == name)
 
     @property
@@ -206,7 +213,14 @@ class AppliedEffect:
         return f"{self.definition.name}@{self.site}"
 
     def with_parameters(self, parameters: Mapping[str, float]) -> AppliedEffect:
-        """Return the same effect with other parameter values."""
+        """Return the same effect with other parameter values.
+
+        Args:
+            parameters: Value of every parameter, SI.
+
+        Returns:
+            The new effect at the same site.
+        """
         return dataclasses.replace(self, parameters=dict(parameters))
 
     def __call__(self, hook: str, **quantities: Any) -> Any:
@@ -229,5 +243,12 @@ class AppliedEffect:
 
 @lru_cache(maxsize=1024)
 def argument_names(function: Hook) -> tuple[str, ...]:
-    """Return the names of a hook's arguments."""
+    """Return the names of a hook's arguments.
+
+    Args:
+        function: Hook of an effect.
+
+    Returns:
+        Names in the order of the signature.
+    """
     return tuple(inspect.signature(function).parameters)

@@ -336,7 +336,12 @@ def interpolated(rows, i, lane, j, back):
 
 @njit(nogil=True, error_model='numpy')
 def most_steps(time, longest_step):
-    """Return the largest number of steps between two samples."""
+    """Return the largest number of steps between two samples.
+
+    Args:
+        time: Sample times, s, shape (n,).
+        longest_step: Largest step of the integrator, s.
+    """
     steps = 1
     for i in range(time.shape[0] - 1):
         steps = max(steps, int(np.ceil((time[i + 1] - time[i]) / longest_step - 1e-6)))
@@ -345,7 +350,16 @@ def most_steps(time, longest_step):
 
 @njit(nogil=True, error_model='numpy')
 def start_block(block, start_time, parameters, start, state, block_parameters):
-    """Copy parameters and initial states to the lanes of a block; spare lanes repeat its first machine."""
+    """Copy parameters and initial states to the lanes of a block; spare lanes repeat its first machine.
+
+    Args:
+        block: Index of the block.
+        start_time: Time of the first sample, s.
+        parameters: Machine parameters, shape (B, PARAMETERS).
+        start: Travel, m, and speed, m/s, shape (B, 2 * COORDINATES).
+        state: Output, shape (STATES, LANES).
+        block_parameters: Output, shape (PARAMETERS, LANES).
+    """
     for lane in range(LANES):
         b = block * LANES + lane
         b = b if b < parameters.shape[0] else block * LANES
@@ -360,7 +374,14 @@ def start_block(block, start_time, parameters, start, state, block_parameters):
 
 @njit(nogil=True, error_model='numpy')
 def copy_lanes(block, i, rows, table):
-    """Copy the first rows of a block to sample i of a table, shape (B, n, k), unless the table is empty."""
+    """Copy the first rows of a block to one sample of a table, unless the table is empty.
+
+    Args:
+        block: Index of the block.
+        i: Index of the sample.
+        rows: Values of the block, shape (at least k, LANES).
+        table: Output, shape (B, n, k), or empty.
+    """
     for lane in range(min(LANES, table.shape[0] - block * LANES)):
         for k in range(table.shape[2]):
             table[block * LANES + lane, i, k] = rows[k, lane]
@@ -368,7 +389,15 @@ def copy_lanes(block, i, rows, table):
 
 @njit(nogil=True, error_model='numpy')
 def delay_readings(time, i, sensor_delays, past_readings, reading):
-    """Keep the readings of sample i, and replace those of sensors with a delay by earlier ones."""
+    """Store the readings of a sample, and replace those of sensors with a delay by earlier ones.
+
+    Args:
+        time: Sample times, s, shape (n,).
+        i: Index of the sample.
+        sensor_delays: Delays, s, shape (SENSORS, LANES).
+        past_readings: Ideal readings of all samples, shape (n, SENSORS, LANES); row i is set.
+        reading: Ideal readings of sample i on entry, delayed ones on return, shape (SENSORS, LANES).
+    """
     past_readings[i] = reading
     sample_period = max(1e-12, time[i] - time[max(0, i - 1)])
     for j in range(SENSORS):
@@ -379,7 +408,17 @@ def delay_readings(time, i, sensor_delays, past_readings, reading):
 
 @njit(nogil=True, error_model='numpy')
 def inject_outputs(block, i, machines, measured, gains, reading, state):
-    """Correct the states by the measurements of sample i: state += gains @ (measured - reading)."""
+    """Correct the states by the measurements of a sample: state += gains @ (measured - reading).
+
+    Args:
+        block: Index of the block.
+        i: Index of the sample.
+        machines: Number of machines B.
+        measured: Measurements, shape (1 or B, n, SENSORS), NaN where not measured.
+        gains: Gains, shape (2 * COORDINATES, SENSORS).
+        reading: Simulated readings, shape (SENSORS, LANES).
+        state: State to correct, shape (STATES, LANES).
+    """
     for lane in range(min(LANES, machines - block * LANES)):
         for j in range(SENSORS):
             measurement = measured[block * LANES + lane if measured.shape[0] > 1 else 0, i, j]
@@ -391,7 +430,21 @@ def inject_outputs(block, i, machines, measured, gains, reading, state):
 
 @njit(nogil=True, error_model='numpy')
 def hold_inputs(block, parameters, time, i, steps, h, inputs, extra, drive_delays, voltages, external_forces):
-    """Set the voltages and external forces from sample i until the next; with a delay every step has its voltages."""
+    """Set the voltages and external forces from a sample until the next; with a delay every step has its voltages.
+
+    Args:
+        block: Index of the block.
+        parameters: Machine parameters, shape (B, PARAMETERS).
+        time: Sample times, s, shape (n,).
+        i: Index of the sample.
+        steps: Number of steps until the next sample.
+        h: Length of a step, s.
+        inputs: Voltages, V, shape (1 or B, n, INPUTS).
+        extra: External forces, N, shape (1 or B, n, COORDINATES).
+        drive_delays: Delays, s, shape (INPUTS, LANES).
+        voltages: Output, V, shape (INPUTS, LANES); with a delay (steps * INPUTS, LANES).
+        external_forces: Output, N, shape (COORDINATES, LANES).
+    """
     for lane in range(LANES):
         b = block * LANES + lane
         b = b if b < parameters.shape[0] else block * LANES

@@ -1,0 +1,151 @@
+"""Belts: extension, stiffness, tension and the forces on the coordinates; see `equations` for the formulas."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from .elementwise import fma, named, reciprocals
+from .parameterized_machine import MotionPoint, ParameterizedMachine, Value, add_combination, combination
+
+
+class BeltState(NamedTuple):
+    """State of one belt.
+
+    Attributes:
+        extension: s, m.
+        rate: ds/dt, m/s.
+        stiffness: k = EA / l, N/m.
+        tension: T beyond the pretension, N.
+        stiffness_force: e = -(1/2) s^2 dk/dl, N: force per unit of dl/dp; 0 for constant length.
+        net_tension: T - e, N: acts where extension and length follow a coordinate alike.
+    """
+
+    extension: Value
+    rate: Value
+    stiffness: Value
+    tension: Value
+    stiffness_force: Value
+    net_tension: Value
+
+
+class BeltEquations(ParameterizedMachine):
+    """Equations of the belts of one machine.
+
+    Args:
+        machine: Machine with its effects.
+        values: Parameter values by full name; parameters that are missing keep the machine's values.
+    """
+
+    def belt_states(self, point: MotionPoint) -> list[BeltState]:
+        """Return the state of each belt (eq. 38-44).
+
+        Args:
+            point: Point of the motion.
+
+        Returns:
+            One state per belt.
+        """
+        travel = [self._belt_travel(i, point) for i in range(len(point.travel))]
+        speed = [v * arm for v, arm in zip(point.speed, self._lever_arms(point), strict=True)]
+        extensions, lengths = [], {}
+        for b, (row, length_row) in enumerate(zip(self.extension_rows, self.length_rows, strict=True)):
+            if not length_row:
+                extensions.append(named("extension", b, combination(row, travel)))
+                continue
+            # The carriage's displacement changes extension and length alike; motors change the extension only.
+            displacement = named("displacement", b, combination(length_row, travel))
+            shared = all(row.get(i) == factor for i, factor in length_row.items())
+            rest = {i: factor for i, factor in row.items() if not shared or i not in length_row}
+            extension = add_combination(displacement, rest, travel) if shared else combination(rest, travel)
+            extensions.append(named("extension", b, extension))
+            rest_length = self.parameter(f"{self.machine.belts[b].name}.rest_length")
+            lengths[b] = named("length", b, rest_length + displacement)
+        per_length = {
+            b: named("per_length", b, value)
+            for b, value in zip(lengths, reciprocals(list(lengths.values())), strict=True)
+        }
+        rates = [combination(row, speed) for row in self.extension_rows]
+        return [self._belt_state(b, s, rates[b], per_length.get(b)) for b, s in enumerate(extensions)]
+
+    def constant_stiffness(self, b: int) -> Value:
+        """Return the stiffness of a belt whose length does not follow the carriage.
+
+        Args:
+            b: Index of the belt.
+
+        Returns:
+            EA / rest length, N/m.
+        """
+        name = self.machine.belts[b].name
+        return self.parameter(f"{name}.EA") / self.parameter(f"{name}.rest_length")
+
+    def _belt_state(self, b: int, extension: Value, rate: Value, per_length: Value | None) -> BeltState:
+        """Return the state of belt b; per_length: 1/l, 1/m, None for constant stiffness."""
+        s, name = extension, self.machine.belts[b].name
+        k = self.constant_stiffness(b) if per_length is None else self.parameter(f"{name}.EA") * per_length
+        k = named("stiffness", b, k)
+        linear = k * s
+        tension = linear
+        for _, e in self.effects_at("tension", "belts", name):
+            tension = tension + (self.evaluate(e, "tension", {"s": s, "rate": rate, "k": k}) - linear)
+        tension = named("tension", b, tension)
+        if per_length is None:
+            return BeltState(s, rate, k, tension, 0.0, tension)
+        effects = self.effects_at("energy_slope", "belts", name)
+        slopes = [self.evaluate(e, "energy_slope", {"s": s, "k": k}) for _, e in effects]
+        if slopes:  # dV/dk in place of s^2/2
+            slope = slopes[0]
+            for more in slopes[1:]:
+                slope = slope + (more - 0.5 * s * s)
+            force = named("stiffness_force", b, slope * k * per_length)
+            return BeltState(s, rate, k, tension, force, named("net_tension", b, tension - force))
+        strain = named("strain", b, s * per_length)
+        net = named("net_tension", b, fma(-0.5 * strain, tension, tension))
+        return BeltState(s, rate, k, tension, 0.5 * strain * tension, net)
+
+    def _pulley_quantities(self, k: int, i: int, point: MotionPoint) -> dict[str, Value]:
+        return {"q": self.position(point, i), "z": self.effect_state(k, point), "per_radius": self.per_radius(i)}
+
+    def _belt_travel(self, i: int, point: MotionPoint) -> Value:
+        """Return the travel of coordinate i for the belts, m, with the part that an eccentric pulley adds."""
+        travel = point.travel[i]
+        for k, e in self.effects_on("belt_travel", i):
+            travel = travel + self.evaluate(e, "belt_travel", self._pulley_quantities(k, i, point))
+        return travel
+
+    def _lever_arms(self, point: MotionPoint) -> list[Value]:
+        """Return d(belt travel)/d(travel) of each coordinate: 1 except for eccentric pulleys."""
+        arms: list[Value] = []
+        for i in range(len(point.travel)):
+            effects = list(self.effects_on("lever_arm", i))
+            added = [self.evaluate(e, "lever_arm", self._pulley_quantities(k, i, point)) for k, e in effects]
+            arms.append(1.0 + sum(added[1:], added[0]) * self.per_radius(i) if added else 1.0)
+        return arms
+
+    def belt_forces(self, point: MotionPoint, belts: Sequence[BeltState]) -> list[Value]:
+        """Return the force of the belts on each coordinate: -G' T - (1/2) s^2 dk/dp.
+
+        Args:
+            point: Point of the motion.
+            belts: State of each belt at this point, see `belt_states`.
+
+        Returns:
+            Force on the travel of each coordinate, N.
+        """
+        forces = []
+        for i, arm in enumerate(self._lever_arms(point)):
+            row: dict[int, float] = {}
+            terms: list[Value] = []
+            for b, belt in enumerate(belts):
+                stretch, lengthen = (rows[b].get(i, 0.0) for rows in (self.extension_rows, self.length_rows))
+                if lengthen and lengthen == stretch:
+                    parts = [(-stretch, belt.net_tension)]
+                else:
+                    parts = [(-stretch, belt.tension), (lengthen, belt.stiffness_force)]
+                for factor, value in parts:
+                    if factor:
+                        row[len(terms)] = factor
+                        terms.append(value)
+            forces.append(combination(row, terms) * arm)
+        return forces
