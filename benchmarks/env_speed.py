@@ -102,13 +102,14 @@ class Vector:
                 spent[name] = spent[name] + (between[name] - began[name], clock() - again[name])
         return {name: (float(step), float(kernel)) for name, (step, kernel) in spent.items()}
 
-    def share(self, repeats: int) -> dict[str, Any]:
+    def kernel_fraction(self, repeats: int) -> dict[str, Any]:
         """Return the fraction of a step that the bare kernel takes, by clock: median and extremes."""
         self.beside_kernel()
         runs = [self.beside_kernel() for _ in range(repeats)]
-        shares = {name: [run[name][1] / run[name][0] for run in runs] for name in ("processor", "wall")}
+        fractions = {name: [run[name][1] / run[name][0] for run in runs] for name in ("processor", "wall")}
         return {
-            name: {"share": float(np.median(each)), "spread": [min(each), max(each)]} for name, each in shares.items()
+            name: {"share": float(np.median(each)), "spread": [min(each), max(each)]}
+            for name, each in fractions.items()
         }
 
 
@@ -219,8 +220,8 @@ def main() -> None:
         content[f"over EnvPool's Pendulum: {name}"] = show(
             f"{ENVS} environments, {name}", interleaved(vector.rate, pool, repeats), "HFrame", "EnvPool Pendulum"
         )
-        shares = content[f"share of the bare kernel: {name}"] = vector.share(repeats)
-        for clock, fraction in shares.items():
+        fractions = content[f"share of the bare kernel: {name}"] = vector.kernel_fraction(repeats)
+        for clock, fraction in fractions.items():
             low, high = fraction["spread"]
             title = f"  of which the bare kernel, {clock} time"
             table.add_row(title, "", "", f"{fraction['share']:.3g}", f"{low:.3g} - {high:.3g}")

@@ -1,4 +1,4 @@
-"""What the `hframe` commands share: failures as one line, help texts from the registries, and printed tables."""
+"""Support for the `hframe` commands: one-line error messages, help texts from the registries, and printed tables."""
 
 from __future__ import annotations
 
