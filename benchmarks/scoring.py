@@ -22,10 +22,10 @@ SCORES = ("right", "missed", "part", "extra", "wrong", "false alarm")
 def classify(case: Case, verdict: str, named: list[str]) -> str:
     """Classify the effects that an identification named.
 
-    right: all hidden effects by an accepted label, and nothing else. missed: no effect. part: some of the hidden effects,
-    and nothing else. extra: all of them and others. wrong: others, but not all hidden ones. false alarm: an effect in a
-    rig without any. For effects outside the library, the verdict `unexplained` or a table over the right variable
-    counts as right.
+    right: all hidden effects by an accepted label, and nothing else. missed: no effect. part: some of the hidden
+    effects, and nothing else. extra: all of them and others. wrong: others, but not all hidden ones. false alarm: an
+    effect in a rig without any. For effects outside the library, the verdict `unexplained` or a table over the right
+    variable counts as right.
 
     Args:
         case: The rig.
