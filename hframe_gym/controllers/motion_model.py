@@ -70,7 +70,7 @@ class MotionModel:
     Attributes:
         machine: As given.
         observed: Coordinates in the order of a full-state observation.
-        rigid: Travel of every coordinate per metre of x and of y with unstretched belts, shape (n, 2).
+        rigid: Travel of every coordinate per meter of x and of y with unstretched belts, shape (n, 2).
         mass: Mass of every coordinate, kg, shape (n,).
         viscous: Viscous friction with back-EMF, Ns/m, shape (n,).
         coulomb: Coulomb levels, N, shape (n,).

@@ -107,7 +107,7 @@ class TimeOptimalReach:
         self.band, self.intervals, self.reversal_speed = band, intervals, reversal_speed
         self._axes = [i for i, c in enumerate(machine.coordinates) if c.kind == "linear"]
         positions = [np.split(rest_state(machine, row), 2)[0] for row in np.eye(len(self._axes))]
-        self._rigid = np.stack(positions, axis=1) * machine.travel_per_unit[:, None]  # travel per metre of each axis
+        self._rigid = np.stack(positions, axis=1) * machine.travel_per_unit[:, None]  # travel per meter of each axis
         self._points = np.array(ca.collocation_points(DEGREE, "radau"))
         self._build()
 

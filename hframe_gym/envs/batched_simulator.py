@@ -47,7 +47,7 @@ def parameter_values(machine: Machine, name: str, values: Array) -> Array:
 
 
 def units_per_travel(machine: Machine, values: Array) -> Array:
-    """Return the coordinates' units per metre of belt travel.
+    """Return the coordinates' units per meter of belt travel.
 
     Args:
         machine: The machine.
@@ -95,7 +95,7 @@ class BatchedSimulator:
     Attributes:
         state: Travel and velocity of each coordinate, time and effect states, shape (blocks, rows, LANES).
         parameters: Parameters of the machines, shape (blocks, P or more, LANES).
-        units_per_travel: The coordinates' units per metre of travel, shape (blocks, coordinates, LANES).
+        units_per_travel: The coordinates' units per meter of travel, shape (blocks, coordinates, LANES).
         readings: Ideal readings of the sensors with their effects and delays, shape (blocks, sensors, LANES).
 
     Raises:
@@ -122,7 +122,7 @@ class BatchedSimulator:
         self.blocks = -(-count // LANES)
         self._n = len(machine.coordinates)
         self._tool = [machine.coordinate_names.index(name) for name in ("x", "y")]
-        # Travel of every coordinate at rest with unstretched belts per metre of x and of y, (n, 2).
+        # Travel of every coordinate at rest with unstretched belts per meter of x and of y, (n, 2).
         self._rest = np.stack([self._rest_travel(name) for name in ("x", "y")], axis=1)
         # The stepped machine may have end stops; their parameters come last and are constant.
         self._stepped = with_end_stops(machine) if end_stops else machine

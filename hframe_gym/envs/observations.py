@@ -260,7 +260,7 @@ def _write_measurements(
 def _observe(state: Any, units: Any, entries: Any, box: Any, first: int, last: int, out: Any, tool: Any) -> int:
     """Write entries (n, 4) of the state as float32 to out (B, n or more), the first two also to tool (B, 2).
 
-    units (blocks, coordinates, LANES): units per metre of travel; box (2, n). Returns a machine whose state is not
+    units (blocks, coordinates, LANES): units per meter of travel; box (2, n). Returns a machine whose state is not
     finite, or -1.
     """
     count = entries.shape[0]

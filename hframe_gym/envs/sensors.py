@@ -65,9 +65,9 @@ class Lasers:
 
     def __post_init__(self) -> None:
         if not self.span > 0.0:
-            raise InputError(f"sensors: span is {self.span!r}, it must be a positive number of metres")
+            raise InputError(f"sensors: span is {self.span!r}, it must be a positive number of meters")
         if not (math.isfinite(self.noise) and self.noise >= 0.0):
-            raise InputError(f"sensors: noise is {self.noise!r}, it must be a number of metres that is not negative")
+            raise InputError(f"sensors: noise is {self.noise!r}, it must be a number of meters that is not negative")
         if len(self.centre) != 2 or not all(map(math.isfinite, self.centre)):
             raise InputError(f"sensors: centre is {self.centre!r}, it must be (x, y) in m")
 
@@ -281,7 +281,7 @@ class PositionFromSensors:
             linear = [c.name for c in machine.coordinates if c.kind == "linear"]
             count = len(machine.coordinates)
             unit = [rest_state(machine, [float(c == axis) for c in linear])[:count] for axis in ("x", "y")]
-            per_position = rows @ np.stack(unit, axis=1)  # measurements per metre of x and of y, (others, 2)
+            per_position = rows @ np.stack(unit, axis=1)  # measurements per meter of x and of y, (others, 2)
             if len(others) == 2 and np.linalg.matrix_rank(per_position) == 2:
                 belts[:, others] = np.linalg.inv(per_position)
             elif np.linalg.matrix_rank(per_position) == 2:

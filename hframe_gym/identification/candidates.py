@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 _MAX_SHAPES = 64  # Starting values per effect and site.
 _END_FRACTION = 0.005  # Fraction of the measurements at an end of a range that makes it worth a try.
 
-# Periodogram. Rates are counted in periods over the travelled distance.
+# Periodogram. Rates are counted in periods over the traveled distance.
 _MIN_PERIODS, _MAX_PERIODS = 0.5, 150.0
 _POINTS_PER_PERIOD = 4  # Grid points per resolvable period.
 _BAND_EDGES = (3.0, 12.0, 40.0)

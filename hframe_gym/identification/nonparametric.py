@@ -85,7 +85,7 @@ def table_variables(machine: Machine, data: Dataset) -> dict[str, Array]:
         data: Prepared recordings.
 
     Returns:
-        Positions, velocities and distances travelled of the coordinates and the time, along all runs, shape (n,) each.
+        Positions, velocities and distances traveled of the coordinates and the time, along all runs, shape (n,) each.
     """
 
     def in_run(run: PreparedRecording) -> dict[str, Array]:

@@ -75,7 +75,7 @@ def test_a_previewed_goal_that_does_not_move_is_held(hframe: Machine, model_base
 
 @pytest.mark.parametrize("period", [0.002, 0.005])
 def test_gains_of_other_periods_bring_the_model_to_the_goal(hframe: Machine, period: float) -> None:
-    """The closed loop of the gains and the linear model settles on a goal that is a millimetre away."""
+    """The closed loop of the gains and the linear model settles on a goal that is a millimeter away."""
     model, grid = MotionModel(hframe), OperatingPointGrid(hframe)
     middle = int(grid.nearest(np.zeros((1, 2)))[0])
     horizon = round(0.1 / period)

@@ -113,7 +113,7 @@ def test_symbolic_equations_agree_with_the_simulator(effects: str) -> None:
     scale = machine.travel_per_unit
     for _ in range(5):
         start = rest_state(machine, rng.uniform(-0.15, 0.15, 2))
-        start[2:4] += 0.2 * rng.uniform(-1.0, 1.0, 2)  # stretches belts by millimetres
+        start[2:4] += 0.2 * rng.uniform(-1.0, 1.0, 2)  # stretches belts by millimeters
         start[4:] = rng.choice([-1.0, 1.0], 4) * rng.uniform(0.3, 1.0, 4) / scale
         volts = rng.uniform(-11.0, 11.0, 2)
         motion = simulate_batch(machine, np.array([0.0, h]), np.tile(volts, (2, 1)), start=start)

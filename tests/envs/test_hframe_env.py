@@ -165,7 +165,7 @@ def test_end_stops_hold_the_tool():
         reached = max(reached, float(observation["achieved_goal"][0]))
     assert not terminated
     assert 0.28 < reached < 0.295
-    # Full voltage against the stop compresses it by a millimetre.
+    # Full voltage against the stop compresses it by a millimeter.
     assert observation["achieved_goal"][0] == pytest.approx(0.2812, abs=5e-4)
     assert abs(observation["observation"][4]) < 1e-3
 

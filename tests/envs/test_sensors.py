@@ -76,7 +76,7 @@ def test_achieved_goal_is_measured_by_lasers_or_else_by_encoders():
     # On unstretched belts, rest_state gives the measured angles for the achieved positions.
     angles = np.array([rest_state(machine, position)[2:4] for position in observed["achieved_goal"]])
     np.testing.assert_allclose(angles, observed["observation"][:, :2], atol=1e-5)
-    # Belts do stretch, by fractions of a millimetre.
+    # Belts do stretch, by fractions of a millimeter.
     error = np.abs(observed["achieved_goal"] - observed["privileged"][:, :2]).max()
     assert 1e-5 < error < 3e-3
 

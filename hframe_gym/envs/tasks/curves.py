@@ -160,9 +160,9 @@ class Polyline:
 def _points_on_circle(s: Any, radius: float, length: float) -> Any:
     """Return the points (n, 2) at arc lengths s (n,) on a circle."""
     out = np.empty((len(s), 2))
-    turns_per_metre = 1.0 / length
+    turns_per_meter = 1.0 / length
     for i in range(len(s)):
-        cosine, sine = cos_sin_of_turns(s[i] * turns_per_metre)
+        cosine, sine = cos_sin_of_turns(s[i] * turns_per_meter)
         out[i, 0], out[i, 1] = radius * cosine, radius * sine
     return out
 

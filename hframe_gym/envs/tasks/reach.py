@@ -42,7 +42,7 @@ class Reach(Task):
             InputError: If they do not.
         """
         if not self.band > 0.0:
-            raise InputError(f"task reach: band is {self.band!r}, it must be a positive number of metres")
+            raise InputError(f"task reach: band is {self.band!r}, it must be a positive number of meters")
         room = workspace[:, 1] - workspace[:, 0] - 2.0 * self.margin
         if not (self.margin >= 0.0 and np.all(room > 0.0)):
             raise InputError(f"task reach: margin is {self.margin!r} m, it must leave room in the workspace")
