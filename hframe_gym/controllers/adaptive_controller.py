@@ -3,9 +3,9 @@
 Belts, masses   A bank of model-based controllers is designed for soft, nominal and stiff belts and for light and heavy
                 masses. The forces that they demand along x and y are interpolated by the estimated belt stiffness and
                 by the estimated mass of that axis (gain scheduling, Astrom and Wittenmark 1995, chapter 9).
-Friction        Along a previewed path, the voltage is added that the estimated friction beyond the model's will need,
-                minus what it needed recently: the disturbance observers know the latter, but a force that reverses with
-                the motion takes them by surprise.
+Friction        Along a previewed path, a feedforward voltage compensates the difference between estimated and modeled
+                friction, minus its recent mean: the disturbance observers already compensate that mean, but they lag
+                behind a force that reverses with the motion.
 
 The estimates come from `MomentumFilter`, which starts from the same prior in every episode; there is no training.
 
@@ -50,9 +50,9 @@ class AdaptiveController(Controller):
 
     Attributes:
         model: Model of the machine.
-        expected_friction: Voltages that estimated friction beyond the model's will need along the path, in this period
-            and the next ones, divided by the rated voltages, and last the recent mean of that voltage, shape
-            (B, 2 PERIODS_AHEAD + 2). Zero for a goal that does not move.
+        expected_friction: Voltages that compensate the difference between estimated and modeled friction along the
+            path, in this period and the next ones, and last the recent mean of that voltage, all divided by the rated
+            voltages, shape (B, 2 PERIODS_AHEAD + 2). Zero for a goal that does not move.
         feature_sizes: Widths of the attributes that a policy on top of this controller may observe, by name.
 
     Raises:
@@ -105,8 +105,8 @@ class AdaptiveController(Controller):
         self._update_expected_friction(observation)
         self._starts.clear()
         force = self._scheduled_force(observation)
-        change = (self.expected_friction[:, :2] - self.expected_friction[:, -2:]) * model.rated
-        motor_voltage = np.clip(model.voltage(force) + change, -model.rated, model.rated)
+        friction_change = (self.expected_friction[:, :2] - self.expected_friction[:, -2:]) * model.rated
+        motor_voltage = np.clip(model.voltage(force) + friction_change, -model.rated, model.rated)
         actions = self._inversion.command(motor_voltage) / model.rated
         self._dead_time.send(actions * model.rated)
         for controller in self._controllers():

@@ -13,7 +13,7 @@ from ..errors import InputError
 from ..machine import Machine
 
 Array = NDArray[np.float64]
-TABLE_POINTS = 8001  # of a drive's characteristic between the rated voltages; 3 mV apart at 12 V
+TABLE_POINTS = 8001  # points of a drive's characteristic between the rated voltages; 3 mV apart at 12 V
 # Slope added to a characteristic so that it can be inverted where it is flat; 0 V then maps to the middle of a dead
 # band.
 MINIMUM_SLOPE = 1e-9
@@ -38,8 +38,8 @@ class DeadTime:
         self.machine_without_delay = dataclasses.replace(
             machine, effects=tuple(e for e in machine.effects if e.definition.delay is None)
         )
-        self._whole_periods = int(self.delay_s / period + 1e-9)
-        self._remainder_s = max(self.delay_s - self._whole_periods * period, 0.0)
+        self._complete_periods = int(self.delay_s / period + 1e-9)
+        self._remainder_s = max(self.delay_s - self._complete_periods * period, 0.0)
         self._sent = np.zeros((0, 0, 0))  # V, (B, periods, drives), latest first
 
     def reset(self, mask: NDArray[np.bool_]) -> None:
@@ -49,7 +49,7 @@ class DeadTime:
             mask: Stages that start an episode, shape (B,).
         """
         if len(self._sent) != len(mask):
-            self._sent = np.zeros((len(mask), self._whole_periods + 2, len(self.machine_without_delay.drives)))
+            self._sent = np.zeros((len(mask), self._complete_periods + 2, len(self.machine_without_delay.drives)))
         self._sent[mask] = 0.0
 
     def send(self, volts: Array) -> None:
@@ -79,8 +79,10 @@ class DeadTime:
         Returns:
             Voltages, V, shape (B, drives).
         """
-        earlier = self._remainder_s / self.period  # fraction of the period with the voltage of one period before
-        return (1.0 - earlier) * self._sent[:, self._whole_periods] + earlier * self._sent[:, self._whole_periods + 1]
+        earlier = self._remainder_s / self.period  # fraction of the period in which the voltage sent before still acts
+        return (1.0 - earlier) * self._sent[:, self._complete_periods] + earlier * self._sent[
+            :, self._complete_periods + 1
+        ]
 
     def arrived_history(self) -> tuple[Array, Array]:
         """Return the voltage history at the motors over the last period.
@@ -89,7 +91,7 @@ class DeadTime:
             Times from 0 to the period's end, s, shape (k,), and the voltages held from each of them, V, shape
             (B, k, drives).
         """
-        volts = self._sent[:, [self._whole_periods + 1, self._whole_periods, self._whole_periods]]
+        volts = self._sent[:, [self._complete_periods + 1, self._complete_periods, self._complete_periods]]
         times = np.array([0.0, self._remainder_s, self.period])
         return (times, volts) if self._remainder_s > 0.0 else (times[1:], volts[:, 1:])
 
@@ -113,8 +115,8 @@ class DeadTime:
                 f"the preview of {goals.shape[1] - 1} goals ends within the dead time of {self.delay_s:g} s; "
                 "increase the task's previews"
             )
-        given = np.arange(goals.shape[1], dtype=np.float64)
-        return np.asarray(PchipInterpolator(given, goals, axis=1)(np.minimum(later, given[-1])))
+        periods = np.arange(goals.shape[1], dtype=np.float64)
+        return np.asarray(PchipInterpolator(periods, goals, axis=1)(np.minimum(later, periods[-1])))
 
     def predict(self, state: Array) -> Array:
         """Predict the state one dead time ahead under the voltages that were sent already.
@@ -127,9 +129,9 @@ class DeadTime:
         """
         if self.delay_s == 0.0:
             return state
-        # During the remainder the voltages still arrive that were sent before those of the last complete periods.
-        times = np.concatenate([[0.0], self._remainder_s + self.period * np.arange(self._whole_periods + 1)])
-        volts = self._sent[:, [*range(self._whole_periods, -1, -1), 0]]
+        # At first, for the remainder of the delay, the motors still receive the voltages of one period earlier.
+        times = np.concatenate([[0.0], self._remainder_s + self.period * np.arange(self._complete_periods + 1)])
+        volts = self._sent[:, [*range(self._complete_periods, -1, -1), 0]]
         if self._remainder_s == 0.0:
             times, volts = times[1:], volts[:, 1:]
         scale = np.tile(self.machine_without_delay.travel_per_unit, 2)

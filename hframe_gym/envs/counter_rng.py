@@ -22,11 +22,12 @@ from numpy.typing import NDArray
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
+# Constants of SplitMix64, as uint64, so that the arithmetic stays in integers of 64 bits.
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _FIRST, _SECOND = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
 _S11, _S27, _S30, _S31 = (np.uint64(n) for n in (11, 27, 30, 31))
 _ONE = np.uint64(1)
-# The numbers that a reset uses are counted at a step that no episode reaches.
+# Step of the random numbers that a reset uses; no episode reaches it.
 RESET_STEP = 2**62
 
 
@@ -45,7 +46,7 @@ def compiled(function: Function) -> Function:
 
 @compiled
 def _mix(z: Any) -> Any:
-    """Return the finalizer of SplitMix64 of a 64-bit number."""
+    """Apply the finalizer of SplitMix64 to a 64-bit number."""
     z = (z ^ (z >> _S30)) * _FIRST
     z = (z ^ (z >> _S27)) * _SECOND
     return z ^ (z >> _S31)
@@ -58,7 +59,7 @@ def uniform(key: Any, step: Any, channel: Any) -> float:
     Args:
         key: Key of the episode, uint64.
         step: Control period of the episode, or `RESET_STEP`.
-        channel: Number within the step.
+        channel: Index of the number within the step.
 
     Returns:
         The number, never exactly 0 or 1.
@@ -115,7 +116,7 @@ def normal_pair(key: Any, step: Any, channel: Any) -> tuple[float, float]:
     Args:
         key: Key of the episode, uint64.
         step: Control period of the episode.
-        channel: First of the two uniform numbers that the pair is made from.
+        channel: Index of the first of the two uniform numbers from which the pair is computed.
 
     Returns:
         The two numbers.

@@ -76,8 +76,8 @@ class ParameterSpace:
             low, high = bounds.get(name, (smallest, math.inf))
             lower.append(low)
             upper.append(high)
-        # Idler pulleys divide a belt into sections of tied lengths. The shortest section leaves less room than a rule
-        # for all belt lengths can know, so these samples are clipped.
+        # Idler pulleys divide a belt into sections of tied lengths. The shortest section can restrict the belt's length
+        # further than a rule that applies to all belts provides for, so these samples are clipped.
         names = tuple(values)
         clipped = {names.index(free) for tied, (free, _) in machine.ties.items() if tied.endswith(".rest_length")}
         nominal = np.array(list(values.values()), np.float64)
@@ -105,7 +105,7 @@ class RuleSampler:
         rules: Rules of all occasions.
         machine: The machine, whose covariance `RandomizeIdentified` uses.
         when: The occasion, "reset" or "startup"; rules of the other one are ignored.
-        before: Lower and upper values, (N,) each, that an earlier occasion leaves (default: the nominal values).
+        before: Smallest and largest values after an earlier occasion, (N,) each. Default: the nominal values.
 
     Attributes:
         names: Full names of the parameters that change.
@@ -148,7 +148,7 @@ class RuleSampler:
         return self.draws - count
 
     def _add_parameter_rule(self, rule: RandomizeParameter) -> None:
-        """Add a rule, after a check that it matches a parameter and keeps within limits."""
+        """Add a rule for single parameters; refuse one that matches none or can leave the limits."""
         indices = matching(self._space.names, rule)
         if not indices:
             similar = get_close_matches(rule.parameter, self._space.names, cutoff=0.4) or self._space.names[:3]
@@ -208,7 +208,7 @@ class RuleSampler:
             uniforms: Uniform numbers in (0, 1), shape (k, draws).
 
         Returns:
-            Values after, shape (k, N). Friction and noise that would be negative are zero.
+            Values after, shape (k, N). Negative samples of friction and noise are set to zero.
 
         Raises:
             InputError: If an unbounded distribution yields a value outside the limits of a parameter.
@@ -229,7 +229,7 @@ class RuleSampler:
         return values
 
     def _limited(self, rule: RandomizeParameter, i: int, values: Array) -> Array:
-        """Return values (k,) of parameter i, clipped where that is allowed; raises InputError outside the limits."""
+        """Return values (k,) of parameter i, clipped where that is allowed; raise InputError outside the limits."""
         if i in self._space.clipped:
             return np.clip(values, self._space.lower[i], self._space.upper[i])
         if not rule.bounded and len(values):
@@ -240,7 +240,7 @@ class RuleSampler:
 
 
 class EpisodeSamples(NamedTuple):
-    """What k new episodes sample."""
+    """Samples of k new episodes."""
 
     keys: Keys  # of the episodes' random numbers, (k,)
     uniforms: Array  # uniform numbers for the task, (k, n)
@@ -260,8 +260,8 @@ class MachineSampler:
         task_parameters: Nominal values of the task's parameters by their short names.
 
     Attributes:
-        space: The parameters, of number N.
-        names: Full names of the randomized ones, sorted.
+        space: All N parameters.
+        names: Full names of the randomized parameters, sorted.
         columns: Their indices in `space.names`.
         low: Smallest value of every parameter, shape (N,).
         high: Largest value of every parameter, shape (N,).

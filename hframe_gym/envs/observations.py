@@ -1,4 +1,4 @@
-"""Builds the observations of a batch, from the full state or from measurements."""
+"""Observations of a batch, from the full state or from measurements."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class StateView(NamedTuple):
     """Entries of a state that are observed, n of them; the first two are the tool position.
 
     Attributes:
-        rows: Row of the state, its coordinate, and two coordinates whose product is added or -1, shape (n, 4).
+        rows: Row of the state, its coordinate, and two coordinates whose product is added (-1 for none), shape (n, 4).
         box: Lower and upper bound in the coordinates' units, shape (2, n).
     """
 
@@ -38,7 +38,7 @@ class StateView(NamedTuple):
 
     @classmethod
     def of(cls, simulator: BatchedSimulator, signals: Sequence[SignalSpec]) -> StateView:
-        """Return the view of state signals, clipped to float32 bounds as the space has them.
+        """Return the view of state signals, with the bounds of the observation space rounded to float32.
 
         Args:
             simulator: The batch of machines.
@@ -64,12 +64,12 @@ class ObservationBuilder:
     Args:
         simulator: The batch of machines.
         sensors: The observed sensors; None for the full state.
-        sampler: Samples the parameters.
-        privileged: Whether observations have `privileged`.
+        sampler: Sampler of the parameters.
+        privileged: Whether observations contain the entry `privileged`.
 
     Attributes:
         entries: Signals of `observation`.
-        privileged: Signals of `privileged`; empty without it.
+        privileged: Signals of the entry `privileged`; empty if there is none.
         measured: Whether sensors are observed instead of the state.
     """
 
@@ -85,7 +85,6 @@ class ObservationBuilder:
         machine, count = simulator.machine, simulator.count
         self.measured = sensors is not None
         self.entries = state_signals(machine) if sensors is None else sensor_signals(machine, sensors)
-        goals = workspace_of(machine) + np.array([-MARGIN, MARGIN])
         self._tool = StateView.of(simulator, state_signals(machine, ("x", "y"))[:2])
         self._sensors: SensorArray | None = None
         if sensors is None:
@@ -94,7 +93,7 @@ class ObservationBuilder:
             self._sensors = SensorArray(machine, sensors, count, sampler.space.names.index)
             self._position = PositionFromSensors.of(machine, sensors)
             self._box = np.stack(bounds_of(self.entries))
-            self._goal_box = goals
+            self._goal_box = workspace_of(machine) + np.array([-MARGIN, MARGIN])
         self.privileged = privileged_signals(machine, sampler.normalized_bounds()) if privileged else ()
         self._all_state = StateView.of(simulator, [s for s in self.privileged if s.coordinate])
         self._parameters = np.zeros((count, len(sampler.names) if privileged else 0), np.float32)
@@ -102,7 +101,7 @@ class ObservationBuilder:
     def _observe(
         self, first: int, last: int, view: StateView, out: NDArray[np.float32], tool: NDArray[np.float32]
     ) -> int:
-        """Write the entries of a view to out, and the tool position to tool; returns a broken environment or -1."""
+        """Write a view to `out` and the tool position to `tool`; return an environment with a non-finite state, or -1."""
         simulator = self._simulator
         broken: int = _observe(simulator.state, simulator.units_per_travel, *view, first, last, out, tool)
         return broken
@@ -115,13 +114,13 @@ class ObservationBuilder:
         sampler: MachineSampler,
         elapsed: NDArray[np.int64],
     ) -> None:
-        """Begin episodes, after the simulator has placed them.
+        """Begin episodes, after the simulator has set their initial states.
 
         Args:
             index: Environments, shape (k,).
             keys: Keys of the episodes, shape (k,).
             values: Parameters, shape (k, N).
-            sampler: Sampled the parameters.
+            sampler: Sampler that gave `values`.
             elapsed: Control periods since the reset of each environment, shape (count,).
         """
         if self.privileged:
@@ -240,9 +239,9 @@ def _write_measurements(
     for i in range(index.shape[0]):
         b = index[i]
         for j in range(n):
-            now = measurements[b, 0, j]
-            out[b, j] = np.float32(min(box[1, j], max(box[0, j], now)))
-            rate = (now - measurements[b, 1, j]) / period
+            measurement = measurements[b, 0, j]
+            out[b, j] = np.float32(min(box[1, j], max(box[0, j], measurement)))
+            rate = (measurement - measurements[b, 1, j]) / period
             out[b, n + j] = np.float32(min(box[1, n + j], max(box[0, n + j], rate)))
         for axis in range(2):
             position = 0.0
@@ -258,10 +257,10 @@ def _write_measurements(
 
 @compiled
 def _observe(state: Any, units: Any, entries: Any, box: Any, first: int, last: int, out: Any, tool: Any) -> int:
-    """Write entries (n, 4) of the state as float32 to out (B, n or more), the first two also to tool (B, 2).
+    """Write `StateView.rows` (n, 4) of the state as float32 to out (B, n or more), the first two also to tool (B, 2).
 
-    units (blocks, coordinates, LANES): units per meter of travel; box (2, n). Returns a machine whose state is not
-    finite, or -1.
+    units (blocks, coordinates, LANES): units per meter of travel; box (2, n): bounds. Return the index of an
+    environment whose state is not finite, or -1.
     """
     count = entries.shape[0]
     values = np.empty((count + 1, LANES))
@@ -272,10 +271,10 @@ def _observe(state: Any, units: Any, entries: Any, box: Any, first: int, last: i
         residue = load(block_state, 0) * 0.0  # stays zero until a value is not finite
         for j in range(count):
             value = load(block_state, entries[j, 0]) * load(block_units, entries[j, 1])
-            a, b = entries[j, 2], entries[j, 3]
-            if a >= 0:
-                across = load(block_state, b) * load(block_units, b)
-                value = value + load(block_state, a) * load(block_units, a) * across
+            factor, other = entries[j, 2], entries[j, 3]
+            if factor >= 0:
+                across = load(block_state, other) * load(block_units, other)
+                value = value + load(block_state, factor) * load(block_units, factor) * across
             residue = residue + (value - value)
             store(values, j, minimum(maximum(value, box[0, j]), box[1, j]))
         for lane in range(min(LANES, out.shape[0] - begin)):

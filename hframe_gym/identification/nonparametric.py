@@ -1,7 +1,8 @@
 """Nonparametric candidates: a table of a force or a friction level against one variable.
 
-They are the fallback for what no effect of the library explains. The missing force of every coordinate is compared with
-every variable; the best pairs become candidates. The report names a table as a table, not as a physical effect.
+They are the fallback for a residual that no effect of the library explains. The missing force of every coordinate is
+compared with every variable; the best pairs become candidates. The report names a table as a table, not as a physical
+effect.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ from .residual import missing_force
 from .screening import ScoredCandidate, screen
 
 Array = NDArray[np.float64]
-_BINS = 96
+_BINS = 96  # Bins of the variable over which a force is averaged.
+_BASE_KNOT_DENSITY = 0.15  # Density of the knots where the curve is straight, relative to its sharpest bend.
 _MIN_SAMPLES = 20  # Samples that make the mean of a bin usable.
 
 
@@ -53,8 +55,8 @@ def table_candidates(
         criteria: Decision thresholds.
 
     Returns:
-        For each coordinate the best tables, and one against time: a force that is missing on one coordinate shows on
-        the others too, and the position of a run distinguishes runs as well as time does.
+        For each coordinate the best tables, and one against time. A force that acts on one coordinate also appears in
+        the missing force of the others, and a position that differs between runs correlates with time.
     """
     motion_and_force = missing_force(machine, data)
     variables = table_variables(machine, data)
@@ -63,11 +65,13 @@ def table_candidates(
         force, direction = motion[:, 2], np.sign(motion[:, 1])
         if not np.any(force):
             continue
-        power = float(np.mean(force**2)) * (machine.travel_per_unit[machine.coordinate_names.index(site)] ** -2)
+        # Forces on the belt travel, N, so that those on linear and on rotary coordinates can be compared.
+        travel_per_unit = float(machine.travel_per_unit[machine.coordinate_names.index(site)])
+        mean_square = float(np.mean(force**2)) * travel_per_unit**-2
         for name, values in variables.items():
             for kind, curve in (("smooth_force", force), ("smooth_friction", -force * direction)):
                 fraction, knots = _curve(values, curve, symmetric=name.startswith("velocity"))
-                ranked.append((fraction * power, Table(f"{kind}[{name}]", site, knots)))
+                ranked.append((fraction * mean_square, Table(f"{kind}[{name}]", site, knots)))
     ranked.sort(key=lambda entry: -entry[0])
     count = criteria.max_tables_per_coordinate
     chosen: list[Table] = []
@@ -88,7 +92,7 @@ def table_variables(machine: Machine, data: Dataset) -> dict[str, Array]:
         Positions, velocities and distances traveled of the coordinates and the time, along all runs, shape (n,) each.
     """
 
-    def in_run(run: PreparedRecording) -> dict[str, Array]:
+    def variables_of_run(run: PreparedRecording) -> dict[str, Array]:
         motion = predict(machine, run, "one_step", period=data.period, states=True)
         values: dict[str, Array] = {}
         for i, c in enumerate(machine.coordinate_names):
@@ -98,7 +102,7 @@ def table_variables(machine: Machine, data: Dataset) -> dict[str, Array]:
             values[f"path of {c}"] = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(position)))])
         return values | {"time": run.time_s}
 
-    parts = list(map_runs(in_run, data))
+    parts = list(map_runs(variables_of_run, data))
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
@@ -131,7 +135,7 @@ def _curve(variable_values: Array, values: Array, *, symmetric: bool) -> tuple[f
     if usable.any():
         smooth = np.convolve(np.interp(centers, centers[usable], mean[usable]), [0.25, 0.5, 0.25], "same")
     curvature = np.abs(np.gradient(np.gradient(smooth)))
-    density = np.sqrt(curvature / max(float(curvature.max()), 1e-300)) + 0.15
+    density = np.sqrt(curvature / max(float(curvature.max()), 1e-300)) + _BASE_KNOT_DENSITY
     cumulative = np.concatenate([[0.0], np.cumsum(density)])
     knots = np.interp(np.linspace(0.0, cumulative[-1], KNOTS), cumulative, edges)
     return fraction, knots
@@ -156,7 +160,7 @@ def add_tables(
     max_tables: int,
     log: Log,
 ) -> Selection:
-    """Add tables for what the effects leave, in the mode of the current fit.
+    """Add tables for the residual that the effects leave, in the mode of the current fit.
 
     Args:
         current: Fit of the machine with the effects selected so far.
@@ -164,7 +168,7 @@ def add_tables(
         data: Prepared recordings to fit.
         criteria: Decision thresholds.
         max_tables: Largest number of tables to add.
-        log: Called with a line of text for every table that is decided on.
+        log: Called with a line of text for every table that is fitted.
 
     Returns:
         Fit of the machine with the tables, and all effects and tables.
@@ -173,8 +177,8 @@ def add_tables(
         scales = typical_scales(current, data)
         ranked = screen(current, table_candidates(current.machine, data, scales, criteria), data)
         excess = current.chi2 - criteria.one_step_floor
-        enough = max(criteria.min_table_gain, criteria.min_table_gain_fraction * excess)
-        proposed = (s for s in ranked[: criteria.max_screened_tables] if s.gain > enough * data.count)
+        min_gain = max(criteria.min_table_gain, criteria.min_table_gain_fraction * excess)
+        proposed = (s for s in ranked[: criteria.max_screened_tables] if s.gain > min_gain * data.count)
         limit = criteria.max_table_cross_validation
         chosen = next((s for s in proposed if _cross_validation(current, s, scales, data, criteria) < limit), None)
         if chosen is None:
@@ -184,7 +188,7 @@ def add_tables(
         effect = best.machine.effects[-1]
         gain = (current.cost - best.cost) / data.count
         log(f"  {effect.label} {describe_gain(current, best)}")
-        if gain < enough:
+        if gain < min_gain:
             break
         selected = (*selected, SelectedEffect(effect, (), gain, current.machine))
         current = best
@@ -196,7 +200,8 @@ def _cross_validation(
 ) -> float:
     """Return the cost of the data that a table was not fitted to, relative to the cost without the table.
 
-    Two dozen values fit much that does not exist; a table against the wrong variable does not predict another run.
+    A table has two dozen values and can therefore fit errors that have another cause, but a table against the wrong
+    variable does not predict another run.
     """
     by_run = scored.candidate.effect.against != "time"
     halves = _halves(data, by_run=by_run, blocks=criteria.cross_validation_blocks)
@@ -209,7 +214,7 @@ def _cross_validation(
 
 
 def _halves(data: Dataset, *, by_run: bool, blocks: int) -> tuple[Dataset, Dataset]:
-    """Return every other run and the rest; or, for one run or where runs differ in the variable, every other part."""
+    """Divide the data in two: every other run and the rest, or for a single run and for time, every other part."""
     if by_run and len(data.runs) > 1:
         names = [run.name for run in data.runs]
         return data.with_runs(names[0::2]), data.with_runs(names[1::2])

@@ -14,7 +14,7 @@ from .components import Belt, Coordinate, Drive, Sensor
 from .machine import Machine
 
 RADIUS = 0.0194  # m, pitch radius of the pulleys, Table 1
-AE = 5.5626e-6 * 2.50e9  # N, cross section times Young's modulus of the belt, Table 4
+EA = 5.5626e-6 * 2.50e9  # N, Young's modulus times cross section of the belt, Table 4
 SECTIONS = (0.781, 0.781, 0.3334, 0.3334, 0.3334, 0.3334, 0.281, 0.281, 0.6159)  # m, belt sections l1..l9, Table 4
 STIFFNESS = {"left": 1.3167e4, "right": 1.0791e4, "bottom": 8.0492e3}  # N/m, belt sections, Table 1
 GEAR_RATIO = 5.9  # section II; missing from eq. 17
@@ -71,9 +71,9 @@ def hframe() -> Machine:
             Coordinate("phi2", mass=1.12e-4, viscous=0.0036, coulomb=0.05, kind="rotary", radius=RADIUS),
         ),
         belts=(
-            Belt("left", AE, l1 + l5 + l7, {"x": 1, "y": 1, "phi1": 1}, {"x": 1, "y": 1}),
-            Belt("right", AE, l2 + l6 + l8, {"x": 1, "y": -1, "phi2": -1}, {"x": 1, "y": -1}),
-            Belt("bottom", AE, l3 + l4 + l9, {"x": -2, "phi1": -1, "phi2": 1}, {"x": -2}),
+            Belt("left", EA, l1 + l5 + l7, {"x": 1, "y": 1, "phi1": 1}, {"x": 1, "y": 1}),
+            Belt("right", EA, l2 + l6 + l8, {"x": 1, "y": -1, "phi2": -1}, {"x": 1, "y": -1}),
+            Belt("bottom", EA, l3 + l4 + l9, {"x": -2, "phi1": -1, "phi2": 1}, {"x": -2}),
         ),
         drives=_drives(GEAR_RATIO),
         sensors=_sensors(),
@@ -140,9 +140,9 @@ def hframe_order20() -> Machine:
         The machine `hframe-order20`.
     """
     linear = hframe_linear()
-    x, y = -0.2227, -0.1163
+    x, y = -0.2227, -0.1163  # m, the position for which Table 1 holds
     inertia, viscous = linear.coordinate("phi1").mass / 2, linear.coordinate("phi1").viscous / 2
-    lump = 4 / RADIUS**2  # 1/m^2, mass on the cart per pulley inertia
+    lump = 4 / RADIUS**2  # 1/m^2, part of the cart's mass per inertia of an idler
     bridge, cart = linear.coordinate("x"), linear.coordinate("y")
     pulleys = tuple(Coordinate(f"phi{i}", inertia, viscous, kind="rotary", radius=RADIUS) for i in range(1, 9))
     cart = dataclasses.replace(cart, mass=cart.mass - lump * inertia, viscous=cart.viscous - lump * viscous)
@@ -159,7 +159,7 @@ def hframe_order20() -> Machine:
     )
     added_length = (0.0, 0.0, -x, -x, x, x, y, -y, 0.0)  # m, by section at this position
     belts = tuple(
-        Belt(f"s{i + 1}", AE, section + added_length[i], row)
+        Belt(f"s{i + 1}", EA, section + added_length[i], row)
         for i, (section, row) in enumerate(zip(SECTIONS, rows, strict=True))
     )
     return Machine(

@@ -75,7 +75,7 @@ def load_recordings(folder: str | Path, machine: Machine) -> list[Recording]:
         raise InputError(f"{path}: no recordings ({', '.join(SUFFIXES)}) in this folder")
     for first, second in pairwise(sorted(files, key=run_name)):
         if run_name(first) == run_name(second):
-            raise InputError(f"{second}: the run {run_name(second)!r} is there twice, also as {first.name}; delete one")
+            raise InputError(f"{second}: the run {run_name(second)!r} exists twice, also as {first.name}; delete one")
     return [load_recording(p, machine) for p in files]
 
 
@@ -128,8 +128,8 @@ def write_trajectory(path: str | Path, trajectory: Trajectory, inputs: Array, ma
     header = ["time_s", *machine.input_channels, *machine.output_channels]
     table = np.column_stack([trajectory.time_s, inputs, trajectory.outputs])
     with atomic_file(path) as temporary:
-        opened = gzip.open(temporary, "wt") if str(path).endswith(".gz") else open(temporary, "w")  # noqa: SIM115
-        with opened as file:
+        stream = gzip.open(temporary, "wt") if str(path).endswith(".gz") else open(temporary, "w")  # noqa: SIM115
+        with stream as file:
             file.write(",".join(header) + "\n")
             np.savetxt(file, table, fmt="%.9g", delimiter=",")
 
@@ -152,8 +152,8 @@ def run_name(path: Path) -> str:
 def fill_gaps(recording: Recording) -> Recording:
     """Insert rows for samples that the logger dropped.
 
-    Inputs are held from each row until the next, so a lost row extends the input of the row before it. The lost
-    voltages are interpolated, which is much closer, and the lost outputs are NaN.
+    Inputs are held from each row until the next, so a lost row would extend the input of the row before it. The lost
+    voltages are interpolated, which is closer to those that were applied. The lost outputs are NaN.
 
     Args:
         recording: Run with gaps.
@@ -233,9 +233,12 @@ def _check_units(path: Path, recording: Recording, machine: Machine) -> None:
 
 
 def _pulley_travel_ratio(recording: Recording, machine: Machine) -> float | None:
-    """Return measured pulley travel over that which the measured carriage implies, or None if it did not move."""
+    """Return the ratio of measured to expected pulley travel, or None if the carriage did not move.
+
+    The expected travel follows from the measured motion of the carriage and unstretched belts.
+    """
     column_of = {s.coordinate: j for j, s in enumerate(machine.sensors) if len(s.row) == 1}
-    implied, measured = 0.0, 0.0  # m, summed standard deviations
+    expected, measured = 0.0, 0.0  # m, summed standard deviations
     for belt in machine.belts:
         rotary = [c for c in belt.extension if machine.coordinate(c).kind == "rotary"]
         if len(rotary) != 1 or any(c not in column_of for c in belt.extension):
@@ -247,6 +250,6 @@ def _pulley_travel_ratio(recording: Recording, machine: Machine) -> float | None
         carriage_travel = sum(factor * recording.outputs[:, column_of[c]] for c, factor in others.items())
         rows = np.isfinite(pulley_travel + carriage_travel)
         if rows.sum() > 2:
-            implied += float(np.std(np.asarray(carriage_travel)[rows]))
+            expected += float(np.std(np.asarray(carriage_travel)[rows]))
             measured += float(np.std(pulley_travel[rows]))
-    return measured / implied if implied > _MOVED else None
+    return measured / expected if expected > _MOVED else None

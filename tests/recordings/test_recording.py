@@ -132,7 +132,7 @@ def test_a_folder_is_read_in_the_order_of_file_names(write_run: WriteRun, tmp_pa
     with pytest.raises(InputError, match="is a file, give the folder"):
         load_recordings(tmp_path / "a.csv", hframe)
     (tmp_path / "a.csv.gz").write_bytes(gzip.compress((tmp_path / "a.csv").read_bytes()))
-    with pytest.raises(InputError, match=r"the run 'a' is there twice"):
+    with pytest.raises(InputError, match=r"the run 'a' exists twice"):
         load_recordings(tmp_path, hframe)
 
 
