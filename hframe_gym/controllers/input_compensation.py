@@ -79,10 +79,9 @@ class DeadTime:
         Returns:
             Voltages, V, shape (B, drives).
         """
-        earlier = self._remainder_s / self.period  # fraction of the period in which the voltage sent before still acts
-        return (1.0 - earlier) * self._sent[:, self._complete_periods] + earlier * self._sent[
-            :, self._complete_periods + 1
-        ]
+        later, earlier = self._sent[:, self._complete_periods], self._sent[:, self._complete_periods + 1]
+        earlier_fraction = self._remainder_s / self.period  # of the period, in which the earlier voltage still acts
+        return (1.0 - earlier_fraction) * later + earlier_fraction * earlier
 
     def arrived_history(self) -> tuple[Array, Array]:
         """Return the voltage history at the motors over the last period.

@@ -101,7 +101,7 @@ class ObservationBuilder:
     def _observe(
         self, first: int, last: int, view: StateView, out: NDArray[np.float32], tool: NDArray[np.float32]
     ) -> int:
-        """Write a view to `out` and the tool position to `tool`; return an environment with a non-finite state, or -1."""
+        """Write a view to `out`, the tool position to `tool`; return an environment with a non-finite state, or -1."""
         simulator = self._simulator
         broken: int = _observe(simulator.state, simulator.units_per_travel, *view, first, last, out, tool)
         return broken

@@ -25,7 +25,7 @@ from .screening import ScoredCandidate, screen
 
 Array = NDArray[np.float64]
 _BINS = 96  # Bins of the variable over which a force is averaged.
-_BASE_KNOT_DENSITY = 0.15  # Density of the knots where the curve is straight, relative to its sharpest bend.
+_BASE_KNOT_DENSITY = 0.15  # Density of the knots where the curve is straight; at the sharpest bend it is larger by 1.
 _MIN_SAMPLES = 20  # Samples that make the mean of a bin usable.
 
 
