@@ -1,4 +1,4 @@
-"""Forces along a known motion: belts, and what effects add.
+"""Forces along a known motion: those of the belts, and those that effects add.
 
 The motion is given as arrays over samples; parameters may be arrays (variants, 1), so that many variants of an effect
 are evaluated at once.
@@ -151,10 +151,10 @@ def delayed_voltages(equations: Equations, time_s: Array, inputs: Array) -> list
             voltages.append(inputs[:, j])
             continue
         integral = np.concatenate([[0.0], np.cumsum(inputs[:, j] * steps)])
-        late = ends - np.asarray(delay)
-        # Before the first sample its value acts.
-        at = np.interp(late, ends, integral) + inputs[0, j] * np.minimum(late - ends[0], 0.0)
-        voltages.append(np.diff(at, axis=-1) / steps)
+        sent_at = ends - np.asarray(delay)  # s, when the voltage was commanded that acts at `ends`
+        # Before the first sample, the voltage of the first sample acts.
+        delayed = np.interp(sent_at, ends, integral) + inputs[0, j] * np.minimum(sent_at - ends[0], 0.0)
+        voltages.append(np.diff(delayed, axis=-1) / steps)
     return voltages
 
 
@@ -177,13 +177,13 @@ def effect_states(
     states: dict[int, Array] = {}
     for k in equations.states:
         effect = equations.machine.effects[k]
-        known = equations.point(positions, velocities, time_s, states)
+        point = equations.point(positions, velocities, time_s, states)
         motor_voltages = equations.motor_voltages(voltages)
-        arguments = equations.force_balance(known, motor_voltages, [0.0] * len(known.travel)).arguments.get(k, {})
+        arguments = equations.force_balance(point, motor_voltages, [0.0] * len(point.travel)).arguments.get(k, {})
         rows = np.arange(len(time_s))
         if effect.definition.friction:
             rows = np.unique(np.append(rows[::_FRICTION_STATE_STRIDE], rows[-1]))
-        states[k] = _integrated(equations, k, known, arguments, time_s, rows)
+        states[k] = _integrated(equations, k, point, arguments, time_s, rows)
     return states
 
 
@@ -215,12 +215,12 @@ def _integrated(
         state = function(z=state, **dict(zip(steps, values, strict=True)))
     states = np.array(samples) if shape == (1,) else np.concatenate(samples, axis=-1)  # (rows,) or (variants, rows)
     if effect.definition.current:  # the mean over each step by Simpson's rule
-        halved = {name: 0.5 * values if name in ("dt", "dq") else values for name, values in steps.items()}
-        states = (states + 4.0 * function(z=states, **halved) + function(z=states, **steps)) / 6.0
+        half_steps = {name: 0.5 * values if name in ("dt", "dq") else values for name, values in steps.items()}
+        states = (states + 4.0 * function(z=states, **half_steps) + function(z=states, **steps)) / 6.0
     if len(rows) == len(time_s):
         return states
-    lines = [np.interp(np.arange(len(time_s)), rows, line) for line in np.atleast_2d(states)]
-    return np.array(lines) if states.ndim > 1 else lines[0]
+    variants = [np.interp(np.arange(len(time_s)), rows, variant) for variant in np.atleast_2d(states)]
+    return np.array(variants) if states.ndim > 1 else variants[0]
 
 
 def _step_arguments(
