@@ -7,13 +7,13 @@ are evaluated at once.
 from __future__ import annotations
 
 import dataclasses
-import itertools
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..machine import AppliedEffect, Machine
+from ..machine import AppliedEffect, Machine, argument_names
 from .equations import BeltState, Equations
 from .parameterized_machine import MotionPoint
 
@@ -176,30 +176,55 @@ def _integrated(
     time_s: Array,
     rows: NDArray[np.intp],
 ) -> Array:
-    """Return the state of effect k at every sample, stepped from row to row of `rows`."""
-    series = {name: np.asarray(value, float) for name, value in arguments.items()}
+    """Return the state of effect k at every sample, stepped from row to row of `rows`.
 
-    def at(values: Array, row: int) -> Array:
-        return values[..., row : row + 1] if values.ndim and values.shape[-1] == len(time_s) else values
-
-    averaged = bool(equations.machine.effects[k].definition.current)
-    state: Array = np.zeros(1)
+    The loop is sequential, so everything that `next_state` needs is looked up before it.
+    """
+    effect = equations.machine.effects[k]
+    function: Any = effect.definition.next_state
+    steps = _step_arguments(equations, k, point, arguments, time_s, rows)
+    shape = np.broadcast_shapes((1,), *((*values.shape[:-1], 1) for values in steps.values() if values.ndim > 1))
+    # Floats are faster than arrays of one element: (rows,) gives floats, (variants, rows) gives (variants, 1) each.
+    columns = [
+        values.tolist() if values.ndim == 1 else list(np.moveaxis(values, -1, 0)[..., None])
+        for values in steps.values()
+    ]
+    state: Any = 0.0 if shape == (1,) else np.zeros(shape)
     samples = []
-    step = 0.0
-    for start, end in itertools.pairwise([*rows, rows[-1]]):
-        step = time_s[end] - time_s[start] if end > start else step
-        traveled = [at(p, end) - at(p, start) for p in point.travel]
-        speed = [at(v, start) for v in point.speed]
-        held = {name: at(values, start) for name, values in series.items()}
-        following = np.asarray(equations.next_state(k, state, held, traveled, speed, step))
-        if averaged:  # Simpson's rule
-            middle = equations.next_state(k, state, held, [0.5 * d for d in traveled], speed, 0.5 * step)
-            samples.append((state + 4.0 * middle + following) / 6.0)
-        else:
-            samples.append(state)
-        state = following
-    table = np.concatenate(np.broadcast_arrays(*samples), axis=-1)
+    for values in zip(*columns, strict=True):
+        samples.append(state)
+        state = function(z=state, **dict(zip(steps, values, strict=True)))
+    states = np.array(samples) if shape == (1,) else np.concatenate(samples, axis=-1)  # (rows,) or (variants, rows)
+    if effect.definition.current:  # the mean over each step by Simpson's rule
+        halved = {name: 0.5 * values if name in ("dt", "dq") else values for name, values in steps.items()}
+        states = (states + 4.0 * function(z=states, **halved) + function(z=states, **steps)) / 6.0
     if len(rows) == len(time_s):
-        return table
-    lines = [np.interp(np.arange(len(time_s)), rows, line) for line in np.atleast_2d(table)]
-    return np.array(lines) if table.ndim > 1 else lines[0]
+        return states
+    lines = [np.interp(np.arange(len(time_s)), rows, line) for line in np.atleast_2d(states)]
+    return np.array(lines) if states.ndim > 1 else lines[0]
+
+
+def _step_arguments(
+    equations: Equations,
+    k: int,
+    point: MotionPoint,
+    arguments: Mapping[str, Array],
+    time_s: Array,
+    rows: NDArray[np.intp],
+) -> dict[str, Array]:
+    """Return all arguments of effect k's `next_state` but its state, per step: arrays (rows,) or (variants, rows)."""
+    effect, i = equations.machine.effects[k], equations.state_coordinates[k]
+    durations = np.diff(time_s[rows])
+    series: dict[str, Any] = {"dt": np.append(durations, durations[-1] if len(durations) else 0.0)}
+    for name, values in arguments.items():
+        values = np.asarray(values, float)
+        series[name] = values[..., rows] if values.ndim and values.shape[-1] == len(time_s) else values
+    if i >= 0:
+        position = (point.travel[i] * equations.per_radius(i))[..., rows]
+        series["dq"] = np.diff(position, append=position[..., -1:], axis=-1)
+        series["v"] = (point.speed[i] * equations.per_radius(i))[..., rows]
+    for name in effect.parameters:
+        series[name] = equations.parameter(f"{effect.label}.{name}")
+    names = [name for name in argument_names(effect.definition.next_state) if name != "z"]
+    shapes = {name: np.broadcast_shapes(np.shape(series[name]), (len(rows),)) for name in names}
+    return {name: np.broadcast_to(series[name], shapes[name]) for name in names}

@@ -50,7 +50,7 @@ class ParameterizedMachine:
         self.drive_coordinates = [index[d.coordinate] for d in machine.drives]
         self._effect_coordinates = [index.get(self._acts_on(e), -1) for e in machine.effects]
         # A tabulated effect over the path of a coordinate integrates that coordinate's path.
-        self._state_coordinates = [
+        self.state_coordinates = [
             index.get(e.definition.against.partition(" of ")[2], i)
             for e, i in zip(machine.effects, self._effect_coordinates, strict=True)
         ]
@@ -173,7 +173,7 @@ class ParameterizedMachine:
         state = point.effect_states.get(k, 0.0)
         if point.elapsed is None:
             return state
-        speed = self.speed(point, self._state_coordinates[k])
+        speed = self.speed(point, self.state_coordinates[k])
         quantities = {"z": state, "dq": point.elapsed * speed, "dt": point.elapsed, "v": speed, **arguments}
         return named("effect_state", k, self.evaluate(self.machine.effects[k], "next_state", quantities))
 
@@ -216,7 +216,7 @@ class ParameterizedMachine:
             speed: Speed of each coordinate within the step, m/s.
             dt: Length of the step, s.
         """
-        i = self._state_coordinates[k]
+        i = self.state_coordinates[k]
         quantities = {"z": state, "dt": dt, **arguments}
         if i >= 0:
             quantities |= {"dq": traveled[i] * self.per_radius(i), "v": speed[i] * self.per_radius(i)}
