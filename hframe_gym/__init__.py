@@ -25,9 +25,10 @@ import importlib
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
+import gymnasium as gym
+
 from .errors import InputError
 from .machine import SIMULATORS
-from .registration import register_environments
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -75,6 +76,13 @@ _SUBPACKAGES = {
     "simulate": "dynamics",
 }
 
+_EPISODE_STEPS = 150  # 1.5 s at the default period: the longest move takes half of it, a lap of the circle a third
+# Environment and vector environment by id; only names, so that the import does not load the simulator.
+_ENVIRONMENTS = {
+    "HFrame-v0": ("hframe_gym.envs:HFrameEnv", "hframe_gym.envs:HFrameVectorEnv"),
+    "HFrameTrack-v0": ("hframe_gym.envs:HFrameTrackEnv", "hframe_gym.envs:HFrameTrackVectorEnv"),
+}
+
 try:
     __version__ = version("hframe_gym")
 except PackageNotFoundError:  # run from a source tree that is not installed
@@ -101,4 +109,16 @@ def _simulate(machine: Machine, time_s: ArrayLike, inputs: ArrayLike, initial: A
     return simulate(machine, time_s, inputs, initial)  # type: ignore[return-value]
 
 
-register_environments()
+def _register_environments() -> None:
+    """Register the environments with Gymnasium, except for an id that is registered already."""
+    for name, (entry_point, vector_entry_point) in _ENVIRONMENTS.items():
+        if name not in gym.registry:
+            gym.register(
+                name,
+                entry_point=entry_point,
+                vector_entry_point=vector_entry_point,
+                max_episode_steps=_EPISODE_STEPS,
+            )
+
+
+_register_environments()

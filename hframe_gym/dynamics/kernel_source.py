@@ -25,9 +25,8 @@ from dataclasses import dataclass
 from ..machine import HOOKS, Machine, argument_names
 from .elementwise import exp, fma, named, where
 from .equations import Equations, ForceBalance
-from .expressions import Expression
+from .expressions import Expression, function_source
 from .parameterized_machine import MotionPoint, combination
-from .trace_source import function_source
 from .tracing import Trace
 
 # Constants of a step that `prepare` derives from the parameters, for each coordinate; those of PER_DIRECTION for both

@@ -1,8 +1,8 @@
 """Traced expressions: values that record what is computed with them.
 
 A `Trace` records one function of a kernel. Its values are `Expression`s; arithmetic on them and the functions of
-`elementwise` add nodes to a graph in which equal nodes exist only once. `trace_source` writes the graph as source text.
-Identifiers are made of fixed words and numbers only: no name from a machine file reaches generated text.
+`elementwise` add nodes to a graph in which equal nodes exist only once. `expressions.function_source` writes the graph
+as source text. Identifiers are made of fixed words and numbers only: no name of a machine file reaches generated text.
 """
 
 from __future__ import annotations
@@ -11,29 +11,9 @@ import contextlib
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
-from .expressions import Expression, simplified
-
-
-@dataclass
-class Statement:
-    """A line of the function, or a block of lines.
-
-    Attributes:
-        text: Template of the line; "{}" marks the places of the values.
-        values: Values in the line.
-        sets: Variables that the line sets.
-        body: Lines of a block.
-        loop: Whether the block repeats.
-    """
-
-    text: str
-    values: tuple[Expression, ...] = ()
-    sets: tuple[Expression, ...] = ()
-    body: list[Statement] = field(default_factory=list)
-    loop: bool = False
+from .expressions import Expression, Statement, simplified
 
 
 class Trace:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hframe_gym.dynamics import elementwise
-from hframe_gym.dynamics.trace_source import function_source
+from hframe_gym.dynamics.expressions import function_source
 from hframe_gym.dynamics.tracing import Trace
 
 pytestmark = pytest.mark.unit
