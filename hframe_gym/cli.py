@@ -25,6 +25,7 @@ from .cli_support import (
     value_errors_as_input_errors,
 )
 from .errors import InputError
+from .registry import load_plugins
 
 app = typer.Typer(
     help="H-frame stages: simulate, identify from measured data, train and evaluate controllers.",
@@ -286,6 +287,7 @@ def effects() -> None:
     """
     from .cli_support import effect_table
 
+    load_plugins()
     console.print(effect_table())
     _log("If none of them fits: smooth_force[VARIABLE] and smooth_friction[VARIABLE], lookup tables.")
 

@@ -15,6 +15,7 @@ from typer.core import TyperCommand
 from .effects import EFFECTS
 from .errors import InputError
 from .machine import BUILTIN_MACHINES, mode_frequencies
+from .registry import load_plugins
 
 INPUT_AT_FAULT, INTERNAL_ERROR = 2, 1
 DEBUG_VARIABLE = "HFRAME_DEBUG"  # if set, errors keep their traceback
@@ -30,6 +31,7 @@ def registered_choices() -> dict[str, str]:
     from .controllers import CONTROLLERS
     from .envs import RANDOMIZATION_PRESETS, SENSOR_PRESETS, TASKS
 
+    load_plugins()
     algorithms = sorted({name.rpartition("_")[0] for name in recipe_names()})
     choices: dict[str, Iterable[str]] = {
         "agents": shipped_agent_names(),

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-import warnings
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from functools import cache, cached_property
-from importlib.metadata import entry_points
+from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,10 +26,9 @@ from ..envs import (
 )
 from ..errors import InputError
 from ..machine import Machine
-from ..registry import Registry
+from ..registry import Registry, load_plugins
 
 Array = NDArray[np.float64]
-PLUGIN_GROUP = "hframe_gym.plugins"  # entry points of installed packages that register controllers, tasks, ...
 
 
 @dataclass(frozen=True)
@@ -211,23 +208,6 @@ class ControllerSource(ABC):
 
 
 CONTROLLER_SOURCES: Registry[type[ControllerSource]] = Registry("controller source")
-
-
-@cache
-def load_plugins() -> None:
-    """Import the plugins of installed packages, once.
-
-    A plugin is a module that registers controllers, controller sources, tasks or other parts when it is imported; a
-    package declares it as an entry point of the group `hframe_gym.plugins`.
-
-    Warns:
-        UserWarning: If a plugin cannot be imported.
-    """
-    for plugin in entry_points(group=PLUGIN_GROUP):
-        try:
-            plugin.load()
-        except Exception as error:  # a broken third-party package must not disable the commands
-            warnings.warn(f"plugin {plugin.name} ({plugin.value}) was not loaded: {error}", stacklevel=2)
 
 
 def make_controller(

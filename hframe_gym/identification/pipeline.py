@@ -11,6 +11,7 @@ import numpy as np
 from ..errors import InputError
 from ..machine import Machine
 from ..recordings import Recording
+from ..registry import load_plugins
 from .criteria import SelectionCriteria
 from .dataset import Dataset, prepare, refine_encoder_offsets, with_all_measurements
 from .estimation import Fit, fit, with_uncertainty
@@ -80,6 +81,7 @@ def identify(
         InputError: If the runs cannot be divided into fitted and held-out ones.
     """
     began = time.perf_counter()
+    load_plugins()  # the search tries their effects as well
     criteria = criteria or SelectionCriteria()
     log = log or (lambda line: None)
     kept = hold_out(recordings, held_out)

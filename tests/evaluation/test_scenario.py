@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import numpy as np
@@ -24,12 +23,10 @@ from hframe_gym.evaluation import (
     ControllerSource,
     Scenario,
     evaluate,
-    load_plugins,
     make_controller,
     rollout,
     score_episodes,
 )
-from hframe_gym.evaluation import scenario as scenario_module
 from hframe_gym.machine import BUILTIN_MACHINES
 
 TOY_MODULE = '''
@@ -159,19 +156,6 @@ def test_a_source_makes_controllers_that_are_not_registered(monkeypatch: pytest.
     assert type(make_controller("track-x", task="track")) is TextbookPID
     with pytest.raises(InputError, match=r"'track-x' is unknown; .*; or reach-x"):
         make_controller("track-x", task="reach")
-
-
-def test_plugins_are_imported_and_broken_ones_reported(toy_module: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    plugins = [
-        EntryPoint("toy", toy_module, scenario_module.PLUGIN_GROUP),
-        EntryPoint("broken", "no_such_module", scenario_module.PLUGIN_GROUP),
-    ]
-    monkeypatch.setattr(scenario_module, "entry_points", lambda group: plugins)
-    load_plugins.cache_clear()
-    with pytest.warns(UserWarning, match=r"plugin broken \(no_such_module\) was not loaded"):
-        load_plugins()
-    assert "toy-p" in CONTROLLERS
-    load_plugins()  # without a second warning
 
 
 def test_episodes_do_not_depend_on_the_sensors() -> None:
