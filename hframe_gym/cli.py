@@ -232,7 +232,7 @@ def evaluate(
     ] = "state",
     period: Annotated[float, typer.Option(help="Control period in seconds.")] = 0.01,
     episodes: Annotated[int, typer.Option(min=1, help="Number of episodes; the same for every controller.")] = 512,
-    seed: Annotated[int, typer.Option(help="Seed of the starts, goals and machine parameters.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the starts, goals and machine parameters.")] = 0,
 ) -> None:
     """Score controllers on identical episodes; writes scores.json and a plot of each one's first episode.
 

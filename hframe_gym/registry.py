@@ -8,8 +8,9 @@ as entry points of the group `hframe_gym.plugins` are imported when a name is no
 from __future__ import annotations
 
 import importlib
+import pkgutil
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from importlib.metadata import entry_points
 from typing import Generic, TypeVar
@@ -36,6 +37,19 @@ def load_plugins() -> None:
             plugin.load()
         except Exception as error:  # a broken third-party package must not disable the commands
             warnings.warn(f"plugin {plugin.name} ({plugin.value}) was not loaded: {error}", stacklevel=2)
+
+
+def import_modules(package: str, path: Iterable[str], *, skip: tuple[str, ...] = ()) -> None:
+    """Import every module of a package, so that the parts in them register themselves.
+
+    Args:
+        package: Name of the package, its `__name__`.
+        path: Its folders, its `__path__`.
+        skip: Modules that are not imported, because they need an extra.
+    """
+    for module in pkgutil.iter_modules(path):
+        if module.name not in skip:
+            importlib.import_module(f"{package}.{module.name}")
 
 
 class Registry(Generic[T]):

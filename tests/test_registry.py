@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
@@ -93,3 +94,18 @@ def test_plugins_are_imported_for_an_unknown_name_and_broken_ones_reported(
         unregister_effect("plugin_spring")
         TASKS.unregister("plugin-task")
         registry.load_plugins.cache_clear()
+
+
+def test_every_module_of_a_package_is_imported(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "toy_package").mkdir()
+    (tmp_path / "toy_package/__init__.py").write_text(
+        "from hframe_gym.registry import Registry, import_modules\n"
+        "TOYS = Registry('toy')\n"
+        "import_modules(__name__, __path__, skip=('third',))\n"
+    )
+    for name in ("first", "second"):
+        (tmp_path / f"toy_package/{name}.py").write_text(f"from . import TOYS\nTOYS.register({name!r})({name!r})\n")
+    (tmp_path / "toy_package/third.py").write_text("import no_such_module\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    toys = importlib.import_module("toy_package").TOYS
+    assert toys.names == ("first", "second")

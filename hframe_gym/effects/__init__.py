@@ -1,7 +1,7 @@
 """The library of effects that a declared machine may lack: one file per effect, found because it is in this folder.
 
-A program or a plugin (see `hframe_gym.registry`) can add effects with `register_effect`; they then work in machine.json,
-in environments and in identification like those of the library.
+A program or a plugin (see `hframe_gym.registry`) can add effects with `register_effect`; they then work in
+machine.json, in environments and in identification like those of the library.
 """
 
 from __future__ import annotations

@@ -50,8 +50,8 @@ class Scenario:
         duration_s: Length of an episode, s; the default is twice the longest move.
 
     Raises:
-        InputError: If the period, the number of episodes or the duration is not positive, or an episode is shorter than
-            one control period.
+        InputError: If the period, the number of episodes or the duration is not positive, the seed is negative, or an
+            episode is shorter than one control period.
     """
 
     machine: MachineLike = "hframe"
@@ -67,9 +67,12 @@ class Scenario:
         check_period(self.period)
         if self.episodes < 1:
             raise InputError(f"episodes is {self.episodes!r}, it must be at least 1")
+        if self.seed < 0:
+            raise InputError(f"seed is {self.seed!r}, it must not be negative")
         if not np.isfinite(self.duration_s) or self.periods < 1:
             raise InputError(
-                f"duration_s is {self.duration_s!r}, it must hold at least one control period of {self.period:g} s"
+                f"period is {self.period:g} s and duration_s is {self.duration_s!r}: an episode must last for "
+                "at least one control period"
             )
 
     @property

@@ -62,7 +62,8 @@ def toy_module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]
         ({"period": -0.01}, "period is -0.01"),
         ({"period": float("nan")}, "period is nan"),
         ({"episodes": 0}, "episodes is 0"),
-        ({"duration_s": 0.001}, "at least one control period of 0.01 s"),
+        ({"duration_s": 0.001}, "period is 0.01 s and duration_s is 0.001: .* at least one control period"),
+        ({"seed": -1}, "seed is -1"),
         ({"duration_s": float("inf")}, "duration_s is inf"),
     ],
 )
@@ -110,9 +111,9 @@ def test_pid_settles_from_rig_sensors() -> None:
         ("no_such_module:p", Scenario(), "cannot import 'no_such_module'"),
         ("textbook-pid", Scenario(sensors="rig"), "needs the full state"),
         ("adaptive-pid", Scenario(sensors="rig"), "needs the full state"),
-        ("adaptive-pid", Scenario("axis"), "full-state control needs"),
-        ("pid", Scenario("axis"), "full-state control needs"),
-        ("pid", Scenario("hframe-order20"), "full-state control needs"),
+        ("adaptive-pid", Scenario("axis"), "the controllers need two drives"),
+        ("pid", Scenario("axis"), "the controllers need two drives"),
+        ("pid", Scenario("hframe-order20"), "the controllers need two drives"),
     ],
 )
 def test_impossible_controllers_are_rejected(name: str, scenario: Scenario, message: str) -> None:
