@@ -20,6 +20,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from ..controllers import CONTROLLERS, AdaptiveController, EpisodeStarts
+from ..errors import InputError
 from ..machine import Machine
 
 Array = NDArray[np.float64]
@@ -72,10 +73,16 @@ class ResidualAction:
         period: Control period, s.
         base: Name of a registered controller whose action the policy corrects, or None for a policy that acts alone.
         **authority: Keywords of `Authority`.
+
+    Raises:
+        InputError: If no controller is registered under the name of the base. Agents are data: their files cannot name
+            a module to import.
     """
 
     def __init__(self, machine: Machine, period: float, base: str | None = None, **authority: float) -> None:
         self.authority = Authority(**authority)
+        if base and base not in CONTROLLERS:
+            raise InputError(f"base controller {base!r} is unknown; choose one of {', '.join(CONTROLLERS)}")
         self.base = CONTROLLERS.get(base)(machine, period) if base else None
         self._adaptive_base = self.base if isinstance(self.base, AdaptiveController) else None
         self._drives = len(machine.drives)

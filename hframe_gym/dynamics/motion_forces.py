@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..machine import AppliedEffect, Machine
-from ..machine.effect import argument_names
+from ..machine import AppliedEffect, Machine, argument_names
 from .equations import BeltState, Equations
 from .parameterized_machine import MotionPoint
 

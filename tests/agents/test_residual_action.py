@@ -6,6 +6,7 @@ import pytest
 from hframe_gym.agents.residual_action import Authority, ResidualAction
 from hframe_gym.controllers import CONTROLLERS
 from hframe_gym.envs import HFrameVectorEnv, observation_space
+from hframe_gym.errors import InputError
 from hframe_gym.machine import BUILTIN_MACHINES
 from tests.agents.observations import rest_observation
 
@@ -54,3 +55,8 @@ def test_the_base_controller_builds_on_the_action_that_was_applied():
     corrected = mapping.action(np.array([[0.05, -0.02]]))
     increment = mapping.augment(observation)["base_action"] - corrected
     assert increment == pytest.approx(alone.act(observation) - action_alone, rel=1e-3)
+
+
+def test_the_base_controller_of_an_agent_file_imports_no_module():
+    with pytest.raises(InputError, match="base controller 'antigravity:pid' is unknown"):
+        ResidualAction(MACHINE, 0.01, base="antigravity:pid")

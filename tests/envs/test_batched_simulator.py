@@ -28,7 +28,7 @@ def test_dead_time_equals_the_simulation(delay):
     run = simulate(machine, np.arange(-1, 21) * 0.01, inputs)
     n = len(machine.coordinates)
     state = env.batch.simulator.state[0, : 2 * n, 0]
-    expected = np.concatenate([run.positions[-1], run.velocities[-1]]) * np.tile(machine.radii, 2)
+    expected = np.concatenate([run.positions[-1], run.velocities[-1]]) * np.tile(machine.travel_per_unit, 2)
     np.testing.assert_allclose(state, expected, rtol=1e-9, atol=1e-12)
 
 

@@ -43,7 +43,7 @@ def test_motion_equals_the_simulation(name):
     volts[:REST] = 0.0
     run = simulate(machine, np.arange(16) * 0.01, np.concatenate([volts, volts[-1:]]), env_start(env))
     n = len(machine.coordinates)
-    expected = np.concatenate([run.positions[-1], run.velocities[-1]]) * np.tile(machine.radii, 2)
+    expected = np.concatenate([run.positions[-1], run.velocities[-1]]) * np.tile(machine.travel_per_unit, 2)
     for _ in range(2):  # the second episode does not depend on the first
         env.reset(seed=0)
         for row in volts:
@@ -61,7 +61,7 @@ def env_start(env):
     """Return the state in which the environment begins, in the coordinates' units, shape (2 n,)."""
     env.reset(seed=0)
     machine = env.batch.machine
-    return env.batch.simulator.state[0, : 2 * len(machine.coordinates), 0] / np.tile(machine.radii, 2)
+    return env.batch.simulator.state[0, : 2 * len(machine.coordinates), 0] / np.tile(machine.travel_per_unit, 2)
 
 
 @pytest.mark.parametrize("name", ["bridge_yaw", "idler_inertia"])
