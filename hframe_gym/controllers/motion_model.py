@@ -90,7 +90,8 @@ class MotionModel:
         if len(machine.drives) != len(AXES) or sorted(self.observed) != sorted(names):
             raise InputError(
                 f"machine {machine.name!r}: the controllers need two drives and no coordinates except x, y and those "
-                f"of the drives; this machine has the coordinates {', '.join(names)}, drives: {len(machine.drives)}"
+                f"of the drives; it has the coordinates {', '.join(names)} and the drives "
+                f"{', '.join(d.name for d in machine.drives)}"
             )
         n = len(names)
         units = machine.travel_per_unit
