@@ -25,6 +25,7 @@ from .cli_support import (
     value_errors_as_input_errors,
 )
 from .errors import InputError
+from .registry import load_plugins
 
 app = typer.Typer(
     help="H-frame stages: simulate, identify from measured data, train and evaluate controllers.",
@@ -231,7 +232,7 @@ def evaluate(
     ] = "state",
     period: Annotated[float, typer.Option(help="Control period in seconds.")] = 0.01,
     episodes: Annotated[int, typer.Option(min=1, help="Number of episodes; the same for every controller.")] = 512,
-    seed: Annotated[int, typer.Option(help="Seed of the starts, goals and machine parameters.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the starts, goals and machine parameters.")] = 0,
 ) -> None:
     """Score controllers on identical episodes; writes scores.json and a plot of each one's first episode.
 
@@ -286,6 +287,7 @@ def effects() -> None:
     """
     from .cli_support import effect_table
 
+    load_plugins()
     console.print(effect_table())
     _log("If none of them fits: smooth_force[VARIABLE] and smooth_friction[VARIABLE], lookup tables.")
 

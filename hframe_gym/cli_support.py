@@ -15,6 +15,7 @@ from typer.core import TyperCommand
 from .effects import EFFECTS
 from .errors import InputError
 from .machine import BUILTIN_MACHINES, mode_frequencies
+from .registry import load_plugins
 
 INPUT_AT_FAULT, INTERNAL_ERROR = 2, 1
 DEBUG_VARIABLE = "HFRAME_DEBUG"  # if set, errors keep their traceback
@@ -30,6 +31,7 @@ def registered_choices() -> dict[str, str]:
     from .controllers import CONTROLLERS
     from .envs import RANDOMIZATION_PRESETS, SENSOR_PRESETS, TASKS
 
+    load_plugins()
     algorithms = sorted({name.rpartition("_")[0] for name in recipe_names()})
     choices: dict[str, Iterable[str]] = {
         "agents": shipped_agent_names(),
@@ -178,6 +180,8 @@ def identification_table(report: Mapping[str, Any], channels: Sequence[str]) -> 
 def score_table(scores: Mapping[str, Any]) -> Table:
     """Format the scores of controllers.
 
+    Numbers are never cut; a name that is too long for the terminal continues on the next line.
+
     Args:
         scores: Contents of scores.json.
 
@@ -191,15 +195,15 @@ def score_table(scores: Mapping[str, Any]) -> Table:
     )
     controllers = scores["controllers"]
     fixed_goal = all("settling_s" in score for score in controllers.values())
-    columns = [f"in {band}, %" for band in BANDS]
+    columns = [f"in\n{band}\n%" for band in BANDS]
     if fixed_goal:
-        columns += [*(f"s to {band}" for band in BANDS), "over the bound"]
+        columns += [*(f"until\n{band}\ns" for band in BANDS), "over\nthe\nbound"]
     else:
-        columns += [f"{label}, mm {kind}" for label in PATH_ERRORS.values() for kind in ("rms", "max")]
-    table = Table(title=title, title_justify="left")
-    table.add_column("controller", no_wrap=True)
+        columns += [f"{label}\n{kind}\nmm" for label in PATH_ERRORS.values() for kind in ("rms", "max")]
+    table = Table(title=title, title_justify="left", collapse_padding=True)
+    table.add_column("controller", overflow="fold")
     for column in columns:
-        table.add_column(column, justify="right")
+        table.add_column(column, justify="right", no_wrap=True, min_width=max(map(len, column.split("\n"))))
     for name, score in controllers.items():
         success = (f"{100 * score['success'][band]:.1f}" for band in BANDS)
         table.add_row(escape(name), *success, *(_settling_cells(score) if fixed_goal else _path_cells(score)))

@@ -1,19 +1,55 @@
 """Registries of named parts, such as controllers, tasks, rewards and sensor kinds.
 
-A name of the form `package.module:name` imports the module first. A part that is defined outside the package is
-therefore available to every command and to `gym.make` without any change inside the package.
+A part that is defined outside the package is available to every command and to `gym.make` without any change inside the
+package: a name of the form `package.module:name` imports the module first, and modules that installed packages declare
+as entry points of the group `hframe_gym.plugins` are imported when a name is not registered yet.
 """
 
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Iterator
+import pkgutil
+import warnings
+from collections.abc import Callable, Iterable, Iterator
+from functools import cache
+from importlib.metadata import entry_points
 from typing import Generic, TypeVar
 
 from .errors import InputError
 
 T = TypeVar("T")
 P = TypeVar("P")
+PLUGIN_GROUP = "hframe_gym.plugins"
+
+
+@cache
+def load_plugins() -> None:
+    """Import the plugins of installed packages, once.
+
+    A plugin is a module that registers effects, controllers, tasks or other parts when it is imported; a package
+    declares it as an entry point of the group `hframe_gym.plugins`.
+
+    Warns:
+        UserWarning: If a plugin cannot be imported.
+    """
+    for plugin in entry_points(group=PLUGIN_GROUP):
+        try:
+            plugin.load()
+        except Exception as error:  # a broken third-party package must not disable the commands
+            warnings.warn(f"plugin {plugin.name} ({plugin.value}) was not loaded: {error}", stacklevel=2)
+
+
+def import_modules(package: str, path: Iterable[str], *, skip: tuple[str, ...] = ()) -> None:
+    """Import every module of a package, so that the parts in them register themselves.
+
+    Args:
+        package: Name of the package, its `__name__`.
+        path: Its folders, its `__path__`.
+        skip: Modules that are not imported, because they need an extra.
+    """
+    for module in pkgutil.iter_modules(path):
+        if module.name not in skip:
+            importlib.import_module(f"{package}.{module.name}")
 
 
 class Registry(Generic[T]):
@@ -49,6 +85,17 @@ class Registry(Generic[T]):
 
         return add
 
+    def unregister(self, name: str) -> None:
+        """Remove a part, for example after a test.
+
+        Args:
+            name: Name of the part.
+
+        Raises:
+            KeyError: If no part has this name.
+        """
+        del self._parts[name]
+
     def get(self, name: str) -> T:
         """Return the part of a name.
 
@@ -67,7 +114,7 @@ class Registry(Generic[T]):
                 importlib.import_module(module)
             except ImportError as error:
                 raise InputError(f"{self.kind} {name!r}: cannot import {module!r}: {error}") from error
-        if key not in self._parts:
+        if key not in self:
             raise InputError(f"{self.kind} {name!r} is unknown; choose one of {', '.join(self._parts)}")
         return self._parts[key]
 
@@ -77,7 +124,9 @@ class Registry(Generic[T]):
         return tuple(self._parts)
 
     def __contains__(self, name: object) -> bool:
-        """Return whether a name is registered."""
+        """Return whether a name is registered, by a plugin if by nothing else."""
+        if name not in self._parts:
+            load_plugins()
         return name in self._parts
 
     def __iter__(self) -> Iterator[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import subprocess
@@ -11,8 +12,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 
-from hframe_gym import cli
+from hframe_gym import cli, cli_support
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import initial_state_of_recording
@@ -138,6 +140,8 @@ def test_identify_refuses_a_faulty_recording_before_it_writes(
     [
         (("pid", "--period", "0"), ("period", "positive")),
         (("pid", "--period", "nan"), ("period", "positive")),
+        (("pid", "--period", "10"), ("period is 10 s", "at least one control period")),
+        (("pid", "--machine", "axis"), ("axis", "two drives")),
         (("no-such-controller",), ("no-such-controller", "pid", "textbook-pid")),
         (("no_such_module:pid",), ("no_such_module",)),
         (("pid", "--task", "juggle"), ("juggle", "reach, track")),
@@ -292,6 +296,23 @@ def test_evaluate_follows_a_path(hframe_command: Command, tmp_path: Path) -> Non
     assert f"{scores['controllers']['pid']['contour_mm']['rms']['mean']:.3f}" in out
 
 
+@pytest.mark.parametrize("metric", ["settling_s", "contour_mm"])
+def test_scores_are_not_cut_on_80_columns(metric: str) -> None:
+    success = {band: {"1mm": 1.0, "0.2mm": 0.998, "0.05mm": 0.125}[band] for band in cli_support.BANDS}
+    keys = cli_support.BANDS if metric == "settling_s" else ("rms", "max")
+    errors = {key: {"mean": 1.2345 + i} for i, key in enumerate(keys)}
+    score = {"success": success, metric: errors, "tracking_mm": errors}
+    names = ("pid", "my_package.my_controllers:a-controller")
+    scores = {"task": "reach", "episodes": 512, "machine": "hframe", "randomize": "default", "sensors": "state"}
+    console = Console(width=80, record=True, file=io.StringIO())
+    console.print(cli_support.score_table({**scores, "seed": 0, "controllers": dict.fromkeys(names, score)}))
+    text = console.export_text()
+    assert "…" not in text
+    assert max(map(len, text.splitlines())) <= 80
+    for number in ("100.0", "99.8", "12.5", *(f"{cell['mean']:.3f}" for cell in errors.values())):
+        assert text.count(number) >= len(names)
+
+
 def test_machines_lists_the_built_in_machines(hframe_command: Command) -> None:
     code, out, _ = hframe_command("machines")
     assert code == 0
@@ -360,9 +381,9 @@ def test_help_lists_the_registered_choices(command: str, choices: tuple[str, ...
 def test_the_package_imports_and_steps_without_the_extras() -> None:
     code = (
         "import sys\n"
-        "for name in ('matplotlib', 'jinja2', 'pygame', 'torch', 'stable_baselines3', 'pyarrow'):\n"
+        "for name in ('matplotlib', 'jinja2', 'pygame', 'torch', 'stable_baselines3', 'pyarrow', 'casadi'):\n"
         "    sys.modules[name] = None\n"
-        "import hframe_gym, hframe_gym.cli, gymnasium\n"
+        "import hframe_gym, hframe_gym.cli, hframe_gym.controllers, gymnasium\n"
         "env = gymnasium.make('HFrame-v0'); env.reset(seed=0); env.step(env.action_space.sample())\n"
     )
     subprocess.run([sys.executable, "-W", "error", "-c", code], check=True)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import importlib
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import pytest
 
+from hframe_gym import registry
 from hframe_gym.errors import InputError
 from hframe_gym.registry import Registry
 
@@ -50,3 +53,59 @@ def test_a_name_with_a_module_imports_the_module_first(monkeypatch: pytest.Monke
     assert SENSOR_KINDS.get("toy_kinds:toy").incremental
     with pytest.raises(InputError, match="cannot import 'no_such_module'"):
         SENSOR_KINDS.get("no_such_module:toy")
+
+
+def test_a_part_can_be_removed() -> None:
+    numbers: Registry[object] = Registry("number")
+    numbers.register("one")(1)
+    numbers.unregister("one")
+    assert "one" not in numbers
+    with pytest.raises(KeyError):
+        numbers.unregister("one")
+
+
+def test_plugins_are_imported_for_an_unknown_name_and_broken_ones_reported(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "toy_plugin_parts.py").write_text(
+        "from hframe_gym.effects import EFFECTS, register_effect\n"
+        "from hframe_gym.envs import TASKS, Reach\n"
+        "import dataclasses\n"
+        "register_effect(dataclasses.replace(EFFECTS['cable_spring'], name='plugin_spring'))\n"
+        "@TASKS.register('plugin-task')\n"
+        "class PluginTask(Reach):\n"
+        "    pass\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    from hframe_gym.effects import get_effect, unregister_effect
+    from hframe_gym.envs import TASKS, HFrameEnv
+
+    plugins = [
+        EntryPoint("toy", "toy_plugin_parts", registry.PLUGIN_GROUP),
+        EntryPoint("broken", "no_such_module", registry.PLUGIN_GROUP),
+    ]
+    monkeypatch.setattr(registry, "entry_points", lambda group: plugins)
+    registry.load_plugins.cache_clear()
+    try:
+        with pytest.warns(UserWarning, match=r"plugin broken \(no_such_module\) was not loaded"):
+            HFrameEnv(task="plugin-task")
+        assert get_effect("plugin_spring").name == "plugin_spring"  # without a second warning
+    finally:
+        unregister_effect("plugin_spring")
+        TASKS.unregister("plugin-task")
+        registry.load_plugins.cache_clear()
+
+
+def test_every_module_of_a_package_is_imported(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "toy_package").mkdir()
+    (tmp_path / "toy_package/__init__.py").write_text(
+        "from hframe_gym.registry import Registry, import_modules\n"
+        "TOYS = Registry('toy')\n"
+        "import_modules(__name__, __path__, skip=('third',))\n"
+    )
+    for name in ("first", "second"):
+        (tmp_path / f"toy_package/{name}.py").write_text(f"from . import TOYS\nTOYS.register({name!r})({name!r})\n")
+    (tmp_path / "toy_package/third.py").write_text("import no_such_module\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    toys = importlib.import_module("toy_package").TOYS
+    assert toys.names == ("first", "second")

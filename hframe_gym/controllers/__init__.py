@@ -13,6 +13,7 @@ textbook_pid            the baseline (`textbook-pid`)
 time_optimal            lower bound of the settling time (extra: bound)
 """
 
+from ..registry import import_modules
 from .adaptive_controller import AdaptiveController
 from .base import CONTROLLERS, Controller, EpisodeStarts, Estimator, OutputFeedbackController, check_period
 from .input_compensation import DeadTime, InputInversion
@@ -44,3 +45,6 @@ __all__ = [
     "TextbookPID",
     "check_period",
 ]
+
+# A new controller in this folder registers itself. The time-optimal bound needs the extra `bound`.
+import_modules(__name__, __path__, skip=("time_optimal",))

@@ -89,8 +89,9 @@ class MotionModel:
         self.observed = (*AXES, *(d.coordinate for d in machine.drives if d.coordinate not in AXES))
         if len(machine.drives) != len(AXES) or sorted(self.observed) != sorted(names):
             raise InputError(
-                f"machine {machine.name!r}: full-state control needs the coordinates x, y and those of two drives, "
-                f"and no others; it has {', '.join(names)} and {len(machine.drives)} drives"
+                f"machine {machine.name!r}: the controllers need two drives and no coordinates except x, y and those "
+                f"of the drives; it has the coordinates {', '.join(names)} and the drives "
+                f"{', '.join(d.name for d in machine.drives)}"
             )
         n = len(names)
         units = machine.travel_per_unit

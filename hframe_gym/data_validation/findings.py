@@ -80,7 +80,8 @@ def print_findings(findings: Sequence[Finding], console: Console) -> None:
     else:
         for finding in group_findings(findings):
             console.print(str(finding), markup=False, highlight=False)
-    counts = (f"{sum(finding.severity == kind for finding in findings)} {kind}" for kind in _STYLES)
+    plurals = {"fault": "faults", "advice": "advice", "note": "notes"}
+    counts = (f"{plurals[kind]}: {sum(finding.severity == kind for finding in findings)}" for kind in _STYLES)
     console.print(", ".join(counts), markup=False, highlight=False)
 
 

@@ -1,7 +1,7 @@
 """The library of effects that a declared machine may lack: one file per effect, found because it is in this folder.
 
-A program can add effects with `register_effect`; they then work in machine.json, in environments and in
-identification like those of the library.
+A program or a plugin (see `hframe_gym.registry`) can add effects with `register_effect`; they then work in
+machine.json, in environments and in identification like those of the library.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from ..machine import Effect, Machine
+from ..registry import load_plugins
 from . import smooth_table
 
 
@@ -69,6 +70,8 @@ def get_effect(name: str) -> Effect:
     Raises:
         KeyError: If there is no such effect.
     """
+    if name not in EFFECTS:
+        load_plugins()
     return EFFECTS[name] if name in EFFECTS else smooth_table.definition(name)
 
 

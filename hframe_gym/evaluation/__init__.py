@@ -21,7 +21,6 @@ from .scenario import (
     Episodes,
     Scenario,
     episode_conditions,
-    load_plugins,
     make_controller,
 )
 
@@ -40,7 +39,6 @@ __all__ = [
     "condition_digests",
     "episode_conditions",
     "evaluate",
-    "load_plugins",
     "make_controller",
     "mean_with_interval",
     "ratio_of_means",

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-import warnings
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from functools import cache, cached_property
-from importlib.metadata import entry_points
+from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,10 +26,9 @@ from ..envs import (
 )
 from ..errors import InputError
 from ..machine import Machine
-from ..registry import Registry
+from ..registry import Registry, load_plugins
 
 Array = NDArray[np.float64]
-PLUGIN_GROUP = "hframe_gym.plugins"  # entry points of installed packages that register controllers, tasks, ...
 
 
 @dataclass(frozen=True)
@@ -53,8 +50,8 @@ class Scenario:
         duration_s: Length of an episode, s; the default is twice the longest move.
 
     Raises:
-        InputError: If the period, the number of episodes or the duration is not positive, or an episode is shorter than
-            one control period.
+        InputError: If the period, the number of episodes or the duration is not positive, the seed is negative, or an
+            episode is shorter than one control period.
     """
 
     machine: MachineLike = "hframe"
@@ -70,9 +67,12 @@ class Scenario:
         check_period(self.period)
         if self.episodes < 1:
             raise InputError(f"episodes is {self.episodes!r}, it must be at least 1")
+        if self.seed < 0:
+            raise InputError(f"seed is {self.seed!r}, it must not be negative")
         if not np.isfinite(self.duration_s) or self.periods < 1:
             raise InputError(
-                f"duration_s is {self.duration_s!r}, it must hold at least one control period of {self.period:g} s"
+                f"period is {self.period:g} s and duration_s is {self.duration_s!r}: an episode must last for "
+                "at least one control period"
             )
 
     @property
@@ -211,23 +211,6 @@ class ControllerSource(ABC):
 
 
 CONTROLLER_SOURCES: Registry[type[ControllerSource]] = Registry("controller source")
-
-
-@cache
-def load_plugins() -> None:
-    """Import the plugins of installed packages, once.
-
-    A plugin is a module that registers controllers, controller sources, tasks or other parts when it is imported; a
-    package declares it as an entry point of the group `hframe_gym.plugins`.
-
-    Warns:
-        UserWarning: If a plugin cannot be imported.
-    """
-    for plugin in entry_points(group=PLUGIN_GROUP):
-        try:
-            plugin.load()
-        except Exception as error:  # a broken third-party package must not disable the commands
-            warnings.warn(f"plugin {plugin.name} ({plugin.value}) was not loaded: {error}", stacklevel=2)
 
 
 def make_controller(

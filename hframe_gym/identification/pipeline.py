@@ -5,12 +5,14 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
 from ..errors import InputError
 from ..machine import Machine
 from ..recordings import Recording
+from ..registry import load_plugins
 from .criteria import SelectionCriteria
 from .dataset import Dataset, prepare, refine_encoder_offsets, with_all_measurements
 from .estimation import Fit, fit, with_uncertainty
@@ -47,8 +49,8 @@ def hold_out(recordings: Sequence[Recording], chosen: Sequence[str] = ()) -> tup
     kept = tuple(chosen) or tuple(names[_HOLD_OUT_EVERY - 1 :: _HOLD_OUT_EVERY]) or tuple(names[-1:])
     if len(set(kept)) >= len(names):
         raise InputError(
-            f"{len(names)} run(s), {len(set(kept))} held out: at least one must be left to fit; split the "
-            "recording into several runs or hold out fewer"
+            f"runs: {len(names)}, held out: {len(set(kept))}; at least one must be left to fit, so split the recording "
+            "into several runs or hold out fewer"
         )
     return kept
 
@@ -77,9 +79,12 @@ def identify(
         Verdict, machines, selected effects and their errors on the held-out runs.
 
     Raises:
-        InputError: If the runs cannot be divided into fitted and held-out ones.
+        InputError: If the runs cannot be divided into fitted and held-out ones, or `recordings` is a path.
     """
     began = time.perf_counter()
+    if isinstance(recordings, str | Path):
+        raise InputError(f"identify needs recordings, not a path; call load_recordings({str(recordings)!r}, machine)")
+    load_plugins()  # the search tries their effects as well
     criteria = criteria or SelectionCriteria()
     log = log or (lambda line: None)
     kept = hold_out(recordings, held_out)

@@ -43,7 +43,10 @@ import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
+
+if TYPE_CHECKING:
+    from .machine import Machine
 
 SiteKind = Literal["coordinate", "motor", "drive", "drives", "belts", "sensor", "machine"]
 Hook = Callable[..., Any]
@@ -222,6 +225,29 @@ class AppliedEffect:
             The new effect at the same site.
         """
         return dataclasses.replace(self, parameters=dict(parameters))
+
+    def check_site(self, machine: Machine) -> None:
+        """Check that a machine has the effect's site.
+
+        Args:
+            machine: The machine.
+
+        Raises:
+            ValueError: If it does not; the message lists the sites there are.
+        """
+        drives = tuple(d.name for d in machine.drives)
+        sites = {
+            "coordinate": machine.coordinate_names,
+            "motor": drives,
+            "drive": drives,
+            "drives": ("drives", *drives),
+            "sensor": machine.output_channels,
+        }.get(self.definition.site, (self.definition.site,))
+        if self.site not in sites:
+            choices = ", ".join(sites)
+            raise ValueError(
+                f"effect {self.name}: machine {machine.name!r} has no site {self.site!r}; choose one of {choices}"
+            )
 
     def __call__(self, hook: str, **quantities: Any) -> Any:
         """Evaluate a hook.

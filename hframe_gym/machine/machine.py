@@ -186,14 +186,11 @@ class Machine:
             site: Site of an effect: the name of a coordinate, drive or channel, or "drives", "belts", "machine".
 
         Returns:
-            The coordinate, the drive's coordinate, or the coordinate that the sensor measures; None for a site that
-            is not at one coordinate.
+            The coordinate, or that of the drive or sensor; None for a site that is not at one coordinate.
         """
-        if site in self.coordinate_names:
-            return site
         by_drive = {d.name: d.coordinate for d in self.drives}
         by_sensor = {s.channel: s.coordinate for s in self.sensors}
-        return (by_drive | by_sensor).get(site)
+        return (by_drive | by_sensor | {name: name for name in self.coordinate_names}).get(site)
 
     @cached_property
     def spring_loaded(self) -> tuple[str, ...]:
@@ -310,9 +307,13 @@ class Machine:
 
         Returns:
             The extended machine.
+
+        Raises:
+            ValueError: If the machine has no such site for the effect.
         """
         machine = self
         for effect in effects:
+            effect.check_site(machine)
             machine = dataclasses.replace(machine, effects=(*machine.effects, effect))
             if effect.definition.structure:
                 machine = effect.definition.structure(machine, effect)

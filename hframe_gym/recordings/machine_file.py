@@ -69,7 +69,7 @@ def load_machine(source: str | Path | Machine) -> Machine:
         text = path.read_text(encoding="utf-8")
         content = MachineFile.model_validate_json(text)
     except UnicodeDecodeError as error:
-        raise InputError(f"{path}: not a UTF-8 text file ({error.reason}); save it as UTF-8") from None
+        raise InputError(f"{path}: not a machine.json: it is not a text file in UTF-8 ({error.reason})") from None
     except ValidationError as error:
         first = error.errors()[0]
         reason = "unknown field; delete it" if first["type"] == "extra_forbidden" else first["msg"]

@@ -118,5 +118,5 @@ def test_workspace_without_range_is_rejected(hframe: Machine) -> None:
 
 @pytest.mark.parametrize("name", ["axis", "hframe-order20"])
 def test_machine_without_full_state_measurement_is_rejected(name: str) -> None:
-    with pytest.raises(InputError, match="full-state control needs"):
+    with pytest.raises(InputError, match="the controllers need two drives"):
         MotionModel(BUILTIN_MACHINES[name]())

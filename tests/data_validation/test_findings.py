@@ -23,7 +23,7 @@ def test_findings_are_lines_in_a_file_and_a_table_on_a_terminal() -> None:
     assert plain.getvalue().splitlines() == [
         "fault: run_01, x_m: stuck [at 0.1]",
         "note: 8 runs",
-        "1 fault, 0 advice, 1 note",
+        "faults: 1, advice: 0, notes: 1",
     ]
     rich = io.StringIO()
     print_findings(FINDINGS, Console(file=rich, force_terminal=True, width=100))
@@ -49,7 +49,7 @@ def test_the_command_prints_findings_and_writes_them_as_json(
     with pytest.raises(SystemExit) as stop:
         main()
     assert stop.value.code == 0
-    assert "0 fault" in capsys.readouterr().out
+    assert "faults: 0" in capsys.readouterr().out
     content = json.loads(written.read_text())
     assert content["schema"] == 1
     assert {f["severity"] for f in content["findings"]} <= {"advice", "note"}

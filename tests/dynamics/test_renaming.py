@@ -95,6 +95,7 @@ def test_names_do_not_reach_the_kernel(names: list[str]) -> None:
     [
         # These once changed the simulated encoder readings by up to 0.26 rad.
         ["x", "s", "a", "last", "first", "right", "bottom", "f", "motor2", "phi1_rad", "phi2_rad", "x_m", "y_m"],
+        ["s", "y", "a", "last", "left", "right", "bottom", "f", "motor2", "phi1_rad", "phi2_rad", "x_m", "y_m"],
         ["step", "h", "time", "load", "state", "exp", "where", "lambda", "None", "belts", "drives", "class", "q 1/ü"],
     ],
 )

@@ -11,6 +11,7 @@ import pytest
 import hframe_gym  # noqa: F401  (registers the environments)
 from hframe_gym.effects import EFFECTS
 from hframe_gym.envs import Actuators
+from hframe_gym.machine import BUILTIN_MACHINES
 
 IDS = ("HFrame-v0", "HFrameTrack-v0")
 CHOICES = {
@@ -77,6 +78,21 @@ def test_copy_of_a_vector_environment_continues_bit_equal(name, options, duplica
     assert_equal(envs.reset(), twin.reset())
     for action in changing_actions(4, (count, 2), seed=2):
         assert_equal(envs.step(action), twin.step(action))
+
+
+@pytest.mark.parametrize("machine", [name for name in BUILTIN_MACHINES if name not in ("hframe", "axis")])
+def test_copies_on_the_other_machines_continue_bit_equal(machine):
+    options = {"machine": machine, "randomize": "wide", "sensors": "rig", "drives": "rig"}
+    env = gym.make("HFrame-v0", **options).unwrapped
+    envs = gym.make_vec("HFrame-v0", num_envs=9, **options).unwrapped
+    for original, shape in ((env, (2,)), (envs, (9, 2))):
+        original.reset(seed=3)
+        for action in changing_actions(5, shape, seed=0):
+            original.step(action)
+        twin = copy.deepcopy(original)
+        for action in changing_actions(8, shape, seed=1):
+            assert_equal(original.step(action), twin.step(action))
+        assert_equal(original.reset(), twin.reset())
 
 
 @pytest.mark.parametrize("name", IDS)

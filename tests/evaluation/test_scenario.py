@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import numpy as np
@@ -24,12 +23,10 @@ from hframe_gym.evaluation import (
     ControllerSource,
     Scenario,
     evaluate,
-    load_plugins,
     make_controller,
     rollout,
     score_episodes,
 )
-from hframe_gym.evaluation import scenario as scenario_module
 from hframe_gym.machine import BUILTIN_MACHINES
 
 TOY_MODULE = '''
@@ -65,7 +62,8 @@ def toy_module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]
         ({"period": -0.01}, "period is -0.01"),
         ({"period": float("nan")}, "period is nan"),
         ({"episodes": 0}, "episodes is 0"),
-        ({"duration_s": 0.001}, "at least one control period of 0.01 s"),
+        ({"duration_s": 0.001}, "period is 0.01 s and duration_s is 0.001: .* at least one control period"),
+        ({"seed": -1}, "seed is -1"),
         ({"duration_s": float("inf")}, "duration_s is inf"),
     ],
 )
@@ -113,9 +111,9 @@ def test_pid_settles_from_rig_sensors() -> None:
         ("no_such_module:p", Scenario(), "cannot import 'no_such_module'"),
         ("textbook-pid", Scenario(sensors="rig"), "needs the full state"),
         ("adaptive-pid", Scenario(sensors="rig"), "needs the full state"),
-        ("adaptive-pid", Scenario("axis"), "full-state control needs"),
-        ("pid", Scenario("axis"), "full-state control needs"),
-        ("pid", Scenario("hframe-order20"), "full-state control needs"),
+        ("adaptive-pid", Scenario("axis"), "the controllers need two drives"),
+        ("pid", Scenario("axis"), "the controllers need two drives"),
+        ("pid", Scenario("hframe-order20"), "the controllers need two drives"),
     ],
 )
 def test_impossible_controllers_are_rejected(name: str, scenario: Scenario, message: str) -> None:
@@ -159,19 +157,6 @@ def test_a_source_makes_controllers_that_are_not_registered(monkeypatch: pytest.
     assert type(make_controller("track-x", task="track")) is TextbookPID
     with pytest.raises(InputError, match=r"'track-x' is unknown; .*; or reach-x"):
         make_controller("track-x", task="reach")
-
-
-def test_plugins_are_imported_and_broken_ones_reported(toy_module: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    plugins = [
-        EntryPoint("toy", toy_module, scenario_module.PLUGIN_GROUP),
-        EntryPoint("broken", "no_such_module", scenario_module.PLUGIN_GROUP),
-    ]
-    monkeypatch.setattr(scenario_module, "entry_points", lambda group: plugins)
-    load_plugins.cache_clear()
-    with pytest.warns(UserWarning, match=r"plugin broken \(no_such_module\) was not loaded"):
-        load_plugins()
-    assert "toy-p" in CONTROLLERS
-    load_plugins()  # without a second warning
 
 
 def test_episodes_do_not_depend_on_the_sensors() -> None:

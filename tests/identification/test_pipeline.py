@@ -124,6 +124,8 @@ def test_every_fourth_run_is_held_out_and_impossible_choices_are_refused() -> No
         hold_out(runs, ["run_9"])
     with pytest.raises(InputError, match="at least one must be left"):
         hold_out(runs[:1])
+    with pytest.raises(InputError, match=r"call load_recordings\('runs', machine\)"):
+        identify("runs", BUILTIN_MACHINES["axis"]())  # type: ignore[arg-type]
 
 
 @pytest.mark.oracle

@@ -64,6 +64,19 @@ def test_replace_moves_tied_parameters_along(hframe: Machine) -> None:
     assert yawing.replace({"bridge_yaw@machine.J": 0.2}).coordinate("yaw").mass == 0.2
 
 
+@pytest.mark.parametrize(
+    ("name", "site", "choices"),
+    [("cogging", "x", "motor1, motor2"), ("stribeck_friction", "z", "x, y, "), ("sensor_skew", "x", "phi1_rad, ")],
+)
+def test_an_effect_at_a_site_that_the_machine_lacks_is_refused(
+    name: str, site: str, choices: str, hframe: Machine
+) -> None:
+    definition = EFFECTS[name]
+    effect = definition.at(site, **{p.name: p.upper for p in definition.parameters})
+    with pytest.raises(ValueError, match=f"{name}: machine 'hframe' has no site '{site}'; choose one of {choices}"):
+        hframe.with_effects(effect)
+
+
 def test_machine_simulate_calls_the_registered_simulator(hframe: Machine) -> None:
     from hframe_gym.dynamics import simulate
 
