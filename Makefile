@@ -12,7 +12,7 @@ demo: $(INSTALLED)  ## identify a recorded rig, control the corrected machine
 	@echo "open out/demo/report.html, out/demo/control/pid.png and ppo.png"
 
 test: $(INSTALLED)  ## all tests but the slow ones
-	$(BIN)/pytest
+	$(BIN)/pytest -n auto --dist worksteal
 
 check: $(INSTALLED) hframe_gym/agents  ## format, lint, docstrings, types, layers
 	$(BIN)/ruff format --check .

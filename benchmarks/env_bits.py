@@ -17,6 +17,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -148,7 +149,12 @@ def in_new_process(name: str, steps: int, threads: int) -> list[str]:
     """Return the digests of the vector environment in a new process with a number of threads."""
     command = [sys.executable, "-m", "benchmarks.env_bits", "--steps", str(steps), "--digest", name]
     process = subprocess.run(
-        command, env=os.environ | {"HFRAME_THREADS": str(threads)}, capture_output=True, text=True, check=True
+        command,
+        cwd=Path(__file__).parents[1],
+        env=os.environ | {"HFRAME_THREADS": str(threads)},
+        capture_output=True,
+        text=True,
+        check=True,
     )
     digests: list[str] = json.loads(process.stdout)
     return digests

@@ -11,7 +11,7 @@ import pytest
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 
 HEADER = "time_s,v1_V,v2_V,phi1_rad,phi2_rad,x_m,y_m"
-NOT_UNIT = ("oracle", "train", "slow")
+NOT_UNIT = ("integration", "oracle", "train", "slow")
 
 
 @pytest.hookimpl(tryfirst=True)  # before pytest selects by marker

@@ -21,6 +21,8 @@ from hframe_gym.identification import initial_state_of_recording
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import load_recording, machine_to_dict
 
+pytestmark = pytest.mark.integration
+
 Command = Callable[..., tuple[int, str, str]]
 
 ROOT = Path(__file__).parents[1]

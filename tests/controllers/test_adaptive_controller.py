@@ -13,6 +13,8 @@ from hframe_gym.evaluation import Scenario, rollout
 from hframe_gym.machine import Machine
 from tests.controllers.closed_loop import PERIOD, PREVIEW, circles, closed_loop, random_points, random_stages
 
+pytestmark = pytest.mark.integration
+
 COUNT = 32
 MODELED_EFFECTS = {
     "none": (),

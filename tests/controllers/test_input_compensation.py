@@ -12,6 +12,8 @@ from hframe_gym.errors import InputError
 from hframe_gym.evaluation import Scenario, rollout, score_episodes
 from hframe_gym.machine import Machine
 
+pytestmark = pytest.mark.integration
+
 PERIOD = 0.01
 
 

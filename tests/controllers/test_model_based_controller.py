@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from hframe_gym.controllers import ModelBasedController, MotionModel
 from hframe_gym.effects import EFFECTS
 from hframe_gym.machine import Machine
 from tests.controllers.closed_loop import PERIOD, closed_loop, random_points, random_stages
+
+pytestmark = pytest.mark.integration
 
 
 def test_reaches_a_grid_of_the_workspace_and_stays(hframe: Machine, model_based: ModelBasedController) -> None:

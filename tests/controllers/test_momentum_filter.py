@@ -10,6 +10,8 @@ from hframe_gym.machine import Machine
 from tests.controllers.closed_loop import PERIOD, circles, closed_loop, random_stages
 from tests.reference_simulator import Rig, Stage
 
+pytestmark = pytest.mark.integration
+
 FRICTION_X, FRICTION_PHI1, FRICTION_PHI2, MASS_X, BELTS = 0, 2, 3, 4, 8  # columns of the estimates
 
 

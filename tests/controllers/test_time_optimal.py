@@ -15,6 +15,8 @@ from hframe_gym.effects import EFFECTS
 from hframe_gym.errors import InputError
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, rest_state
 
+pytestmark = pytest.mark.integration
+
 casadi = pytest.importorskip("casadi")
 
 from hframe_gym.controllers.time_optimal import HOLD_S, TimeOptimalReach, _SymbolicModel  # noqa: E402

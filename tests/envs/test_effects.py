@@ -9,6 +9,8 @@ from hframe_gym.effects import EFFECTS, effect_sites
 from hframe_gym.envs import HFrameEnv, HFrameVectorEnv, Reach
 from hframe_gym.machine import BUILTIN_MACHINES
 
+pytestmark = pytest.mark.integration
+
 # One effect of each kind: with a state, with a state at a drive, at a belt, with a new coordinate and products in
 # sensor rows, with tied belts.
 FAST = ("presliding", "electrical_lag", "belt_slack", "bridge_yaw", "idler_inertia")

@@ -17,6 +17,8 @@ from hframe_gym.errors import InputError
 from hframe_gym.evaluation import Scenario, evaluate, rollout, score_episodes, write_scores
 from hframe_gym.machine import BUILTIN_MACHINES
 
+pytestmark = pytest.mark.integration
+
 HFRAME = BUILTIN_MACHINES["hframe"]()
 
 

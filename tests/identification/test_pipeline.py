@@ -16,6 +16,8 @@ from hframe_gym.machine import BUILTIN_MACHINES
 from hframe_gym.recordings import Recording, load_machine, load_recordings
 from tools.make_examples import RIGS
 
+pytestmark = pytest.mark.integration
+
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
