@@ -1,6 +1,6 @@
-"""One step of the integrator in plain Python: the specification of the generated kernel.
+"""One step of the integrator in plain Python: the specification of the compiled simulation kernel (generated code).
 
-The step of length h advances travel p, speed v and the states z of the effects with constant voltages. It is a
+The step of length h advances belt travel p, speed v and the states z of the effects with constant voltages. It is a
 symmetric splitting around the exact flow of each coordinate with friction:
 
     1. half-way point      p1 = p + h/2 v,  z1 = z after h/2
@@ -29,9 +29,9 @@ class StepState:
     """State of one machine.
 
     Attributes:
-        travel: Belt travel of each coordinate, m.
-        speed: Rate of the travel, m/s.
-        time: Time, s.
+        travel: Belt travel of each coordinate, m (radius * angle of a rotary one).
+        speed: Rate of the belt travel, m/s.
+        time: Time since the machine was switched on, s.
         effect_states: State of each effect that has one, by the effect's index.
     """
 
@@ -42,16 +42,16 @@ class StepState:
 
 
 def reference_step(equations: Equations, state: StepState, voltages: Sequence[float], h: float) -> StepState:
-    """Advance a machine by one step.
+    """Advance a machine by one step of the integrator, in plain Python.
 
     Args:
-        equations: Equations of motion of the machine.
-        state: State before the step.
+        equations: Equations of motion of the machine, with floats as parameters.
+        state: Belt travel, speed, time and effect states before the step.
         voltages: Commanded voltage of each drive, V, constant over the step.
         h: Length of the step, s.
 
     Returns:
-        State after the step.
+        Belt travel, speed, time and effect states after the step.
     """
     p, v = state.travel, state.speed
     coordinates = range(len(p))

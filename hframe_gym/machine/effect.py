@@ -151,13 +151,16 @@ class Effect:
     coordinate: str = ""
 
     def parameter(self, name: str) -> EffectParameter:
-        """Return a parameter by its name.
+        """Return the declaration (unit, bounds, role) of one parameter of the effect.
 
         Args:
-            name: Name of the parameter.
+            name: Name of the parameter, for example "A".
 
         Returns:
-            Its declaration.
+            The declaration.
+
+        Raises:
+            StopIteration: If the effect has no parameter of this name.
         """
         return next(p for p in self.parameters if p.name == name)
 
@@ -167,14 +170,16 @@ class Effect:
         return tuple(p.name for p in self.parameters if p.amplitude)
 
     def at(self, site: str, **parameters: float) -> AppliedEffect:
-        """Apply the effect at a site.
+        """Combine the effect with a site of a machine and with parameter values.
 
         Args:
-            site: Name of a coordinate, drive or sensor channel, or "drives", "belts", "machine", as `site` says.
-            **parameters: Value of every parameter, SI.
+            site: Where it acts. By the attribute `site`: name of a coordinate ("coordinate"), of a drive ("motor",
+                "drive"), a sensor channel ("sensor"), or the word "drives", "belts" or "machine" itself. Whether a
+                machine has the site is checked when the effect is added to it.
+            **parameters: Value of every parameter of the effect, SI, within its bounds.
 
         Returns:
-            The applied effect.
+            The effect at the site, for `Machine.with_effects`.
 
         Raises:
             ValueError: If a parameter is missing, unknown or outside its bounds; the message names it.
@@ -193,11 +198,11 @@ class Effect:
 
 @dataclass(frozen=True)
 class AppliedEffect:
-    """An effect at a site of a machine.
+    """An effect at a site of a machine, with parameter values.
 
     Attributes:
-        definition: The effect.
-        site: Name of the site.
+        definition: Definition of the effect.
+        site: Name of the coordinate, drive or sensor channel, or "drives", "belts", "machine".
         parameters: Values by name, SI: floats, or arrays for many variants at once.
     """
 
@@ -216,24 +221,24 @@ class AppliedEffect:
         return f"{self.definition.name}@{self.site}"
 
     def with_parameters(self, parameters: Mapping[str, float]) -> AppliedEffect:
-        """Return the same effect with other parameter values.
+        """Return a copy of the effect with other parameter values.
 
         Args:
-            parameters: Value of every parameter, SI.
+            parameters: Values of all parameters by name, SI. Names and bounds are not checked.
 
         Returns:
-            The new effect at the same site.
+            The effect with these values at the same site.
         """
         return dataclasses.replace(self, parameters=dict(parameters))
 
     def check_site(self, machine: Machine) -> None:
-        """Check that a machine has the effect's site.
+        """Check that a machine has the coordinate, drive or sensor channel at which the effect acts.
 
         Args:
-            machine: The machine.
+            machine: Machine to check.
 
         Raises:
-            ValueError: If it does not; the message lists the sites there are.
+            ValueError: If the machine has no such site; the message lists its sites.
         """
         drives = tuple(d.name for d in machine.drives)
         sites = {
@@ -250,17 +255,19 @@ class AppliedEffect:
             )
 
     def __call__(self, hook: str, **quantities: Any) -> Any:
-        """Evaluate a hook.
+        """Evaluate one hook (a formula of the effect) with the effect's parameter values.
 
         Args:
-            hook: Name of the hook.
-            **quantities: Quantities that the hook may need; see the table at the top of the module.
+            hook: Name of a hook that the effect has, for example "force"; see the table at the top of the module.
+            **quantities: Quantities that the hook takes as arguments by the symbols of that table, for example q and v.
+                Surplus quantities are ignored.
 
         Returns:
-            The hook's value, in the table's unit.
+            Value of the hook in the unit of that table, for example N for "force" at a linear coordinate.
 
         Raises:
-            KeyError: If the hook needs an argument that was not given; the message names it.
+            KeyError: If an argument of the hook is neither a parameter nor given; the message names it.
+            TypeError: If the effect does not have the hook.
         """
         function = getattr(self.definition, hook)
         values = {**quantities, **self.parameters}
@@ -269,12 +276,12 @@ class AppliedEffect:
 
 @lru_cache(maxsize=1024)
 def argument_names(function: Hook) -> tuple[str, ...]:
-    """Return the names of a hook's arguments.
+    """Return the names of the arguments of a hook; results are cached.
 
     Args:
-        function: Hook of an effect.
+        function: Hook of an effect (a formula such as `force(q, k)`).
 
     Returns:
-        Names in the order of the signature.
+        Names in the order of the signature, for example ("q", "k").
     """
     return tuple(inspect.signature(function).parameters)
