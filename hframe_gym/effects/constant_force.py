@@ -8,7 +8,7 @@ from ..machine import Effect, EffectParameter
 
 
 def force(size):  # type: ignore[no-untyped-def]
-    """Return the constant."""
+    """Return the constant force `size` on the coordinate, N or Nm."""
     return size
 
 
