@@ -1,10 +1,11 @@
-"""Elementary functions for values of any algebra.
+"""Elementary functions for numbers, arrays, symbolic expressions and SIMD registers.
 
-The equations of motion and the formulas of effects are written once with these functions. What a function does follows
-from the type of its operands:
+"Compiled simulation kernel" below is the Numba code that `kernel_source` generates for a machine. The equations of
+motion and the formulas of effects are written once with these functions. What a function does follows from the type of
+its operands:
 
     NumPy arrays and plain numbers   NumPy's function
-    traced expressions               a node of the kernel's expression graph (`tracing`)
+    traced expressions               a node of the expression graph (`tracing`) from which a kernel is generated
     CasADi SX and MX                 CasADi's function
     SIMD registers in a kernel       vector instructions, which `simd` registers with Numba
 

@@ -1,18 +1,18 @@
-"""Equations of motion of a machine, stated once for values of any algebra.
+"""Equations of motion of a machine, stated once for numbers, arrays and symbolic expressions.
 
 For the belt travel p of each coordinate (p = radius * angle for a pulley), in N and m:
 
     m dv/dt = f_belts + f_drive + f_effects - b v - F sign(v)                                      (eq. 1-8, 36-37)
 
     belt i:   s = G p,  l = L + H p,  k = EA / l,  T = k s                                         (eq. 38-44)
-              f_belts = -G' T - (1/2) s^2 dk/dp,  dk/dp = -(k / l) H        (the paper omits the second term)
+              f_belts = -G' T - (1/2) s^2 dk/dp,  dk/dp = -(k / l) H        (Sollmann et al. omit the second term)
     drive j:  f_drive = N Kt i / r,  i = (V - Ke N w) / R            (eq. 17, with the gear ratio that it omits)
 
 At v = 0 Coulomb friction is a set: any force up to F. The back electromotive force Ke N w is part of the viscous
 coefficient b. Effects enter at the places that `hframe_gym.machine.effect` lists.
 
 Values are floats, NumPy arrays (one entry per machine, per sample, or (variants, 1) against (samples,)), traced
-expressions from which `kernel_source` generates the kernel, or CasADi expressions.
+expressions from which `kernel_source` generates the simulation kernel (compiled code), or CasADi expressions.
 
 References:
     Sollmann, Jouaneh and Lavender (2010), Dynamic Modeling of a Two-Axis, Parallel, H-Frame-Type XY Positioning System.
@@ -154,7 +154,7 @@ class Equations(BeltEquations):
         return ForceBalance(self._with_guarded_forces(held, point), levels, arguments)
 
     def _coulomb_level(self, i: int, point: MotionPoint) -> Value:
-        """Return the Coulomb level of coordinate i with its effects, N; never negative."""
+        """Return the Coulomb friction force of coordinate i with its effects, N; never negative."""
         level = self.coulomb(i)
         effects = list(self.effects_on("coulomb", i))
         for k, e in effects:
@@ -162,7 +162,7 @@ class Equations(BeltEquations):
         return maximum(level, 0.0) if effects else level
 
     def _force_of(self, k: int, i: int, point: MotionPoint) -> Value:
-        """Return the force of effect k on the travel of coordinate i, N."""
+        """Return the force of effect k along the belt travel of coordinate i, N."""
         effect = self.machine.effects[k]
         return self.evaluate(effect, "force", self._with_state(k, i, point)) * self.per_radius(i)
 

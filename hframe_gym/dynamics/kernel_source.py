@@ -1,4 +1,4 @@
-"""Generates the source of a machine's kernel by evaluating the equations of motion on traced expressions.
+"""Generates the source of a machine's simulation kernel by evaluating the equations of motion on traced expressions.
 
 What is the same for all machines of one shape (which coordinates, rows of the belts, where drives and effects act)
 becomes source text: zeros vanish, ones become additions, an effect that is absent costs nothing. What differs between

@@ -4,7 +4,7 @@ The step of length h advances belt travel p, speed v and the states z of the eff
 symmetric splitting around the exact flow of each coordinate with friction:
 
     1. half-way point      p1 = p + h/2 v,  z1 = z after h/2
-       forces there        f1, F1 (Coulomb level)
+       forces there        f1, F1 (Coulomb friction force)
        acceleration        a = (f1 - b v - friction(v, f1, F1)) / m
     2. corrected point     p2 = p1 + h^2/12 a,  v2 = v + h/2 a,  z2 = z after h/2 with v2
        forces there        f2, F2; belts without nonlinear effects: f2 = f1 - G' k G h^2/12 a
@@ -104,7 +104,7 @@ def _direction(v: float, f: float) -> float:
 
 
 def _friction(v: float, f: float, level: float) -> float:
-    """Return the Coulomb friction force; at rest it equals the force up to the Coulomb level."""
+    """Return the Coulomb friction force; at rest it equals f, limited to +-level."""
     return min(max(f, -level), level) if v == 0.0 else math.copysign(level, v)
 
 
@@ -121,7 +121,7 @@ def _flow(v: float, f: float, level: float, viscous: Sequence[float], m: float, 
     Args:
         v: Speed, m/s.
         f: Force without friction, N.
-        level: Coulomb level F, N.
+        level: Coulomb friction force F, N.
         viscous: Viscous coefficients, Ns/m, of the present and of the opposite direction of motion.
         m: Mass, kg.
         h: Time, s.

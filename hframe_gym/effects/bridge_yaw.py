@@ -1,8 +1,8 @@
 """Yaw of the bridge: a coordinate `yaw` with inertia J, stiffness k, damping c and half-width w.
 
 The extension of the left belt follows x + w yaw, that of the right belt x - w yaw, that of the bottom belt x. The tool
-is at x + y yaw. The effect explains an oscillation of 0.2 mm in x during y-moves, which Sollmann et al. (2010), section V,
-report without explanation.
+is at x + y yaw. The effect explains an oscillation of 0.2 mm in x during y-moves, which Sollmann et al. (2010), section
+V, report without explanation.
 """
 
 import dataclasses

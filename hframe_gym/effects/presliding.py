@@ -1,7 +1,7 @@
 """Friction with a bristle state: before it slides, a contact deflects like a spring (Dahl 1968; LuGre).
 
-dz/dt = v - s0 |v| z/F, friction s0 z + s1 dz/dt, where F is the Coulomb level including the Stribeck effect. For a
-constant speed the state has a closed solution over a distance dq: z approaches +-F/s0 exponentially.
+dz/dt = v - s0 |v| z/F, friction s0 z + s1 dz/dt, where F is the Coulomb friction force including the Stribeck effect.
+For a constant speed the state has a closed solution over a distance dq: z approaches +-F/s0 exponentially.
 """
 
 from ..dynamics.elementwise import absolute, copysign, exp, maximum

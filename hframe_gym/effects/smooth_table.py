@@ -1,7 +1,8 @@
-"""Tables for what no formula of the library explains: a force or a Coulomb level as a function of one variable.
+"""Tabulated effects for residuals without a formula: a force or a Coulomb friction force as a function of one variable.
 
 The curve is linear between KNOTS values. Knots lie where the variable has been, and closer where the curve bends. The
-name of a table says what it is: `smooth_force[position of y]` at x is an unnamed force on x that depends on y.
+name of a table states force and variable: `smooth_force[position of y]` at x is an unnamed force on x that depends on
+y.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Stribeck friction: the Coulomb level changes at low speed, F(v) = Fc + dF exp(-(v/vs)^2).
+"""Stribeck friction: the Coulomb friction force changes at low speed, F(v) = Fc + dF exp(-(v/vs)^2).
 
 dF < 0 describes friction that rises with speed.
 """

@@ -62,7 +62,7 @@ class Coordinate:
         name: Name by which belts, drives, sensors and effects refer to the coordinate.
         mass: Moving mass, kg, or moment of inertia, kg m^2.
         viscous: Viscous friction coefficient, Ns/m or Nms.
-        coulomb: Coulomb friction level, N or Nm.
+        coulomb: Coulomb friction force, N, or torque, Nm.
         kind: "linear" (a carriage) or "rotary" (a pulley).
         radius: Radius of the pulley, m. A linear coordinate ignores it.
         range: Lowest and highest position, m or rad. None if the coordinate is not limited.

@@ -7,7 +7,7 @@ arguments are the effect's parameters and the quantities of the table's last col
     hook                returns                                                      arguments
     force               force added to the coordinate, N or Nm                       q, v, t, z, u
     active_region       where the force may differ from zero (default: everywhere)   q, v, t
-    coulomb             change of the Coulomb level, N or Nm (the sum stays >= 0)    q, v, t, z, u
+    coulomb             change of the Coulomb friction force, N or Nm (sum >= 0)     q, v, t, z, u
     friction            dry friction force that replaces Coulomb friction, N or Nm   q, v, t, z, level
     viscous             viscous coefficient of the coordinate, Ns/m or Nms           b, direction (+1 or -1)
     voltage             voltage that reaches the drive, V                            V
@@ -23,8 +23,8 @@ arguments are the effect's parameters and the quantities of the table's last col
     measurement_delay   delay of a sensor, s
     next_state          state of the effect after the time dt                        z, dq, dt, v, level, i
 
-Symbols: q, v: position and speed of the coordinate in its unit; t: time since the machine was switched on, s; u:
-the variable that `against` names; z: the effect's state, zero at the start of a run; level: Coulomb level of the
+Symbols: q, v: position and speed of the coordinate in its unit; t: time since the machine was switched on, s; u: the
+variable that `against` names; z: the effect's state, zero at the start of a run; level: Coulomb friction force of the
 coordinate; i: current by Ohm's law, A; s, rate, k: extension (m), its rate (m/s) and the stiffness (N/m) of a belt; r:
 ideal measurement; across: position of the other linear coordinate, m; dq: distance traveled in dt; per_radius: 1/radius
 of the pulley, 1/m.
@@ -33,7 +33,8 @@ of the pulley, 1/m.
 effect's parameters.
 
 Formulas use the elementary functions of `hframe_gym.dynamics.elementwise`, so that one definition serves NumPy arrays,
-the kernel and CasADi. They may call helper functions and use constants of their module.
+the compiled simulation kernel (generated code) and CasADi. They may call helper functions and use constants of their
+module.
 """
 
 from __future__ import annotations
@@ -75,14 +76,15 @@ class EffectParameter:
     """A parameter of an effect.
 
     Attributes:
-        name: Name of the argument of the hooks.
-        unit: Unit, or a key of `machine.UNITS` where the unit follows the site's coordinate.
+        name: Name of the parameter: an argument of the hooks (formulas) of the effect.
+        unit: Unit, or a key of `machine.UNITS` ("force", "position", ...) if it follows the kind of the coordinate.
         lower: Lower bound, SI.
         upper: Upper bound, SI.
-        scale: Size of a typical change, relative to what is typical of the unit on the machine.
-        grid: Starting values of a search, with the same reference as `scale`.
+        scale: Typical size of the parameter, relative to the typical value of its unit on the machine (for example
+            the Coulomb friction for N).
+        grid: Initial values of a search, relative to the same typical value.
         role: "amplitude" is zero where the effect is absent. "phase" shifts the sine of the amplitude, so that both
-            together are linear. "period" (a length) and "rate" (rad per position) are searched on a grid that follows
+            together are linear. "period" (m or rad) and "rate" (rad per position) are searched on a grid that follows
             from the distance traveled. "fixed" is not fitted. "shape" is everything else.
     """
 
@@ -96,7 +98,7 @@ class EffectParameter:
 
     @property
     def amplitude(self) -> bool:
-        """Whether the parameter is zero where the effect is absent."""
+        """Whether the value zero of this parameter means that the effect is absent."""
         return self.role == "amplitude"
 
 
@@ -106,16 +108,16 @@ class Effect:
 
     Attributes:
         name: Unique name.
-        family: Name of the group of effects that a user sees as one; a family may have several members.
+        family: Name of the group of effects with the same physical cause that reports treat as one effect.
         site: Kind of site at which the effect can act.
         parameters: Parameters, in the order of the full parameter vector.
         formula: The equation, for tables and reports.
         source: Reference of the formula.
-        structure: Function (machine, applied effect) -> machine that changes the machine's tables.
-        fits: Predicate (machine) -> bool: whether the machine has room for the effect.
+        structure: Function (machine, applied effect) -> machine that changes the components of the machine.
+        fits: Predicate (machine) -> bool: whether the machine has the components that the effect needs.
         fits_site: Predicate (machine, site) -> bool: whether the effect can act at that site.
-        equivalent: What no recording can distinguish from the effect, in words.
-        refitted: Whether a refit of the machine's parameters already contains the effect, so that no search needs it.
+        equivalent: Causes that no recording can distinguish from the effect, in words.
+        refitted: Whether changed parameters of the machine can represent the effect, so that no search tests it.
         against: Variable `u` of a tabulated effect ("position of y", "velocity of y", "path of y", "time").
         coordinate: Name of the coordinate that `structure` adds, on which the force acts.
     """
@@ -166,7 +168,7 @@ class Effect:
 
     @property
     def amplitudes(self) -> tuple[str, ...]:
-        """Names of the parameters that are zero where the effect is absent."""
+        """Names of the parameters whose value zero means that the effect is absent."""
         return tuple(p.name for p in self.parameters if p.amplitude)
 
     def at(self, site: str, **parameters: float) -> AppliedEffect:
