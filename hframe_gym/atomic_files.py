@@ -1,4 +1,4 @@
-"""Files that appear complete or not at all."""
+"""Write files so that a reader finds either the complete new file or the old one, never a part."""
 
 from __future__ import annotations
 
@@ -11,14 +11,17 @@ from pathlib import Path
 
 @contextmanager
 def atomic_file(path: str | Path) -> Iterator[Path]:
-    """Write a file through a temporary one that replaces it at the end.
+    """Provide a temporary path to write to, and move it to `path` when the `with` block ends without an error.
 
     Args:
         path: File to write; its folder is created if necessary.
 
     Yields:
-        A temporary path in the same folder, with the same ending. If the block raises an error, the temporary file is
-        deleted and the old file stays.
+        Path of an empty temporary file in the same folder, with the same suffix. If the block raises an error, the
+        temporary file is deleted and an existing file at `path` is unchanged.
+
+    Raises:
+        OSError: If the folder cannot be created or written.
     """
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -34,11 +37,14 @@ def atomic_file(path: str | Path) -> Iterator[Path]:
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Write a text file in UTF-8, completely or not at all.
+    """Write a text file in UTF-8; if writing fails, an existing file is unchanged.
 
     Args:
         path: File to write; its folder is created if necessary.
-        text: Content.
+        text: Content of the file.
+
+    Raises:
+        OSError: If the folder cannot be created or written.
     """
     with atomic_file(path) as temporary:
         temporary.write_text(text, encoding="utf-8")

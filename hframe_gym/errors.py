@@ -1,4 +1,4 @@
-"""The error of faulty input."""
+"""The exception for invalid files and arguments."""
 
 
 class InputError(ValueError):

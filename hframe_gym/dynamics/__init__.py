@@ -1,4 +1,4 @@
-"""Equations of motion, the integrator, its generated kernel and simulation."""
+"""Equations of motion, the integrator, its compiled simulation kernel (generated code) and simulation."""
 
 from .belts import BeltState
 from .equations import Equations, ForceBalance

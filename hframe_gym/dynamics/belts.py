@@ -13,12 +13,12 @@ class BeltState(NamedTuple):
     """State of one belt.
 
     Attributes:
-        extension: s, m.
-        rate: ds/dt, m/s.
-        stiffness: k = EA / l, N/m.
-        tension: T beyond the pretension, N.
-        stiffness_force: e = -(1/2) s^2 dk/dl, N: force per unit of dl/dp; 0 for constant length.
-        net_tension: T - e, N: acts where extension and length follow a coordinate alike.
+        extension: Extension s, m.
+        rate: Rate ds/dt, m/s.
+        stiffness: Stiffness k = EA / l, N/m, with the length l, m.
+        tension: Tension T beyond the pretension, N.
+        stiffness_force: Force e = -(1/2) s^2 dk/dl, N, due to the change of stiffness with length; or 0.
+        net_tension: T - e, N: force of the belt on a coordinate that changes extension and length by equal amounts.
     """
 
     extension: Value
@@ -34,17 +34,18 @@ class BeltEquations(ParameterizedMachine):
 
     Args:
         machine: Machine with its effects.
-        values: Parameter values by full name; parameters that are missing keep the machine's values.
+        values: Parameter values (floats, arrays or symbolic expressions) by full name, for example "left.EA"; other
+            parameters keep the machine's values.
     """
 
     def belt_states(self, point: MotionPoint) -> list[BeltState]:
-        """Return the state of each belt (eq. 38-44).
+        """Return extension, stiffness and tension of each belt (eq. 38-44 of Sollmann et al. 2010), with effects.
 
         Args:
-            point: Point of the motion.
+            point: Belt travel, m, and speed, m/s, of the coordinates, with the states of the effects.
 
         Returns:
-            One state per belt.
+            One `BeltState` per belt, in the machine's order.
         """
         travel = [self._belt_travel(i, point) for i in range(len(point.travel))]
         speed = [v * arm for v, arm in zip(point.speed, self._lever_arms(point), strict=True)]
@@ -53,7 +54,7 @@ class BeltEquations(ParameterizedMachine):
             if not length_row:
                 extensions.append(named("extension", b, combination(row, travel)))
                 continue
-            # The carriage's displacement changes extension and length alike; motors change the extension only.
+            # The carriage's displacement changes extension and length equally; motors change the extension only.
             displacement = named("displacement", b, combination(length_row, travel))
             shared = all(row.get(i) == factor for i, factor in length_row.items())
             rest = {i: factor for i, factor in row.items() if not shared or i not in length_row}
@@ -69,7 +70,7 @@ class BeltEquations(ParameterizedMachine):
         return [self._belt_state(b, s, rates[b], per_length.get(b)) for b, s in enumerate(extensions)]
 
     def constant_stiffness(self, b: int) -> Value:
-        """Return the stiffness of a belt whose length does not follow the carriage.
+        """Return the stiffness of a belt whose length does not depend on the carriage's position.
 
         Args:
             b: Index of the belt.
@@ -126,12 +127,14 @@ class BeltEquations(ParameterizedMachine):
     def belt_forces(self, point: MotionPoint, belts: Sequence[BeltState]) -> list[Value]:
         """Return the force of the belts on each coordinate: -G' T - (1/2) s^2 dk/dp.
 
+        G is the extension per belt travel p, T the tension, s the extension and k the stiffness of the belts.
+
         Args:
             point: Point of the motion.
-            belts: State of each belt at this point, see `belt_states`.
+            belts: State of each belt at this point, from `belt_states(point)`.
 
         Returns:
-            Force on the travel of each coordinate, N.
+            Force that acts along the belt travel of each coordinate, N (torque / radius for a pulley).
         """
         forces = []
         for i, arm in enumerate(self._lever_arms(point)):

@@ -1,10 +1,11 @@
-"""Elementary functions for values of any algebra.
+"""Elementary functions for numbers, arrays, symbolic expressions and SIMD registers.
 
-The equations of motion and the formulas of effects are written once with these functions. What a function does follows
-from the type of its operands:
+"Compiled simulation kernel" below is the Numba code that `kernel_source` generates for a machine. The equations of
+motion and the formulas of effects are written once with these functions. What a function does follows from the type of
+its operands:
 
     NumPy arrays and plain numbers   NumPy's function
-    traced expressions               a node of the kernel's expression graph (`tracing`)
+    traced expressions               a node of the expression graph (`tracing`) from which a kernel is generated
     CasADi SX and MX                 CasADi's function
     SIMD registers in a kernel       vector instructions, which `simd` registers with Numba
 
@@ -22,10 +23,10 @@ _PLAIN = (float, int, np.ndarray, np.generic)
 
 
 def exp(x: Any) -> Any:
-    """Return e**x; in a kernel, x below -700 gives zero and x above 700 is clipped.
+    """Return e**x; in a compiled simulation kernel x < -700 gives zero, and x is limited to 700.
 
     Args:
-        x: Exponent.
+        x: Exponent: number, array, traced or CasADi expression, or SIMD register.
 
     Returns:
         e**x, with the type and shape of the operand.
@@ -34,7 +35,7 @@ def exp(x: Any) -> Any:
 
 
 def sin(x: Any) -> Any:
-    """Return the sine of an angle in rad; in a kernel for |x| up to 1e6.
+    """Return the sine of an angle; in a compiled simulation kernel accurate for |x| up to 1e6 rad.
 
     Args:
         x: Angle, rad.
@@ -46,7 +47,7 @@ def sin(x: Any) -> Any:
 
 
 def cos(x: Any) -> Any:
-    """Return the cosine of an angle in rad; in a kernel for |x| up to 1e6.
+    """Return the cosine of an angle; in a compiled simulation kernel accurate for |x| up to 1e6 rad.
 
     Args:
         x: Angle, rad.
@@ -58,7 +59,7 @@ def cos(x: Any) -> Any:
 
 
 def tanh(x: Any) -> Any:
-    """Return the hyperbolic tangent (not available in a kernel).
+    """Return the hyperbolic tangent (not available in a compiled simulation kernel).
 
     Args:
         x: Operand.
@@ -94,13 +95,13 @@ def absolute(x: Any) -> Any:
 
 
 def sign(x: Any) -> Any:
-    """Return -1, 0 or 1 (not available in a kernel; there see `copysign`).
+    """Return the sign of a value (not available in a compiled simulation kernel; use `copysign` there).
 
     Args:
         x: Operand.
 
     Returns:
-        -1, 0 or 1.
+        -1 for x < 0, 0 for x = 0, 1 for x > 0, element by element.
     """
     return _apply("sign", x)
 
@@ -135,8 +136,8 @@ def copysign(size: Any, sign_of: Any) -> Any:
     """Return |size| with the sign of `sign_of`.
 
     Args:
-        size: Operand whose magnitude is used.
-        sign_of: Operand whose sign is used.
+        size: Operand whose magnitude is used; its sign is ignored.
+        sign_of: Operand whose sign is used; 0.0 counts as positive, -0.0 as negative.
 
     Returns:
         |size| with the sign of `sign_of`.
@@ -159,7 +160,7 @@ def where(condition: Any, yes: Any, no: Any) -> Any:
 
 
 def fma(a: Any, b: Any, c: Any) -> Any:
-    """Return a * b + c, rounded once in a kernel and twice elsewhere.
+    """Return a * b + c (fused multiply-add: rounded once in a compiled simulation kernel, twice elsewhere).
 
     Args:
         a: First factor.
@@ -197,10 +198,10 @@ def floor(x: Any) -> Any:
 
 
 def pow2(n: Any) -> Any:
-    """Return 2**n for integers n in [-1022, 1023], exactly.
+    """Return 2**n for integers n, exactly.
 
     Args:
-        n: Exponent, an integer as a floating-point value.
+        n: Exponent in [-1022, 1023], an integer as a floating-point value.
 
     Returns:
         2**n.
@@ -209,10 +210,10 @@ def pow2(n: Any) -> Any:
 
 
 def any_of(condition: Any) -> Any:
-    """Return whether the condition holds in any element.
+    """Return whether the condition holds in at least one element.
 
     Args:
-        condition: Truth value, or an array of them.
+        condition: Truth value, array of truth values, or SIMD mask.
 
     Returns:
         One truth value.
@@ -221,11 +222,11 @@ def any_of(condition: Any) -> Any:
 
 
 def named(role: str, index: int, value: Any) -> Any:
-    """Name a value: in a generated kernel it becomes the variable `role_index`.
+    """Give a value the variable name `role_index` in the generated simulation code; elsewhere this has no effect.
 
     Args:
-        role: What the value is, for example "extension".
-        index: Index of the coordinate, belt, drive, sensor or effect.
+        role: First part of the name: what the value is, for example "extension".
+        index: Index of the coordinate, belt, drive, sensor or effect, for example 0 for "extension_0".
         value: Value to name.
 
     Returns:
@@ -235,9 +236,9 @@ def named(role: str, index: int, value: Any) -> Any:
 
 
 def reciprocals(values: Sequence[Any]) -> list[Any]:
-    """Return 1/value of each value.
+    """Return the reciprocal of each value.
 
-    Traced values are inverted by one division per group of three, because a division costs as much as ten products.
+    Traced expressions take one division per group of three, because a division costs as much as ten products.
 
     Args:
         values: Values, none of them zero.
@@ -267,15 +268,15 @@ def reciprocals(values: Sequence[Any]) -> list[Any]:
 def update_if_any(
     condition: Callable[[], Any], values: Sequence[Any], update: Callable[[Sequence[Any]], Sequence[Any]]
 ) -> list[Any]:
-    """Return `update(values)`; a generated kernel evaluates it only if the condition holds in any lane.
+    """Return `update(values)`, which the generated simulation code evaluates only if a condition holds for a machine.
 
     Args:
-        condition: Function that gives the condition. It is called only where it can save work.
-        values: Values to update.
-        update: Function of the values. Where the condition does not hold it must change nothing.
+        condition: Function without arguments that returns the condition. Called for traced expressions only.
+        values: Numbers, arrays or expressions to update.
+        update: Function from the values to the new values. Where the condition is false it must change nothing.
 
     Returns:
-        The updated values.
+        The updated values, in the order of `values`.
     """
     traced = next((v for v in values if hasattr(v, "trace")), None)
     if traced is not None:

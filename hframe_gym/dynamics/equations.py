@@ -1,18 +1,18 @@
-"""Equations of motion of a machine, stated once for values of any algebra.
+"""Equations of motion of a machine, stated once for numbers, arrays and symbolic expressions.
 
 For the belt travel p of each coordinate (p = radius * angle for a pulley), in N and m:
 
     m dv/dt = f_belts + f_drive + f_effects - b v - F sign(v)                                      (eq. 1-8, 36-37)
 
     belt i:   s = G p,  l = L + H p,  k = EA / l,  T = k s                                         (eq. 38-44)
-              f_belts = -G' T - (1/2) s^2 dk/dp,  dk/dp = -(k / l) H        (the paper omits the second term)
+              f_belts = -G' T - (1/2) s^2 dk/dp,  dk/dp = -(k / l) H        (Sollmann et al. omit the second term)
     drive j:  f_drive = N Kt i / r,  i = (V - Ke N w) / R            (eq. 17, with the gear ratio that it omits)
 
 At v = 0 Coulomb friction is a set: any force up to F. The back electromotive force Ke N w is part of the viscous
 coefficient b. Effects enter at the places that `hframe_gym.machine.effect` lists.
 
 Values are floats, NumPy arrays (one entry per machine, per sample, or (variants, 1) against (samples,)), traced
-expressions from which `kernel_source` generates the kernel, or CasADi expressions.
+expressions from which `kernel_source` generates the simulation kernel (compiled code), or CasADi expressions.
 
 References:
     Sollmann, Jouaneh and Lavender (2010), Dynamic Modeling of a Two-Axis, Parallel, H-Frame-Type XY Positioning System.
@@ -31,12 +31,12 @@ from .parameterized_machine import MotionPoint, Value, combination
 
 
 class ForceBalance(NamedTuple):
-    """Forces on the travel of each coordinate, N.
+    """Forces along the belt travel of each coordinate (torque / radius for a pulley), N.
 
     Attributes:
-        held: All forces but viscous and Coulomb friction.
-        coulomb: Coulomb level F; zero where an effect replaces Coulomb friction.
-        arguments: By effect index, further arguments of `next_state` at this point.
+        held: Sum of all forces except viscous and Coulomb friction, which the integrator holds constant over a step.
+        coulomb: Coulomb friction force F (magnitude); zero where an effect replaces Coulomb friction.
+        arguments: By effect index, arguments of its `next_state` at this point: level (N or Nm) or current i (A).
     """
 
     held: list[Value]
@@ -47,21 +47,24 @@ class ForceBalance(NamedTuple):
 class Equations(BeltEquations):
     """Equations of motion of one machine.
 
+    All forces act along the belt travel of a coordinate: N on a carriage, torque / radius (N) on a pulley.
+
     Args:
         machine: Machine with its effects.
-        values: Parameter values by full name; parameters that are missing keep the machine's values.
+        values: Parameter values (floats, arrays or symbolic expressions) by full name, for example "x.mass"; other
+            parameters keep the machine's values.
     """
 
     # -- drives ----------------------------------------------------------------------------------------------------
 
     def motor_voltages(self, voltages: Sequence[Value]) -> list[Value]:
-        """Apply the effects on voltages to the commanded voltages.
+        """Apply the effects of the amplifiers (offset, gain error, dead band, ...) to the commanded voltages.
 
         Args:
-            voltages: Commanded voltage of each drive, V.
+            voltages: Commanded voltage of each drive, V, after its delay.
 
         Returns:
-            Voltage at each motor, V.
+            Voltage at the terminals of each motor, V.
         """
         result = []
         for j, (drive, voltage) in enumerate(zip(self.machine.drives, voltages, strict=True)):
@@ -71,14 +74,16 @@ class Equations(BeltEquations):
         return result
 
     def add_drive_forces(self, forces: Sequence[Value], motor_voltages: Sequence[Value]) -> list[Value]:
-        """Add the force of each drive at standstill (eq. 17 with w = 0).
+        """Add the drive forces due to voltage, N Kt V / (R r) for gear ratio N and pulley radius r.
+
+        This is eq. 17 of Sollmann et al. (2010) with w = 0; the back-EMF term is part of the viscous coefficient.
 
         Args:
-            forces: Force on the travel of each coordinate, N.
+            forces: Force along the belt travel of each coordinate, N.
             motor_voltages: Voltage at each motor, V.
 
         Returns:
-            The sum of both, N.
+            Forces of all coordinates, N, increased by those of their drives.
         """
         result = list(forces)
         for j, voltage in enumerate(motor_voltages):
@@ -87,10 +92,10 @@ class Equations(BeltEquations):
         return result
 
     def ohmic_current(self, j: int, point: MotionPoint, motor_voltage: Value) -> Value:
-        """Return the current (V - Ke N w) / R of a drive (eq. 17).
+        """Return the current (V - Ke N w) / R of a drive (eq. 17 of Sollmann et al. 2010, with the gear ratio N).
 
         Args:
-            j: Index of the drive.
+            j: Index of the drive in the machine.
             point: Point of the motion.
             motor_voltage: Voltage at the motor, V.
 
@@ -117,15 +122,15 @@ class Equations(BeltEquations):
     def force_balance(
         self, point: MotionPoint, motor_voltages: Sequence[Value], forces: Sequence[Value]
     ) -> ForceBalance:
-        """Add the forces of the effects.
+        """Add the forces of the effects to those of belts and drives, and determine the Coulomb friction.
 
         Args:
             point: Point of the motion.
-            motor_voltages: Voltages at the motors, V, see `motor_voltages`.
-            forces: Forces of belts and drives at standstill on each coordinate, N.
+            motor_voltages: Voltage at each motor, V, from `motor_voltages`.
+            forces: Forces of belts and drives (without back-EMF) along the belt travel of each coordinate, N.
 
         Returns:
-            All forces but friction, and the Coulomb level.
+            Sum of all forces except friction, N, and Coulomb friction force F, N, of each coordinate.
         """
         arguments: dict[int, dict[str, Value]] = {}
         held, levels = [], []
@@ -149,7 +154,7 @@ class Equations(BeltEquations):
         return ForceBalance(self._with_guarded_forces(held, point), levels, arguments)
 
     def _coulomb_level(self, i: int, point: MotionPoint) -> Value:
-        """Return the Coulomb level of coordinate i with its effects, N; never negative."""
+        """Return the Coulomb friction force of coordinate i with its effects, N; never negative."""
         level = self.coulomb(i)
         effects = list(self.effects_on("coulomb", i))
         for k, e in effects:
@@ -157,7 +162,7 @@ class Equations(BeltEquations):
         return maximum(level, 0.0) if effects else level
 
     def _force_of(self, k: int, i: int, point: MotionPoint) -> Value:
-        """Return the force of effect k on the travel of coordinate i, N."""
+        """Return the force of effect k along the belt travel of coordinate i, N."""
         effect = self.machine.effects[k]
         return self.evaluate(effect, "force", self._with_state(k, i, point)) * self.per_radius(i)
 
@@ -189,14 +194,14 @@ class Equations(BeltEquations):
         return [updated.get(i, force) for i, force in enumerate(forces)]
 
     def balance(self, point: MotionPoint, voltages: Sequence[Value]) -> ForceBalance:
-        """Return all forces at a point.
+        """Return the sum of belt, drive and effect forces at a point, and the Coulomb friction separately.
 
         Args:
             point: Point of the motion.
-            voltages: Commanded voltage of each drive, V.
+            voltages: Commanded voltage of each drive, V, after its delay.
 
         Returns:
-            Forces and Coulomb level of each coordinate.
+            Sum of all forces except friction, N, and Coulomb friction force F, N, of each coordinate.
         """
         motor_voltages = self.motor_voltages(voltages)
         forces = self.belt_forces(point, self.belt_states(point))
@@ -209,12 +214,12 @@ class Equations(BeltEquations):
 
         Args:
             point: Point of the motion.
-            voltages: Commanded voltages, V.
-            direction: Direction of the motion as a function of speed, m/s: `sign`, or a smooth function such as
-                tanh(v / turning) for optimization.
+            voltages: Commanded voltage of each drive, V, after its delay.
+            direction: Function of the speed, m/s, that gives the direction of the motion in [-1, 1]: `sign`, or for
+                optimization a smooth function such as tanh(v / v0) with a small speed v0.
 
         Returns:
-            Force on the travel of each coordinate, N.
+            Net force along the belt travel of each coordinate, N.
         """
         held, coulomb, _ = self.balance(point, voltages)
         sides = [direction(v) for v in point.speed]
@@ -230,11 +235,11 @@ class Equations(BeltEquations):
 
         Args:
             point: Point of the motion.
-            voltages: Commanded voltages, V.
-            direction: Direction of the motion as a function of speed, see `net_forces`.
+            voltages: Commanded voltage of each drive, V, after its delay.
+            direction: Function of the speed, m/s, that gives the direction of the motion in [-1, 1]; see `net_forces`.
 
         Returns:
-            Acceleration of the travel of each coordinate, m/s^2.
+            Second derivative of the belt travel of each coordinate, m/s^2 (radius * angular acceleration of a pulley).
         """
         return [force / self.mass(i) for i, force in enumerate(self.net_forces(point, voltages, direction))]
 
@@ -244,10 +249,10 @@ class Equations(BeltEquations):
         """Return the reading of every sensor, without delay, noise and resolution.
 
         Args:
-            positions: Position of each coordinate in the coordinate's unit.
+            positions: Position of each coordinate, m or rad.
 
         Returns:
-            Reading of every sensor, in the unit of its channel.
+            Reading of every sensor with its effects on the measurement, m or rad (unit of its channel).
         """
         names = self.machine.coordinate_names
         readings = []
@@ -268,18 +273,18 @@ class Equations(BeltEquations):
         return readings
 
     def voltage_delays(self) -> list[Value]:
-        """Return the delay of each drive's voltage.
+        """Return the delay from commanded to effective voltage of each drive, the sum over its effects.
 
         Returns:
-            Delay by drive, s.
+            Delay of each drive, s, in the machine's order; 0 without delay.
         """
         return [self._delay("delay", d.name, "drives") for d in self.machine.drives]
 
     def measurement_delays(self) -> list[Value]:
-        """Return the delay of each sensor.
+        """Return the delay from reading to measurement of each sensor, the sum over its effects.
 
         Returns:
-            Delay by sensor, s.
+            Delay of each sensor, s, in the machine's order; 0 without delay.
         """
         return [self._delay("measurement_delay", s.channel) for s in self.machine.sensors]
 
@@ -298,16 +303,16 @@ class Equations(BeltEquations):
         time_s: Any = 0.0,
         effect_states: Mapping[int, Value] | None = None,
     ) -> MotionPoint:
-        """Return the point or points of a motion given as arrays.
+        """Convert positions and velocities in arrays to the belt travel that the equations use.
 
         Args:
-            positions: Positions (..., coordinates) in the coordinates' units.
-            velocities: Velocities of the same shape; None: at rest.
-            time_s: Times (...), s.
-            effect_states: States of the effects by index.
+            positions: Positions, m or rad, shape (..., coordinates).
+            velocities: Velocities, m/s or rad/s, of the same shape; None: at rest.
+            time_s: Time since the machine was switched on, s, shape (...).
+            effect_states: State of each effect that has one, by the index of the effect in the machine.
 
         Returns:
-            The point, with arrays of shape (...) for every coordinate.
+            The point, with belt travel, m, and its rate, m/s, as arrays of shape (...) for every coordinate.
         """
         q = np.asarray(positions, float)
         v = np.zeros_like(q) if velocities is None else np.asarray(velocities, float)
@@ -320,12 +325,12 @@ class Equations(BeltEquations):
         )
 
     def in_units(self, forces: Sequence[Value]) -> Any:
-        """Convert forces on the travel to the coordinates' units.
+        """Convert forces along the belt travel to forces (linear) and torques (rotary) on the coordinates.
 
         Args:
-            forces: Force on the travel of each coordinate, N, arrays of shape (...).
+            forces: Force along the belt travel of each coordinate, N, arrays of shape (...).
 
         Returns:
-            Forces in the coordinates' units (N or Nm), shape (..., coordinates).
+            Forces, N, or torques, Nm (force * radius), shape (..., coordinates).
         """
         return np.stack(np.broadcast_arrays(*(f * self.radius(i) for i, f in enumerate(forces))), axis=-1)

@@ -53,26 +53,26 @@ class Expression:
         return self.operation in ("number", "variable")
 
     def traced_function(self, name: str, operands: Sequence[Any]) -> Expression:
-        """Return the node of a function of `elementwise`.
+        """Return the expression of an elementary function; `elementwise` calls it for traced operands.
 
         Args:
-            name: Name of the function.
-            operands: Expressions and numbers.
+            name: Name of the function in `elementwise`, for example "sin".
+            operands: Its operands: expressions and numbers.
 
         Returns:
-            The node.
+            The expression, simplified where that is exact.
         """
         return self.trace.node(name, *operands)
 
     def name_as(self, role: str, index: int) -> Expression:
-        """Give the value the name `role_index` in generated source, computed at this point of the trace.
+        """Give the expression the identifier `role_index`, and compute it at the present position in the function.
 
         Args:
-            role: What the value is: a fixed identifier.
+            role: First part of the identifier, for example "tension".
             index: Index of the coordinate, belt, drive, sensor or effect.
 
         Returns:
-            The same value.
+            The same expression.
         """
         return self.trace.let(role, index, self)
 
@@ -158,14 +158,14 @@ class Statement:
 
 
 def simplified(operation: str, values: tuple[Expression, ...]) -> Expression | None:
-    """Simplify an operation where the result is exact.
+    """Simplify an arithmetic operation where the result is exact: operations on numbers, x + 0, x * 1, -(-x), ...
 
     Args:
-        operation: Name of the operation.
-        values: Operands.
+        operation: "+", "-", "*", "/" or "neg"; other operations are not simplified.
+        values: One or two operands.
 
     Returns:
-        The result, or None if the operation needs an instruction.
+        The simplified expression, or None if the operation cannot be simplified.
     """
     numbers = [float(v.operands[0]) if v.operation == "number" else None for v in values]
     trace = values[0].trace
@@ -193,13 +193,13 @@ def simplified(operation: str, values: tuple[Expression, ...]) -> Expression | N
 
 
 def function_source(trace: Trace) -> str:
-    """Write a traced function as source text.
+    """Convert a traced function to Python source text.
 
     Args:
-        trace: Recorded function.
+        trace: Record of the statements and expressions of the function.
 
     Returns:
-        Text of a Python function.
+        Source text of the function, from `def` to its last line.
     """
     return "\n".join([f"def {trace.signature}:", *_Writer(trace.statements, trace.names).lines]) + "\n"
 

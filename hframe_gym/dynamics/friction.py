@@ -6,7 +6,8 @@ With f, b and F constant over a step, v approaches (f - F sign v)/b exponentiall
 where |f| <= F, and reverses otherwise. Every case has a closed form, so nothing is regularized: a machine that static
 friction holds does not creep. Viscous friction may depend on the direction of motion.
 
-The functions work on SIMD registers; SI units, travel of the coordinate in m.
+The functions work on SIMD registers (`simd.SimdVector`: one float per lane, one lane per machine). SI units; the
+position of a coordinate is its belt travel, m (radius * angle of a rotary one), and forces act along it.
 """
 
 from __future__ import annotations
@@ -24,10 +25,13 @@ inlined = njit(forceinline=True, nogil=True, error_model="numpy")
 
 @inlined
 def decay_integral(z):  # type: ignore[no-untyped-def]
-    """Return (1 - exp(-z)) / z for z >= 0: the speed gained per unit of force, over h/m.
+    """Return (1 - exp(-z)) / z: the speed that a constant force f adds in the time h is f h / m times this factor.
 
     Args:
-        z: Viscous damping of the step, b h / m.
+        z: Viscous damping of the step, b h / m >= 0, without unit.
+
+    Returns:
+        Factor in (0, 1]; 1 without damping.
     """
     p = fma(z, -1.0 / 39916800.0, 1.0 / 3628800.0)
     p = fma(z, -p, 1.0 / 362880.0)
@@ -52,7 +56,10 @@ def end_weight(z):  # type: ignore[no-untyped-def]
     w = 1/(1 - exp(-z)) - 1/z, which is one half for small z (the trapezoidal rule).
 
     Args:
-        z: Viscous damping of the step, b h / m.
+        z: Viscous damping of the step, b h / m >= 0, without unit.
+
+    Returns:
+        Weight in [1/2, 1).
     """
     square = z * z
     p = fma(square, 1.0 / 47900160.0, -1.0 / 1209600.0)
@@ -68,10 +75,13 @@ def end_weight(z):  # type: ignore[no-untyped-def]
 
 @inlined
 def ramp(z):  # type: ignore[no-untyped-def]
-    """Return (z - 1 + exp(-z)) / z**2, z = b t/m: travel from rest per unit of force, over t**2/m.
+    """Return (z - 1 + exp(-z)) / z**2: the distance from rest under a force f in the time t is f t**2 / m times this.
 
     Args:
-        z: Viscous damping over the time t, b t / m; negative for motion reversed in time.
+        z: Viscous damping over the time t, b t / m, without unit; negative for motion reversed in time.
+
+    Returns:
+        Factor; 1/2 without damping.
     """
     # Taylor series to z**8, relative remainder 2e-13 for |z| <= 1/4; in pairs, to shorten the chain of dependent terms.
     q = z * z
@@ -93,17 +103,23 @@ def direction(v, f):  # type: ignore[no-untyped-def]
     Args:
         v: Speed, m/s.
         f: Force without friction, N.
+
+    Returns:
+        The speed, or f where the speed is zero; only the sign is meaningful.
     """
     return where(v == 0.0, f, v)
 
 
 @inlined
 def static_friction(f, coulomb):  # type: ignore[no-untyped-def]
-    """Return the friction force at rest: equal to f up to the Coulomb level, so that exactly nothing of f remains.
+    """Return the static friction force: f limited to [-F, F], so that it balances f exactly up to the Coulomb force.
 
     Args:
         f: Force without friction, N.
-        coulomb: Coulomb level F, N.
+        coulomb: Coulomb friction force F >= 0, N.
+
+    Returns:
+        Friction force, N, to be subtracted from f.
     """
     below = where(f < coulomb, f, coulomb)
     return where(below > -coulomb, below, -coulomb)
@@ -111,28 +127,35 @@ def static_friction(f, coulomb):  # type: ignore[no-untyped-def]
 
 @inlined
 def friction_force(v, f, coulomb):  # type: ignore[no-untyped-def]
-    """Return the friction force: the Coulomb level against the motion, and static friction at rest.
+    """Return the dry friction force: F sign(v) in motion, static friction at rest.
 
     Args:
         v: Speed, m/s.
         f: Force without friction, N.
-        coulomb: Coulomb level F, N.
+        coulomb: Coulomb friction force F >= 0, N.
+
+    Returns:
+        Friction force, N, to be subtracted from f.
     """
     return where(v == 0.0, static_friction(f, coulomb), copysign(coulomb, v))
 
 
 @inlined
 def update_speed(v, f, coulomb, decay, gain):  # type: ignore[no-untyped-def]
-    """Return the speed after a step in which the coordinate does not stop, and whether it does stop.
+    """Advance the speed by one step of length h, and detect lanes whose coordinate comes to rest within the step.
 
-    In lanes that stop, `stop_or_reverse` gives the speed.
+    In lanes that come to rest, the speed is invalid; `stop_or_reverse` gives it.
 
     Args:
         v: Speed before the step, m/s.
         f: Force without friction, N.
-        coulomb: Coulomb level F, N.
+        coulomb: Coulomb friction force F >= 0, N.
         decay: Factor exp(-b h / m) by which viscous friction reduces the speed.
-        gain: Speed gained per unit of force, s/kg.
+        gain: Speed gained per unit of force, h / m * decay_integral(b h / m), s/kg.
+
+    Returns:
+        after: Speed after the step, m/s.
+        stopped: Mask of the lanes whose speed changes its sign within the step.
     """
     after = fma(gain, f - friction_force(v, f, coulomb), decay * v)
     return after, after * v < 0.0
@@ -140,20 +163,24 @@ def update_speed(v, f, coulomb, decay, gain):  # type: ignore[no-untyped-def]
 
 @inlined
 def stop_or_reverse(v, f, coulomb, viscous, viscous_after, mass, per_mass, h):  # type: ignore[no-untyped-def]
-    """Return speed and travel of a step of length h in which the coordinate stops.
+    """Return the speed after, and the distance of, a step of length h in which the coordinate comes to rest.
 
-    The coordinate decelerates to rest in the time `stop`. Then it stays at rest if |f| <= F, or moves the other way for
-    the remaining time. The result is meaningful only in lanes where `update_speed` reports a stop.
+    The coordinate decelerates to rest in the time `stop`. Then it stays at rest if |f| <= F, or reverses for the
+    remaining time. The result is valid only in lanes where `update_speed` reports a stop.
 
     Args:
         v: Speed before the step, m/s.
         f: Force without friction, N.
-        coulomb: Coulomb level F, N.
-        viscous: Viscous coefficient b in the direction of the motion, Ns/m.
-        viscous_after: Viscous coefficient in the direction of the force, Ns/m.
+        coulomb: Coulomb friction force F >= 0, N.
+        viscous: Viscous coefficient b in the direction of the motion before the stop, Ns/m.
+        viscous_after: Viscous coefficient in the opposite direction, after a reversal, Ns/m.
         mass: Mass m, kg.
         per_mass: 1/m, 1/kg.
         h: Length of the step, s.
+
+    Returns:
+        speed: Speed after the step, m/s; zero if static friction holds the coordinate.
+        traveled: Change of the belt travel over the step, m.
     """
     net = f - copysign(coulomb, v)
     # stop = m/b log(1 - b v/net), by the series of atanh in s = x/(2 + x), x = -b v/net.

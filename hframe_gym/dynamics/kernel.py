@@ -1,8 +1,10 @@
-"""Compiles the kernel of a machine's shape once and keeps it on disk.
+"""Compiles the simulation kernel of a machine's shape once and keeps it on disk.
 
-The generated source is written to the cache folder as an ordinary Python file with Numba's compiled object beside it.
-The file's name is the hash of its text and of everything that it inlines, so that a changed formula is a new file. The
-folder is `$HFRAME_CACHE`, else `$XDG_CACHE_HOME/hframe_gym`, else `~/.cache/hframe_gym`.
+The kernel is generated Numba code that integrates the equations of motion of all machines with the same structure
+(`Machine.shape`: components and effects without parameter values). The generated source is written to the cache folder
+as an ordinary Python file with Numba's compiled object beside it. The file's name is the hash of its text and of
+everything that it inlines, so that a changed formula is a new file. The folder is `$HFRAME_CACHE`, else
+`$XDG_CACHE_HOME/hframe_gym`, else `~/.cache/hframe_gym`.
 """
 
 from __future__ import annotations
@@ -68,20 +70,20 @@ _LOOPS = (
 
 @dataclass(frozen=True)
 class Kernel:
-    """Compiled functions of a machine's shape; `time_loops` describes their arguments.
+    """Compiled simulation functions of a machine's shape; `time_loops` describes their arguments.
 
     Attributes:
-        layout: Rows of the parameters and of the derived constants.
+        layout: Rows of the parameters, and of the step constants that are derived from them, in the arrays.
         rollout: Simulates over a recording.
         prepare_blocks: Computes the derived constants.
         advance_blocks: Advances machines by some steps.
         read_blocks: Evaluates the sensors.
         sensor_delay_blocks: Evaluates the delays of the sensors.
         drive_delay_blocks: Evaluates the delays of the drives.
-        delayed: Whether a drive has a delay.
+        delayed: Whether the voltage of a drive has a delay.
         lagged: Whether a sensor has a delay.
-        states: Number of rows of a state.
-        source: Path of the file with the source.
+        states: Number of rows of a state: travel and speed of each coordinate, time, effect states.
+        source: Path of the file with the generated source.
     """
 
     layout: Layout
@@ -98,10 +100,11 @@ class Kernel:
 
 
 def cache_folder() -> Path:
-    """Return the folder of the compiled kernels; create it if necessary.
+    """Return the folder of the generated and compiled simulation kernels; create it if necessary.
 
     Returns:
-        `$HFRAME_CACHE`, else the cache folder of the user, else a temporary folder.
+        The first of these that can be written: `$HFRAME_CACHE`, `hframe_gym` in the user's cache folder, a temporary
+        folder of the user, a new temporary folder.
     """
     explicit = os.environ.get("HFRAME_CACHE")
     root = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
@@ -117,14 +120,15 @@ def cache_folder() -> Path:
 
 
 def generate(machine: Machine, *, forced: bool = False) -> tuple[str, KernelSource]:
-    """Generate the source of the kernel of a machine's shape.
+    """Generate the Python source of the simulation kernel for all machines of one shape (`Machine.shape`).
 
     Args:
-        machine: A machine of the shape.
-        forced: Whether an external force acts on every coordinate.
+        machine: Any machine of the shape; its parameter values do not matter.
+        forced: Whether the kernel takes an external force on every coordinate.
 
     Returns:
-        The text of the module, and its generated part with the layout of the arrays.
+        text: Complete text of the Python module.
+        source: Its generated functions with the layout of the parameter arrays.
     """
     source = KernelSource(machine, forced=forced)
     components = {
@@ -150,7 +154,7 @@ def generate(machine: Machine, *, forced: bool = False) -> tuple[str, KernelSour
 
 
 def kernel_source_text(machine: Machine) -> str:
-    """Return the generated source of a machine's kernel.
+    """Return the generated Python source that simulates a machine, for example to inspect it.
 
     Args:
         machine: The machine. Its names and parameter values do not occur in the text.
@@ -190,14 +194,17 @@ def _load(text: str) -> ModuleType:
 
 
 def kernel_for(machine: Machine, *, forced: bool = False) -> Kernel:
-    """Return the kernel of a machine's shape; machines that differ only in parameter values get the same kernel.
+    """Return the compiled simulation functions (generated code) for a machine; generate them on first use.
+
+    Machines that differ only in parameter values get the same functions. Numba compiles a function at its first call
+    and caches the result on disk.
 
     Args:
         machine: The machine.
         forced: Whether `rollout` takes an external force on every coordinate.
 
     Returns:
-        The compiled kernel.
+        The functions, with the layout of their arrays.
     """
     key = (machine.shape, forced)
     if key not in _KERNELS:
@@ -215,13 +222,13 @@ def kernel_for(machine: Machine, *, forced: bool = False) -> Kernel:
 
 
 def in_blocks(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Arrange values per machine in blocks of lanes.
+    """Arrange the values of many machines in blocks of `LANES` machines, one machine per SIMD lane.
 
     Args:
-        values: Values, shape (B, n).
+        values: n values of each of B machines, any unit, shape (B, n), B >= 1.
 
     Returns:
-        Blocks, shape (ceil(B / LANES), n, LANES). Spare lanes repeat the last machine.
+        Blocks, shape (ceil(B / LANES), n, LANES). Spare lanes of the last block repeat the last machine.
     """
     count = -(-len(values) // LANES) * LANES
     padded = np.concatenate([values, np.repeat(values[-1:], count - len(values), axis=0)])

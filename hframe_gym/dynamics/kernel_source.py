@@ -1,4 +1,4 @@
-"""Generates the source of a machine's kernel by evaluating the equations of motion on traced expressions.
+"""Generates the source of a machine's simulation kernel by evaluating the equations of motion on traced expressions.
 
 What is the same for all machines of one shape (which coordinates, rows of the belts, where drives and effects act)
 becomes source text: zeros vanish, ones become additions, an effect that is absent costs nothing. What differs between
@@ -37,11 +37,11 @@ PER_DIRECTION = ("viscous", "correction_damping", "decay", "speed_gain", "first_
 
 @dataclass(frozen=True)
 class Layout:
-    """Rows of the arrays of a kernel.
+    """Row of each quantity in the arrays `parameters` and `derived` of a compiled simulation kernel.
 
     Attributes:
-        parameters: Row of each machine parameter by full name.
-        derived: Row of each derived constant.
+        parameters: Row of each machine parameter by full name, for example "x.mass".
+        derived: Row of each step constant that `prepare` derives from the parameters, for example "coordinate_0.decay".
     """
 
     parameters: Mapping[str, int]
@@ -49,10 +49,10 @@ class Layout:
 
 
 class KernelSource:
-    """Source text of the kernel of one machine shape.
+    """Source text of the simulation kernel (generated code) for all machines of one shape (`Machine.shape`).
 
     Args:
-        machine: A machine of the shape.
+        machine: Any machine of the shape; its parameter values do not matter.
         forced: Whether an external force acts on every coordinate.
 
     Attributes:
@@ -169,20 +169,20 @@ class _PreparedEquations(Equations):
         self._rows = source.layout.derived
 
     def derived(self, component: str, index: int, key: str) -> Expression:
-        """Return a derived constant of a coordinate, drive or belt."""
+        """Return the expression of the step constant `key` of a "coordinate", "drive" or "belt" with this index."""
         row = self._rows[_row_name(component, index, key)]
         return self._trace.load("derived", row, f"{key}_{index}")
 
     def coulomb(self, i: int) -> Expression:
-        """Return the Coulomb level of coordinate i, N."""
+        """Return the expression of the Coulomb friction force of coordinate i along its belt travel, N."""
         return self.derived("coordinate", i, "coulomb")
 
     def force_per_volt(self, j: int) -> Expression:
-        """Return the force of drive j at standstill, N/V."""
+        """Return the expression of the force of drive j per volt at standstill along the belt travel, N/V."""
         return self.derived("drive", j, "force_per_volt")
 
     def constant_stiffness(self, b: int) -> Expression:
-        """Return the stiffness of belt b, N/m."""
+        """Return the expression of the stiffness EA / rest length of belt b, N/m."""
         return self.derived("belt", b, "stiffness")
 
 

@@ -24,15 +24,15 @@ _FRICTION_STATE_STRIDE = 5
 
 
 def belt_states(machine: Machine, positions: ArrayLike, velocities: ArrayLike | None = None) -> list[BeltState]:
-    """Return the state of each belt along a motion, effects on belts included.
+    """Return extension, stiffness and tension of each belt along a motion, effects on belts included.
 
     Args:
         machine: Machine.
-        positions: Positions (..., coordinates) in the coordinates' units.
-        velocities: Velocities of the same shape; None: at rest.
+        positions: Positions, m or rad, shape (..., coordinates).
+        velocities: Velocities, m/s or rad/s, of the same shape. Default: at rest.
 
     Returns:
-        One `BeltState` per belt with arrays (...).
+        One `BeltState` per belt (extension m, stiffness N/m, tension N, ...) with arrays of shape (...).
     """
     equations = Equations(machine)
     return equations.belt_states(equations.point(positions, velocities))
@@ -43,11 +43,11 @@ def belt_forces(machine: Machine, positions: ArrayLike, velocities: ArrayLike | 
 
     Args:
         machine: Machine.
-        positions: Positions (..., coordinates) in the coordinates' units.
-        velocities: Velocities of the same shape; None: at rest.
+        positions: Positions, m or rad, shape (..., coordinates).
+        velocities: Velocities, m/s or rad/s, of the same shape. Default: at rest.
 
     Returns:
-        Forces (..., coordinates) in the coordinates' units (N or Nm).
+        Forces, N, on linear and torques, Nm, on rotary coordinates, shape (..., coordinates).
     """
     equations = Equations(machine)
     point = equations.point(positions, velocities)
@@ -62,18 +62,21 @@ def net_forces(
     inputs: Array,
     values: Mapping[str, Array] | None = None,
 ) -> Array:
-    """Return the sum of all forces on each coordinate along a motion, with friction and effects.
+    """Return the sum of all forces on each coordinate along a motion of n samples, with friction and effects.
+
+    At zero speed Coulomb friction counts as zero.
 
     Args:
         machine: Machine.
-        time_s: Sample times (n,), s.
-        positions: Positions (n, coordinates) in the coordinates' units.
-        velocities: Velocities (n, coordinates).
-        inputs: Commanded voltages (n, drives), V, held from each sample until the next.
-        values: Parameter values by full name, floats or arrays (variants, 1), in place of the machine's.
+        time_s: Sample times, s, strictly increasing, shape (n,).
+        positions: Positions, m or rad, shape (n, coordinates).
+        velocities: Velocities, m/s or rad/s, shape (n, coordinates).
+        inputs: Commanded voltages, V, held from each sample until the next, shape (n, drives).
+        values: Parameter values by full name, SI, that replace the machine's: floats, or one value per variant of the
+            machine as an array of shape (variants, 1).
 
     Returns:
-        Array (n, coordinates) or (variants, n, coordinates) in the coordinates' units (N or Nm).
+        Net forces, N or Nm, shape (n, coordinates), or (variants, n, coordinates) if a parameter is an array.
     """
     equations = Equations(machine, values)
     voltages = delayed_voltages(equations, time_s, inputs)
@@ -97,15 +100,15 @@ def effect_forces(
 
     Args:
         machine: Machine without the effects of `effects`; its other effects act in both evaluations.
-        time_s: Sample times (n,), s.
-        positions: Positions (n, coordinates) in the coordinates' units.
-        velocities: Velocities (n, coordinates).
-        inputs: Commanded voltages (n, drives), V.
-        effects: Effects to evaluate, with parameters that are floats or arrays (variants, 1); None: all effects of the
-            machine.
+        time_s: Sample times, s, strictly increasing, shape (n,).
+        positions: Positions, m or rad, shape (n, coordinates).
+        velocities: Velocities, m/s or rad/s, shape (n, coordinates).
+        inputs: Commanded voltages, V, held from each sample until the next, shape (n, drives).
+        effects: Effects to evaluate. Their parameters are floats, or one value per variant of the effect as an array
+            of shape (variants, 1). Default: all effects of the machine.
 
     Returns:
-        Array (n, coordinates), or (variants, n, coordinates) where a parameter is an array, in the coordinates' units.
+        Added forces, N or Nm, shape (n, coordinates), or (variants, n, coordinates) if a parameter is an array.
     """
     motion = (time_s, positions, velocities, inputs)
     if effects is None:
@@ -117,14 +120,14 @@ def effect_forces(
 
 
 def sensor_readings(machine: Machine, positions: ArrayLike) -> Array:
-    """Return the readings of all sensors along a motion, without delay and noise.
+    """Return the readings of all sensors along a motion, without delay, noise and rounding.
 
     Args:
-        machine: Machine.
-        positions: Positions (..., coordinates) in the coordinates' units.
+        machine: Machine; its effects on sensors (scale, skew, range) apply.
+        positions: Positions, m or rad, shape (..., coordinates).
 
     Returns:
-        Readings (..., sensors) in the channels' units.
+        Readings, m or rad (units of the channels), shape (..., sensors).
     """
     q = np.asarray(positions, float)
     readings = Equations(machine).sensor_readings([q[..., i] for i in range(q.shape[-1])])
@@ -132,15 +135,15 @@ def sensor_readings(machine: Machine, positions: ArrayLike) -> Array:
 
 
 def delayed_voltages(equations: Equations, time_s: Array, inputs: Array) -> list[Array]:
-    """Return the mean voltage of each drive between a sample and the next, after its delay.
+    """Return the mean voltage of each drive between a sample and the next, after the drive's delay.
 
     Args:
-        equations: Equations with the delays.
-        time_s: Sample times (n,), s.
-        inputs: Commanded voltages (n, drives), V, held from each sample until the next.
+        equations: Equations of the machine, with the delays of its drives.
+        time_s: Sample times, s, strictly increasing, shape (n,).
+        inputs: Commanded voltages, V, held from each sample until the next, shape (n, drives).
 
     Returns:
-        One array (n,) or (variants, n) per drive, V.
+        Mean voltages, V, one array per drive, shape (n,), or (variants, n) if the delay is an array (variants, 1).
     """
     steps = np.diff(time_s, append=2.0 * time_s[-1] - time_s[-2] if len(time_s) > 1 else time_s[-1] + 1.0)
     ends = np.append(time_s, time_s[-1] + steps[-1])
@@ -160,18 +163,19 @@ def delayed_voltages(equations: Equations, time_s: Array, inputs: Array) -> list
 def effect_states(
     equations: Equations, time_s: Array, positions: Array, velocities: Array, voltages: Sequence[Array]
 ) -> dict[int, Array]:
-    """Return the state of each effect that has one along a motion.
+    """Return the state of every effect with a state (bristle deflection, motor current, ...) along a motion.
 
     Args:
-        equations: Equations of the machine with the effects.
-        time_s: Sample times (n,), s.
-        positions: Positions (n, coordinates) in the coordinates' units.
-        velocities: Velocities (n, coordinates).
-        voltages: Voltage of each drive, arrays (n,) or (variants, n), V.
+        equations: Equations of the machine with its effects.
+        time_s: Sample times, s, strictly increasing, shape (n,).
+        positions: Positions, m or rad, shape (n, coordinates).
+        velocities: Velocities, m/s or rad/s, shape (n, coordinates).
+        voltages: Voltage of each drive after its delay, V, arrays of shape (n,) or (variants, n).
 
     Returns:
-        Arrays (n,) or (variants, n) by effect index. The state of an effect on a current is its mean between a
-        sample and the next, because the voltage is held that long.
+        States by effect index in the machine, in the effect's unit, arrays of shape (n,) or (variants, n) for variants
+        of the parameters. The state of an effect on a current is its mean between a sample and the next, because the
+        voltage is held that long.
     """
     states: dict[int, Array] = {}
     for k in equations.states:

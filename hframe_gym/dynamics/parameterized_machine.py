@@ -1,4 +1,4 @@
-"""A machine whose parameters are values of any algebra: its coefficients and its effects."""
+"""A machine whose parameters are floats, arrays or symbolic expressions: its coefficients and its effects."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class MotionPoint:
 
     Attributes:
         travel: Belt travel of each coordinate, m (radius * angle of a rotary one).
-        speed: Rate of the travel, m/s.
+        speed: Rate of the belt travel, m/s.
         time: Time since the machine was switched on, s.
         effect_states: State of each effect that has one, by the effect's index in the machine.
         elapsed: Time that has passed since `effect_states`, s; None if they are those of this point.
@@ -33,11 +33,11 @@ class MotionPoint:
 
 
 class ParameterizedMachine:
-    """A machine with parameters of any algebra.
+    """A machine whose parameters are floats, arrays or symbolic expressions (all typed `Value`).
 
     Args:
         machine: Machine with its effects.
-        values: Parameter values by full name; parameters that are missing keep the machine's values.
+        values: Parameter values by full name, SI; other parameters keep the machine's values.
     """
 
     def __init__(self, machine: Machine, values: Mapping[str, Value] | None = None) -> None:
@@ -73,10 +73,10 @@ class ParameterizedMachine:
         """Return the value of a parameter.
 
         Args:
-            name: Full name, for example "x.mass".
+            name: Full name, for example "x.mass"; an unknown name raises KeyError.
 
         Returns:
-            Its value; a tied parameter is a factor times another.
+            Value, SI; for a tied parameter the factor times the value of the other parameter.
         """
         if name in self.machine.ties:
             other, factor = self.machine.ties[name]
@@ -91,13 +91,13 @@ class ParameterizedMachine:
         return self.parameter(f"{self.machine.coordinates[i].name}.{key}")
 
     def radius(self, i: int) -> Value:
-        """Return the travel per unit of a coordinate.
+        """Return the belt travel per unit of a coordinate.
 
         Args:
             i: Index of the coordinate.
 
         Returns:
-            Radius of the pulley, m, or 1 for a linear coordinate.
+            Radius of the pulley, m (m of belt per rad), or 1 for a linear coordinate.
         """
         return self._of_coordinate(i, "radius") if self._is_rotary(i) else 1.0
 
@@ -113,36 +113,36 @@ class ParameterizedMachine:
         return 1.0 / self.radius(i) if self._is_rotary(i) else 1.0
 
     def mass(self, i: int) -> Value:
-        """Return the mass of a coordinate that acts on its travel.
+        """Return the mass of a coordinate referred to its belt travel.
 
         Args:
             i: Index of the coordinate.
 
         Returns:
-            Mass m, kg.
+            Mass of a carriage, or inertia / radius^2 of a pulley, kg.
         """
         return self._of_coordinate(i, "mass") / (self.radius(i) * self.radius(i))
 
     def coulomb(self, i: int) -> Value:
-        """Return the Coulomb level of a coordinate that acts on its travel, without effects.
+        """Return the Coulomb friction force of a coordinate referred to its belt travel, without effects.
 
         Args:
             i: Index of the coordinate.
 
         Returns:
-            Coulomb level F, N.
+            Coulomb friction force F, N (torque / radius for a pulley).
         """
         return self._of_coordinate(i, "coulomb") / self.radius(i)
 
     def viscous(self, i: int, direction: Value) -> Value:
-        """Return the viscous coefficient that acts on the travel of a coordinate, with back-EMF and effects.
+        """Return the viscous coefficient of a coordinate referred to its belt travel, with back-EMF and effects.
 
         Args:
             i: Index of the coordinate.
-            direction: Sign of the motion, +1 or -1.
+            direction: Sign of the motion, +1 or -1; matters only with an effect that depends on it.
 
         Returns:
-            Viscous coefficient b, Ns/m.
+            Viscous coefficient b, Ns/m (that of a pulley divided by radius^2).
         """
         coefficient = self._of_coordinate(i, "viscous")
         for _, e in self.effects_on("viscous", i):
@@ -164,56 +164,56 @@ class ParameterizedMachine:
         return self._of_drive(j, "gear_ratio") * self._of_drive(j, "Ke")
 
     def force_per_volt(self, j: int) -> Value:
-        """Return the force of a drive at standstill on the travel of its coordinate.
+        """Return the force of a drive per volt at standstill, along the belt travel of its coordinate.
 
         Args:
             j: Index of the drive.
 
         Returns:
-            Force per volt, N/V.
+            Force per volt N Kt / (R r) with gear ratio N and pulley radius r (1 for a linear coordinate), N/V.
         """
         return self._torque_per_volt(j) / self.radius(self.drive_coordinates[j])
 
     # -- effects ---------------------------------------------------------------------------------------------------
 
     def effects_at(self, hook: str, *sites: str) -> Iterator[tuple[int, AppliedEffect]]:
-        """Iterate over the effects with a hook at one of the sites.
+        """Iterate over the effects that have a certain hook (formula) and act at one of the sites.
 
         Args:
-            hook: Name of the hook.
-            *sites: Names of the sites.
+            hook: Name of the hook, for example "voltage"; see `hframe_gym.machine.effect`.
+            *sites: Names of the sites, for example "motor1" or "belts".
 
         Returns:
-            Pairs of the index in the machine and the effect.
+            Pairs (index of the effect in the machine, effect).
         """
         for k, e in enumerate(self.machine.effects):
             if getattr(e.definition, hook) and e.site in sites:
                 yield k, e
 
     def effects_on(self, hook: str, i: int) -> Iterator[tuple[int, AppliedEffect]]:
-        """Iterate over the effects with a hook that act on a coordinate.
+        """Iterate over the effects that have a certain hook (formula) and act on a coordinate.
 
         Args:
-            hook: Name of the hook.
+            hook: Name of the hook, for example "force"; see `hframe_gym.machine.effect`.
             i: Index of the coordinate.
 
         Returns:
-            Pairs of the index in the machine and the effect.
+            Pairs (index of the effect in the machine, effect).
         """
         for k, e in enumerate(self.machine.effects):
             if getattr(e.definition, hook) and self._effect_coordinates[k] == i:
                 yield k, e
 
     def evaluate(self, effect: AppliedEffect, hook: str, quantities: Mapping[str, Value]) -> Value:
-        """Evaluate a hook of an effect with the parameter values of this object.
+        """Evaluate a hook (formula) of an effect with the parameter values of this object.
 
         Args:
             effect: Effect of the machine.
-            hook: Name of the hook.
-            quantities: Values of its arguments that are no parameters of the effect.
+            hook: Name of the hook, for example "force".
+            quantities: Arguments of the hook that are not parameters of the effect, by symbol, for example q and v.
 
         Returns:
-            The hook's value, in the unit that `hframe_gym.machine.effect` states.
+            Value of the hook in the unit of the table in `hframe_gym.machine.effect`.
         """
         function = getattr(effect.definition, hook)
         return function(
@@ -248,15 +248,15 @@ class ParameterizedMachine:
         return point.speed[i] * self.per_radius(i)
 
     def effect_state(self, k: int, point: MotionPoint, **arguments: Value) -> Value:
-        """Return the state of an effect at a point.
+        """Return the state of an effect at a point, advanced by `point.elapsed` if that is set.
 
         Args:
-            k: Index of the effect.
+            k: Index of the effect in the machine.
             point: Point of the motion.
-            **arguments: Level and current, where its `next_state` needs them.
+            **arguments: Coulomb friction `level`, N or Nm, and current `i`, A, if its `next_state` takes them.
 
         Returns:
-            The state in its unit; 0 for an effect without state.
+            State in the unit of the effect; 0 for an effect without state.
         """
         if k not in self.states:
             return 0.0
@@ -296,18 +296,18 @@ class ParameterizedMachine:
         speed: Sequence[Value],
         dt: Value,
     ) -> Value:
-        """Return the state of effect k after a step.
+        """Return the state of an effect after a step of the integrator.
 
         Args:
-            k: Index of the effect.
-            state: State before the step.
-            arguments: `ForceBalance.arguments[k]` of the step.
-            traveled: Travel of each coordinate over the step, m.
-            speed: Speed of each coordinate within the step, m/s.
+            k: Index of the effect in the machine.
+            state: State before the step, in the unit of the effect.
+            arguments: Coulomb friction `level` or current `i` of the step, from `ForceBalance.arguments[k]`.
+            traveled: Change of the belt travel of each coordinate over the step, m.
+            speed: Mean rate of the belt travel of each coordinate in the step, m/s.
             dt: Length of the step, s.
 
         Returns:
-            State after the step.
+            State after the step, in the unit of the effect.
         """
         quantities = {"z": state, "dt": dt, **arguments}
         if (i := self.state_coordinates[k]) >= 0:
@@ -319,8 +319,8 @@ def combination(row: IndexRow, values: Sequence[Value]) -> Value:
     """Return the sum of row[i] * values[i]; positive terms come first, because a leading minus costs an instruction.
 
     Args:
-        row: Factors by index.
-        values: Values.
+        row: Factors by index; absent indices count as 0.
+        values: Floats, arrays or expressions, indexed by the keys of `row`.
 
     Returns:
         The sum; 0.0 for an empty row.
@@ -338,8 +338,8 @@ def add_combination(total: Value, row: IndexRow, values: Sequence[Value]) -> Val
 
     Args:
         total: First summand.
-        row: Factors by index.
-        values: Values.
+        row: Factors by index; absent indices count as 0.
+        values: Floats, arrays or expressions, indexed by the keys of `row`.
 
     Returns:
         The sum.

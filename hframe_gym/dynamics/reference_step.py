@@ -1,10 +1,10 @@
-"""One step of the integrator in plain Python: the specification of the generated kernel.
+"""One step of the integrator in plain Python: the specification of the compiled simulation kernel (generated code).
 
-The step of length h advances travel p, speed v and the states z of the effects with constant voltages. It is a
+The step of length h advances belt travel p, speed v and the states z of the effects with constant voltages. It is a
 symmetric splitting around the exact flow of each coordinate with friction:
 
     1. half-way point      p1 = p + h/2 v,  z1 = z after h/2
-       forces there        f1, F1 (Coulomb level)
+       forces there        f1, F1 (Coulomb friction force)
        acceleration        a = (f1 - b v - friction(v, f1, F1)) / m
     2. corrected point     p2 = p1 + h^2/12 a,  v2 = v + h/2 a,  z2 = z after h/2 with v2
        forces there        f2, F2; belts without nonlinear effects: f2 = f1 - G' k G h^2/12 a
@@ -29,9 +29,9 @@ class StepState:
     """State of one machine.
 
     Attributes:
-        travel: Belt travel of each coordinate, m.
-        speed: Rate of the travel, m/s.
-        time: Time, s.
+        travel: Belt travel of each coordinate, m (radius * angle of a rotary one).
+        speed: Rate of the belt travel, m/s.
+        time: Time since the machine was switched on, s.
         effect_states: State of each effect that has one, by the effect's index.
     """
 
@@ -42,16 +42,16 @@ class StepState:
 
 
 def reference_step(equations: Equations, state: StepState, voltages: Sequence[float], h: float) -> StepState:
-    """Advance a machine by one step.
+    """Advance a machine by one step of the integrator, in plain Python.
 
     Args:
-        equations: Equations of motion of the machine.
-        state: State before the step.
+        equations: Equations of motion of the machine, with floats as parameters.
+        state: Belt travel, speed, time and effect states before the step.
         voltages: Commanded voltage of each drive, V, constant over the step.
         h: Length of the step, s.
 
     Returns:
-        State after the step.
+        Belt travel, speed, time and effect states after the step.
     """
     p, v = state.travel, state.speed
     coordinates = range(len(p))
@@ -104,7 +104,7 @@ def _direction(v: float, f: float) -> float:
 
 
 def _friction(v: float, f: float, level: float) -> float:
-    """Return the Coulomb friction force; at rest it equals the force up to the Coulomb level."""
+    """Return the Coulomb friction force; at rest it equals f, limited to +-level."""
     return min(max(f, -level), level) if v == 0.0 else math.copysign(level, v)
 
 
@@ -121,7 +121,7 @@ def _flow(v: float, f: float, level: float, viscous: Sequence[float], m: float, 
     Args:
         v: Speed, m/s.
         f: Force without friction, N.
-        level: Coulomb level F, N.
+        level: Coulomb friction force F, N.
         viscous: Viscous coefficients, Ns/m, of the present and of the opposite direction of motion.
         m: Mass, kg.
         h: Time, s.

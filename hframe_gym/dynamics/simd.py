@@ -52,14 +52,14 @@ _ALIGN = 8
 
 
 class SimdVector(types.Type):
-    """`LANES` float64 numbers in one register."""
+    """Numba type of a SIMD register with `LANES` float64 numbers, one per machine."""
 
     def __init__(self) -> None:
         super().__init__(name=f"lane{LANES}")
 
 
 class SimdMask(types.Type):
-    """`LANES` truth values."""
+    """Numba type of `LANES` truth values, one per machine: the result of comparing two `SimdVector` values."""
 
     def __init__(self) -> None:
         super().__init__(name=f"mask{LANES}")
@@ -85,31 +85,40 @@ class _MaskModel(models.PrimitiveModel):
 
 
 def load(rows: Any, k: Any) -> Any:
-    """Load a row of an array into one register.
+    """Load a row of an array into one SIMD register; callable in Numba-compiled code only.
 
     Args:
-        rows: Contiguous array, shape (n, LANES).
-        k: Index of the row.
+        rows: Contiguous array of float64, shape (n, LANES), one machine per column.
+        k: Index of the row, 0 <= k < n (not checked).
 
     Returns:
-        `LANES` values.
+        `SimdVector` of the `LANES` values of the row.
+
+    Raises:
+        NotImplementedError: If it is called from the Python interpreter.
     """
     raise NotImplementedError
 
 
 def store(rows: Any, k: Any, value: Any) -> None:
-    """Write a register to a row of an array.
+    """Write a SIMD register to a row of an array; callable in Numba-compiled code only.
 
     Args:
-        rows: Contiguous array, shape (n, LANES).
-        k: Index of the row.
-        value: Register to write.
+        rows: Contiguous array of float64, shape (n, LANES), one machine per column; changed in place.
+        k: Index of the row, 0 <= k < n (not checked).
+        value: `SimdVector` to write, or a number for all lanes.
+
+    Raises:
+        NotImplementedError: If it is called from the Python interpreter.
     """
     raise NotImplementedError
 
 
 def align_stack() -> None:
-    """Align the frame of the calling kernel, so that no spilled register lies across two cache lines."""
+    """Align the stack frame of the calling compiled function to 64 bytes, the size of a SIMD register.
+
+    Registers that the compiler saves on the stack then do not straddle two cache lines. No effect in the interpreter.
+    """
 
 
 # -- vector instructions -----------------------------------------------------------------------------------------------

@@ -30,10 +30,13 @@ class NotFiniteError(ArithmeticError):
 
 
 def threads() -> int:
-    """Return the number of threads for batches.
+    """Return the number of threads that simulate a batch of machines.
 
     Returns:
-        `$HFRAME_THREADS`, or the number of cores that this process may use.
+        `$HFRAME_THREADS` if it is set (at least 1), else the number of cores that this process may use.
+
+    Raises:
+        ValueError: If `$HFRAME_THREADS` is not an integer.
     """
     explicit = os.environ.get("HFRAME_THREADS")
     return max(1, int(explicit)) if explicit else _cores(os.getpid())
@@ -46,10 +49,11 @@ def _cores(process: int) -> int:
 
 
 def in_parallel(run: Callable[[int, int], None], blocks: int) -> None:
-    """Process blocks in several threads.
+    """Process blocks of machines in several threads; return when all are done.
 
     Args:
-        run: Function of a range of blocks (first, after the last).
+        run: Function (first, end) that processes the blocks first..end-1. It must release the interpreter lock to run
+            in parallel, and blocks must not depend on each other. Its exceptions are raised here.
         blocks: Number of blocks.
     """
     count = min(threads(), blocks)
@@ -71,14 +75,17 @@ def _pool(process: int, workers: int) -> ThreadPoolExecutor:
 
 
 def parameter_batch(machine: Machine, changes: dict[str, Array] | None = None) -> Array:
-    """Return the parameters of a batch of machines of one shape.
+    """Return the parameters of B variants of a machine as a table.
 
     Args:
         machine: Machine with the nominal parameters.
-        changes: Values by full name, each of shape (B,), in place of the nominal ones.
+        changes: Values by full name, SI, each of shape (B,), that replace the nominal ones. Default: none, B = 1.
 
     Returns:
-        Parameters in the order of `Machine.parameters`, shape (B, P).
+        SI values of the P parameters in the order of `Machine.parameters`, shape (B, P).
+
+    Raises:
+        ValueError: If the machine has no parameter of a name, or the lengths differ.
     """
     values = machine.parameters
     changes = changes or {}
@@ -90,12 +97,12 @@ def parameter_batch(machine: Machine, changes: dict[str, Array] | None = None) -
 
 
 class Motion(NamedTuple):
-    """Motion of a batch of machines on one time grid; what was not requested is empty.
+    """Motion of B machines at n common sample times; arrays that were not requested are empty.
 
     Attributes:
-        positions: Positions in the coordinates' units, shape (B, n, coordinates).
-        velocities: Velocities, shape (B, n, coordinates).
-        readings: Sensor readings in the channels' units, shape (B, n, sensors).
+        positions: Positions, m or rad, shape (B, n, coordinates).
+        velocities: Velocities, m/s or rad/s, shape (B, n, coordinates).
+        readings: Noise-free sensor readings in the channels' units, shape (B, n, sensors).
     """
 
     positions: Array
@@ -118,18 +125,18 @@ def simulate_batch(
     readings: bool = True,
     parallel: bool = True,
 ) -> Motion:
-    """Simulate a batch of machines of one shape.
+    """Simulate B machines with the same structure (`Machine.shape`) and n samples; arrays are not validated.
 
     Arrays without the batch axis apply to all machines.
 
     Args:
-        machine: A machine of the shape.
-        time_s: Sample times, s, shape (n,).
+        machine: Machine that gives the structure and the default parameters.
+        time_s: Sample times, s, strictly increasing, shape (n,).
         inputs: Voltages, V, held from each sample until the next, shape (n, drives) or (B, n, drives).
-        parameters: Parameters in the order of `Machine.parameters`, shape (B, P). Default: those of the machine.
+        parameters: P parameters in the order of `Machine.parameters`, SI, shape (B, P). Default: those of the machine.
         start: Positions, then velocities, at the first sample, in the coordinates' units, shape (2 * coordinates,) or
             (B, 2 * coordinates). Default: at rest.
-        extra_force: Force on every coordinate, N or Nm, held, shape (n, coordinates) or (B, n, coordinates).
+        extra_force: External force, N or Nm, held like `inputs`, shape (n, coordinates) or (B, n, coordinates).
         measured: Measurements for output injection, shape (n, sensors) or (B, n, sensors), NaN where not measured.
         gains: Gains of the output injection in the coordinates' units, shape (2 * coordinates, sensors): at every
             sample state += gains @ (measured - reading).
@@ -139,7 +146,7 @@ def simulate_batch(
         parallel: Whether to distribute the batch over threads; not where the caller runs several batches in parallel.
 
     Returns:
-        The motion.
+        Positions, velocities and readings with the batch axis first; diverged motions contain NaN or large values.
     """
     kernel = kernel_for(machine, forced=extra_force is not None)
     count = len(machine.coordinates)
@@ -193,17 +200,17 @@ def _run_kernel(
 
 
 def rollout(machine: Machine, time_s: Array, inputs: Array, *, velocities: bool = False, **options: Any) -> Array:
-    """Simulate a batch of machines and return positions only.
+    """Simulate B machines with the same structure at n samples, and return positions without sensor readings.
 
     Args:
-        machine: A machine of the shape.
-        time_s: Sample times, s, shape (n,).
-        inputs: Voltages, V, shape (n, drives) or (B, n, drives).
-        velocities: Whether to append the velocities.
-        **options: Options of `simulate_batch`.
+        machine: Machine that gives the structure (`Machine.shape`) and the default parameters.
+        time_s: Sample times, s, strictly increasing, shape (n,).
+        inputs: Voltages, V, held from each sample until the next, shape (n, drives) or (B, n, drives).
+        velocities: Whether to append the velocities, m/s or rad/s.
+        **options: Keyword arguments of `simulate_batch`, for example `parameters` and `start`.
 
     Returns:
-        Positions in the coordinates' units, shape (B, n, coordinates), or with velocities (B, n, 2 * coordinates).
+        Positions, m or rad, shape (B, n, coordinates), or with velocities (B, n, 2 * coordinates).
     """
     motion = simulate_batch(machine, time_s, inputs, readings=False, **options)
     return np.concatenate(motion[:2], axis=2) if velocities else motion.positions
@@ -228,7 +235,7 @@ def simulate(
         inputs: Drive voltages, V, shape (n, drives).
         initial: Positions, then velocities, at the first sample, in the coordinates' units, shape
             (2 * coordinates,). Default: at rest at the origin with unstretched belts.
-        offset: Zero offset of the sensors, in the channels' units, shape (sensors,), added to the outputs.
+        offset: Zero offset of the sensors, in the channels' units, shape (sensors,) or one number, added to outputs.
         longest_step: Largest step of the integrator, s.
 
     Returns:

@@ -1,8 +1,9 @@
 """Traced expressions: values that record what is computed with them.
 
-A `Trace` records one function of a kernel. Its values are `Expression`s; arithmetic on them and the functions of
-`elementwise` add nodes to a graph in which equal nodes exist only once. `expressions.function_source` writes the graph
-as source text. Identifiers are made of fixed words and numbers only: no name of a machine file reaches generated text.
+A `Trace` records one function of a simulation kernel (generated code). Its values are `Expression`s; arithmetic on them
+and the functions of `elementwise` add nodes to a graph in which equal nodes exist only once.
+`expressions.function_source` writes the graph as source text. Identifiers are made of fixed words and numbers only: no
+name of a machine file reaches generated text.
 """
 
 from __future__ import annotations
@@ -17,14 +18,14 @@ from .expressions import Expression, Statement, simplified
 
 
 class Trace:
-    """One function of a kernel.
+    """Recorder of one function of the generated simulation code: its expressions and statements.
 
     Args:
         signature: Name and arguments of the function, for example "prepare(parameters, derived, h)".
 
     Attributes:
-        statements: Lines of the function.
-        names: Identifiers of the values that have one.
+        statements: Statements of the function, in order.
+        names: Identifier in the source text of each expression that has one.
     """
 
     def __init__(self, signature: str) -> None:
@@ -39,14 +40,14 @@ class Trace:
     # -- values ----------------------------------------------------------------------------------------------------
 
     def node(self, operation: str, *operands: Any) -> Expression:
-        """Return the node of an operation, simplified where the result is exact.
+        """Return the expression of an operation, simplified where that is exact (for example x * 1 to x).
 
         Args:
-            operation: Operator, or name of a function of `elementwise`.
-            *operands: Expressions and numbers.
+            operation: Operator such as "+" or "neg", or name of a function such as "sin".
+            *operands: Expressions of this trace, and finite numbers.
 
         Returns:
-            The node; equal operations give the same node.
+            The expression; equal operations on the same operands give the same object.
         """
         values = tuple(map(self.expression, operands))
         simple = simplified(operation, values)
@@ -64,10 +65,13 @@ class Trace:
         """Convert a value to an expression.
 
         Args:
-            value: Expression of this trace, or a finite number.
+            value: Expression of this trace, or a number.
 
         Returns:
-            The expression; a number becomes a node.
+            The expression itself, or an expression of the number.
+
+        Raises:
+            ValueError: If the number is not finite.
         """
         if isinstance(value, Expression):
             return value
@@ -78,27 +82,27 @@ class Trace:
         return self._unique("number", (repr(number),), invariant=True)
 
     def argument(self, name: str) -> Expression:
-        """Return an argument of the function that it does not change.
+        """Return the expression of a scalar argument of the traced function, for example the step length h.
 
         Args:
-            name: Name of the argument.
+            name: Name of the argument in the signature.
 
         Returns:
-            A variable that is the same in all steps of the loop.
+            Variable that the function does not change, so that it has the same value in all steps of the loop.
         """
         return self._unique("variable", (name, 0), invariant=True)
 
     def load(self, array: str, row: int | str, name: str, *, invariant: bool = True) -> Expression:
-        """Return a row of an array argument.
+        """Return the expression of one row of an array argument (one value per machine).
 
         Args:
-            array: Name of the argument.
-            row: Index of the row, as a number or as source text.
-            name: Identifier of the value; empty if it is used once.
+            array: Name of the argument in the signature, shape (rows, LANES).
+            row: Index of the row, as a number or as source text such as "step * 2 + 0".
+            name: Identifier of the value in the source text; empty to write the load where the value is used.
             invariant: Whether the row is the same in all steps of the loop.
 
         Returns:
-            The row.
+            Expression of the loaded row.
         """
         value = self._unique("load", (f"load({array}, {row})",), invariant=invariant)
         if name:
@@ -106,15 +110,15 @@ class Trace:
         return value
 
     def let(self, role: str, index: int | None, value: Expression) -> Expression:
-        """Name a value and compute it at this point.
+        """Give an expression an identifier, and compute it at the present position in the function.
 
         Args:
-            role: What the value is: a fixed identifier.
-            index: Index of the coordinate, belt, drive, sensor or effect; None for none.
-            value: The value.
+            role: First part of the identifier, for example "tension". The prefix of the section precedes it.
+            index: Second part: index of the coordinate, belt, drive, sensor or effect; None for no second part.
+            value: Expression. Numbers, variables and expressions that have an identifier remain as they are.
 
         Returns:
-            The value.
+            The same expression.
         """
         if not value.is_leaf and value not in self.names:
             self.names[value] = self._identifier(role, index)
@@ -129,27 +133,27 @@ class Trace:
     # -- statements ------------------------------------------------------------------------------------------------
 
     def variable(self, role: str, index: int | None, value: Expression) -> Expression:
-        """Return a new variable with a starting value; `assign` changes it.
+        """Append the definition of a variable with an initial value; `assign` changes the variable.
 
         Args:
-            role: What the value is: a fixed identifier.
-            index: Index of the coordinate, belt, drive, sensor or effect; None for none.
-            value: Starting value.
+            role: First part of the variable's name, for example "speed".
+            index: Second part: index of the coordinate, belt, drive, sensor or effect; None for no second part.
+            value: Initial value.
 
         Returns:
-            The variable.
+            Expression of the variable in its first version.
         """
         variable = self._unique("variable", (self._identifier(role, index), 0), invariant=False)
         self._block.append(Statement(f"{variable.operands[0]} = {{}}", (value,), (variable,)))
         return variable
 
     def call(self, function: str, *arguments: Any, results: Sequence[tuple[str, int | None]]) -> list[Expression]:
-        """Call a function that returns several values.
+        """Append a call of a function that returns a tuple of several values.
 
         Args:
-            function: Name of the function.
+            function: Name of the function in the generated module.
             *arguments: Expressions and numbers.
-            results: Role and index of each returned value.
+            results: Name of the variable of each returned value: role and index, as in `variable`.
 
         Returns:
             One variable per returned value.
@@ -161,11 +165,11 @@ class Trace:
         return variables
 
     def assign(self, variable: Expression, value: Expression) -> Expression:
-        """Change a variable.
+        """Append an assignment of a new value to a variable.
 
         Args:
             variable: Latest version of the variable.
-            value: New value.
+            value: Expression of the new value.
 
         Returns:
             The new version, which later expressions must use.
@@ -176,34 +180,34 @@ class Trace:
         return changed
 
     def store(self, array: str, row: int, value: Any) -> None:
-        """Write a value to a row of an array argument.
+        """Append a statement that writes a value to a row of an array argument.
 
         Args:
-            array: Name of the argument.
+            array: Name of the argument in the signature, shape (rows, LANES).
             row: Index of the row.
-            value: Expression or number.
+            value: Expression, or a number for all lanes.
         """
         value = self.expression(value)
         self._block.append(Statement(f"store({array}, {row}, {{}})", (value,)))
 
     def line(self, text: str) -> None:
-        """Add a line as it is.
+        """Append one line of source code to the current block of the generated function, unchanged.
 
         Args:
-            text: Source text without indentation.
+            text: Source text without indentation and line break.
         """
         self._block.append(Statement(text))
 
     @contextlib.contextmanager
     def section(self, comment: str, prefix: str = "") -> Iterator[None]:
-        """Begin a section with a comment.
+        """Append a comment, and give a prefix to all identifiers that are assigned in the `with` block.
 
         Args:
-            comment: Text of the comment.
-            prefix: Prefix of the names that are given inside.
+            comment: Text of the comment, without "#".
+            prefix: Prefix of the identifiers, for example "half_".
 
-        Returns:
-            Nothing; use it in a `with` statement.
+        Yields:
+            None.
         """
         self._block.append(Statement(f"# {comment}"))
         self._prefix = prefix
@@ -212,15 +216,15 @@ class Trace:
 
     @contextlib.contextmanager
     def block(self, head: str, *values: Expression, loop: bool = False) -> Iterator[None]:
-        """Add a block of lines.
+        """Append a compound statement; statements of the `with` block become its indented body.
 
         Args:
-            head: First line of the block, with "{}" for each value.
-            *values: Values in that line.
-            loop: Whether the block repeats.
+            head: First line such as "if any_of({}):", with "{}" for each value.
+            *values: Expressions in that line.
+            loop: Whether the compound statement is a loop.
 
-        Returns:
-            Nothing; use it in a `with` statement.
+        Yields:
+            None.
         """
         statement = Statement(head, values)
         self._block.append(statement)
@@ -233,15 +237,15 @@ class Trace:
     def update_if_any(
         self, condition: Expression, values: Sequence[Any], update: Callable[[Sequence[Any]], Sequence[Any]]
     ) -> list[Expression]:
-        """Update values inside an `if any_of(condition)` block; see `elementwise.update_if_any`.
+        """Append a block `if any_of(condition):` that updates values; it is skipped if no machine needs it.
 
         Args:
-            condition: Condition per lane.
-            values: Values to update.
-            update: Function of the values; where the condition does not hold it changes nothing.
+            condition: Expression of a condition, one truth value per machine (SIMD lane).
+            values: Expressions and numbers to update.
+            update: Function from the values to the new values; it must change nothing where the condition is false.
 
         Returns:
-            The updated values.
+            Variables with the updated values, in the order of `values`.
         """
         variables = [self.variable("guarded", i, self.expression(value)) for i, value in enumerate(values)]
         with self.block("if any_of({}):", condition):

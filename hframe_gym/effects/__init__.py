@@ -29,16 +29,16 @@ EFFECTS: Mapping[str, Effect] = MappingProxyType(_REGISTERED)
 
 
 def register_effect(effect: Effect) -> Effect:
-    """Add an effect to `EFFECTS`.
+    """Add an effect to `EFFECTS`, so that machine.json, environments and identification can use it.
 
     Args:
-        effect: The definition.
+        effect: Definition of the effect.
 
     Returns:
-        The definition, unchanged.
+        The same definition.
 
     Raises:
-        ValueError: If another effect has the same name.
+        ValueError: If a different effect is registered under the same name.
     """
     if _REGISTERED.get(effect.name, effect) is not effect:
         raise ValueError(f"effect {effect.name!r} is registered already")
@@ -47,28 +47,28 @@ def register_effect(effect: Effect) -> Effect:
 
 
 def unregister_effect(name: str) -> None:
-    """Remove an effect that `register_effect` added.
+    """Remove an effect from `EFFECTS` until the end of the process.
 
     Args:
         name: Name of the effect.
 
     Raises:
-        KeyError: If there is no such effect.
+        KeyError: If no effect of this name is registered.
     """
     del _REGISTERED[name]
 
 
 def get_effect(name: str) -> Effect:
-    """Return the definition of an effect.
+    """Return the definition of an effect by its name; load the installed plugins if the library does not have it.
 
     Args:
-        name: A name in `EFFECTS`, or that of a table such as "smooth_force[position of y]".
+        name: A name in `EFFECTS`, or that of a tabulated effect such as "smooth_force[position of y]".
 
     Returns:
-        The definition.
+        Definition of the effect.
 
     Raises:
-        KeyError: If there is no such effect.
+        KeyError: If neither the library, nor a plugin, nor the tabulated effects have the name.
     """
     if name not in EFFECTS:
         load_plugins()
@@ -79,11 +79,12 @@ def effect_sites(effect: Effect, machine: Machine) -> tuple[str, ...]:
     """Return the sites of a machine at which an effect can act.
 
     Args:
-        effect: The definition.
+        effect: Definition of the effect.
         machine: The machine.
 
     Returns:
-        Names of sites; empty if the effect does not fit the machine.
+        Names of coordinates, drives or sensor channels, or one of "drives", "belts", "machine", by the kind of the
+        effect; empty if the effect cannot act on the machine.
     """
     if effect.fits and not effect.fits(machine):
         return ()

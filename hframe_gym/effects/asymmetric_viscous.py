@@ -7,7 +7,7 @@ from ..machine import Effect, EffectParameter
 
 
 def viscous(b, direction, a):  # type: ignore[no-untyped-def]
-    """Return b (1 + a sign v)."""
+    """Return the viscous coefficient b (1 + a sign v), Ns/m or Nms; direction: sign v (+1 or -1)."""
     return b * (1.0 + direction * a)
 
 

@@ -4,12 +4,12 @@ from ..machine import Effect, EffectParameter
 
 
 def tension(s, k, h):  # type: ignore[no-untyped-def]
-    """Return k s (1 + h s^2)."""
+    """Return the tension k s (1 + h s^2), N; s: extension, m, k: stiffness, N/m, h: hardening, 1/m^2."""
     return k * s * (1.0 + h * s * s)
 
 
 def energy_slope(s, h):  # type: ignore[no-untyped-def]
-    """Return s^2/2 (1 + h s^2/2)."""
+    """Return the derivative of the belt's energy by its stiffness, s^2/2 (1 + h s^2/2), m^2; s: m, h: 1/m^2."""
     return 0.5 * s * s * (1.0 + 0.5 * h * s * s)
 
 

@@ -10,12 +10,12 @@ def _beyond_play(s, d):  # type: ignore[no-untyped-def]
 
 
 def tension(s, k, d):  # type: ignore[no-untyped-def]
-    """Return k (s - clip(s, -d, d))."""
+    """Return the tension k (s - clip(s, -d, d)), N; s: extension, m, k: stiffness, N/m, d: half the play, m."""
     return k * _beyond_play(s, d)
 
 
 def energy_slope(s, d):  # type: ignore[no-untyped-def]
-    """Return (s - clip(s, -d, d))^2 / 2."""
+    """Return the derivative of the belt's energy by its stiffness, (s - clip(s, -d, d))^2 / 2, m^2; s, d: m."""
     stretch = _beyond_play(s, d)
     return 0.5 * stretch * stretch
 

@@ -1,8 +1,8 @@
 """Yaw of the bridge: a coordinate `yaw` with inertia J, stiffness k, damping c and half-width w.
 
 The extension of the left belt follows x + w yaw, that of the right belt x - w yaw, that of the bottom belt x. The tool
-is at x + y yaw. The effect explains an oscillation of 0.2 mm in x during y-moves, which the paper reports without
-explanation (section V).
+is at x + y yaw. The effect explains an oscillation of 0.2 mm in x during y-moves, which Sollmann et al. (2010), section
+V, report without explanation.
 """
 
 import dataclasses
@@ -11,7 +11,7 @@ from ..machine import AppliedEffect, Coordinate, Effect, EffectParameter, Machin
 
 
 def force(q, k):  # type: ignore[no-untyped-def]
-    """Return -k q."""
+    """Return the restoring torque of the guides on the yaw angle, -k q, Nm; q: angle, rad, k: stiffness, Nm/rad."""
     return -k * q
 
 
@@ -22,12 +22,27 @@ def _sides(machine: Machine) -> dict[str, float]:
 
 
 def fits(machine: Machine) -> bool:
-    """Return whether belts act on both sides of the bridge, and nothing else yaws."""
+    """Check whether a machine can have this effect: belts on both sides of the bridge and no coordinate `yaw` yet.
+
+    Args:
+        machine: The machine.
+
+    Returns:
+        True if the effect can be added.
+    """
     return set(_sides(machine).values()) == {1.0, -1.0} and "yaw" not in machine.coordinate_names
 
 
 def structure(machine: Machine, effect: AppliedEffect) -> Machine:
-    """Add the coordinate, its part in the extension of the belts, and the product y yaw to sensors that read x."""
+    """Add the coordinate `yaw`, its part in the extension of the belts, and the product y yaw to sensors that read x.
+
+    Args:
+        machine: Machine without the coordinate.
+        effect: This effect with the parameters J, kg m^2, k, Nm/rad, c, Nms, and w, m.
+
+    Returns:
+        The machine with the coordinate, whose mass, viscous friction and radius are tied to J, c and w.
+    """
     values = effect.parameters
     yaw = Coordinate("yaw", values["J"], values["c"], kind="rotary", radius=values["w"])
     sides = _sides(machine)

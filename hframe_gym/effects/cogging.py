@@ -8,7 +8,7 @@ from ..machine import Effect, EffectParameter
 
 
 def force(q, A, n, p):  # type: ignore[no-untyped-def]
-    """Return A sin(n q + p)."""
+    """Return the torque A sin(n q + p), Nm (or N); q: position, rad or m, n: rad per unit of q, p: phase, rad."""
     return A * sin(n * q + p)
 
 

@@ -1,14 +1,14 @@
 """A constant force or torque on a coordinate: a tilted bed, the pull of a cable, an amplifier offset behind the gear.
 
-Coulomb levels F+ and F- that differ by direction are equivalent: (F+ - F-)/2 is a constant force, (F+ + F-)/2 the
-Coulomb level. No motion can distinguish the two.
+Coulomb friction forces F+ and F- that differ by direction are equivalent: (F+ - F-)/2 is a constant force, (F+ + F-)/2
+the Coulomb friction force. No motion can distinguish the two.
 """
 
 from ..machine import Effect, EffectParameter
 
 
 def force(size):  # type: ignore[no-untyped-def]
-    """Return the constant."""
+    """Return the constant force `size` on the coordinate, N or Nm."""
     return size
 
 

@@ -5,7 +5,7 @@ from ..machine import Effect, EffectParameter
 
 
 def current(i, I):  # type: ignore[no-untyped-def]  # noqa: E741
-    """Return clip(i, -I, I)."""
+    """Return the limited motor current clip(i, -I, I), A; i: current without limit, A, I: limit, A."""
     return minimum(maximum(i, -I), I)
 
 

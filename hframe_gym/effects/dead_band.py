@@ -9,7 +9,7 @@ from ..machine import Effect, EffectParameter
 
 
 def voltage(V, Vd, drop):  # type: ignore[no-untyped-def]
-    """Return 0 for |V| < Vd, else V - drop Vd sign V."""
+    """Return the output voltage, V: 0 for |V| < Vd, else V - drop Vd sign V; V, Vd: V, drop: fraction in [0, 1]."""
     return where(absolute(V) < Vd, 0.0, V - copysign(drop * Vd, V))
 
 

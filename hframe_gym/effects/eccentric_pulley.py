@@ -9,29 +9,36 @@ from ..machine import Effect, EffectParameter, Machine
 
 
 def next_state(z, dq):  # type: ignore[no-untyped-def]
-    """Return the angle turned since the start of the run."""
+    """Return the pulley's rotation since the start of the run, z + dq, rad; dq: rotation in the step, rad."""
     return z + dq
 
 
 def rest_angle_offset(q, e, p, per_radius):  # type: ignore[no-untyped-def]
-    """Return e sin(phi + p) / r."""
+    """Return the lag e sin(phi + p) / r of the pulley at rest, rad; q: phi, rad, e: m, p: rad, per_radius: 1/r, 1/m."""
     return e * sin(q + p) * per_radius
 
 
 def belt_travel(q, z, e, p, per_radius):  # type: ignore[no-untyped-def]
-    """Return e (sin(phi + p - lag) - sin(phi_0 + p - lag)) with the lag at the start of the run."""
+    """Return the added belt travel e (sin(phi + p - lag) - sin(phi_0 + p - lag)), m; phi = q, phi_0 = q - z."""
     start = q - z
     lag = rest_angle_offset(start, e, p, per_radius)
     return e * (sin(q + p - lag) - sin(start + p - lag))
 
 
 def lever_arm(q, z, e, p, per_radius):  # type: ignore[no-untyped-def]
-    """Return e cos(phi + p - lag)."""
+    """Return the added lever arm e cos(phi + p - lag), m/rad, with the lag at the start of the run."""
     return e * cos(q + p - rest_angle_offset(q - z, e, p, per_radius))
 
 
 def fits(machine: Machine) -> bool:
-    """Return whether the machine has belts."""
+    """Check whether a machine can have this effect: it needs belts.
+
+    Args:
+        machine: The machine.
+
+    Returns:
+        True if the machine has belts.
+    """
     return bool(machine.belts)
 
 

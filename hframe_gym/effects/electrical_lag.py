@@ -7,12 +7,12 @@ _SHORTEST_LAG = 1e-9  # s; avoids a division by zero for tau = 0
 
 
 def next_state(z, i, dt, tau):  # type: ignore[no-untyped-def]
-    """Return the current after dt: i + (z - i) exp(-dt/tau)."""
+    """Return the current after the time dt, i + (z - i) exp(-dt/tau), A; z: current before, i: ohmic current, A."""
     return i + (z - i) * exp(-dt / maximum(tau, _SHORTEST_LAG))
 
 
 def current(z):  # type: ignore[no-untyped-def]
-    """Return the state."""
+    """Return the motor current, A: the state z of the effect."""
     return z
 
 

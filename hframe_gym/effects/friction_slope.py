@@ -4,7 +4,7 @@ from ..machine import Effect, EffectParameter
 
 
 def coulomb(q, s):  # type: ignore[no-untyped-def]
-    """Return s q."""
+    """Return the change s q of the Coulomb friction force, N or Nm; q: position, m or rad, s: N/m or Nm/rad."""
     return s * q
 
 

@@ -8,7 +8,7 @@ from ..machine import Effect, EffectParameter
 
 
 def voltage(V, g):  # type: ignore[no-untyped-def]
-    """Return (1 + g) V."""
+    """Return the output voltage (1 + g) V, V; V: commanded voltage, V, g: relative gain error."""
     return V + g * V
 
 

@@ -1,8 +1,8 @@
-"""Idlers with inertia: the 20th-order model (eq. 25-34), in which every pulley is a coordinate.
+"""Idlers with inertia: the 20th-order model of Sollmann et al. (2010), eq. 25-34; every pulley is a coordinate.
 
-Each belt becomes its three sections between pulleys. They have the same EA, and their lengths have the paper's
-proportions. The 8th-order model lumps the inertia J and the friction B of the idlers into motors and cart (eq. 4-8);
-here both are subtracted there: M_cart - 4 J/r^2, J_M - J. The paper's idlers are all equal; here those of one side are.
+Each belt becomes its three sections between pulleys. They have the same EA, and their lengths have the proportions of
+Table 4. The 8th-order model lumps the inertia J and the friction B of the idlers into motors and cart (eq. 4-8); here
+both are subtracted there: M_cart - 4 J/r^2, J_M - J. The idlers of one side are equal.
 """
 
 import dataclasses
@@ -37,12 +37,27 @@ _SIDES = (("left", "phi1", (3, 5, 7)), ("right", "phi2", (4, 6, 8)))
 
 
 def fits(machine: Machine) -> bool:
-    """Return whether the machine has the belts of the 8th-order model."""
+    """Check whether a machine can have this effect: it needs the belts of the 8th-order model and no ties.
+
+    Args:
+        machine: The machine.
+
+    Returns:
+        True if the effect can be added.
+    """
     return {b.name: dict(b.extension) for b in machine.belts} == _ROWS and not machine.ties
 
 
 def structure(machine: Machine, effect: AppliedEffect) -> Machine:
-    """Add the idlers, split the belts, and subtract what the 8th-order model lumps elsewhere."""
+    """Add the idlers phi3..phi8, split each belt in three, and subtract the idlers from motors and cart.
+
+    Args:
+        machine: Machine with the belts of the 8th-order model.
+        effect: This effect with the inertia J, kg m^2, and the viscous friction B, Nms, of an idler, per side.
+
+    Returns:
+        The machine of 20th order; the parameters of idlers and sections are tied to the effect and the belts.
+    """
     radius = machine.coordinate("phi1").radius
     idlers, lumped = [], {}
     ties: dict[str, tuple[str, float]] = {}

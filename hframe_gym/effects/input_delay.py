@@ -4,7 +4,7 @@ from ..machine import Effect, EffectParameter
 
 
 def delay(d):  # type: ignore[no-untyped-def]
-    """Return d."""
+    """Return the delay d from commanded to effective voltage, s."""
     return d
 
 

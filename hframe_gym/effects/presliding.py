@@ -1,7 +1,7 @@
 """Friction with a bristle state: before it slides, a contact deflects like a spring (Dahl 1968; LuGre).
 
-dz/dt = v - s0 |v| z/F, friction s0 z + s1 dz/dt, where F is the Coulomb level including the Stribeck effect. For a
-constant speed the state has a closed solution over a distance dq: z approaches +-F/s0 exponentially.
+dz/dt = v - s0 |v| z/F, friction s0 z + s1 dz/dt, where F is the Coulomb friction force including the Stribeck effect.
+For a constant speed the state has a closed solution over a distance dq: z approaches +-F/s0 exponentially.
 """
 
 from ..dynamics.elementwise import absolute, copysign, exp, maximum
@@ -11,14 +11,14 @@ _LOWEST_LEVEL = 1e-12  # N or Nm; avoids a division by zero without Coulomb fric
 
 
 def next_state(z, dq, level, s0):  # type: ignore[no-untyped-def]
-    """Return the deflection after the distance dq."""
+    """Return the deflection after the distance dq, m or rad; z: deflection before, level: friction F, N or Nm."""
     limit = maximum(level, _LOWEST_LEVEL) / s0
     final = copysign(limit, dq)
     return final + (z - final) * exp(-absolute(dq) / limit)
 
 
 def friction(z, v, level, s0, s1):  # type: ignore[no-untyped-def]
-    """Return s0 z + s1 dz/dt."""
+    """Return the friction force s0 z + s1 dz/dt, N or Nm; z: deflection, m or rad, v: speed, level: F, N or Nm."""
     return s0 * z + s1 * (v - s0 * absolute(v) * z / maximum(level, _LOWEST_LEVEL))
 
 

@@ -5,7 +5,7 @@ from ..machine import Effect, EffectParameter
 
 
 def force(v, c):  # type: ignore[no-untyped-def]
-    """Return -c v |v|."""
+    """Return the drag force -c v |v|, N or Nm; v: speed, m/s or rad/s, c: Ns^2/m^2 or Nms^2."""
     return -c * v * absolute(v)
 
 

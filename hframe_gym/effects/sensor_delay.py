@@ -1,10 +1,10 @@
-"""A sensor with a delay: its measurement is the reading d seconds earlier."""
+"""A sensor with a delay: the measurement is the reading d seconds earlier."""
 
 from ..machine import Effect, EffectParameter
 
 
 def measurement_delay(d):  # type: ignore[no-untyped-def]
-    """Return d."""
+    """Return the delay d from reading to measurement, s."""
     return d
 
 

@@ -1,6 +1,6 @@
 """A sensor that saturates at the ends of its range [low, high].
 
-The paper's laser does so at 100 mm (section V).
+The laser of Sollmann et al. (2010) does so at 100 mm (section V).
 """
 
 from ..dynamics.elementwise import maximum, minimum
@@ -8,7 +8,7 @@ from ..machine import Effect, EffectParameter
 
 
 def measurement(r, low, high):  # type: ignore[no-untyped-def]
-    """Return clip(r, low, high)."""
+    """Return the measurement clip(r, low, high), m or rad; r: ideal reading, low, high: range, same unit."""
     return minimum(maximum(r, low), high)
 
 

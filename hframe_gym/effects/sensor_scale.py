@@ -7,14 +7,20 @@ from ..machine import Effect, EffectParameter, Machine
 
 
 def measurement(r, g):  # type: ignore[no-untyped-def]
-    """Return (1 + g) r."""
+    """Return the measurement (1 + g) r, m or rad; r: ideal reading, same unit, g: relative scale error."""
     return r + g * r
 
 
 def fits(machine: Machine) -> bool:
-    """Return whether there are more sensors than linear coordinates.
+    """Check whether a scale error can be identified: it needs more sensors than linear coordinates.
 
-    If the only sensor of an axis has another gain, the machine is equivalent to one with other masses and forces.
+    A scale error of the only sensor of an axis is equivalent to other masses and forces of the machine.
+
+    Args:
+        machine: The machine.
+
+    Returns:
+        True if there are more sensors than linear coordinates.
     """
     return len(machine.sensors) > sum(c.kind == "linear" for c in machine.coordinates)
 

@@ -4,12 +4,20 @@ from ..machine import Effect, EffectParameter, Machine
 
 
 def measurement(r, across, a):  # type: ignore[no-untyped-def]
-    """Return r + a q."""
+    """Return the measurement r + a q, m; r: ideal reading, m, across: q, position of the other axis, m, a: rad."""
     return r + a * across
 
 
 def fits_site(machine: Machine, site: str) -> bool:
-    """Return whether the sensor measures one of exactly two linear coordinates."""
+    """Check whether the effect can act on a sensor: it must measure one of exactly two linear coordinates.
+
+    Args:
+        machine: The machine.
+        site: Channel of the sensor, for example x_m.
+
+    Returns:
+        True if the effect can act on the sensor.
+    """
     coordinate = machine.coordinate(machine.sensor(site).coordinate)
     return coordinate.kind == "linear" and machine.other_axis(coordinate.name) is not None
 

@@ -1,7 +1,8 @@
-"""Tables for what no formula of the library explains: a force or a Coulomb level as a function of one variable.
+"""Tabulated effects for residuals without a formula: a force or a Coulomb friction force as a function of one variable.
 
 The curve is linear between KNOTS values. Knots lie where the variable has been, and closer where the curve bends. The
-name of a table says what it is: `smooth_force[position of y]` at x is an unnamed force on x that depends on y.
+name of a table states force and variable: `smooth_force[position of y]` at x is an unnamed force on x that depends on
+y.
 """
 
 from __future__ import annotations
@@ -38,9 +39,16 @@ class _Table:
     )
 
     def __call__(self, u: Any, *knots_and_values: Any) -> Any:
-        """Return the curve's value at u.
+        """Interpolate the table linearly at u; constant beyond the first and the last knot.
 
-        Each piece adds its slope times the distance that u has gone within it, so that no branch is necessary.
+        Each piece adds its slope times the distance of u from its left knot, so that no branch is necessary.
+
+        Args:
+            u: Variable of the table, for example a position, m, or the time, s.
+            *knots_and_values: KNOTS increasing knots in the unit of u, then KNOTS values, N or Nm.
+
+        Returns:
+            Value of the curve, N or Nm.
         """
         knots, values = knots_and_values[:KNOTS], knots_and_values[KNOTS:]
         total = values[0]
@@ -59,14 +67,15 @@ class _Table:
 
 @lru_cache(maxsize=256)
 def definition(name: str) -> Effect:
-    """Return the effect `smooth_force[VARIABLE]` or `smooth_friction[VARIABLE]`.
+    """Create the definition of a tabulated effect from its name.
 
     Args:
-        name: Name of the table. VARIABLE is "position of C", "velocity of C", "path of C" (the distance traveled since
-            the start of the run) or "time".
+        name: "smooth_force[VARIABLE]" (a force) or "smooth_friction[VARIABLE]" (a change of the Coulomb friction).
+            VARIABLE is "position of C", "velocity of C", "path of C" (distance traveled since the start of the run) or
+            "time", where C is the name of a coordinate.
 
     Returns:
-        The definition.
+        Effect with the parameters k00..k23 (knots, unit of the variable) and f00..f23 (values, N or Nm).
 
     Raises:
         KeyError: If the name does not have this form.

@@ -1,4 +1,4 @@
-"""Stribeck friction: the Coulomb level changes at low speed, F(v) = Fc + dF exp(-(v/vs)^2).
+"""Stribeck friction: the Coulomb friction force changes at low speed, F(v) = Fc + dF exp(-(v/vs)^2).
 
 dF < 0 describes friction that rises with speed.
 """
@@ -8,7 +8,7 @@ from ..machine import Effect, EffectParameter
 
 
 def coulomb(v, dF, vs):  # type: ignore[no-untyped-def]
-    """Return dF exp(-(v/vs)^2)."""
+    """Return the change dF exp(-(v/vs)^2) of the Coulomb friction force, N or Nm; v, vs: speeds, m/s or rad/s."""
     ratio = v / vs
     return dF * exp(-ratio * ratio)
 

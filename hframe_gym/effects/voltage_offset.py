@@ -7,7 +7,7 @@ from ..machine import Effect, EffectParameter
 
 
 def voltage(V, V0):  # type: ignore[no-untyped-def]
-    """Return V + V0."""
+    """Return the output voltage V + V0, V; V: commanded voltage, V, V0: offset, V."""
     return V + V0
 
 

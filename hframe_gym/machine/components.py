@@ -62,7 +62,7 @@ class Coordinate:
         name: Name by which belts, drives, sensors and effects refer to the coordinate.
         mass: Moving mass, kg, or moment of inertia, kg m^2.
         viscous: Viscous friction coefficient, Ns/m or Nms.
-        coulomb: Coulomb friction level, N or Nm.
+        coulomb: Coulomb friction force, N, or torque, Nm.
         kind: "linear" (a carriage) or "rotary" (a pulley).
         radius: Radius of the pulley, m. A linear coordinate ignores it.
         range: Lowest and highest position, m or rad. None if the coordinate is not limited.
@@ -87,10 +87,14 @@ class Coordinate:
         """Return the unit of a quantity of this coordinate.
 
         Args:
-            quantity: Name of a parameter, or a key of `UNITS`: "position", "speed", "force", "stiffness", ...
+            quantity: "mass", "viscous", "coulomb" or "radius" (parameters of the coordinate), or a key of `UNITS`:
+                "position", "speed", "force", "stiffness", "drag" or "rad/position".
 
         Returns:
             The unit, for example "kg m^2" for the mass of a rotary coordinate.
+
+        Raises:
+            KeyError: If the quantity is none of these.
         """
         if quantity in FIXED_UNITS:
             return FIXED_UNITS[quantity]
@@ -101,15 +105,17 @@ class Coordinate:
 class Belt:
     """One elastic belt section.
 
-    With the travel p (m) of every coordinate (see `Coordinate.travel_per_unit`), the extension of the section is
-    s = sum(extension[c] * p[c]) and its stiffness is k = EA / (rest_length + sum(length[c] * p[c])), eq. 38-44.
+    The belt travel p of a coordinate is its position (linear, m) or radius * angle (rotary, m). The extension of the
+    section is s = sum(extension[c] * p[c]), m, and its stiffness k = EA / (rest_length + sum(length[c] * p[c])), N/m
+    (eq. 38-44 of Sollmann et al. 2010).
 
     Attributes:
         name: Name of the section.
         EA: Axial stiffness, Young's modulus times cross section, N.
         rest_length: Length at zero travel, m.
-        extension: Change of the extension per travel of each coordinate.
-        length: Change of the length per travel of each coordinate. Empty for a section of constant stiffness.
+        extension: Extension per belt travel, m/m, by coordinate name.
+        length: Change of the section's length per belt travel, m/m, by coordinate name. Empty for a section of
+            constant stiffness.
     """
 
     PARAMETERS: ClassVar[tuple[str, ...]] = ("EA", "rest_length")
@@ -125,8 +131,8 @@ class Belt:
 class Drive:
     """A DC motor behind a gear, on one coordinate.
 
-    At speed w (rad/s or m/s) and voltage V the torque or force is gear_ratio * Kt/R * (V - Ke * gear_ratio * w), eq. 17
-    with its erratum.
+    At the coordinate's speed w (rad/s or m/s) and the voltage V, the torque or force on the coordinate is
+    gear_ratio * Kt/R * (V - Ke * gear_ratio * w): eq. 17 of Sollmann et al. (2010) with the gear ratio that it omits.
 
     Attributes:
         name: Name of the drive.
@@ -135,7 +141,7 @@ class Drive:
         Kt: Torque constant, Nm/A.
         Ke: Back-EMF constant, Vs/rad.
         resistance: Resistance of the armature, ohm.
-        gear_ratio: Motor angle per unit of the coordinate, rad/rad or rad/m.
+        gear_ratio: Angle of the motor shaft per unit of the coordinate, rad/rad or rad/m.
         rated_voltage: Rated voltage, V.
         converter_bits: Resolution of the digital-to-analog converter; 0 for a continuous voltage.
         voltage_range: Largest voltage of the converter in either direction, V. None for the rated voltage.
@@ -156,29 +162,29 @@ class Drive:
 
     @property
     def gain(self) -> float:
-        """Force or torque per volt at standstill, N/V or Nm/V."""
+        """Force or torque on the coordinate per volt at standstill, gear_ratio * Kt / R, N/V or Nm/V."""
         return self.gear_ratio * self.Kt / self.resistance
 
     @property
     def back_emf(self) -> float:
-        """Viscous friction that the back-EMF adds to the coordinate, Ns/m or Nms."""
+        """Viscous coefficient that the back-EMF adds to the coordinate, gear_ratio^2 * Kt * Ke / R, Ns/m or Nms."""
         return self.gear_ratio**2 * self.Kt * self.Ke / self.resistance
 
     @property
     def device_parameters(self) -> dict[str, float]:
-        """Parameters of the converter by name; the voltage range is the rated voltage if none is declared."""
+        """`converter_bits` (bits) and `voltage_range` (V; the rated voltage if none is declared) by name."""
         limit = self.rated_voltage if self.voltage_range is None else self.voltage_range
         return {"converter_bits": self.converter_bits, "voltage_range": limit}
 
 
 class SensorKind:
-    """Base class of sensor kinds: what a sensor outputs for an ideal reading.
+    """Base class of sensor kinds: how a sensor converts its ideal (noise-free, continuous) reading to an output.
 
     A kind is a subclass that registers itself with `@SENSOR_KINDS.register("name")`. Kinds are never instantiated.
 
     Attributes:
-        incremental: Whether the sensor counts from where it was switched on. Its zero is then unknown, and elastic
-            belts may lie between it and the tool.
+        incremental: Whether the sensor counts increments from its position at power-on. Its zero is then unknown, and
+            elastic belts may lie between it and the tool.
     """
 
     incremental: ClassVar[bool] = False
@@ -193,10 +199,10 @@ class SensorKind:
             reading: Ideal readings, m or rad, any shape.
             noise: Standard deviation of the noise, m or rad.
             resolution: Quantum of the sensor, m or rad; 0 for a continuous sensor.
-            normal: Samples of the standard normal distribution.
+            normal: Samples of the standard normal distribution, without unit.
 
         Returns:
-            Measured values, m or rad, in the broadcast shape.
+            Measured values, m or rad, in the broadcast shape of the four arguments.
         """
         value = np.asarray(reading + np.asarray(noise) * normal)
         quantum = np.broadcast_to(np.asarray(resolution, float), value.shape)
@@ -208,14 +214,14 @@ SENSOR_KINDS: Registry[type[SensorKind]] = Registry("sensor kind")
 
 @SENSOR_KINDS.register("encoder")
 class Encoder(SensorKind):
-    """An incremental encoder: it counts from where it was switched on."""
+    """An incremental encoder: it counts increments from its position at power-on, so its zero is unknown."""
 
     incremental = True
 
 
 @SENSOR_KINDS.register("laser")
 class Laser(SensorKind):
-    """A distance sensor with a fixed zero."""
+    """A distance sensor with a known zero."""
 
 
 @dataclass(frozen=True)
@@ -238,17 +244,17 @@ class Sensor:
 
     @property
     def incremental(self) -> bool:
-        """Whether the sensor counts from where it was switched on, so that its zero is unknown."""
+        """Whether the sensor counts increments from its position at power-on, so that its zero is unknown."""
         return SENSOR_KINDS.get(self.kind).incremental
 
     @property
     def coordinate(self) -> str:
-        """Name of the coordinate with the largest coefficient."""
+        """Name of the coordinate that has the largest absolute coefficient in `row`; products are ignored."""
         return max((name for name in self.row if "*" not in name), key=lambda name: abs(self.row[name]))
 
     @property
     def device_parameters(self) -> dict[str, float]:
-        """Noise and resolution by name, in the channel's unit."""
+        """`noise` (standard deviation) and `resolution` (quantum) by name, in the channel's unit."""
         return {"noise": self.noise, "resolution": self.resolution}
 
 
@@ -258,7 +264,7 @@ class Uncertainty:
 
     Attributes:
         names: Full names of the parameters, for example x.mass.
-        covariance: Covariance matrix, shape (names, names), in the units of the parameters.
+        covariance: Covariance matrix, shape (k, k) for k names, in the products of the parameters' units.
     """
 
     names: tuple[str, ...]
@@ -268,7 +274,7 @@ class Uncertainty:
         """Return the standard deviation of a parameter.
 
         Args:
-            name: Full name of the parameter.
+            name: Full name of the parameter, for example "x.mass".
 
         Returns:
             The standard deviation in the parameter's unit, or None if the parameter was not identified.

@@ -7,7 +7,7 @@ arguments are the effect's parameters and the quantities of the table's last col
     hook                returns                                                      arguments
     force               force added to the coordinate, N or Nm                       q, v, t, z, u
     active_region       where the force may differ from zero (default: everywhere)   q, v, t
-    coulomb             change of the Coulomb level, N or Nm (the sum stays >= 0)    q, v, t, z, u
+    coulomb             change of the Coulomb friction force, N or Nm (sum >= 0)     q, v, t, z, u
     friction            dry friction force that replaces Coulomb friction, N or Nm   q, v, t, z, level
     viscous             viscous coefficient of the coordinate, Ns/m or Nms           b, direction (+1 or -1)
     voltage             voltage that reaches the drive, V                            V
@@ -23,8 +23,8 @@ arguments are the effect's parameters and the quantities of the table's last col
     measurement_delay   delay of a sensor, s
     next_state          state of the effect after the time dt                        z, dq, dt, v, level, i
 
-Symbols: q, v: position and speed of the coordinate in its unit; t: time since the machine was switched on, s; u:
-the variable that `against` names; z: the effect's state, zero at the start of a run; level: Coulomb level of the
+Symbols: q, v: position and speed of the coordinate in its unit; t: time since the machine was switched on, s; u: the
+variable that `against` names; z: the effect's state, zero at the start of a run; level: Coulomb friction force of the
 coordinate; i: current by Ohm's law, A; s, rate, k: extension (m), its rate (m/s) and the stiffness (N/m) of a belt; r:
 ideal measurement; across: position of the other linear coordinate, m; dq: distance traveled in dt; per_radius: 1/radius
 of the pulley, 1/m.
@@ -33,7 +33,8 @@ of the pulley, 1/m.
 effect's parameters.
 
 Formulas use the elementary functions of `hframe_gym.dynamics.elementwise`, so that one definition serves NumPy arrays,
-the kernel and CasADi. They may call helper functions and use constants of their module.
+the compiled simulation kernel (generated code) and CasADi. They may call helper functions and use constants of their
+module.
 """
 
 from __future__ import annotations
@@ -75,14 +76,15 @@ class EffectParameter:
     """A parameter of an effect.
 
     Attributes:
-        name: Name of the argument of the hooks.
-        unit: Unit, or a key of `machine.UNITS` where the unit follows the site's coordinate.
+        name: Name of the parameter: an argument of the hooks (formulas) of the effect.
+        unit: Unit, or a key of `machine.UNITS` ("force", "position", ...) if it follows the kind of the coordinate.
         lower: Lower bound, SI.
         upper: Upper bound, SI.
-        scale: Size of a typical change, relative to what is typical of the unit on the machine.
-        grid: Starting values of a search, with the same reference as `scale`.
+        scale: Typical size of the parameter, relative to the typical value of its unit on the machine (for example
+            the Coulomb friction for N).
+        grid: Initial values of a search, relative to the same typical value.
         role: "amplitude" is zero where the effect is absent. "phase" shifts the sine of the amplitude, so that both
-            together are linear. "period" (a length) and "rate" (rad per position) are searched on a grid that follows
+            together are linear. "period" (m or rad) and "rate" (rad per position) are searched on a grid that follows
             from the distance traveled. "fixed" is not fitted. "shape" is everything else.
     """
 
@@ -96,7 +98,7 @@ class EffectParameter:
 
     @property
     def amplitude(self) -> bool:
-        """Whether the parameter is zero where the effect is absent."""
+        """Whether the value zero of this parameter means that the effect is absent."""
         return self.role == "amplitude"
 
 
@@ -106,16 +108,16 @@ class Effect:
 
     Attributes:
         name: Unique name.
-        family: Name of the group of effects that a user sees as one; a family may have several members.
+        family: Name of the group of effects with the same physical cause that reports treat as one effect.
         site: Kind of site at which the effect can act.
         parameters: Parameters, in the order of the full parameter vector.
         formula: The equation, for tables and reports.
         source: Reference of the formula.
-        structure: Function (machine, applied effect) -> machine that changes the machine's tables.
-        fits: Predicate (machine) -> bool: whether the machine has room for the effect.
+        structure: Function (machine, applied effect) -> machine that changes the components of the machine.
+        fits: Predicate (machine) -> bool: whether the machine has the components that the effect needs.
         fits_site: Predicate (machine, site) -> bool: whether the effect can act at that site.
-        equivalent: What no recording can distinguish from the effect, in words.
-        refitted: Whether a refit of the machine's parameters already contains the effect, so that no search needs it.
+        equivalent: Causes that no recording can distinguish from the effect, in words.
+        refitted: Whether changed parameters of the machine can represent the effect, so that no search tests it.
         against: Variable `u` of a tabulated effect ("position of y", "velocity of y", "path of y", "time").
         coordinate: Name of the coordinate that `structure` adds, on which the force acts.
     """
@@ -151,30 +153,35 @@ class Effect:
     coordinate: str = ""
 
     def parameter(self, name: str) -> EffectParameter:
-        """Return a parameter by its name.
+        """Return the declaration (unit, bounds, role) of one parameter of the effect.
 
         Args:
-            name: Name of the parameter.
+            name: Name of the parameter, for example "A".
 
         Returns:
-            Its declaration.
+            The declaration.
+
+        Raises:
+            StopIteration: If the effect has no parameter of this name.
         """
         return next(p for p in self.parameters if p.name == name)
 
     @property
     def amplitudes(self) -> tuple[str, ...]:
-        """Names of the parameters that are zero where the effect is absent."""
+        """Names of the parameters whose value zero means that the effect is absent."""
         return tuple(p.name for p in self.parameters if p.amplitude)
 
     def at(self, site: str, **parameters: float) -> AppliedEffect:
-        """Apply the effect at a site.
+        """Combine the effect with a site of a machine and with parameter values.
 
         Args:
-            site: Name of a coordinate, drive or sensor channel, or "drives", "belts", "machine", as `site` says.
-            **parameters: Value of every parameter, SI.
+            site: Where it acts. By the attribute `site`: name of a coordinate ("coordinate"), of a drive ("motor",
+                "drive"), a sensor channel ("sensor"), or the word "drives", "belts" or "machine" itself. Whether a
+                machine has the site is checked when the effect is added to it.
+            **parameters: Value of every parameter of the effect, SI, within its bounds.
 
         Returns:
-            The applied effect.
+            The effect at the site, for `Machine.with_effects`.
 
         Raises:
             ValueError: If a parameter is missing, unknown or outside its bounds; the message names it.
@@ -193,11 +200,11 @@ class Effect:
 
 @dataclass(frozen=True)
 class AppliedEffect:
-    """An effect at a site of a machine.
+    """An effect at a site of a machine, with parameter values.
 
     Attributes:
-        definition: The effect.
-        site: Name of the site.
+        definition: Definition of the effect.
+        site: Name of the coordinate, drive or sensor channel, or "drives", "belts", "machine".
         parameters: Values by name, SI: floats, or arrays for many variants at once.
     """
 
@@ -216,24 +223,24 @@ class AppliedEffect:
         return f"{self.definition.name}@{self.site}"
 
     def with_parameters(self, parameters: Mapping[str, float]) -> AppliedEffect:
-        """Return the same effect with other parameter values.
+        """Return a copy of the effect with other parameter values.
 
         Args:
-            parameters: Value of every parameter, SI.
+            parameters: Values of all parameters by name, SI. Names and bounds are not checked.
 
         Returns:
-            The new effect at the same site.
+            The effect with these values at the same site.
         """
         return dataclasses.replace(self, parameters=dict(parameters))
 
     def check_site(self, machine: Machine) -> None:
-        """Check that a machine has the effect's site.
+        """Check that a machine has the coordinate, drive or sensor channel at which the effect acts.
 
         Args:
-            machine: The machine.
+            machine: Machine to check.
 
         Raises:
-            ValueError: If it does not; the message lists the sites there are.
+            ValueError: If the machine has no such site; the message lists its sites.
         """
         drives = tuple(d.name for d in machine.drives)
         sites = {
@@ -250,17 +257,19 @@ class AppliedEffect:
             )
 
     def __call__(self, hook: str, **quantities: Any) -> Any:
-        """Evaluate a hook.
+        """Evaluate one hook (a formula of the effect) with the effect's parameter values.
 
         Args:
-            hook: Name of the hook.
-            **quantities: Quantities that the hook may need; see the table at the top of the module.
+            hook: Name of a hook that the effect has, for example "force"; see the table at the top of the module.
+            **quantities: Quantities that the hook takes as arguments by the symbols of that table, for example q and v.
+                Surplus quantities are ignored.
 
         Returns:
-            The hook's value, in the table's unit.
+            Value of the hook in the unit of that table, for example N for "force" at a linear coordinate.
 
         Raises:
-            KeyError: If the hook needs an argument that was not given; the message names it.
+            KeyError: If an argument of the hook is neither a parameter nor given; the message names it.
+            TypeError: If the effect does not have the hook.
         """
         function = getattr(self.definition, hook)
         values = {**quantities, **self.parameters}
@@ -269,12 +278,12 @@ class AppliedEffect:
 
 @lru_cache(maxsize=1024)
 def argument_names(function: Hook) -> tuple[str, ...]:
-    """Return the names of a hook's arguments.
+    """Return the names of the arguments of a hook; results are cached.
 
     Args:
-        function: Hook of an effect.
+        function: Hook of an effect (a formula such as `force(q, k)`).
 
     Returns:
-        Names in the order of the signature.
+        Names in the order of the signature, for example ("q", "k").
     """
     return tuple(inspect.signature(function).parameters)

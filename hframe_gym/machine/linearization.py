@@ -1,4 +1,7 @@
-"""Rigid kinematics and linearization of a machine: rest states, stiffness, state space and modes (eq. 20-24)."""
+"""Rigid kinematics and linearization of a machine: rest states, stiffness, state space and modes.
+
+Equation numbers refer to Sollmann, Jouaneh and Lavender (2010).
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,7 @@ class StateSpace(NamedTuple):
     """Linear model x' = A x + B u, y = C x + D u.
 
     Attributes:
-        A: System matrix, shape (states, states). States are all positions, then all velocities, in m, rad and per s.
+        A: System matrix, shape (states, states). States are all positions (m, rad), then all velocities (m/s, rad/s).
         B: Input matrix, shape (states, drives); inputs are voltages, V.
         C: Output matrix, shape (sensors, states).
         D: Feedthrough matrix, shape (sensors, drives); zero.
@@ -30,14 +33,18 @@ class StateSpace(NamedTuple):
 
 
 def stiffness_matrix(machine: Machine, position: Array | None = None) -> Array:
-    """Return the stiffness matrix K = G^T diag(k) G of the belts.
+    """Return the stiffness matrix K = G^T diag(k) G of the belts for small displacements of the coordinates.
+
+    G is the extension of each belt per unit of each coordinate, `Machine.belt_matrix`; k is the stiffness of each belt.
 
     Args:
         machine: Machine.
-        position: Positions at which the belts are unstretched, m or rad, shape (coordinates,). Default: zeros.
+        position: Positions of unstretched belts, m or rad, shape (coordinates,); they determine the lengths and
+            therefore k. Default: zeros.
 
     Returns:
-        Stiffness, N/m, N/rad or Nm/rad, shape (coordinates, coordinates).
+        Stiffness, shape (coordinates, coordinates): N/m between linear coordinates, Nm/rad between rotary ones, N/rad
+        (equal to N) between both kinds.
     """
     count = len(machine.coordinates)
     travel = np.zeros(count) if position is None else np.asarray(position) * machine.travel_per_unit
@@ -49,14 +56,15 @@ def stiffness_matrix(machine: Machine, position: Array | None = None) -> Array:
 
 
 def linearize(machine: Machine, position: Array | None = None) -> StateSpace:
-    """Linearize a machine about rest, without Coulomb friction and effects.
+    """Linearize the equations of motion about rest, without Coulomb friction and effects.
 
     Args:
         machine: Machine.
-        position: Positions at which the belts are unstretched, m or rad, shape (coordinates,). Default: zeros.
+        position: Operating point with unstretched belts, m or rad, shape (coordinates,). Default: zeros.
 
     Returns:
-        The state-space matrices.
+        State-space matrices. States: positions, then velocities, in the coordinates' units; inputs: drive voltages, V;
+        outputs: sensor readings in the channels' units.
 
     References:
         Sollmann, Jouaneh and Lavender (2010), eq. 20-24.
@@ -81,14 +89,14 @@ def linearize(machine: Machine, position: Array | None = None) -> StateSpace:
 
 
 def mode_frequencies(machine: Machine, position: Array | None = None) -> Array:
-    """Return the undamped natural frequencies of a machine.
+    """Return the undamped natural frequencies: the square roots of the eigenvalues of M^-1 K over 2 pi.
 
     Args:
         machine: Machine.
-        position: Positions at which the belts are unstretched, m or rad, shape (coordinates,). Default: zeros.
+        position: Operating point with unstretched belts, m or rad, shape (coordinates,). Default: zeros.
 
     Returns:
-        Frequencies, Hz, ascending, shape (coordinates,); zeros for the rigid-body modes.
+        Frequencies, Hz, ascending, shape (coordinates,); exactly zero for rigid-body modes, which stretch no belt.
     """
     from scipy.linalg import eigh  # SciPy takes most of the time of `import hframe_gym`
 
@@ -102,15 +110,18 @@ _STRETCHES = 1e-9  # m per unit of the leading coordinate; a motion that extends
 
 
 def rest_state(machine: Machine, position: ArrayLike | None = None) -> Array:
-    """Return the state at rest with unstretched belts.
+    """Return the state at rest with unstretched belts for given positions of the carriages.
 
     Args:
         machine: Machine.
-        position: Positions of the linear coordinates in their order, m, shape (linear coordinates,). Default: zeros.
-            The angles of the pulleys follow from zero extension of every belt.
+        position: Positions of the linear coordinates in the machine's order, m, shape (linear coordinates,). Default:
+            zeros. The pulley angles follow from zero extension of every belt (least squares).
 
     Returns:
         Positions, m or rad, then zero velocities, shape (2 * coordinates,).
+
+    Raises:
+        ValueError: If the number of positions is not the number of linear coordinates.
     """
     count = len(machine.coordinates)
     q = np.zeros(count)
@@ -125,17 +136,17 @@ def rest_state(machine: Machine, position: ArrayLike | None = None) -> Array:
 
 
 def rigid_motions(machine: Machine) -> dict[str, Array]:
-    """Return the independent motions of a machine that stretch no belt.
+    """Return the rigid-body motions of a machine: independent motions that stretch no belt.
 
-    With belts each linear coordinate leads one motion and the pulleys follow; without belts each coordinate moves
-    independently.
+    With belts there is one motion per linear coordinate, and the pulleys follow it without stretching the belts.
+    Without belts each coordinate moves independently.
 
     Args:
         machine: Machine.
 
     Returns:
-        By leading coordinate, the motion of every coordinate per unit of the leading one, shape (coordinates,). A
-        linear coordinate that cannot move without stretching a belt is left out.
+        By name of the leading coordinate: motion of every coordinate per unit of the leading one (m or rad per m or
+        rad), shape (coordinates,). A linear coordinate that cannot move without stretching a belt has no entry.
     """
     count = len(machine.coordinates)
     if not machine.belts:

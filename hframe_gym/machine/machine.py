@@ -1,13 +1,8 @@
 """The machine model: coordinates with a diagonal mass matrix, elastic belts, drives, sensors and effects.
 
-Every model of the paper, a single axis and a stage with a yawing bridge are instances of this one class. The extension
-of a belt is a linear combination of the travel of the coordinates, s = G p (potential energy V = 1/2 sum k s^2), and so
-is its length; therefore its stiffness k = EA / length depends on the carriage's position (eq. 38-44). A rotary
-coordinate enters with its belt travel p = radius * angle, so that the coefficients are small integers: the topology of
-the machine.
-
-Values are SI, in the unit of the coordinate (kg and N, or kg m^2 and Nm). Machines are immutable; `Machine.replace`
-returns a changed copy.
+Extension s = G p and length of a belt are linear in the belt travel p of the coordinates (p = radius * angle of a
+pulley). The potential energy is 1/2 sum k s^2 with k = EA / length (eq. 38-44 of Sollmann et al. 2010). Values are SI,
+in the unit of the coordinate (kg and N, or kg m^2 and Nm). Machines are immutable.
 """
 
 from __future__ import annotations
@@ -51,13 +46,22 @@ class Trajectory:
 
 
 class Simulator(Protocol):
-    """A function that simulates a machine; the package `dynamics` registers one."""
+    """A function that simulates a machine; importing `hframe_gym.dynamics` registers one."""
 
     def __call__(
         self, machine: Machine, time_s: ArrayLike, inputs: ArrayLike, initial: ArrayLike | None = None
     ) -> Trajectory:
-        """Simulate a machine over a voltage history; see `Machine.simulate`."""
-        ...
+        """Simulate a machine over a voltage history.
+
+        Args:
+            machine: Machine to simulate.
+            time_s: Sample times, s, strictly increasing, shape (n,).
+            inputs: Drive voltages, V, each held from its sample until the next, shape (n, drives).
+            initial: Positions, then velocities, in the coordinates' units, shape (2 * coordinates,). Default: at rest.
+
+        Returns:
+            Positions, velocities and sensor readings at every sample.
+        """
 
 
 # This package does not depend on the integrator. Whoever provides one registers it under the name "default".
@@ -66,7 +70,7 @@ SIMULATORS: Registry[Simulator] = Registry("simulator")
 
 @dataclass(frozen=True)
 class Machine:
-    """A belt-driven stage. Load one by preset name or from a file with `hframe_gym.load_machine`.
+    """A belt-driven positioning system. Load one by preset name or from a file with `hframe_gym.load_machine`.
 
     Attributes:
         name: Name of the machine.
@@ -77,9 +81,8 @@ class Machine:
         effects: Additional effects (friction, sensors, belts, ...) at their sites.
         uncertainty: Covariance of the parameters, if they were identified.
         description: One sentence for people.
-        ties: Parameters that equal a factor times another parameter, by full name, for example
-            {"phi3.radius": ("phi1.radius", 1.0)}. An effect that adds coordinates ties their
-            parameters to those of the effect.
+        ties: Parameters that equal a factor times another parameter, by full name, for example {"phi3.radius":
+            ("phi1.radius", 1.0)}. An effect that adds coordinates ties their parameters to its parameters.
     """
 
     name: str
@@ -109,7 +112,7 @@ class Machine:
 
     @cached_property
     def shape(self) -> tuple[object, ...]:
-        """The machine without parameter values, hashable: machines of one shape have one compiled kernel."""
+        """Structure without parameter values, hashable. Machines of one shape use the same compiled simulation code."""
         return (
             tuple((c.name, c.kind) for c in self.coordinates),
             tuple((b.name, tuple(b.extension.items()), tuple(b.length.items())) for b in self.belts),
@@ -123,7 +126,7 @@ class Machine:
         """Return the coordinate with a name.
 
         Args:
-            name: Name of a coordinate of this machine.
+            name: Name of a coordinate of this machine; any other name raises ValueError.
 
         Returns:
             The coordinate.
@@ -134,7 +137,7 @@ class Machine:
         """Return the drive with a name.
 
         Args:
-            name: Name of a drive of this machine.
+            name: Name of a drive of this machine; any other name raises StopIteration.
 
         Returns:
             The drive.
@@ -145,7 +148,7 @@ class Machine:
         """Return the sensor of a channel.
 
         Args:
-            channel: An output channel of this machine.
+            channel: Output channel of this machine, for example x_m; any other name raises StopIteration.
 
         Returns:
             The sensor.
@@ -153,10 +156,10 @@ class Machine:
         return next(s for s in self.sensors if s.channel == channel)
 
     def coefficients(self, row: Row) -> Array:
-        """Convert a row of coefficients by name to an array over all coordinates.
+        """Convert coefficients by coordinate name to an array over all coordinates.
 
         Args:
-            row: Coefficients by coordinate name. Products ("y*yaw") are ignored.
+            row: Coefficients by coordinate name, of a belt or sensor. Products ("y*yaw") are ignored.
 
         Returns:
             Coefficients, shape (coordinates,); zero where the row does not name the coordinate.
@@ -165,7 +168,7 @@ class Machine:
 
     @cached_property
     def travel_per_unit(self) -> Array:
-        """Belt travel per unit of each coordinate, m/rad or 1, shape (coordinates,)."""
+        """Belt travel per unit of each coordinate: radius, m/rad, or 1 for a linear one, shape (coordinates,)."""
         return np.array([c.travel_per_unit for c in self.coordinates])
 
     @cached_property
@@ -176,7 +179,7 @@ class Machine:
 
     @cached_property
     def sensor_matrix(self) -> Array:
-        """Ideal reading of each sensor per unit of each coordinate, shape (sensors, coordinates), without products."""
+        """Coefficients of the ideal sensor readings, shape (sensors, coordinates); products ("y*yaw") are ignored."""
         return np.array([self.coefficients(s.row) for s in self.sensors])
 
     def coordinate_of_site(self, site: str) -> str | None:
@@ -186,7 +189,7 @@ class Machine:
             site: Site of an effect: the name of a coordinate, drive or channel, or "drives", "belts", "machine".
 
         Returns:
-            The coordinate, or that of the drive or sensor; None for a site that is not at one coordinate.
+            Name of the coordinate, or of the coordinate of the drive or sensor; None for "drives", "belts", "machine".
         """
         by_drive = {d.name: d.coordinate for d in self.drives}
         by_sensor = {s.channel: s.coordinate for s in self.sensors}
@@ -194,14 +197,14 @@ class Machine:
 
     @cached_property
     def spring_loaded(self) -> tuple[str, ...]:
-        """Names of the coordinates that effects added, each with a spring to zero: they are zero at rest."""
+        """Names of the coordinates added by effects; a spring returns each of them to zero at rest."""
         return tuple(e.definition.coordinate for e in self.effects if e.definition.coordinate)
 
     def other_axis(self, coordinate: str) -> str | None:
         """Return the other linear coordinate of a machine that has two.
 
         Args:
-            coordinate: Name of a coordinate.
+            coordinate: Name of a coordinate, linear or rotary.
 
         Returns:
             The name of the other linear coordinate, or None if there is not exactly one.
@@ -223,11 +226,10 @@ class Machine:
 
     @cached_property
     def device_parameters(self) -> dict[str, float]:
-        """Parameters of sensors and drives that the simulation kernel does not use, by full name.
+        """Parameters of sensors and drives that the equations of motion do not contain, by full name.
 
-        They are the noise and resolution of every sensor (`x_m.noise`, `x_m.resolution`, in the channel's unit) and
-        the converter of every drive (`motor1.converter_bits`; `motor1.voltage_range`, V, by default the rated
-        voltage). They can be randomized like `parameters`.
+        Noise and resolution of every sensor (`x_m.noise`, `x_m.resolution`, channel's unit); `motor1.converter_bits`
+        and `motor1.voltage_range` (V, by default the rated voltage) of every drive. They can be randomized.
         """
         owners = [(s.channel, s.device_parameters) for s in self.sensors]
         owners += [(d.name, d.device_parameters) for d in self.drives]
@@ -237,10 +239,10 @@ class Machine:
         """Return the unit of a parameter.
 
         Args:
-            parameter: Full name of a parameter or device parameter.
+            parameter: Full name in `parameters` or `device_parameters`; an unknown name raises KeyError.
 
         Returns:
-            The unit, for example "Ns/m".
+            The unit, for example "Ns/m" of x.viscous, m or rad of a sensor's noise, "1" if dimensionless.
         """
         owner, _, key = parameter.rpartition(".")
         if owner in self.output_channels and key in self.sensor(owner).device_parameters:
@@ -257,10 +259,10 @@ class Machine:
 
         Args:
             effect: Effect at a site of this machine; the machine need not have it.
-            parameter: Name of the effect's parameter.
+            parameter: Name of the effect's parameter; an unknown name raises StopIteration.
 
         Returns:
-            The unit, for example N for a friction level at a carriage and Nm at a motor.
+            The unit, for example N for a Coulomb friction force at a carriage and Nm at a motor.
         """
         unit = effect.definition.parameter(parameter).unit
         coordinate = self.coordinate_of_site(effect.site)
@@ -270,8 +272,7 @@ class Machine:
         """Return a copy with other parameter values and other fields.
 
         Args:
-            values: New values by full name, SI; names of `parameters` or `device_parameters`. `converter_bits` is
-                rounded to an integer.
+            values: New values by full name in `parameters` or `device_parameters`, SI. Rounds `converter_bits`.
             **fields: New values of dataclass fields, for example `name` or `drives`.
 
         Returns:
@@ -309,7 +310,7 @@ class Machine:
             The extended machine.
 
         Raises:
-            ValueError: If the machine has no such site for the effect.
+            ValueError: If the machine does not have the site of an effect; the message lists its sites.
         """
         machine = self
         for effect in effects:
@@ -322,11 +323,9 @@ class Machine:
     def simulate(self, time_s: ArrayLike, inputs: ArrayLike, initial: ArrayLike | None = None) -> Trajectory:
         """Simulate the machine over a voltage history.
 
-        Each voltage is held from its sample until the next (zero-order hold).
-
         Args:
             time_s: Sample times, s, strictly increasing, shape (n,).
-            inputs: Drive voltages, V, shape (n, drives).
+            inputs: Drive voltages, V, each held from its sample until the next, shape (n, drives).
             initial: Positions, then velocities, at the first sample, in the coordinates' units, shape
                 (2 * coordinates,). Default: at rest at the origin with unstretched belts.
 

@@ -1,4 +1,4 @@
-"""Preset machines: the variants of the paper's rig, and a single axis as a starting point.
+"""Preset machines: the variants of the H-frame rig of Sollmann et al. (2010), "the paper" below, and a single axis.
 
 References:
     Sollmann, Jouaneh and Lavender (2010), Tables 1, 3 and 4; errata in docs/errata.md.
@@ -52,13 +52,14 @@ def _sensors() -> tuple[Sensor, ...]:
 
 
 def hframe() -> Machine:
-    """Return the paper's nonlinear 8th-order model.
+    """Return the nonlinear 8th-order model of Sollmann et al. (2010).
 
     It has Coulomb and viscous friction (Table 3), position-dependent belt stiffness (eq. 43-44) and a gear ratio of
     5.9.
 
     Returns:
-        The machine `hframe`.
+        The preset `hframe`: 4 coordinates x, y (m), phi1, phi2 (rad, pulley side of the gears), 3 belts, 2 drives, 4
+        sensors.
     """
     l1, l2, l3, l4, l5, l6, l7, l8, l9 = SECTIONS
     return Machine(
@@ -85,22 +86,25 @@ def with_constant_stiffness(machine: Machine, stiffness: dict[str, float]) -> Ma
 
     Args:
         machine: Machine.
-        stiffness: Stiffness by belt name, N/m.
+        stiffness: Stiffness of every belt of the machine by belt name, N/m.
 
     Returns:
-        The changed machine.
+        The machine with these stiffnesses; the EA of the belts is unchanged, the rest lengths are EA / stiffness.
+
+    Raises:
+        KeyError: If a belt has no entry in `stiffness`.
     """
     belts = tuple(dataclasses.replace(b, rest_length=b.EA / stiffness[b.name], length={}) for b in machine.belts)
     return machine.replace(belts=belts)
 
 
 def hframe_linear() -> Machine:
-    """Return the paper's linear 8th-order model (eq. 20-24).
+    """Return the linear 8th-order model of Sollmann et al. (2010), eq. 20-24.
 
     It has viscous friction only and constant belt stiffness (Table 1), and a gear ratio of 5.9.
 
     Returns:
-        The machine `hframe-linear`.
+        The preset `hframe-linear`, with the coordinates, belts, drives and sensors of `hframe`.
     """
     base = hframe()
     friction = {"x": (46.4449, 0.0), "y": (45.5517, 0.0), "phi1": (0.0042, 0.0), "phi2": (0.0042, 0.0)}
@@ -116,12 +120,12 @@ def hframe_linear() -> Machine:
 
 
 def hframe_literal() -> Machine:
-    """Return `hframe` with eq. 17 as printed, without the gear ratio.
+    """Return `hframe` with eq. 17 of Sollmann et al. (2010) as printed, without the gear ratio.
 
-    It is kept to show that the printed equation contradicts the paper's Fig. 7.
+    It demonstrates that the printed equation contradicts Fig. 7 of the same paper.
 
     Returns:
-        The machine `hframe-literal`.
+        The preset `hframe-literal`: `hframe` with gear ratio 1.
     """
     return hframe().replace(
         name="hframe-literal",
@@ -131,13 +135,13 @@ def hframe_literal() -> Machine:
 
 
 def hframe_order20() -> Machine:
-    """Return the paper's linear 20th-order model with all eight pulleys (eq. 25-34 with errata).
+    """Return the linear 20th-order model of Sollmann et al. (2010) with all eight pulleys (eq. 25-34 with errata).
 
     The inertia and friction of the idlers are separated from the lumped values of Table 1 (eq. 4-8). The stiffness of
     each section is constant, at the position for which Table 1 holds (eq. 39-43).
 
     Returns:
-        The machine `hframe-order20`.
+        The preset `hframe-order20`: 10 coordinates x, y (m) and phi1..phi8 (rad), 9 belt sections, 2 drives, 4 sensors.
     """
     linear = hframe_linear()
     x, y = -0.2227, -0.1163  # m, the position for which Table 1 holds
@@ -176,7 +180,7 @@ def axis() -> Machine:
     """Return a single motor-driven axis with one input and one output, as a template for other machines.
 
     Returns:
-        The machine `axis`.
+        The preset `axis`: coordinate x (1 kg, 5 Ns/m, 1 N), no belts, one drive of 12 V, sensor x_m.
     """
     return Machine(
         name="axis",
