@@ -171,7 +171,7 @@ class InputInversion:
         """Compute the voltages at the motors that result from commanded voltages.
 
         Args:
-            command: Commanded voltages of B stages, limited to the rated voltages, V, shape (B, drives).
+            command: Commanded voltages of B stages, at most the rated ones in magnitude, V, shape (B, drives).
 
         Returns:
             Voltages at the motors, V, shape (B, drives).

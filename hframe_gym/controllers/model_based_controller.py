@@ -67,7 +67,7 @@ class ModelBasedController(Controller):
 
     Attributes:
         model: Model of the machine.
-        transfers: Gains for point-to-point motion.
+        transfers: Feedback gains for point-to-point motion.
 
     Raises:
         InputError: If the machine cannot be controlled (see `MotionModel`) or the period is not positive.
@@ -92,14 +92,20 @@ class ModelBasedController(Controller):
         self._settling = self._moving = self._elapsed = np.zeros(0, np.intp)
 
     def reset(self, mask: Mask | None = None) -> None:
-        """Start a new episode on some stages or all."""
+        """Clear the memory of stages whose next observation starts a new episode.
+
+        Args:
+            mask: True for the stages to reset, shape (B,). Default: all; the batch size may then change.
+        """
         self._starts.reset(mask)
 
     def act(self, observation: Mapping[str, NDArray[Any]]) -> Array:
-        """Return the actions for the control period that begins.
+        """Compute the actions for the control period that starts now, for B stages.
 
         Args:
-            observation: Full state, `desired_goal` and perhaps `preview`; see `Controller.act`.
+            observation: Arrays by key. `observation`: positions of x, y and the motors, then their velocities, m, rad,
+                m/s and rad/s, shape (B, 2 n) for n coordinates. `desired_goal`: tool goal, m, shape (B, 2). For a
+                moving goal also `preview`, m, shape (B, 2 P): goals at the ends of the next P periods.
 
         Returns:
             Voltages divided by the rated voltages, in [-1, 1], shape (B, 2).
@@ -123,7 +129,11 @@ class ModelBasedController(Controller):
         return volts / self.model.rated
 
     def replace_last_action(self, actions: Array) -> None:
-        """Correct the voltages that were sent last."""
+        """Record the actions that were applied instead of those that `act` returned last.
+
+        Args:
+            actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (B, 2).
+        """
         self._dead_time.replace_last(actions * self.model.rated)
 
     def _begin_period(self, state: Array) -> None:
