@@ -23,8 +23,9 @@ class TextbookPID(Controller):
     """PID control of the tool position along x and y; integration stops while a drive saturates (anti-windup).
 
     Each axis is modeled as a rigid mass m with viscous friction b, m v' = f - b v for velocity v and force f, and the
-    gains put all three closed-loop poles at -w: w is 1 / FREQUENCY_MARGIN of the slowest belt mode. The derivative acts
-    on the measured velocity; for a moving goal, on the difference to the goal's velocity.
+    gains put all three closed-loop poles at -w, where w is the frequency of the slowest belt mode (or half the sampling
+    frequency, if that is lower) divided by FREQUENCY_MARGIN. The derivative acts on the measured velocity; for a moving
+    goal, on the difference to the goal's velocity.
 
     Args:
         machine: Machine model from which the gains are computed.
