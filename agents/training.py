@@ -78,7 +78,7 @@ def train(
         Contents of card.json: recipe, package versions and learning curve.
 
     Raises:
-        InputError: If the recipe or task is unknown or there is nothing to resume.
+        InputError: If the recipe or task is unknown, or `out` has no checkpoint of this recipe and seed to resume.
         ImportError: If the extra `agents` is not installed; the message names it.
     """
     require_training_packages()

@@ -58,7 +58,8 @@ class AdaptiveController(Controller):
             this controller may observe both.
 
     Raises:
-        InputError: If the machine cannot be controlled (see `MotionModel`) or the period is not positive.
+        InputError: If the machine does not have two drives that can move both x and y, x or y has no range, or the
+            period is not positive.
     """
 
     def __init__(self, machine: Machine, period: float = 0.01) -> None:

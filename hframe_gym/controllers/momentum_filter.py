@@ -36,7 +36,7 @@ class MomentumFilter:
     """Recursive least-squares estimator of friction, masses and belt stiffness of B stages with n coordinates each.
 
     Args:
-        model: Model of the machine.
+        model: Model of the machine with its declared parameters.
         period: Control period, s.
 
     Attributes:

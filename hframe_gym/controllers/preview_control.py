@@ -36,7 +36,7 @@ class PreviewGains:
 
     Args:
         model: Model of the machine.
-        grid: Operating points.
+        grid: Operating points (tool positions) for which gains are computed.
         period: Control period, s.
         horizon: Number of previewed goals, H.
         change_weight: Weight w of voltage changes, m/V.
@@ -87,7 +87,7 @@ class PreviewGains:
 
 
 class PreviewTracker:
-    """Preview control of B stages with a disturbance observer.
+    """Preview control of the tool position of B stages (simulated machines), with a disturbance observer.
 
     Args:
         model: Model of the machine.

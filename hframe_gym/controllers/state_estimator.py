@@ -62,12 +62,12 @@ class StateEstimator:
         model: Model of the machine.
         period: As given, s.
         channels: Number of sensors.
-        measurements: Measurement equation of the sensors.
-        augmented: The estimated parameters, in the order of `parameter_ratios`.
+        measurements: Linear measurement equation of the sensors.
+        augmented: Names and prior covariance of the k estimated parameters (masses, friction, belts, motors).
 
     Raises:
-        InputError: If the machine cannot be controlled (see `MotionModel`), its sensors do not determine the position
-            of the tool, or the period is not positive.
+        InputError: If the machine does not have two drives that can move both x and y, its sensors do not determine
+            the position of the tool, or the period is not positive.
     """
 
     def __init__(self, machine: Machine, period: float) -> None:

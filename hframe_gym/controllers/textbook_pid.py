@@ -38,7 +38,7 @@ class TextbookPID(Controller):
         integral: Integral gains of x and y, N/(m s), shape (2,).
 
     Raises:
-        InputError: If the machine cannot be controlled (see `MotionModel`) or the period is not positive.
+        InputError: If the machine does not have two drives that can move both x and y, or the period is not positive.
 
     References:
         Astrom and Hagglund (2006), Advanced PID Control, chapter 6.

@@ -299,8 +299,8 @@ def check_supported(machine: Machine) -> None:
         machine: Machine with its effects.
 
     Raises:
-        InputError: If an effect delays the drives, has a memory or is not differentiable, or the position of the tool
-            is not that of the linear coordinates.
+        InputError: If an effect delays the drives, has a memory or is not differentiable, or the machine's bridge yaws
+            (the tool position is then not given by the linear coordinates alone).
     """
     for effect in machine.effects:
         reason = _unsupported_because(effect)
