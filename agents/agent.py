@@ -45,14 +45,14 @@ RELATIVE_TOLERANCE = 1e-9  # parameters that differ by less are equal: files hol
 
 
 def policy_keywords(policy: Mapping[str, Any], features: Mapping[str, Any]) -> dict[str, Any]:
-    """Build `policy_kwargs` of stable-baselines3.
+    """Build the argument `policy_kwargs` of a stable-baselines3 algorithm, with `LogScaleFeatures` as its input layer.
 
     Args:
-        policy: The [policy] table of a recipe.
-        features: Keywords of `LogScaleFeatures`, from `feature_parameters`.
+        policy: The [policy] table of a recipe, for example the layer sizes.
+        features: Keyword arguments of `LogScaleFeatures`, as `feature_parameters` returns them.
 
     Returns:
-        The keywords of the policy class.
+        Keyword arguments of the policy class.
 
     Raises:
         ImportError: If the extra `agents` is not installed.
@@ -68,13 +68,13 @@ def policy_keywords(policy: Mapping[str, Any], features: Mapping[str, Any]) -> d
 
 
 class Agent(Controller):
-    """Controller of a batch of machines that applies the mean action of a trained policy.
+    """Controller of a batch of environments that applies the mean action of a trained policy.
 
     Args:
         policy: Policy of stable-baselines3.
-        mapping: Mapping between policy outputs and actions, or None if the outputs are the actions.
+        mapping: Converts policy outputs to actions (`ResidualAction`); None if the outputs are the actions.
         machine: Machine on which the policy was trained.
-        card: Contents of agent.json; may have more entries, which are not saved.
+        card: Contents of agent.json (recipe, task, control period, ...); further entries are not saved.
     """
 
     feedback = "observation"
@@ -86,16 +86,17 @@ class Agent(Controller):
         self.card = dict(card)
 
     def act(self, observation: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
-        """Return the actions of one control period.
+        """Compute the actions for the control period that starts now; call it once per period.
 
         Args:
-            observation: Batched observation, each value of shape (batch, entries of the key).
+            observation: Arrays by key as the environment returns them (`observation`, `desired_goal` and, for a moving
+                goal, `preview`), each of shape (batch, entries of the key), m, rad, m/s and rad/s.
 
         Returns:
-            Actions in [-1, 1], fractions of the rated voltages, shape (batch, drives).
+            Voltages divided by the rated voltages, in [-1, 1], shape (batch, drives).
 
         Raises:
-            InputError: If an entry has another size than in training, as with other sensors.
+            InputError: If an array has another width than in training, as with other sensors.
         """
         for key, space in self.policy.observation_space.spaces.items():
             if key in observation and observation[key].shape[1:] != space.shape:
@@ -109,32 +110,32 @@ class Agent(Controller):
         return self.mapping.action(outputs) if self.mapping else np.asarray(outputs, np.float64)
 
     def replace_last_action(self, actions: NDArray[np.float64]) -> None:
-        """Record that the drives received other actions than `act` returned last.
+        """Record the actions that were applied instead of those that `act` returned last.
 
         Args:
-            actions: Actions in [-1, 1], shape (batch, drives).
+            actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (batch, drives).
         """
         if self.mapping:
             self.mapping.replace_last_action(actions)
 
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """Forget the history of environments whose episode begins with the next observation.
+        """Clear the memory of environments whose next observation starts a new episode.
 
         Args:
-            mask: Environments to reset, shape (batch,). Default: all.
+            mask: True for the environments to reset, shape (batch,). Default: all; the batch size may then change.
         """
         if self.mapping:
             self.mapping.reset(mask)
 
     def mismatch(self, machine: Machine, period: float) -> str | None:
-        """Describe how an evaluation differs from the agent's training.
+        """Describe how machine and control period of an evaluation differ from those of the agent's training.
 
         Args:
             machine: Machine of the evaluation.
             period: Control period of the evaluation, s.
 
         Returns:
-            One line for the user, or None if machine and period are those of the training.
+            Warning of one line for the user, or None if nothing differs.
         """
         differences = []
         if machine.name != self.machine.name:
@@ -148,10 +149,13 @@ class Agent(Controller):
         return f"agent {self.card['name']}: {'; '.join(differences)}. Its scores may be poor."
 
     def save(self, folder: str | Path) -> None:
-        """Write policy.safetensors, agent.json and machine.json, each completely or not at all.
+        """Write policy.safetensors, agent.json and machine.json; a file that cannot be completed stays unchanged.
 
         Args:
-            folder: Folder to write to.
+            folder: Folder for the files.
+
+        Raises:
+            ImportError: If the extra `agents` is not installed.
         """
         safetensors = import_optional("safetensors.torch")
         state = self.policy.state_dict()
@@ -164,13 +168,13 @@ class Agent(Controller):
 
     @classmethod
     def load(cls, folder: str | Path) -> Agent:
-        """Load an agent.
+        """Load an agent from its folder.
 
         Args:
-            folder: Folder that `save` or `hframe train` wrote.
+            folder: Folder written by `save` or by the command `hframe train`.
 
         Returns:
-            The agent.
+            The agent, ready to run (no gradients, no exploration noise).
 
         Raises:
             InputError: If a file is missing, damaged or of another version.
@@ -194,14 +198,15 @@ class Agent(Controller):
 
 
 def load_weights(policy: Any, folder: Path) -> None:
-    """Load all weights of a policy but the critics'.
+    """Replace the weights of a policy by those in policy.safetensors; the critics' weights stay unchanged.
 
     Args:
-        policy: Policy of stable-baselines3; its weights are replaced.
-        folder: Folder of an agent.
+        policy: Policy of stable-baselines3, which is modified.
+        folder: Folder of an agent, with the file policy.safetensors.
 
     Raises:
         InputError: If the file is damaged, lacks weights of the policy or has weights that the policy lacks.
+        ImportError: If the extra `agents` is not installed.
     """
     safetensors = import_optional("safetensors.torch")
     file = folder / "policy.safetensors"

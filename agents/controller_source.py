@@ -17,15 +17,15 @@ from .agent import Agent
 
 @CONTROLLER_SOURCES.register("agents")
 class AgentSource(ControllerSource):
-    """Trained agents by folder, shipped agents by name."""
+    """Source of trained agents for `make_controller`: by folder, or by name for agents that come with the package."""
 
     @staticmethod
     def make(name: str, scenario: Scenario) -> Agent | None:
         """Load an agent, and warn if it was trained on another machine or with another control period.
 
         Args:
-            name: Folder of an agent, or the name of a shipped agent as in `shipped_agent_folder`.
-            scenario: Conditions under which the agent will run.
+            name: Folder of an agent, or name of an agent that comes with the package, for example "ppo".
+            scenario: Machine, task and control period with which the agent will run.
 
         Returns:
             The agent, or None if the name is neither a folder nor that of a shipped agent.
@@ -45,29 +45,29 @@ class AgentSource(ControllerSource):
 
     @staticmethod
     def describe(scenario: Scenario) -> str:
-        """Describe the accepted names.
+        """Describe the names that this source accepts.
 
         Args:
-            scenario: Conditions under which the agent will run.
+            scenario: Scenario in which the agent will run; its task selects the agents that are listed.
 
         Returns:
-            A phrase for the message that a controller is unknown.
+            A phrase that completes the error message "controller 'x' is unknown; choose ...".
         """
         return f"the folder of a trained agent; or a shipped agent ({_shipped_names(scenario.task_name)})"
 
 
 def shipped_agent_folder(name: str, task: str) -> Path:
-    """Find an agent that comes with the package.
+    """Find the folder of a trained agent that comes with the package.
 
     Args:
-        name: Name of the agent, or how it begins: "ppo" is the first of "ppo-seed0", "ppo-seed1", ...
-        task: Name of the task.
+        name: Name of the agent, for example "ppo-seed1", or its first part: "ppo" selects "ppo-seed0".
+        task: Name of the task, "reach" or "track".
 
     Returns:
-        The folder of the agent.
+        Folder of the agent, for `Agent.load`.
 
     Raises:
-        InputError: If there is none; the message lists the agents of the task.
+        InputError: If there is no such agent; the message lists the agents of the task.
     """
     folder = _find_shipped(name, task)
     if folder is None:
@@ -76,10 +76,10 @@ def shipped_agent_folder(name: str, task: str) -> Path:
 
 
 def shipped_agent_names() -> tuple[str, ...]:
-    """List the agents that come with the package, for any task.
+    """List the trained agents that come with the package, for any task.
 
     Returns:
-        Names without the seed, sorted.
+        Names without the suffix "-seedN", sorted, for example ("ppo", "residual", "sac").
     """
     return tuple(sorted({label.rpartition("-seed")[0] for label in _shipped_folders("*")}))
 

@@ -11,13 +11,13 @@ from .features import OBSERVATION_KEYS, feature_matrix
 
 
 class LogScaleFeatures(BaseFeaturesExtractor):
-    """Extract logarithmically scaled features from a dict observation.
+    """First layer of a policy: convert a dict observation to logarithmically scaled features (see features.py).
 
     Args:
         observation_space: Space with `observation` and `desired_goal`; `preview` and the keys that `ResidualAction`
             adds are used where present.
-        radii: Belt travel per unit of each driven coordinate, m/rad, length drives.
-        rest: Belt travel of each driven coordinate per meter of x and y at rest, shape (drives, 2).
+        radii: Belt travel per radian of each motor coordinate, m/rad, length drives.
+        rest: Belt travel of each motor coordinate per meter of x and y with unstretched belts, shape (drives, 2).
     """
 
     matrix: torch.Tensor  # (entries, features)
@@ -37,13 +37,13 @@ class LogScaleFeatures(BaseFeaturesExtractor):
         self.register_buffer("gain", torch.as_tensor(gain.astype(np.float32)), persistent=False)
 
     def forward(self, observation: dict[str, torch.Tensor]) -> torch.Tensor:
-        """Compute the features.
+        """Compute the features g * sign(z M) * log(1 + |z M|) of a batch of observations z.
 
         Args:
-            observation: Batched observation, each value of shape (batch, entries of the key).
+            observation: Arrays by key, in m, rad, m/s and rad/s, each of shape (batch, entries of the key).
 
         Returns:
-            Features, shape (batch, features).
+            Features, dimensionless, about -1 to 1, shape (batch, features).
         """
         entries = torch.cat([observation[key] for key in self.keys], dim=1)
         scaled = entries @ self.matrix

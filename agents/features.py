@@ -52,14 +52,15 @@ OBSERVATION_KEYS = (
 
 
 def feature_parameters(machine: Machine) -> dict[str, Any]:
-    """Return the machine's geometry that the features need, as keywords of `feature_matrix`.
+    """Compute the machine's geometry that the features need; the results are keyword arguments of `feature_matrix`.
 
     Args:
-        machine: Machine with coordinates x and y and one driven coordinate per drive.
+        machine: Machine with coordinates x and y and one motor coordinate per drive.
 
     Returns:
-        `radii`: belt travel per unit of each driven coordinate, m/rad, list of length drives. `rest`: belt travel of
-        each driven coordinate per meter of x and y at rest, list of shape (drives, 2). Plain data for JSON.
+        `radii`: belt travel per radian of each motor coordinate, m/rad, list of length drives.
+        `rest`: belt travel of each motor coordinate per meter of x and y with unstretched belts, list of shape
+        (drives, 2).
     """
     linear_names = [c.name for c in machine.coordinates if c.kind == "linear"]
     driven = [machine.coordinate_names.index(drive.coordinate) for drive in machine.drives]
@@ -72,15 +73,16 @@ def feature_parameters(machine: Machine) -> dict[str, Any]:
 
 
 def feature_matrix(sizes: Mapping[str, int], radii: Array, rest: Array) -> tuple[Array, Array]:
-    """Build the matrix M and the gains g of the features g * sign(z M) * log(1 + |z M|).
+    """Build the matrix M and the gains g of the features g * sign(z M) * log(1 + |z M|) of an observation z.
 
     Args:
-        sizes: Number of entries of each observation key, in the order in which they form z.
-        radii: Belt travel per unit of each driven coordinate, m/rad, shape (drives,).
-        rest: Belt travel of each driven coordinate per meter of x and y at rest, shape (drives, 2).
+        sizes: Number of entries of each observation key, in the order in which they are concatenated to z.
+        radii: Belt travel per radian of each motor coordinate, m/rad, shape (drives,).
+        rest: Belt travel of each motor coordinate per meter of x and y with unstretched belts, shape (drives, 2).
 
     Returns:
-        M, shape (entries, features), and g, shape (features,).
+        M: Combines entries of z to errors and speeds and divides them by their scales, shape (entries, features).
+        g: Gains that scale the largest usual values to 1, shape (features,).
     """
     selectors = _selectors(sizes)  # key -> (entries, entries of the key)
     drives = len(radii)

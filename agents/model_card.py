@@ -16,33 +16,39 @@ PACKAGES = ("hframe_gym", "stable-baselines3", "torch", "numpy", "numba", "gymna
 
 
 def versions() -> dict[str, str]:
-    """List the versions of Python and of the packages that determine a training run.
+    """List the installed versions of Python and of the packages that determine a training run.
 
     Returns:
-        Versions by package.
+        Version strings by "python" and by package name.
+
+    Raises:
+        PackageNotFoundError: If one of the packages is not installed.
     """
     return {"python": platform.python_version(), **{name: metadata.version(name) for name in PACKAGES}}
 
 
 def write_card(folder: str | Path, card: Mapping[str, Any]) -> None:
-    """Write card.json and README.md, each completely or not at all.
+    """Write card.json and README.md (see `render_card`); a file that cannot be completed stays unchanged.
 
     Args:
         folder: Folder of the agent.
-        card: Contents of card.json.
+        card: Contents of card.json: recipe, versions, learning curve and, if known, scores and failures.
+
+    Raises:
+        ValueError: If a number in the card is not finite.
     """
     write_text(Path(folder) / "card.json", json.dumps(card, indent=1, allow_nan=False) + "\n")
     write_text(Path(folder) / "README.md", render_card(card))
 
 
 def render_card(card: Mapping[str, Any]) -> str:
-    """Format a card as a Markdown page.
+    """Format the card of an agent (its training and its scores) as a Markdown page.
 
     Args:
         card: Contents of card.json; `scores` and `failures` are optional.
 
     Returns:
-        The page.
+        Text of the page.
     """
     last = card["curve"][-1]
     settings = card["settings"]

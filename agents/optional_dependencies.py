@@ -41,12 +41,15 @@ def require_training_packages() -> None:
 
 @contextmanager
 def single_threaded_torch() -> Iterator[None]:
-    """Run torch on one thread inside the block.
+    """Limit torch to one thread inside a `with` block; afterwards, restore the number of threads.
 
     The policies are small: waiting for a second thread costs more time than the thread saves.
 
     Yields:
         Nothing.
+
+    Raises:
+        ImportError: If torch is not installed; the message names the extra `agents`.
     """
     torch = import_optional("torch")
     threads_before = torch.get_num_threads()

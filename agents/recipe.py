@@ -1,4 +1,4 @@
-"""Recipes: how an algorithm is trained on a task, stored as TOML files in `recipes/`."""
+"""Recipes: the settings of a training run (algorithm, task, environment, policy), stored as TOML in `recipes/`."""
 
 from __future__ import annotations
 
@@ -26,32 +26,32 @@ class LinearSchedule:
     last: float
 
     def __call__(self, remaining: float) -> float:
-        """Return the rate.
+        """Interpolate the rate at a point of the run.
 
         Args:
-            remaining: Fraction of the run that remains, 1 at the first step and 0 at the last.
+            remaining: Fraction of the run that remains, 1 at the first step and 0 at the last; may be negative.
 
         Returns:
-            The rate at this point of the run.
+            Rate between `first` and `last`, in their unit.
         """
         return self.last + (self.first - self.last) * max(remaining, 0.0)
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """Everything that is chosen about a training run.
+    """Settings of a training run.
 
     Attributes:
         name: Name of the recipe, ALGORITHM_TASK.
         kind: Algorithm, "ppo" or "sac".
         steps: Environment steps of a run.
-        env: Keywords of `HFrameVecEnv`.
-        algorithm: Keywords of the stable-baselines3 class. A pair is a rate that changes linearly from the first value
-            to the second over the run.
-        policy: Keywords of its policy.
-        task: Keywords of the task.
-        actuation: Keywords of `ResidualAction`; if empty, the policy's outputs are the actions.
-        hindsight: Keywords of `HerReplayBuffer`; if empty, the replay buffer is the plain one.
+        env: Keyword arguments of the vector environment `HFrameVecEnv`.
+        algorithm: Keyword arguments of the stable-baselines3 class. A pair is a rate that changes linearly from the
+            first value to the second over the run.
+        policy: Keyword arguments of its policy class.
+        task: Keyword arguments of the task class.
+        actuation: Keyword arguments of `ResidualAction`; if empty, the policy's outputs are the actions.
+        hindsight: Keyword arguments of `HerReplayBuffer`; if empty, the replay buffer is the algorithm's default.
         start: Name of the shipped agent from whose weights training starts; empty to start from random weights.
     """
 
@@ -68,7 +68,7 @@ class Recipe:
 
     @property
     def algorithm_keywords(self) -> dict[str, Any]:
-        """`algorithm` with every pair replaced by a `LinearSchedule`."""
+        """Copy of `algorithm` in which every pair of rates is replaced by a `LinearSchedule`."""
         return {k: LinearSchedule(*v) if isinstance(v, list) else v for k, v in self.algorithm.items()}
 
     @property
@@ -77,10 +77,10 @@ class Recipe:
         return float(self.env.get("period", EnvConfig.period))
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the recipe as plain data.
+        """Convert the recipe to a dictionary, as stored in card.json.
 
         Returns:
-            One entry per attribute.
+            Values by attribute name.
         """
         return asdict(self)
 
@@ -103,10 +103,10 @@ def load_recipe(name: str, task: str) -> Recipe:
         task: Name of the task, for example "reach".
 
     Returns:
-        The recipe.
+        The settings of the training run.
 
     Raises:
-        InputError: If there is no such recipe; the message lists the recipes.
+        InputError: If there is no such recipe; the message lists the available recipes.
     """
     file = resources.files(__package__) / "recipes" / f"{name}_{task}.toml"
     if not file.is_file():

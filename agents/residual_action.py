@@ -1,4 +1,4 @@
-"""Mapping from a policy's output to drive actions: an authority that shrinks near the goal, plus a base controller.
+"""Residual action: base controller plus policy output, scaled by an authority that shrinks near the goal.
 
     action = base + authority * output
     authority = min(most, least + distance / full_at_m + speed / full_at_m_s)
@@ -32,13 +32,13 @@ ADAPTIVE_FEATURES = ("expected_friction", "estimates")
 
 @dataclass(frozen=True)
 class Authority:
-    """Fraction of the rated voltage that a policy output of 1 represents.
+    """Authority of a policy: the fraction of the rated voltage that an output of 1 represents, by distance and speed.
 
     Attributes:
-        least: Fraction at rest at the goal.
+        least: Fraction at rest at the goal, 0 to 1.
         most: Upper limit of the fraction.
-        full_at_m: Distance to the goal over which the fraction grows by 1, m.
-        full_at_m_s: Tool speed over which the fraction grows by 1, m/s.
+        full_at_m: Distance to the goal that increases the fraction by 1, m.
+        full_at_m_s: Tool speed that increases the fraction by 1, m/s.
     """
 
     least: float = 1.0
@@ -47,12 +47,12 @@ class Authority:
     full_at_m_s: float = 0.2
 
     def __call__(self, observation: Observation, tool_speeds: slice) -> Array:
-        """Return the authority of each environment.
+        """Compute min(most, least + distance / full_at_m + speed / full_at_m_s) for each environment.
 
         Args:
-            observation: Batched observation with `observation`, shape (batch, entries), and `desired_goal`, m, shape
-                (batch, 2).
-            tool_speeds: Columns of `observation` that hold the tool's speeds, m/s.
+            observation: Arrays by key. `observation`: full state, the tool position (x, y) in its first two columns, m,
+                shape (batch, entries). `desired_goal`: tool goal, m, shape (batch, 2).
+            tool_speeds: Slice of the columns of `observation` that hold the tool velocity along x and y, m/s.
 
         Returns:
             Fractions of the rated voltage, shape (batch, 1).
@@ -64,15 +64,16 @@ class Authority:
 
 
 class ResidualAction:
-    """Add what a policy needs to the observations of a batch of environments and turn its outputs into actions.
+    """Conversion of policy outputs to actions, action = base + authority * output, for a batch of environments.
 
-    In every control period `augment` must be called first, then `action`.
+    It also adds the previous observation, the previous action and the base controller's action to the observations. In
+    every control period, call `augment` first, then `action`.
 
     Args:
-        machine: Machine for which the base controller is built.
+        machine: Machine for which the base controller is designed.
         period: Control period, s.
-        base: Name of a registered controller whose action the policy corrects, or None for a policy that acts alone.
-        **authority: Keywords of `Authority`.
+        base: Name of a registered controller whose action the policy corrects; None: the policy acts alone.
+        **authority: Keyword arguments of `Authority`.
 
     Raises:
         InputError: If no controller is registered under the name of the base. Agents are data: their files cannot name
@@ -93,13 +94,14 @@ class ResidualAction:
         self._last_action = self._base_action = self._authority = np.zeros((0, 0))  # (batch, drives), (batch, 1)
 
     def observation_space(self, observation_space: spaces.Dict) -> spaces.Dict:
-        """Return the space of `augment`.
+        """Extend the observation space of an environment by the keys that `augment` adds.
 
         Args:
             observation_space: Observation space of one environment.
 
         Returns:
-            That space with the keys that `augment` adds.
+            Observation space of the policy: the given keys and `last_observation`, `last_action`, with a base
+            `base_action`, and with an adaptive base `expected_friction` and `estimates`.
         """
         action_box = spaces.Box(-1.0, 1.0, (self._drives,), np.float32)
         added: dict[str, spaces.Space[Any]] = {
@@ -114,23 +116,25 @@ class ResidualAction:
         return spaces.Dict({**observation_space.spaces, **added})
 
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """Forget the history of environments whose episode begins with the next observation.
+        """Clear the history of environments whose next observation starts a new episode.
 
         Args:
-            mask: Environments to reset, shape (batch,). Default: all.
+            mask: True for the environments to reset, shape (batch,). Default: all; the batch size may then change.
         """
         if self.base:
             self.base.reset(mask)
         self._starts.reset(mask)
 
     def augment(self, observation: Observation) -> dict[str, NDArray[Any]]:
-        """Add the previous observation and action, and the base controller's action and estimates.
+        """Run the base controller and add its action, the previous observation and the previous action.
+
+        Call it once per control period: the base controller advances by one period.
 
         Args:
-            observation: Batched observation, each value of shape (batch, entries of the key).
+            observation: Arrays by key as the environment returns them, each of shape (batch, entries of the key).
 
         Returns:
-            The observation with the keys of `history`.
+            The given arrays and those of `history`, each of shape (batch, entries of the key).
         """
         state = observation["observation"]
         if self._starts.resize(len(state)):
@@ -146,11 +150,13 @@ class ResidualAction:
         return {**observation, **self.history()}
 
     def history(self) -> dict[str, NDArray[np.float32]]:
-        """Return the entries that `augment` added last, with the most recent action as `last_action`.
+        """Return the arrays that `augment` adds, with the most recent action as `last_action`.
 
         Returns:
-            `last_observation`, `last_action`, and with a base `base_action` and its estimates, each of shape
-            (batch, entries of the key).
+            `last_observation`: `observation` of the previous period, shape (batch, entries).
+            `last_action`: fractions of the rated voltages, shape (batch, drives).
+            `base_action`, with a base only: fractions of the rated voltages, shape (batch, drives).
+            `expected_friction`, `estimates`, with an adaptive base only: see `AdaptiveController`.
         """
         added: dict[str, NDArray[Any]] = {"last_observation": self._last_state, "last_action": self._last_action}
         if self.base:
@@ -160,23 +166,24 @@ class ResidualAction:
         return {key: values.astype(np.float32) for key, values in added.items()}
 
     def action(self, output: NDArray[Any]) -> Array:
-        """Turn the policy's outputs into actions and record them as applied.
+        """Convert policy outputs to actions and record these as applied.
 
         Args:
-            output: Policy outputs, shape (batch, drives).
+            output: Policy outputs, usually in [-1, 1], shape (batch, drives).
 
         Returns:
-            Actions in [-1, 1], shape (batch, drives).
+            Voltages divided by the rated voltages: base action + authority * output, limited to [-1, 1], shape
+            (batch, drives).
         """
         base_action = self._base_action if self.base else 0.0
         self.replace_last_action(np.clip(self._authority * output + base_action, -1.0, 1.0))
         return self._last_action
 
     def replace_last_action(self, actions: Array) -> None:
-        """Record the actions that the drives received, for the next observation and for the base controller.
+        """Record the actions that were applied, for the next observation and for the base controller.
 
         Args:
-            actions: Actions in [-1, 1], shape (batch, drives).
+            actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (batch, drives).
         """
         self._last_action = actions
         if self.base:
@@ -184,14 +191,17 @@ class ResidualAction:
 
 
 def residual_action(machine: Machine, settings: Mapping[str, Any], period: float) -> ResidualAction | None:
-    """Build the action mapping of a recipe.
+    """Build the conversion of policy outputs to actions from the settings of a recipe.
 
     Args:
-        machine: Machine for which the base controller is built.
-        settings: The recipe's [actuation] table.
+        machine: Machine for which the base controller is designed.
+        settings: Keyword arguments of `ResidualAction`: the recipe's table [actuation].
         period: Control period, s.
 
     Returns:
-        The mapping, or None if the table is empty: the policy's outputs are then the actions.
+        The conversion, or None if `settings` is empty: the policy's outputs are then the actions.
+
+    Raises:
+        InputError: If no controller is registered under the name of the base.
     """
     return ResidualAction(machine, period, **settings) if settings else None

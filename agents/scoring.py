@@ -20,11 +20,11 @@ SECONDS_PER_MM = 0.01
 
 
 def score_agent(controller: Controller, scenario: Scenario) -> dict[str, float]:
-    """Score a controller on the episodes of a scenario.
+    """Simulate a controller in the episodes of a scenario and compute the scores of a learning curve.
 
     Args:
         controller: Controller to score.
-        scenario: Episodes to run.
+        scenario: Machine, task and episodes in which the controller runs.
 
     Returns:
         For a task with a fixed goal: `success`, the fraction of episodes that settle in the task's band; for each band
@@ -58,7 +58,7 @@ def _tracking_scores(error: Array, contour: Array) -> dict[str, float]:
 
 
 def ranking_cost(row: Mapping[str, Any]) -> float:
-    """Return the number by which rows of a learning curve are ranked; the smallest is the best.
+    """Compute the cost by which rows of a learning curve are ranked; the lowest cost is the best.
 
     With a fixed goal it is the sum of the mean settling times within 0.2 mm and within 1 mm and of the final error, at
     `SECONDS_PER_MM`. One settling time alone would let a single lucky episode out of 256 decide early in training,
@@ -69,7 +69,7 @@ def ranking_cost(row: Mapping[str, Any]) -> float:
         row: Scores as `score_agent` returns them.
 
     Returns:
-        Cost, s with a fixed goal, mm along a path.
+        Cost: s for a fixed goal, mm for a moving goal.
     """
     if "contour_rms_mm" in row:
         return float(row["contour_rms_mm"] + row["tracking_rms_mm"])
@@ -78,13 +78,13 @@ def ranking_cost(row: Mapping[str, Any]) -> float:
 
 
 def progress_line(row: Mapping[str, Any]) -> str:
-    """Format a row of a learning curve for the terminal.
+    """Format one row of a learning curve as a line for the terminal.
 
     Args:
-        row: Scores as `score_agent` returns them, with `steps` and `seconds`.
+        row: Scores as `score_agent` returns them, with `steps` (environment steps) and `seconds` (elapsed time).
 
     Returns:
-        One line of text.
+        One line of text without a line break.
     """
     prefix = f"{row['steps']:>9d} steps  {row['seconds']:6.0f} s"
     if "contour_rms_mm" in row:

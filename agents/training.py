@@ -61,23 +61,24 @@ def train(
     trains on other episodes than an uninterrupted one.
 
     Args:
-        algorithm: A recipe, or the name of one: "ppo", "sac", "sac_her", "residual" or "adapt".
-        machine: A machine, a built-in name or the path of a machine.json.
-        task: Name of the task.
+        algorithm: Settings of the run, or the first part of a recipe's name: "ppo", "sac", "sac_her", "residual" or
+            "adapt".
+        machine: Machine to train on, a built-in name or the path of a machine.json.
+        task: Name of the task, "reach" or "track".
         steps: Environment steps in total, including those before a resume. Default: the recipe's.
-        seed: Seed of the network, the episodes and the algorithm.
+        seed: Seed of the network, the episodes and the algorithm, not negative.
         resume: Continue from the checkpoint in `out`.
-        out: Folder for the agent.
-        log: Called with one line of text after each evaluation.
-        progress: Called with the steps done and the total after each step of the environments.
-        randomize: Randomization of the episodes in place of the recipe's, for example "identified" for a machine.json
-            with standard deviations.
+        out: Folder for the agent and the checkpoint.
+        log: Function that receives one line of text after each evaluation.
+        progress: Function that receives the number of environment steps done and the total, after each step.
+        randomize: Randomization of the machine's parameters in place of the recipe's, for example "identified" for a
+            machine.json with standard deviations.
 
     Returns:
-        The card: recipe, versions and learning curve, as in card.json.
+        Contents of card.json: recipe, package versions and learning curve.
 
     Raises:
-        InputError: If the recipe or task is unknown or there is nothing to resume.
+        InputError: If the recipe or task is unknown, or `out` has no checkpoint of this recipe and seed to resume.
         ImportError: If the extra `agents` is not installed; the message names it.
     """
     require_training_packages()

@@ -1,4 +1,4 @@
-"""The environment as a policy in training sees it. Needs the extra `agents`."""
+"""Vector environment wrapper that applies a `ResidualAction` during training. Needs the extra `agents`."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from .residual_action import Observation, ResidualAction
 
 
 class ResidualActionVecEnv(VecEnvWrapper):
-    """Apply a `ResidualAction` inside a vector environment.
+    """Vector environment whose actions are policy outputs, which a `ResidualAction` converts to drive actions.
 
-    Observations contain the entries that the mapping adds; actions are policy outputs.
+    Observations also contain the arrays that `ResidualAction.augment` adds.
 
     Args:
         environment: Vector environment to wrap.
-        mapping: Mapping between policy outputs and actions.
+        mapping: Conversion of policy outputs to drive actions, for a batch of all environments.
     """
 
     def __init__(self, environment: HFrameVecEnv, mapping: ResidualAction) -> None:
@@ -30,32 +30,36 @@ class ResidualActionVecEnv(VecEnvWrapper):
         self.mapping = mapping
 
     def reset(self) -> dict[str, NDArray[Any]]:
-        """Begin an episode in every environment.
+        """Start a new episode in every environment.
 
         Returns:
-            First observations, each value of shape (num_envs, entries of the key).
+            First observations: arrays by key, each of shape (num_envs, entries of the key).
         """
         self.mapping.reset()
         return self.mapping.augment(_as_dict(self.venv.reset()))
 
     def step_async(self, actions: NDArray[Any]) -> None:
-        """Start a step.
+        """Convert policy outputs to drive actions and send them to the environments; `step_wait` returns the result.
 
         Args:
-            actions: Policy outputs, shape (num_envs, drives).
+            actions: Policy outputs, usually in [-1, 1], shape (num_envs, drives).
         """
         self.venv.step_async(self.mapping.action(actions))
 
     def step_wait(
         self,
     ) -> tuple[dict[str, NDArray[Any]], NDArray[np.float64], NDArray[np.bool_], list[dict[str, Any]]]:
-        """Finish a step.
+        """Finish the step that `step_async` started; environments whose episode has ended are reset.
 
-        The base controller must be called once per control period, so an episode's terminal observation gets the base
-        action of the period before; the stage is at rest by then.
+        The base controller must be called once per control period, so an episode's terminal observation contains the
+        base action of the period before; the stage is usually at rest by then.
 
         Returns:
-            Observations, rewards (num_envs,), end-of-episode flags (num_envs,) and one info per environment.
+            observations: Arrays by key, each of shape (num_envs, entries of the key); the first ones of a new episode
+                where `dones` is True.
+            rewards: Rewards of the step, shape (num_envs,).
+            dones: True where an episode has ended, shape (num_envs,).
+            infos: One dictionary per environment; `terminal_observation` holds an ended episode's last observation.
         """
         observation, reward, done, infos = self.venv.step_wait()
         history = self.mapping.history()

@@ -312,7 +312,13 @@ def _print_warning(message: Warning | str, *_args: Any, **_keywords: Any) -> Non
 
 
 def main() -> None:
-    """Run the command line; errors become one line and an exit code."""
+    """Run the `hframe` command with the arguments of the process.
+
+    Exceptions are printed as one line on standard error, unless the variable `DEBUG_VARIABLE` is set.
+
+    Raises:
+        SystemExit: With exit code 0 (success), 1 (internal error) or 2 (faulty input or arguments).
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("always", UserWarning)
         warnings.showwarning = _print_warning

@@ -22,10 +22,10 @@ DEBUG_VARIABLE = "HFRAME_DEBUG"  # if set, errors keep their traceback
 
 
 def registered_choices() -> dict[str, str]:
-    """List the choices of the options that select a registered part.
+    """List the names that the commands accept for agents, algorithms, controllers, randomizations, sensors and tasks.
 
     Returns:
-        Names separated by commas, by the placeholder that the help texts use for them.
+        Names separated by commas, by the placeholder in the help texts, for example {"tasks": "reach, track"}.
     """
     from .agents import recipe_names, shipped_agent_names
     from .controllers import CONTROLLERS
@@ -45,17 +45,17 @@ def registered_choices() -> dict[str, str]:
 
 
 class CommandWithChoices(TyperCommand):
-    """A command whose help texts may contain the placeholders of `registered_choices`.
+    """Typer command whose help texts may contain placeholders of `registered_choices`, for example {tasks}.
 
     They are replaced when the help is printed, so that no other command waits for the imports of the registries.
     """
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
-        """Print the help.
+        """Replace the placeholders in the help texts of all options, then write the help page.
 
         Args:
-            ctx: Context of the command line.
-            formatter: Formatter of the command line.
+            ctx: Click context of the command.
+            formatter: Click formatter that receives the text.
         """
         choices = registered_choices()
         for parameter in self.params:
@@ -66,16 +66,16 @@ class CommandWithChoices(TyperCommand):
 
 
 def require_folder(path: Path) -> Path:
-    """Check that a path can be a folder.
+    """Check that a path is a folder or does not exist yet.
 
     Args:
-        path: Value of --out.
+        path: Value of the option --out.
 
     Returns:
-        The path.
+        The same path.
 
     Raises:
-        InputError: If it is a file.
+        InputError: If the path is a file.
     """
     if path.exists() and not path.is_dir():
         raise InputError(f"--out {path}: is a file, but must be a folder")
@@ -83,17 +83,17 @@ def require_folder(path: Path) -> Path:
 
 
 def task_with_path(name: str, path: str | None) -> Any:
-    """Build the task of a path.
+    """Build the task that the options --task and --path select.
 
     Args:
-        name: Name of the task.
-        path: Value of --path, or None for the task's default.
+        name: Name of a registered task.
+        path: Value of --path: name of a path or a CSV file; None for the task's default path.
 
     Returns:
-        The task, or its name if it follows no path.
+        Task object for a task that follows a path, else the name of the task.
 
     Raises:
-        InputError: If the task is unknown, or follows no path although one is given.
+        InputError: If the task is unknown, or if a path is given for a task that does not follow one.
     """
     from .envs import TASKS
 
@@ -108,7 +108,7 @@ def task_with_path(name: str, path: str | None) -> Any:
 
 @contextmanager
 def value_errors_as_input_errors() -> Iterator[None]:
-    """Convert the ValueErrors with which the library refuses options.
+    """Convert each ValueError raised inside a `with` block to an InputError with the same message.
 
     Yields:
         Nothing.
@@ -123,13 +123,14 @@ def value_errors_as_input_errors() -> Iterator[None]:
 
 
 def describe_failure(error: Exception) -> tuple[int, str]:
-    """Describe an exception to the user.
+    """Convert an exception to an exit code and a message of one line.
 
     Args:
-        error: What a command raised.
+        error: Exception that a command raised.
 
     Returns:
-        Exit code and one line of text.
+        code: `INPUT_AT_FAULT` (2) for errors in input, files or installation, else `INTERNAL_ERROR` (1).
+        message: Text for the user, without a line break.
     """
     from .dynamics import NotFiniteError
 
@@ -151,14 +152,15 @@ LISTED_MODES = 3
 
 
 def identification_table(report: Mapping[str, Any], channels: Sequence[str]) -> Table:
-    """Format the errors of an identification on held-out recordings.
+    """Format the simulation errors of an identification on held-out recordings as a table.
 
     Args:
         report: Contents of report.json.
-        channels: Output channels of the machine.
+        channels: Names of the machine's output channels (sensors).
 
     Returns:
-        One row per channel, with a column each for the declared, refitted and extended machine.
+        Table with one row per channel: root-mean-square error in the channel's unit, and in parentheses as a multiple
+        of the sensor noise, for the declared machine, the refitted machine, and the machine with added effects.
     """
     title = "simulation error on held-out recordings: rmse (multiple of the sensor noise)"
     table = Table(title=title, title_justify="left")
@@ -178,15 +180,16 @@ def identification_table(report: Mapping[str, Any], channels: Sequence[str]) -> 
 
 
 def score_table(scores: Mapping[str, Any]) -> Table:
-    """Format the scores of controllers.
+    """Format the scores of controllers as a table.
 
-    Numbers are never cut; a name that is too long for the terminal continues on the next line.
+    Numbers are never truncated; a name that is too long for the terminal continues on the next line.
 
     Args:
         scores: Contents of scores.json.
 
     Returns:
-        One row per controller: success in each band, then settling times for a fixed goal, or errors along a path.
+        Table with one row per controller: success in each settling band, %; then for a fixed goal mean settling times,
+        s, and their ratio to the time-optimal bound; for a path contour and tracking errors, mm.
     """
     task = scores["task"].partition("(")[0].lower()
     title = (
@@ -230,17 +233,17 @@ def unknown_bound_reasons(scores: Mapping[str, Any]) -> list[str]:
         scores: Contents of scores.json.
 
     Returns:
-        One sentence per reason, without duplicates.
+        Distinct reasons as text, in the order of the controllers; empty if all bounds are known.
     """
     reasons = (score.get("over_bound_reason") for score in scores["controllers"].values())
     return list(dict.fromkeys(reason for reason in reasons if reason))
 
 
 def machine_table() -> Table:
-    """List the built-in machines.
+    """Format the built-in machines as a table.
 
     Returns:
-        One row per machine.
+        Table with one row per machine: name, numbers of coordinates and belts, lowest belt modes in Hz, description.
     """
     table = Table("name", "coordinates", "belts", "belt modes, Hz", "description")
     table.columns[0].no_wrap = True
@@ -255,12 +258,12 @@ def machine_table() -> Table:
 
 
 def effect_table() -> Table:
-    """List the effects of the library.
+    """Format the library's effects (additional physical terms that identification can select) as a table.
 
-    Names are never wrapped or cut, so that the output can be searched in a pipe.
+    Names are never wrapped or truncated, so that the output can be searched in a pipe.
 
     Returns:
-        One row per effect.
+        Table with one row per effect: name, site (the kind of component it acts on), parameters with units, formula.
     """
     table = Table("effect", "site", "parameters", "formula")
     name_column = table.columns[0]

@@ -1,4 +1,4 @@
-"""Adaptive controller: the model-based controller with gains scheduled on estimated belts, masses and friction.
+"""Adaptive controller: the model-based controller, scheduled on estimated belt stiffness, masses and friction.
 
 Belts, masses   A bank of model-based controllers is designed for soft, nominal and stiff belts and for light and heavy
                 masses. The forces that they demand along x and y are interpolated by the estimated belt stiffness and
@@ -40,9 +40,10 @@ PERIODS_AHEAD = 3  # periods for which `expected_friction` gives the voltage, th
 
 @CONTROLLERS.register("adaptive-pid")
 class AdaptiveController(Controller):
-    """Model-based controller that estimates belts, masses and friction of each stage during the episode.
+    """Model-based controller that adapts to the belt stiffness, masses and friction it estimates during the episode.
 
-    The registered name `adaptive-pid` follows that of `ModelBasedController`.
+    It commands a batch of B stages (simulated machines) with n coordinates each. The registered name `adaptive-pid`
+    follows that of `ModelBasedController` (`pid`).
 
     Args:
         machine: Machine model from which the bank of controllers is designed.
@@ -50,13 +51,15 @@ class AdaptiveController(Controller):
 
     Attributes:
         model: Model of the machine.
-        expected_friction: Voltages that compensate the difference between estimated and modeled friction along the
-            path, in this period and the next ones, and last the recent mean of that voltage, all divided by the rated
-            voltages, shape (B, 2 PERIODS_AHEAD + 2). Zero for a goal that does not move.
-        feature_sizes: Widths of the attributes that a policy on top of this controller may observe, by name.
+        expected_friction: Voltages, divided by the rated voltages, that compensate the difference between estimated and
+            modeled friction along the path: two columns for each of PERIODS_AHEAD periods, the present one first, then
+            two columns with the recent mean; shape (B, 2 PERIODS_AHEAD + 2). Zero for a goal that does not move.
+        feature_sizes: Numbers of columns of `expected_friction` and `estimates`, by name; a learned policy on top of
+            this controller may observe both.
 
     Raises:
-        InputError: If the machine cannot be controlled (see `MotionModel`) or the period is not positive.
+        InputError: If the machine does not have two drives that can move both x and y, x or y has no range, or the
+            period is not positive.
     """
 
     def __init__(self, machine: Machine, period: float = 0.01) -> None:
@@ -74,21 +77,27 @@ class AdaptiveController(Controller):
         self._state = self.expected_friction = np.zeros((0, 0))
 
     def reset(self, mask: Mask | None = None) -> None:
-        """Start a new episode on some stages or all."""
+        """Clear the estimates and the controllers of stages whose next observation starts a new episode.
+
+        Args:
+            mask: True for the stages to reset, shape (B,). Default: all; the batch size may then change.
+        """
         for controller in self._controllers():
             controller.reset(mask)
         self._starts.reset(mask)
 
     @property
     def estimates(self) -> Array:
-        """Estimated relative errors of the model, shape (B, 2 n + 1); see `MomentumFilter`."""
+        """Estimated relative errors of Coulomb levels (n), masses (n) and belt stiffness (1), shape (B, 2 n + 1)."""
         return self._filter.estimates
 
     def act(self, observation: Mapping[str, NDArray[Any]]) -> Array:
-        """Return the actions for the control period that begins.
+        """Update the estimates and compute the actions for the control period that starts now.
 
         Args:
-            observation: Full state, `desired_goal` and perhaps `preview`; see `Controller.act`.
+            observation: Arrays by key, for B stages. `observation`: positions of x, y and the motors, then their
+                velocities, m, rad, m/s and rad/s, shape (B, 2 n). `desired_goal`: tool goal, m, shape (B, 2). For a
+                moving goal also `preview`, m, shape (B, 2 P): goals at the ends of the next P periods.
 
         Returns:
             Voltages divided by the rated voltages, in [-1, 1], shape (B, 2).
@@ -114,7 +123,11 @@ class AdaptiveController(Controller):
         return actions
 
     def replace_last_action(self, actions: Array) -> None:
-        """Correct the voltages that were sent last."""
+        """Record the actions that were applied instead of those that `act` returned last.
+
+        Args:
+            actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (B, 2).
+        """
         self._dead_time.replace_last(actions * self.model.rated)
         for controller in self._controllers():
             controller.replace_last_action(actions)

@@ -1,6 +1,7 @@
 """Controller interface and registry.
 
-A controller runs a batch of stages at once. To add one, subclass `Controller` in a new module and register it:
+A controller commands a batch of B stages (simulated machines) at once. To add one, subclass `Controller` in a new
+module and register it:
 
     @CONTROLLERS.register("my-controller")
     class MyController(Controller):
@@ -30,13 +31,13 @@ Feedback = Literal["state", "estimated_state", "observation"]
 
 
 def check_period(period: float) -> float:
-    """Check a control period.
+    """Check that a control period is positive and finite.
 
     Args:
         period: Control period, s.
 
     Returns:
-        The period.
+        The period as a float, s.
 
     Raises:
         InputError: If the period is not positive and finite.
@@ -47,10 +48,10 @@ def check_period(period: float) -> float:
 
 
 class Controller(ABC):
-    """Discrete-time controller of a batch of B stages of one machine.
+    """Discrete-time controller of a batch of B stages: B simulated copies of one machine, one per environment.
 
-    A controller may keep a memory of each stage (integrators, estimates, voltages within a dead time); `reset` clears
-    it. The batch size follows from the observation.
+    A controller may keep a memory of each stage (integrators, estimates, voltages sent within the dead time); `reset`
+    clears it. The batch size B follows from the observation.
 
     Args:
         machine: Machine model from which the controller is designed.
@@ -75,29 +76,30 @@ class Controller(ABC):
 
     @abstractmethod
     def act(self, observation: Mapping[str, NDArray[Any]]) -> Array:
-        """Return the actions for the control period that begins.
+        """Compute the actions for the control period that starts now; call it once per period.
 
         Args:
-            observation: `observation`, shape (B, entries): with full state the positions of x, y and of the driven
-                coordinates, then their velocities, in m, rad, m/s and rad/s. `desired_goal`, shape (B, 2), m. For a
-                moving goal also `preview`, shape (B, 2 P), m: the goal at the end of this period, of the next, ...
+            observation: Arrays by key, for B stages. `observation`, shape (B, entries): with full state the positions
+                of x, y and of the driven coordinates, then their velocities, in m, rad, m/s and rad/s; otherwise the
+                sensor measurements. `desired_goal`: present tool goal (x, y), m, shape (B, 2). For a moving goal also
+                `preview`, m, shape (B, 2 P): goals (x, y) at the ends of this period and the P - 1 following ones.
 
         Returns:
             Voltages divided by the rated voltages, in [-1, 1], shape (B, drives).
         """
 
     def reset(self, mask: Mask | None = None) -> None:  # noqa: B027  (optional)
-        """Start a new episode: clear the memory of some stages or of all.
+        """Clear the memory of the stages whose next observation is the first of a new episode.
 
         Args:
-            mask: Stages to reset, shape (B,). Default: all; the batch size may then change.
+            mask: True for the stages to reset, shape (B,). Default: all; the batch size may then change.
         """
 
     def replace_last_action(self, actions: Array) -> None:  # noqa: B027  (optional)
-        """Correct the controller's memory where other actions were applied than those that `act` returned last.
+        """Record the actions that were applied instead of those that `act` returned last, for example after limiting.
 
         Args:
-            actions: Actions that were applied, in [-1, 1], shape (B, drives).
+            actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (B, drives).
         """
 
 
@@ -105,20 +107,20 @@ CONTROLLERS: Registry[type[Controller]] = Registry("controller")
 
 
 class EpisodeStarts:
-    """Marks the stages of a batch whose episode starts with the next observation.
+    """Record of the stages in a batch of B whose episode starts with the next observation.
 
     Attributes:
-        mask: Stages whose episode starts, shape (B,); empty before the first batch.
+        mask: True for the stages whose episode starts, shape (B,); empty before the first call of `resize`.
     """
 
     def __init__(self) -> None:
         self.mask: Mask = np.zeros(0, np.bool_)
 
     def reset(self, mask: Mask | None = None) -> None:
-        """Mark stages.
+        """Mark stages whose episode starts with the next observation, in addition to those already marked.
 
         Args:
-            mask: Stages whose episode starts, shape (B,). Default: all; the batch size may then change.
+            mask: True for the stages to mark, shape (B,). Default: all; the batch size may then change.
         """
         if mask is None:
             self.mask = np.zeros(0, np.bool_)
@@ -126,13 +128,13 @@ class EpisodeStarts:
             self.mask = self.mask | mask
 
     def resize(self, count: int) -> bool:
-        """Adapt to the size of a batch; all stages of a batch of another size start an episode.
+        """Adapt the mask to a batch size; if the size changes, mark all stages.
 
         Args:
             count: Number of stages, B.
 
         Returns:
-            Whether the size has changed, so that memory of the stages must be allocated anew.
+            True if the size has changed; the caller must then allocate its memory of the stages anew.
         """
         if len(self.mask) == count:
             return False
@@ -140,12 +142,14 @@ class EpisodeStarts:
         return True
 
     def clear(self) -> None:
-        """Unmark all stages."""
+        """Unmark all stages; call it once their first observation has been processed."""
         self.mask = np.zeros(len(self.mask), np.bool_)
 
 
 class Estimator(Protocol):
-    """State estimator of a batch of B stages; `StateEstimator` is one.
+    """Interface of a state estimator for a batch of B stages; `StateEstimator` implements it.
+
+    In every control period, call `update` with the measurements, then `send` with the voltages.
 
     Attributes:
         model: Model of the machine.
@@ -158,43 +162,45 @@ class Estimator(Protocol):
     channels: int
 
     def reset(self, mask: Mask | None = None) -> None:
-        """Start a new episode.
+        """Discard the estimates of stages whose next measurements are the first of a new episode.
 
         Args:
-            mask: Stages to reset, shape (B,). Default: all.
+            mask: True for the stages to reset, shape (B,). Default: all.
         """
 
     def update(self, measurements: Array) -> Array:
         """Estimate the state at the time of new measurements.
 
         Args:
-            measurements: Measurements in the channels' units, shape (B, channels).
+            measurements: Sensor measurements in the units of the machine's output channels, shape (B, channels).
 
         Returns:
-            Travel and its velocity, m and m/s, shape (B, 2 n).
+            Belt travel (radius * angle of a rotary coordinate) of the n coordinates, m, then its velocity, m/s, shape
+            (B, 2 n).
         """
 
     def send(self, volts: Array) -> None:
-        """Record the voltages of the period that begins.
+        """Record the commanded voltages of the control period that starts now, for the next prediction.
 
         Args:
-            volts: Voltages, V, shape (B, drives).
+            volts: Commanded voltages, V, shape (B, drives).
         """
 
     def replace_last(self, volts: Array) -> None:
-        """Replace the voltages that were sent last.
+        """Record the voltages that were applied instead of those passed to `send` last.
 
         Args:
-            volts: Voltages, V, shape (B, drives).
+            volts: Commanded voltages, V, shape (B, drives).
         """
 
 
 class OutputFeedbackController(Controller):
-    """A full-state controller that runs from estimated states.
+    """Full-state controller combined with a state estimator, so that it runs from sensor measurements.
 
     Args:
-        controller: Full-state controller.
-        estimator: Estimator of its machine; `observation` must begin with the estimator's measurements.
+        controller: Full-state controller (`feedback` is "state" or "estimated_state").
+        estimator: State estimator of the same machine and control period. The first `estimator.channels` columns of
+            `observation` are its measurements.
     """
 
     feedback: ClassVar[Feedback] = "observation"
@@ -204,16 +210,21 @@ class OutputFeedbackController(Controller):
         self.controller, self.estimator = controller, estimator
 
     def reset(self, mask: Mask | None = None) -> None:
-        """Start a new episode on some stages or all."""
+        """Reset the controller and the estimator of stages whose next observation starts a new episode.
+
+        Args:
+            mask: True for the stages to reset, shape (B,). Default: all; the batch size may then change.
+        """
         self.controller.reset(mask)
         self.estimator.reset(mask)
 
     def act(self, observation: Mapping[str, NDArray[Any]]) -> Array:
-        """Return the actions for the control period that begins.
+        """Estimate the state from the measurements and compute the actions for the control period that starts now.
 
         Args:
-            observation: `observation`, shape (B, channels or more), in the channels' units; `desired_goal` and perhaps
-                `preview` as in `Controller.act`.
+            observation: Arrays by key, for B stages. `observation`: measurements in the units of their sensors, shape
+                (B, channels or more). `desired_goal`: tool goal (x, y), m, shape (B, 2). For a moving goal also
+                `preview`, m, shape (B, 2 P): goals at the ends of the next P periods.
 
         Returns:
             Voltages divided by the rated voltages, in [-1, 1], shape (B, drives).
@@ -228,6 +239,10 @@ class OutputFeedbackController(Controller):
         return actions
 
     def replace_last_action(self, actions: Array) -> None:
-        """Correct the voltages that were sent last."""
+        """Record the actions that were applied instead of those that `act` returned last.
+
+        Args:
+            actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (B, drives).
+        """
         self.controller.replace_last_action(actions)
         self.estimator.replace_last(actions * self.estimator.model.rated)

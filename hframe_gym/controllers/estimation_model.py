@@ -1,4 +1,4 @@
-"""What the state estimator estimates and measures: the estimated parameters, and the measurement equation."""
+"""Models of the state estimator: the parameters estimated with the state, and the linear measurement equation."""
 
 from __future__ import annotations
 
@@ -25,8 +25,9 @@ SMALLEST_NOISE_M = 1e-7  # m, floor of the measurement noise in travel, also for
 class AugmentedParameters:
     """Parameters of a machine that are estimated with its state: nonzero masses, friction, EA and motor constants.
 
-    Each is estimated as the logarithm of its ratio to the declared value, so that it cannot change sign. A belt's EA
-    also absorbs the error of its length.
+    Each parameter is estimated as the natural logarithm of its ratio to the declared value, so that it cannot change
+    sign. EA is the tensile stiffness of a belt (modulus times cross section), N; its estimate also absorbs the error of
+    the belt's length.
 
     Args:
         machine: Machine with the declared values.
@@ -49,35 +50,36 @@ class AugmentedParameters:
         self.covariance: Array = np.diag(std**2) + COMMON_BELT_STD**2 * np.outer(belts, belts)
 
     def ratios(self, logarithms: Array) -> Array:
-        """Return ratios to the declared values.
+        """Convert logarithms to ratios of estimated to declared parameter values, limited to 1/4 ... 4.
 
         Args:
-            logarithms: Their logarithms, shape (B, k).
+            logarithms: Natural logarithms of the ratios, shape (B, k) for B stages and k parameters.
 
         Returns:
-            Ratios between 1 / LARGEST_RATIO and LARGEST_RATIO, shape (B, k).
+            Ratios, limited to 1 / LARGEST_RATIO ... LARGEST_RATIO, shape (B, k).
         """
         return np.exp(self.clip(logarithms))
 
     def clip(self, logarithms: Array) -> Array:
-        """Clip logarithms to those of ratios between 1 / LARGEST_RATIO and LARGEST_RATIO.
+        """Limit the logarithms of parameter ratios to +- log(LARGEST_RATIO).
 
         Args:
-            logarithms: Logarithms, shape (B, k).
+            logarithms: Natural logarithms of the ratios, shape (B, k) for B stages and k parameters.
 
         Returns:
-            Clipped logarithms, shape (B, k).
+            Limited logarithms, shape (B, k).
         """
         return np.clip(logarithms, -np.log(LARGEST_RATIO), np.log(LARGEST_RATIO))
 
     def parameters(self, logarithms: Array) -> Array:
-        """Return all parameters of machines with certain ratios.
+        """Compute the parameter values of machines: declared values times the estimated ratios.
 
         Args:
-            logarithms: Logarithms of the ratios, shape (B, k).
+            logarithms: Natural logarithms of the ratios of the k estimated parameters, shape (B, k) for B stages.
 
         Returns:
-            Parameters in the order of `Machine.parameters`, shape (B, P).
+            All P parameters in the order and units of `Machine.parameters`, shape (B, P). Parameters that are not
+            estimated keep their declared values.
         """
         rows = np.tile(self._declared, (len(logarithms), 1))
         rows[:, self._columns] *= self.ratios(logarithms)
@@ -85,15 +87,17 @@ class AugmentedParameters:
 
 
 class MeasurementModel:
-    """Linear measurement equation of a machine's declared sensors, scaled to belt travel.
+    """Linear measurement equation z = H s of a machine's declared sensors, scaled to meters of belt travel.
+
+    The state s holds the belt travel (radius * angle of a rotary coordinate) of the n coordinates and its velocity.
 
     Args:
         model: Model of the machine whose `sensors`, with their ranges and delays, supply the measurements.
 
     Attributes:
         channels: Number of sensors.
-        matrix: H of z = H (travel, velocity), m, shape (channels, 2 n).
-        variance: Noise variance, the quantization's included, m^2, shape (channels,).
+        matrix: H, shape (channels, 2 n); m per m in the first n columns, m per m/s in the others (sensor delays).
+        variance: Variances of the measurement noise including quantization, m^2, shape (channels,).
 
     Raises:
         InputError: If the sensors do not determine the tool's position.
@@ -126,23 +130,23 @@ class MeasurementModel:
             )
 
     def to_travel(self, measurements: Array) -> Array:
-        """Convert measurements to travel.
+        """Scale measurements to meters of belt travel.
 
         Args:
-            measurements: Measurements in the channels' units, shape (B, channels).
+            measurements: Measurements of B stages in the units of their sensors, shape (B, channels).
 
         Returns:
-            Measurements in travel, m, shape (B, channels).
+            Scaled measurements, m, shape (B, channels).
         """
         return measurements * self._unit
 
     def in_range(self, measurements: Array) -> Mask:
-        """Test whether measurements lie within their sensors' ranges.
+        """Test which measurements lie strictly inside the ranges of their sensors.
 
         Args:
-            measurements: Measurements in the channels' units, shape (B, channels).
+            measurements: Measurements of B stages in the units of their sensors, shape (B, channels).
 
         Returns:
-            Whether each measurement is valid, shape (B, channels).
+            True for each measurement inside the range, shape (B, channels).
         """
         return (measurements > self._low) & (measurements < self._high)

@@ -20,16 +20,16 @@ MINIMUM_SLOPE = 1e-9
 
 
 class DeadTime:
-    """Buffer of the voltages on their way to B stages, and prediction of the state over the dead time.
+    """Delay line of the voltages commanded to B stages, and prediction of the state over the dead time.
 
     Args:
-        machine: Machine whose effects may delay the voltage of its drives.
+        machine: Machine; its effects may delay the voltages of its drives.
         period: Control period, s.
 
     Attributes:
         delay_s: Dead time of the slowest drive, s.
         period: As given, s.
-        machine_without_delay: The machine without these effects.
+        machine_without_delay: Copy of the machine without the effects that cause a dead time.
     """
 
     def __init__(self, machine: Machine, period: float) -> None:
@@ -43,68 +43,69 @@ class DeadTime:
         self._sent = np.zeros((0, 0, 0))  # V, (B, periods, drives), latest first
 
     def reset(self, mask: NDArray[np.bool_]) -> None:
-        """Empty the buffers of the stages that start an episode.
+        """Set the delay lines of stages that start an episode to 0 V.
 
         Args:
-            mask: Stages that start an episode, shape (B,).
+            mask: True for the stages that start an episode, shape (B,). If B changes, all delay lines are cleared.
         """
         if len(self._sent) != len(mask):
             self._sent = np.zeros((len(mask), self._complete_periods + 2, len(self.machine_without_delay.drives)))
         self._sent[mask] = 0.0
 
     def send(self, volts: Array) -> None:
-        """Add the voltages of the period that begins.
+        """Put the voltages of the new period into the delay line and drop the oldest.
 
         Args:
-            volts: Voltages, V, shape (B, drives).
+            volts: Commanded voltages, V, shape (B, drives).
         """
         self._sent = np.concatenate([volts[:, None], self._sent[:, :-1]], axis=1)
 
     def replace_last(self, volts: Array) -> None:
-        """Replace the voltages that were sent last.
+        """Record the voltages that were applied instead of those passed to `send` last.
 
         Args:
-            volts: Voltages, V, shape (B, drives).
+            volts: Commanded voltages, V, shape (B, drives).
         """
         self._sent[:, 0] = volts
 
     @property
     def last_sent(self) -> Array:
-        """Voltages of the period that ends, V, shape (B, drives)."""
+        """Voltages passed to `send` or `replace_last` last, V, shape (B, drives)."""
         return self._sent[:, 0]
 
     def mean_arrived(self) -> Array:
-        """Compute the mean voltages at the motors over the last period.
+        """Compute the mean of the delayed voltages that reached the drives during the last period.
 
         Returns:
-            Voltages, V, shape (B, drives).
+            Mean voltages, V, shape (B, drives).
         """
         later, earlier = self._sent[:, self._complete_periods], self._sent[:, self._complete_periods + 1]
         earlier_fraction = self._remainder_s / self.period  # of the period, in which the earlier voltage still acts
         return (1.0 - earlier_fraction) * later + earlier_fraction * earlier
 
     def arrived_history(self) -> tuple[Array, Array]:
-        """Return the voltage history at the motors over the last period.
+        """Return the piecewise constant voltages that reached the drives during the last period.
 
         Returns:
-            Times from 0 to the period's end, s, shape (k,), and the voltages held from each of them, V, shape
-            (B, k, drives).
+            times: k switching times from the start of the period, s, shape (k,); the first is 0, the last the period.
+            volts: Voltages from each of these times until the next, V, shape (B, k, drives); the last row is the value
+                at the end of the period.
         """
         volts = self._sent[:, [self._complete_periods + 1, self._complete_periods, self._complete_periods]]
         times = np.array([0.0, self._remainder_s, self.period])
         return (times, volts) if self._remainder_s > 0.0 else (times[1:], volts[:, 1:])
 
     def delayed_goals(self, goals: Array) -> Array:
-        """Shift goals by the dead time: the goals that voltages sent from now on can still affect.
+        """Interpolate previewed goals at times later by the dead time, the earliest that new voltages can affect.
 
         Args:
-            goals: Goals one period apart, m, shape (B, P, 2).
+            goals: Tool goals at P sample times, the first now, the others one period apart, m, shape (B, P, 2).
 
         Returns:
-            The goals one dead time later, as far as they are given, m, shape (B, Q, 2).
+            Goals at the same sample times plus the dead time, up to the last given goal, m, shape (B, Q, 2), Q <= P.
 
         Raises:
-            InputError: If fewer than two goals remain.
+            InputError: If fewer than two goals remain, because the preview ends within the dead time.
         """
         if self.delay_s == 0.0:
             return goals
@@ -118,13 +119,14 @@ class DeadTime:
         return np.asarray(PchipInterpolator(periods, goals, axis=1)(np.minimum(later, periods[-1])))
 
     def predict(self, state: Array) -> Array:
-        """Predict the state one dead time ahead under the voltages that were sent already.
+        """Simulate the machine one dead time ahead under the voltages in the delay line.
 
         Args:
-            state: Travel and its velocity, m and m/s, shape (B, 2 n).
+            state: Belt travel (radius * angle of a rotary coordinate) of the n coordinates and its velocity, m and m/s,
+                shape (B, 2 n).
 
         Returns:
-            Predicted state, shape (B, 2 n).
+            Predicted belt travel and velocity, m and m/s, shape (B, 2 n); `state` itself without a dead time.
         """
         if self.delay_s == 0.0:
             return state
@@ -139,7 +141,7 @@ class DeadTime:
 
 
 class InputInversion:
-    """Static characteristics of the drives (dead band, offset, gain) and their inverses, as tables.
+    """Tables of the drives' static characteristics (dead band, offset, gain) and of their inverses.
 
     Args:
         machine: Machine whose effects may change the voltage of its drives.
@@ -166,10 +168,10 @@ class InputInversion:
                 self._tables[j] = (command, motor + MINIMUM_SLOPE * command)
 
     def motor_voltage(self, command: Array) -> Array:
-        """Return the voltages at the motors for commanded voltages.
+        """Compute the voltages at the motors that result from commanded voltages.
 
         Args:
-            command: Commanded voltages, V, shape (B, drives).
+            command: Commanded voltages of B stages, at most the rated ones in magnitude, V, shape (B, drives).
 
         Returns:
             Voltages at the motors, V, shape (B, drives).
@@ -177,13 +179,13 @@ class InputInversion:
         return self._interpolate(command, 0, 1)
 
     def command(self, motor_voltage: Array) -> Array:
-        """Return the commands that give the motors certain voltages.
+        """Compute the commanded voltages that produce given voltages at the motors (inverse of `motor_voltage`).
 
         Args:
-            motor_voltage: Voltages at the motors, V, shape (B, drives).
+            motor_voltage: Voltages wanted at the motors of B stages, V, shape (B, drives).
 
         Returns:
-            Commanded voltages within the rated ones, V, shape (B, drives).
+            Commanded voltages, limited to the rated voltages, V, shape (B, drives).
         """
         return np.clip(self._interpolate(motor_voltage, 1, 0), -self.rated, self.rated)
 

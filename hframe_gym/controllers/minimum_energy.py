@@ -1,6 +1,7 @@
 """Minimum-energy transfers to rest: point-to-point references and their feedback gains.
 
-With voltages held over each period, the state error after N periods is A^N e + sum_j A^(N-1-j) B u_j. Of all voltages
+A transfer of N periods is a motion that brings the state to rest at the goal within N control periods. With voltages
+held over each period, the state error after N periods is A^N e + sum_j A^(N-1-j) B u_j. Of all voltages
 that bring the error to zero in N periods, those with the least sum of squares are
 
     u_j = -B' A'^(N-1-j) W_N^-1 A^N e,      W_N = sum_j A^j B B' A'^j,
@@ -38,11 +39,11 @@ VELOCITY_SCALE_S = 0.01  # s, typical position error over velocity error, for th
 
 
 class TransferSelection(NamedTuple):
-    """Transfers selected for a batch.
+    """Transfers to rest selected for a batch of B stages.
 
     Attributes:
-        periods: Periods to go, shape (B,).
-        volts: Voltages of the first period, V, shape (B, 2).
+        periods: Number of control periods until the stage is at rest at its goal, shape (B,).
+        volts: Voltages of the first period of the transfer, V, shape (B, 2).
     """
 
     periods: NDArray[np.intp]
@@ -50,7 +51,7 @@ class TransferSelection(NamedTuple):
 
 
 class MinimumEnergyTransfers:
-    """Gains of minimum-energy transfers for every operating point and every time to go.
+    """Feedback gains of minimum-energy transfers to rest, for every operating point and every number of periods.
 
     Args:
         model: Model of the machine.
@@ -60,10 +61,11 @@ class MinimumEnergyTransfers:
         model: As given.
         period: As given, s.
         grid: Operating points of the gains.
-        shortest: Periods of the shortest transfer.
-        longest: Periods of the longest transfer.
-        gains: Gains of the first period and of the last ones, by operating point and time to go, V per m and m/s, shape
-            (points, longest - shortest + 1, 1 + CHECKED_FINAL_PERIODS, 2, 2 n).
+        shortest: Number of periods of the shortest transfer.
+        longest: Number of periods of the longest transfer.
+        gains: Gains on the state error at the start of the transfer (belt travel and velocity of n coordinates) for the
+            voltages of its first and its last CHECKED_FINAL_PERIODS periods, V/m and Vs/m, shape (points,
+            longest - shortest + 1, 1 + CHECKED_FINAL_PERIODS, 2, 2 n).
 
     Raises:
         InputError: If the period is not positive, or the machine's workspace has no range.
@@ -109,16 +111,17 @@ class MinimumEnergyTransfers:
     def select(
         self, error: Array, goal: Array, limits: tuple[Array, Array], at_least: NDArray[np.intp]
     ) -> TransferSelection:
-        """Select for each stage the shortest transfer whose voltages stay within the limits.
+        """Select for each of B stages the shortest transfer to rest whose voltages stay within the limits.
 
         Args:
-            error: State minus goal state, m and m/s, shape (B, 2 n).
-            goal: Tool position of the goal, m, shape (B, 2).
-            limits: Lowest and highest voltage, V, each of shape (B, 2).
-            at_least: Fewest periods of a transfer, shape (B,).
+            error: State minus goal state: belt travel (radius * angle of a rotary coordinate) of the n coordinates and
+                its velocity, m and m/s, shape (B, 2 n).
+            goal: Tool position (x, y) of the goal, m, shape (B, 2).
+            limits: Lowest and highest voltages, V, each of shape (B, 2).
+            at_least: Minimum number of periods of the transfer, from `shortest` to `longest`, shape (B,).
 
         Returns:
-            The transfers; the longest one where no transfer stays within the limits.
+            Numbers of periods and first voltages; those of the longest transfer where none stays within the limits.
         """
         points = self.grid.nearest(goal)
         lowest, highest = limits
@@ -134,15 +137,16 @@ class MinimumEnergyTransfers:
         return TransferSelection(high + self.shortest, volts)
 
     def reference(self, start: Array, goal: Array, limit: Array) -> tuple[Array, Array]:
-        """Compute a complete transfer of the frictionless model from rest to rest.
+        """Compute the shortest admissible minimum-energy transfer from rest to rest, without Coulomb friction.
 
         Args:
-            start: Tool position at the start, m, shape (2,).
-            goal: Tool position at the end, m, shape (2,).
-            limit: Largest voltage of each drive, V, shape (2,).
+            start: Tool position (x, y) at the start, m, shape (2,).
+            goal: Tool position (x, y) at the end, m, shape (2,).
+            limit: Largest voltage magnitude of each drive, V, shape (2,).
 
         Returns:
-            Tool positions at every period, m, shape (N + 1, 2), and voltages, V, shape (N, 2).
+            positions: Tool positions at the start and at the end of each of N periods, m, shape (N + 1, 2).
+            volts: Voltages held over each period, V, shape (N, 2).
         """
         start, goal = (np.asarray(point, np.float64)[None] for point in (start, goal))
         error = self.model.goal_state(start) - self.model.goal_state(goal)

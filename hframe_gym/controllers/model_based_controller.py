@@ -1,6 +1,6 @@
 """Model-based controller: finite-horizon state feedback with feedforward, disturbance observer and preview.
 
-For a goal that stays (point-to-point motion):
+For a fixed goal (point-to-point motion):
 
 State feedback     The first voltage of the shortest minimum-energy transfer to rest that stays near the rated voltage
                    (minimum_energy.py), planned anew from the measured state every period. Far from the goal it acts as
@@ -8,11 +8,12 @@ State feedback     The first voltage of the shortest minimum-energy transfer to 
                    shortest transfer is admissible, it is a constant (deadbeat) gain.
 Feedforward        The voltage against Coulomb friction and the forces of the machine's effects at the present motion.
 Disturbance        Once the shortest transfer is admissible, the feedforward uses the force that the momentum balance of
-observer           the last period measured, within limits. While friction holds the stage, this returns the voltage
-                   that it has, so that the feedback adds up until the stage moves, as with an integrator.
-Motor reference    Motor positions deviate from those of unstretched belts by what the modeled forces on the carriage
-                   stretch; at rest the reference follows the stretch that is measured. With a wrong reference the
-                   feedback would hold the tool beside its goal.
+observer           the last period measured, within limits. While static friction holds the stage, the measured force
+                   equals minus the drive force, so that the feedback voltages accumulate until the stage moves, as
+                   with an integrator.
+Motor reference    Motor positions deviate from those of unstretched belts, because modeled forces on the carriage
+                   stretch the belts; at rest the reference follows the measured stretch. A wrong reference would
+                   leave a steady-state error of the tool.
 Gain reduction     A stage that keeps moving near its goal rings because the model is inaccurate; transfers of more
                    periods, that is, lower gains, end the ringing.
 
@@ -67,10 +68,11 @@ class ModelBasedController(Controller):
 
     Attributes:
         model: Model of the machine.
-        transfers: Gains for point-to-point motion.
+        transfers: Feedback gains for point-to-point motion.
 
     Raises:
-        InputError: If the machine cannot be controlled (see `MotionModel`) or the period is not positive.
+        InputError: If the machine does not have two drives that can move both x and y, x or y has no range, or the
+            period is not positive.
     """
 
     feedback: ClassVar[Feedback] = "estimated_state"
@@ -92,14 +94,20 @@ class ModelBasedController(Controller):
         self._settling = self._moving = self._elapsed = np.zeros(0, np.intp)
 
     def reset(self, mask: Mask | None = None) -> None:
-        """Start a new episode on some stages or all."""
+        """Clear the memory of stages whose next observation starts a new episode.
+
+        Args:
+            mask: True for the stages to reset, shape (B,). Default: all; the batch size may then change.
+        """
         self._starts.reset(mask)
 
     def act(self, observation: Mapping[str, NDArray[Any]]) -> Array:
-        """Return the actions for the control period that begins.
+        """Compute the actions for the control period that starts now, for B stages.
 
         Args:
-            observation: Full state, `desired_goal` and perhaps `preview`; see `Controller.act`.
+            observation: Arrays by key. `observation`: positions of x, y and the motors, then their velocities, m, rad,
+                m/s and rad/s, shape (B, 2 n) for n coordinates. `desired_goal`: tool goal, m, shape (B, 2). For a
+                moving goal also `preview`, m, shape (B, 2 P): goals at the ends of the next P periods.
 
         Returns:
             Voltages divided by the rated voltages, in [-1, 1], shape (B, 2).
@@ -123,7 +131,11 @@ class ModelBasedController(Controller):
         return volts / self.model.rated
 
     def replace_last_action(self, actions: Array) -> None:
-        """Correct the voltages that were sent last."""
+        """Record the actions that were applied instead of those that `act` returned last.
+
+        Args:
+            actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (B, 2).
+        """
         self._dead_time.replace_last(actions * self.model.rated)
 
     def _begin_period(self, state: Array) -> None:

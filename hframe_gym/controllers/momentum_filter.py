@@ -33,17 +33,17 @@ REVERSAL_SPEED = 0.01  # m/s, over which the direction of friction changes: tanh
 
 
 class MomentumFilter:
-    """Estimates for B stages of one machine with n coordinates.
+    """Recursive least-squares estimator of friction, masses and belt stiffness of B stages with n coordinates each.
 
     Args:
-        model: Model of the machine.
+        model: Model of the machine with its declared parameters.
         period: Control period, s.
 
     Attributes:
         model: As given.
         period: As given, s.
-        estimates: Relative errors of the model, shape (B, 2 n + 1): Coulomb levels f_c, masses d_c, belt stiffness e.
-            Zero at the start of an episode.
+        estimates: Relative errors of the model (0.1: actual value 10 % above the model's), shape (B, 2 n + 1): n
+            Coulomb levels f_c, n masses d_c, belt stiffness e. Zero at the start of an episode.
     """
 
     def __init__(self, model: MotionModel, period: float) -> None:
@@ -72,14 +72,15 @@ class MomentumFilter:
         return 1.0 + self.estimates[:, n:-1] @ (moving_mass / moving_mass.sum(axis=0))
 
     def update(self, before: Array, after: Array, volts: Array, effect_force: Array, starts: NDArray[np.bool_]) -> None:
-        """Update the estimates by one control period.
+        """Update the estimates with the momentum balances of the last control period.
 
         Args:
-            before: States at the period's begin, travel and velocity, m and m/s, shape (B, 2 n).
-            after: States at its end, shape (B, 2 n).
-            volts: Voltages at the motors, V, shape (B, 2).
-            effect_force: Forces of the machine's effects on each coordinate, N, shape (B, n).
-            starts: Stages whose episode starts with `after`, shape (B,); their estimates are cleared.
+            before: States at the start of the period: belt travel (radius * angle of a rotary coordinate) and its
+                velocity, m and m/s, shape (B, 2 n).
+            after: States at the end of the period, m and m/s, shape (B, 2 n).
+            volts: Mean voltages at the motors in the period, V, shape (B, 2).
+            effect_force: Modeled forces of the machine's effects on each coordinate, N, shape (B, n).
+            starts: True for stages whose episode starts with `after`, shape (B,); their estimates are set to zero.
         """
         size = len(self._prior_std)
         if len(self.estimates) != len(starts):
@@ -121,13 +122,13 @@ class MomentumFilter:
         return -np.einsum("bij,bj->bi", self._stiffness[points], mean_travel)
 
     def friction_voltage_ahead(self, goals: Array) -> Array:
-        """Return the voltage against friction beyond the model's that following the goals will need.
+        """Compute the voltages that compensate the estimated minus the modeled Coulomb friction along a path.
 
         Args:
-            goals: Goals now and one period apart, m, shape (B, k, 2).
+            goals: Tool goals at k sample times, the first now, the others one period apart, m, shape (B, k, 2), k > 2.
 
         Returns:
-            Voltages of the next periods, V, shape (B, k - 2, 2).
+            Voltages for the k - 2 periods from now on, V, shape (B, k - 2, 2).
         """
         model, n = self.model, len(self.model.mass)
         mean_velocity = np.diff(goals, axis=1) / self.period

@@ -27,17 +27,17 @@ REVERSAL_SPEED = 0.02
 
 
 class OperatingPointGrid:
-    """Tool positions for which gains are designed, because the belts' stiffness depends on the position.
+    """Grid of tool positions for which gains are designed, because the belts' stiffness depends on the position.
 
     Args:
-        machine: Machine with a workspace.
+        machine: Machine whose coordinates x and y have a range (the workspace).
 
     Attributes:
-        points: Tool positions, m, shape (63, 2).
-        span: Size of the workspace, m, shape (2,).
+        points: Tool positions (x, y) of the 9 x 7 grid, m, shape (63, 2).
+        span: Size of the workspace along x and y, m, shape (2,).
 
     Raises:
-        InputError: If the workspace has no range.
+        InputError: If x or y has no range.
     """
 
     def __init__(self, machine: Machine) -> None:
@@ -49,10 +49,10 @@ class OperatingPointGrid:
         self.span: Array = np.array([line[-1] - line[0] for line in self._lines])
 
     def nearest(self, position: Array) -> NDArray[np.intp]:
-        """Return the index of the nearest operating point.
+        """Find the nearest operating point of each of B tool positions.
 
         Args:
-            position: Tool positions, m, shape (B, 2).
+            position: Tool positions (x, y), m, shape (B, 2).
 
         Returns:
             Indices into `points`, shape (B,).
@@ -62,21 +62,21 @@ class OperatingPointGrid:
 
 
 class MotionModel:
-    """Model of a machine with full-state measurement, n coordinates and two drives.
+    """Design model of a machine with n coordinates and two drives, in belt travel; methods take batches of B states.
 
     Args:
         machine: Machine with the coordinates x, y and those of two drives.
 
     Attributes:
         machine: As given.
-        observed: Coordinates in the order of a full-state observation.
-        rigid: Travel of every coordinate per meter of x and of y with unstretched belts, shape (n, 2).
-        mass: Mass of every coordinate, kg, shape (n,).
-        viscous: Viscous friction with back-EMF, Ns/m, shape (n,).
-        coulomb: Coulomb levels, N, shape (n,).
-        drive: Force of the drives at rest, N/V, shape (n, 2).
+        observed: Coordinate names in the order of a full-state observation.
+        rigid: Belt travel of every coordinate per meter of x and of y with unstretched belts, m/m, shape (n, 2).
+        mass: Mass of every coordinate, of rotary ones inertia / radius^2, kg, shape (n,).
+        viscous: Viscous friction coefficients including back-EMF, Ns/m, shape (n,).
+        coulomb: Magnitudes of the Coulomb friction forces, N, shape (n,).
+        drive: Force on every coordinate per volt of each drive at zero speed, N/V, shape (n, 2).
         rated: Rated voltages, V, shape (2,).
-        force_per_volt: Forces along the rigid x and y motion, N/V, shape (2, 2).
+        force_per_volt: Forces along x and y (with unstretched belts) per volt of each drive, N/V, shape (2, 2).
 
     Raises:
         InputError: If the machine has other coordinates than x, y and those of two drives, or its drives cannot push
@@ -118,14 +118,14 @@ class MotionModel:
         self._scale = np.tile(units, 2)
 
     def state(self, observation: Mapping[str, NDArray[Any]]) -> Array:
-        """Return the state of a full-state observation.
+        """Convert a full-state observation to a state in belt travel (radius * angle of a rotary coordinate).
 
         Args:
-            observation: `observation`, shape (B, 2 n): positions of x, y and the driven coordinates, then their
-                velocities, in m, rad, m/s and rad/s.
+            observation: Arrays by key. `observation`: positions in the order of `observed`, then their velocities, m,
+                rad, m/s and rad/s, shape (B, 2 n). Other keys are ignored.
 
         Returns:
-            Travel and its velocity, m and m/s, shape (B, 2 n).
+            States: belt travel in the machine's order of coordinates and its velocity, m and m/s, shape (B, 2 n).
 
         Raises:
             InputError: If the observation has another number of entries.
@@ -136,33 +136,33 @@ class MotionModel:
         return values[:, self._order] * self._scale
 
     def observation(self, state: Array) -> Array:
-        """Return the full-state observation of states; the inverse of `state`.
+        """Convert states in belt travel to full-state observations; the inverse of `state`.
 
         Args:
-            state: Travel and its velocity, m and m/s, shape (B, 2 n).
+            state: Belt travel (radius * angle) and its velocity, m and m/s, shape (B, 2 n).
 
         Returns:
-            Observation, shape (B, 2 n).
+            Positions in the order of `observed`, then their velocities, m, rad, m/s and rad/s, shape (B, 2 n).
         """
         return (state / self._scale)[:, np.argsort(self._order)]
 
     def goal_state(self, goal: NDArray[Any]) -> Array:
-        """Return the state at rest with unstretched belts.
+        """Compute the states at rest with unstretched belts at given tool positions.
 
         Args:
-            goal: Tool positions, m, shape (B, 2).
+            goal: Tool positions (x, y), m, shape (B, 2).
 
         Returns:
-            States, shape (B, 2 n).
+            States: belt travel (radius * angle), m, and zero velocity, m/s, shape (B, 2 n).
         """
         travel = np.asarray(goal, np.float64) @ self.rigid.T
         return np.concatenate([travel, np.zeros_like(travel)], axis=1)
 
     def tool_position(self, travel: Array) -> Array:
-        """Return the tool position.
+        """Select the tool position (x, y) from belt travel or states.
 
         Args:
-            travel: Travel or states, m, shape (B, n or more).
+            travel: Belt travel of the n coordinates, m; further columns are ignored; shape (B, n or more).
 
         Returns:
             Tool positions, m, shape (B, 2).
@@ -170,25 +170,27 @@ class MotionModel:
         return travel[:, [self.machine.coordinate_names.index(axis) for axis in AXES]]
 
     def elastic_travel(self, travel: Array) -> Array:
-        """Return the travel beyond the rigid motion of the tool, which the belts' stretch allows.
+        """Subtract from belt travel its value with unstretched belts at the same tool position.
 
         Args:
-            travel: Travel or states, m, shape (B, n or more).
+            travel: Belt travel of the n coordinates, m; further columns are ignored; shape (B, n or more).
 
         Returns:
-            Elastic part of the travel, m, shape (B, n); zero at x and y.
+            Belt travel due to belt stretch, m, shape (B, n); zero at x and y.
         """
         return travel[:, : len(self.mass)] - self.tool_position(travel) @ self.rigid.T
 
     def discretize(self, goal: Array, period: float) -> tuple[Array, Array, Array]:
-        """Discretize the linear model with voltages and forces held over a period.
+        """Linearize the machine, without Coulomb friction, and discretize it with zero-order hold of its inputs.
 
         Args:
-            goal: Tool position at which the belts' stiffness is taken, m, shape (2,).
+            goal: Tool position (x, y) of the linearization, m, shape (2,).
             period: Control period, s.
 
         Returns:
-            A (2 n, 2 n), B (2 n, 2) for voltages and E (2 n, n) for a force on each coordinate.
+            A: System matrix of the state (belt travel, m, and its velocity, m/s), shape (2 n, 2 n).
+            B: Input matrix of the voltages, m/V and m/(Vs), shape (2 n, 2).
+            E: Input matrix of a force on each coordinate, m/N and m/(Ns), shape (2 n, n).
         """
         space = linearize(self.machine, self.rigid @ goal / self.machine.travel_per_unit)
         A, B = space.A * self._scale[:, None] / self._scale, space.B * self._scale[:, None]
@@ -200,30 +202,30 @@ class MotionModel:
         return held[:, :first], held[:, first:second], held[:, second:]
 
     def effect_force(self, state: Array, elapsed_s: Array) -> Array:
-        """Return the forces of the machine's effects other than friction.
+        """Compute the forces of the machine's effects other than friction.
 
-        Effects with a memory or a table are left out.
+        Effects with a memory or a lookup table, or that depend on voltage or current, are left out.
 
         Args:
-            state: Travel and its velocity, m and m/s, shape (B, 2 n).
-            elapsed_s: Time since the episode's start, s, shape (B,).
+            state: Belt travel (radius * angle) and its velocity, m and m/s, shape (B, 2 n).
+            elapsed_s: Time since the start of the episode, s, shape (B,).
 
         Returns:
-            Forces on each coordinate, N, shape (B, n).
+            Forces on each coordinate, N, positive in the direction of increasing travel, shape (B, n).
         """
         if not self._with_effects.machine.effects:
             return np.zeros((len(state), len(self.mass)))
         return _stack(self._balance(state, elapsed_s).held, state)
 
     def friction_force(self, state: Array, elapsed_s: Array) -> Array:
-        """Return the nonlinear friction: Coulomb friction and that of the machine's effects.
+        """Compute the friction forces apart from declared viscous friction: Coulomb friction and effects on friction.
 
         Args:
-            state: Travel and its velocity, m and m/s, shape (B, 2 n).
-            elapsed_s: Time since the episode's start, s, shape (B,).
+            state: Belt travel (radius * angle) and its velocity, m and m/s, shape (B, 2 n).
+            elapsed_s: Time since the start of the episode, s, shape (B,).
 
         Returns:
-            Forces on each coordinate, N, shape (B, n).
+            Forces on each coordinate, N, negative for motion in positive direction, shape (B, n).
         """
         if not self._with_effects.machine.effects:
             return -self.coulomb * self._direction(state)
@@ -231,14 +233,14 @@ class MotionModel:
         return self._effect_viscous_force(state) - level * self._direction(state)
 
     def effect_friction(self, state: Array, elapsed_s: Array) -> Array:
-        """Return the friction of the machine's effects.
+        """Compute the change of the friction forces by effects, relative to declared Coulomb and viscous friction.
 
         Args:
-            state: Travel and its velocity, m and m/s, shape (B, 2 n).
-            elapsed_s: Time since the episode's start, s, shape (B,).
+            state: Belt travel (radius * angle) and its velocity, m and m/s, shape (B, 2 n).
+            elapsed_s: Time since the start of the episode, s, shape (B,).
 
         Returns:
-            Forces on each coordinate beyond Coulomb and viscous friction, N, shape (B, n).
+            Additional friction force on each coordinate, N, shape (B, n).
         """
         return self.friction_force(state, elapsed_s) + self.coulomb * self._direction(state)
 
@@ -260,14 +262,14 @@ class MotionModel:
         return np.tanh(state[:, len(self.mass) :] / REVERSAL_SPEED)
 
     def static_stretch(self, force: Array, goal: Array) -> Array:
-        """Return the elastic travel of the motors at which the belts hold the tool against a force.
+        """Compute the motor travel, due to belt stretch, at which the belts balance a force on the tool.
 
         Args:
-            force: Force on each coordinate, N, shape (B, n).
-            goal: Tool positions, m, shape (B, 2).
+            force: Force on each coordinate, N, shape (B, n); only its x and y components are used.
+            goal: Tool positions (x, y), m, shape (B, 2).
 
         Returns:
-            Travel beyond that of unstretched belts, m, shape (B, n); zero at x and y.
+            Belt travel minus that of unstretched belts, m, shape (B, n); zero at x and y.
         """
         names = self.machine.coordinate_names
         tool = [names.index(axis) for axis in AXES]
@@ -284,30 +286,29 @@ class MotionModel:
         return stretch
 
     def voltage(self, force: Array) -> Array:
-        """Return the voltages that give forces along the rigid x and y motion.
+        """Convert forces along x and y (with unstretched belts) to the voltages that produce them at zero speed.
 
         Args:
-            force: Forces, N, shape (B, 2).
+            force: Forces along x and y, N, shape (B, 2).
 
         Returns:
-            Voltages, V, shape (B, 2).
+            Voltages of the two drives, V, not limited, shape (B, 2).
         """
         return force @ self._volts_per_force.T
 
     def disturbance_force(self, before: Array, after: Array, volts: Array, period: float) -> Array:
-        """Measure the mean disturbance force over a period: what drives and viscous friction do not explain.
+        """Compute the mean disturbance force over a period: rate of momentum minus drive and viscous forces.
 
-        Belts are internal forces of the rigid motion, and the mean velocity is distance over time, so that the momentum
-        balance holds whatever the belts do.
+        Belt forces are internal and cancel in the momentum balance along x and y.
 
         Args:
-            before: States at the period's begin, shape (B, 2 n).
-            after: States at its end, shape (B, 2 n).
-            volts: Voltages at the motors in between, V, shape (B, 2).
+            before: States (belt travel and velocity) at the start of the period, m and m/s, shape (B, 2 n).
+            after: States at the end of the period, m and m/s, shape (B, 2 n).
+            volts: Voltages at the motors in the period, V, shape (B, 2).
             period: Control period, s.
 
         Returns:
-            Forces along the rigid x and y motion, N, shape (B, 2).
+            Disturbance forces along x and y, Coulomb friction included, N, shape (B, 2).
         """
         n = len(self.mass)
         viscous = self.viscous * (after[:, :n] - before[:, :n])
@@ -315,10 +316,10 @@ class MotionModel:
         return (viscous + momentum) @ self.rigid / period - volts @ self.force_per_volt.T
 
     def top_speed(self) -> Array:
-        """Compute the steady velocity along x and along y alone at rated voltage.
+        """Compute the steady speeds along x alone and along y alone with both drives at rated voltage.
 
         Returns:
-            Velocities, m/s, shape (2,); zero where friction holds the axis.
+            Speeds along x and y, m/s, shape (2,); zero where Coulomb friction exceeds the drive force.
         """
         push = np.abs(self.force_per_volt) @ self.rated
         friction = np.abs(self.rigid.T) @ self.coulomb

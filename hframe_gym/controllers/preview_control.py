@@ -30,23 +30,25 @@ HORIZON_S = 0.1  # s; goals farther ahead do not change the first voltage
 
 
 class PreviewGains:
-    """Gains of the first voltage of a plan, by operating point.
+    """Gains of preview control, which give the first voltage of the least-squares plan, by operating point.
+
+    The state holds the belt travel (radius * angle of a rotary coordinate) of n coordinates and its velocity.
 
     Args:
         model: Model of the machine.
-        grid: Operating points.
+        grid: Operating points (tool positions) for which gains are computed.
         period: Control period, s.
         horizon: Number of previewed goals, H.
         change_weight: Weight w of voltage changes, m/V.
 
     Attributes:
-        state: Gains on the state, V per m and m/s, shape (points, 2, 2 n).
-        last: Gains on the last voltages, V/V, shape (points, 2, 2).
-        goal: Gains on the goals, V/m, shape (points, 2, 2 H).
+        state: Gains on the present state, V/m and Vs/m, shape (points, 2, 2 n).
+        last: Gains on the voltages of the previous period, V/V, shape (points, 2, 2).
+        goal: Gains on the previewed goals (x, y), V/m, shape (points, 2, 2 H).
         force: Gains on the force on each coordinate in each period, V/N, shape (points, 2, n H).
         A: Discrete-time system matrices, shape (points, 2 n, 2 n).
-        B: Discrete-time input matrices, shape (points, 2 n, 2).
-        E: Discrete-time matrices of the forces, shape (points, 2 n, n).
+        B: Discrete-time input matrices of the voltages, m/V and m/(Vs), shape (points, 2 n, 2).
+        E: Discrete-time input matrices of the forces on the coordinates, m/N and m/(Ns), shape (points, 2 n, n).
     """
 
     def __init__(
@@ -85,17 +87,17 @@ class PreviewGains:
 
 
 class PreviewTracker:
-    """Preview control of B stages with a disturbance observer.
+    """Preview control of the tool position of B stages (simulated machines), with a disturbance observer.
 
     Args:
         model: Model of the machine.
         grid: Operating points of the gains.
         period: Control period, s.
-        goals: Number of previewed goals; those beyond `HORIZON_S` are not used.
+        goals: Number of previewed goals that `command` receives; those beyond `HORIZON_S` are not used.
 
     Attributes:
         horizon: Number of previewed goals that are used, H.
-        gains: Gains of the plans.
+        gains: Preview gains by operating point.
     """
 
     def __init__(self, model: MotionModel, grid: OperatingPointGrid, period: float, goals: int) -> None:
@@ -107,13 +109,14 @@ class PreviewTracker:
         self._planned_force = self._disturbance = np.zeros((0, len(model.mass)))  # N
 
     def update_disturbance(self, before: Array, after: Array, volts: Array, starts: NDArray[np.bool_]) -> None:
-        """Update the disturbance estimate by the last period.
+        """Update the low-pass filtered disturbance forces with the one-step prediction error of the last period.
 
         Args:
-            before: States at the period's begin, m and m/s, shape (B, 2 n).
-            after: States at its end, shape (B, 2 n).
-            volts: Voltages at the motors, V, shape (B, 2).
-            starts: Stages whose episode starts with `after`, shape (B,); their estimate is set to zero.
+            before: States at the start of the period: belt travel (radius * angle of a rotary coordinate) of the n
+                coordinates and its velocity, m and m/s, shape (B, 2 n).
+            after: States at the end of the period, m and m/s, shape (B, 2 n).
+            volts: Voltages at the motors in the period, V, shape (B, 2).
+            starts: True for stages whose episode starts with `after`, shape (B,); their estimate is set to zero.
         """
         if len(self._disturbance) != len(after):
             self._planned_force = self._disturbance = np.zeros((len(after), len(self.model.mass)))
@@ -123,16 +126,16 @@ class PreviewTracker:
         self._disturbance = np.where(starts[:, None], 0.0, self._disturbance + self._filter_gain * residual)
 
     def command(self, state: Array, goals: Array, last: Array, elapsed_s: Array) -> Array:
-        """Return the first voltages of the plans.
+        """Compute the motor voltages that track the previewed goals, for the period that starts now.
 
         Args:
-            state: States, m and m/s, shape (B, 2 n).
-            goals: Goals now and at the end of each period, m, shape (B, 1 + H or more, 2).
-            last: Motor voltages of the last period, V, shape (B, 2).
-            elapsed_s: Time since the episode's start, s, shape (B,).
+            state: Present states: belt travel of the n coordinates and its velocity, m and m/s, shape (B, 2 n).
+            goals: Tool goals now and at the end of each following period, m, shape (B, 1 + H or more, 2).
+            last: Motor voltages of the previous period, V, shape (B, 2).
+            elapsed_s: Time since the start of the episode, s, shape (B,).
 
         Returns:
-            Voltages within the rated ones, V, shape (B, 2).
+            Motor voltages, limited to the rated voltages, V, shape (B, 2).
         """
         model, H = self.model, self.horizon
         goals = goals[:, : H + 1]

@@ -50,7 +50,9 @@ LONGEST_STEP_S = 0.5e-3  # s, of the simulator, as in the environment: short aga
 
 
 class StateEstimator:
-    """Estimates of B stages of one machine from the measurements of its declared sensors.
+    """Kalman filter that estimates the states and parameters of B stages from the machine's declared sensors.
+
+    In every control period, call `update` with the measurements, then `send` with the voltages.
 
     Args:
         machine: Machine whose `sensors` supply the measurements.
@@ -60,12 +62,12 @@ class StateEstimator:
         model: Model of the machine.
         period: As given, s.
         channels: Number of sensors.
-        measurements: Measurement equation of the sensors.
-        augmented: The estimated parameters, in the order of `parameter_ratios`.
+        measurements: Linear measurement equation of the sensors.
+        augmented: Names and prior covariance of the k estimated parameters (masses, friction, belts, motors).
 
     Raises:
-        InputError: If the machine cannot be controlled (see `MotionModel`), its sensors do not determine the position
-            of the tool, or the period is not positive.
+        InputError: If the machine does not have two drives that can move both x and y, its sensors do not determine
+            the position of the tool, or the period is not positive.
     """
 
     def __init__(self, machine: Machine, period: float) -> None:
@@ -97,41 +99,42 @@ class StateEstimator:
 
     @property
     def parameter_ratios(self) -> Array:
-        """Estimated ratios of `augmented.names` to their declared values, shape (B, k)."""
+        """Estimated ratios of the k parameters `augmented.names` to their declared values, shape (B, k)."""
         return self.augmented.ratios(self._mean[:, len(self._scale) :])
 
     def reset(self, mask: Mask | None = None) -> None:
-        """Start new episodes, at rest, with the next measurements of some stages or all.
+        """Discard the estimates of stages whose next measurements start a new episode; they must then be at rest.
 
         Args:
-            mask: Stages to reset, shape (B,). Default: all.
+            mask: True for the stages to reset, shape (B,). Default: all; the batch size may then change.
         """
         self._starts.reset(mask)
 
     def send(self, volts: Array) -> None:
-        """Record the voltages of the period that begins.
+        """Record the commanded voltages of the control period that starts now, for the next prediction.
 
         Args:
-            volts: Voltages, V, shape (B, 2).
+            volts: Commanded voltages, V, shape (B, 2).
         """
         self._dead_time.send(volts)
 
     def replace_last(self, volts: Array) -> None:
-        """Replace the voltages that were sent last.
+        """Record the voltages that were applied instead of those passed to `send` last.
 
         Args:
-            volts: Voltages, V, shape (B, 2).
+            volts: Commanded voltages, V, shape (B, 2).
         """
         self._dead_time.replace_last(volts)
 
     def update(self, measurements: Array) -> Array:
-        """Estimate the state at the time of new measurements.
+        """Predict the state over the last control period and correct it with new measurements.
 
         Args:
-            measurements: One value per sensor, in the channels' units, shape (B, channels).
+            measurements: One measurement per sensor, in the sensor's unit, shape (B, channels).
 
         Returns:
-            Travel and its velocity, m and m/s, shape (B, 2 n).
+            Estimated belt travel (radius * angle of a rotary coordinate) of the n coordinates and its velocity, m and
+            m/s, shape (B, 2 n).
 
         Raises:
             InputError: If a measurement is not finite.
@@ -221,15 +224,19 @@ class StateEstimator:
 
 
 def sigma_points(mean: Array, covariance: Array, smallest_std: Array) -> Array:
-    """Return the points at which a map is evaluated: the mean, and two along each column of a covariance root.
+    """Compute the sigma points of B normal distributions of N variables for the DD2 filter.
+
+    These are the mean and, for each column c of the covariance's Cholesky factor, mean + sqrt(3) c and mean - sqrt(3) c
+    (`SIGMA_SQUARED` = 3).
 
     Args:
         mean: Means, shape (B, N).
         covariance: Covariances, shape (B, N, N).
-        smallest_std: Smallest standard deviations, also of what is certain, shape (N,).
+        smallest_std: Standard deviations whose squares are added to the variances, so that the points of a variable
+            with zero variance differ as well, shape (N,).
 
     Returns:
-        Points, shape (B, 2 N + 1, N).
+        Points: the mean, the N points with +, the N points with -, shape (B, 2 N + 1, N).
     """
     diagonal = np.arange(mean.shape[1])
     widened = covariance.copy()
@@ -240,15 +247,19 @@ def sigma_points(mean: Array, covariance: Array, smallest_std: Array) -> Array:
 
 
 def transformed_moments(mapped: Array) -> tuple[Array, Array]:
-    """Return mean (B, M) and covariance (B, M, M) of a mapped normal distribution (DD2 filter).
+    """Estimate the mean and covariance of y = f(x) for normally distributed x by second-order divided differences.
 
     Divided differences need no derivatives, which friction does not have, and the covariance is a sum of squares.
 
     Args:
-        mapped: The map's values at `sigma_points`, shape (B, 2 N + 1, M).
+        mapped: Values of f, with M components, at the `sigma_points` of x, shape (B, 2 N + 1, M).
 
     Returns:
-        Mean and covariance.
+        mean: Means of y, shape (B, M).
+        covariance: Covariances of y, shape (B, M, M).
+
+    References:
+        Norgaard, Poulsen and Ravn (2000), DD2 filter.
     """
     count = mapped.shape[1] // 2
     center, above, below = mapped[:, :1], mapped[:, 1 : count + 1], mapped[:, count + 1 :]

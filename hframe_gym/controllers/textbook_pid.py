@@ -1,4 +1,4 @@
-"""One PID controller per axis, tuned by pole placement: the baseline."""
+"""One PID controller per axis (x and y), tuned by pole placement: the baseline for comparisons."""
 
 from __future__ import annotations
 
@@ -20,10 +20,12 @@ FREQUENCY_MARGIN = 5.0
 
 @CONTROLLERS.register("textbook-pid")
 class TextbookPID(Controller):
-    """PID on x and y, with conditional integration while a drive saturates.
+    """PID control of the tool position along x and y; integration stops while a drive saturates (anti-windup).
 
-    Each axis is modeled as a rigid mass with viscous friction, m v' = f - b v, and the gains put all three poles at -w.
-    The derivative acts on the measured velocity; for a moving goal, on the difference to the goal's velocity.
+    Each axis is modeled as a rigid mass m with viscous friction b, m v' = f - b v for velocity v and force f, and the
+    gains put all three closed-loop poles at -w, where w is the frequency of the slowest belt mode (or half the sampling
+    frequency, if that is lower) divided by FREQUENCY_MARGIN. The derivative acts on the measured velocity; for a moving
+    goal, on the difference to the goal's velocity.
 
     Args:
         machine: Machine model from which the gains are computed.
@@ -31,12 +33,12 @@ class TextbookPID(Controller):
 
     Attributes:
         model: Model of the machine.
-        proportional: Gains of x and y, N/m, shape (2,).
-        derivative: Gains of x and y, Ns/m, shape (2,).
-        integral: Gains of x and y, N/(m s), shape (2,).
+        proportional: Proportional gains of x and y, N/m, shape (2,).
+        derivative: Derivative gains of x and y, Ns/m, shape (2,).
+        integral: Integral gains of x and y, N/(m s), shape (2,).
 
     Raises:
-        InputError: If the machine cannot be controlled (see `MotionModel`) or the period is not positive.
+        InputError: If the machine does not have two drives that can move both x and y, or the period is not positive.
 
     References:
         Astrom and Hagglund (2006), Advanced PID Control, chapter 6.
@@ -57,17 +59,23 @@ class TextbookPID(Controller):
         self._axes = np.array([machine.coordinate_names.index(axis) for axis in AXES])
 
     def reset(self, mask: Mask | None = None) -> None:
-        """Clear the integrators of some stages or all."""
+        """Set the integrators of stages whose next observation starts a new episode to zero.
+
+        Args:
+            mask: True for the stages to reset, shape (B,). Default: all; the batch size may then change.
+        """
         if mask is None or not len(self._integral_force):
             self._integral_force = np.zeros((0, 2))
         else:
             self._integral_force = np.where(mask[:, None], 0.0, self._integral_force)
 
     def act(self, observation: Mapping[str, NDArray[Any]]) -> Array:
-        """Return the actions for the control period that begins.
+        """Compute the actions for the control period that starts now, for B stages.
 
         Args:
-            observation: Full state, `desired_goal` and perhaps `preview`; see `Controller.act`.
+            observation: Arrays by key. `observation`: positions of x, y and the motors, then their velocities, m, rad,
+                m/s and rad/s, shape (B, 2 n) for n coordinates. `desired_goal`: tool goal, m, shape (B, 2). For a
+                moving goal also `preview`, m, shape (B, 2 P): goals at the ends of the next P periods.
 
         Returns:
             Voltages divided by the rated voltages, in [-1, 1], shape (B, 2).

@@ -59,14 +59,14 @@ INITIAL_GUESSES = (1.0, 1.6, 0.8)  # of T, in times of the rigid stage; tried in
 
 @dataclass(frozen=True)
 class TimeOptimalMotion:
-    """A time-optimal motion.
+    """Solution of a time-optimal control problem, with voltages constant over k intervals.
 
     Attributes:
-        time_s: Duration T, s.
+        time_s: Duration T from the start until the tool enters the band around its goal for the last time, s.
         solved: Whether IPOPT has converged; if not, T has no meaning.
         status: IPOPT's return status.
-        edges_s: Edges of the intervals, the hold in the band included, s, shape (k + 1,).
-        volts: Voltages held over the intervals, V, shape (k, drives).
+        edges_s: Edges of the intervals from 0 to T + HOLD_S (the time within the band), s, shape (k + 1,).
+        volts: Commanded voltages of the intervals, V, shape (k, drives).
     """
 
     time_s: float
@@ -77,7 +77,7 @@ class TimeOptimalMotion:
 
 
 class TimeOptimalReach:
-    """Time-optimal motions of machines of one structure; their parameters are parameters of the optimization problem.
+    """Solver of the time-optimal control problem of one machine for any start, goal and parameter values.
 
     Effects are part of the motion, except those at sensors. The problem's controls are the voltages at the motors: an
     effect on a drive's voltage (dead band, offset, gain) changes their limits, and a current limit is a constraint. Not
@@ -87,7 +87,7 @@ class TimeOptimalReach:
     Args:
         machine: Machine.
         band: Radius of the band around the goal, m.
-        intervals: Numbers of intervals of the motion and of the hold.
+        intervals: Numbers of intervals of the motion (T) and of the following time within the band (HOLD_S).
         reversal_speed: Speed v0 of the smoothed friction, m/s.
 
     Raises:
@@ -160,16 +160,16 @@ class TimeOptimalReach:
         parameters: ArrayLike | None = None,
         guesses: Sequence[float] = INITIAL_GUESSES,
     ) -> TimeOptimalMotion:
-        """Find the time-optimal motion from rest with unstretched belts into the band around the goal.
+        """Compute the time-optimal motion from rest with unstretched belts into the band around the goal.
 
         Args:
-            start: Position of the linear coordinates at the start, m, shape (axes,).
-            goal: Position of the goal, m, shape (axes,).
-            parameters: Parameters in the order of `Machine.parameters`, shape (P,). Default: the machine's.
-            guesses: Initial guesses of T, in times of the rigid stage; the first that converges gives the result.
+            start: Positions of the linear coordinates (usually x, y) at the start, m, shape (axes,).
+            goal: Positions of the linear coordinates at the goal, m, shape (axes,).
+            parameters: Parameters in the order and units of `Machine.parameters`, shape (P,). Default: the machine's.
+            guesses: Initial guesses of T as multiples of the estimated time with rigid belts, tried in this order.
 
         Returns:
-            The motion; `solved` tells whether a guess has converged.
+            The motion of the first guess that converges; if none does, that of the last guess with `solved` False.
         """
         begin, end = np.asarray(start, float), np.asarray(goal, float)
         nominal = list(self.machine.parameters.values())
@@ -299,8 +299,8 @@ def check_supported(machine: Machine) -> None:
         machine: Machine with its effects.
 
     Raises:
-        InputError: If an effect delays the drives, has a memory or is not differentiable, or the position of the tool
-            is not that of the linear coordinates.
+        InputError: If an effect delays the drives, has a memory or is not differentiable, or the machine's bridge yaws
+            (the tool position is then not given by the linear coordinates alone).
     """
     for effect in machine.effects:
         reason = _unsupported_because(effect)

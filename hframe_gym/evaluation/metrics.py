@@ -27,10 +27,20 @@ BOUNDS_FILE = "bound_times_data/hframe_reach.json"
 
 
 class MetricSet(Protocol):
-    """Function that computes the metrics of a task."""
+    """Signature of a function that computes the metrics of a task, registered in `METRICS`."""
 
     def __call__(self, episodes: Episodes, bound_s: Array | None, seed: int) -> dict[str, Any]:
-        """Return metrics as plain data, given the bound of each episode (B,), s, or None, and the bootstrap's seed."""
+        """Compute the metrics of B recorded episodes.
+
+        Args:
+            episodes: Recorded episodes.
+            bound_s: Shortest possible settling time of each episode, s, shape (B,), NaN where unknown; None if no
+                bound is known.
+            seed: Seed of the bootstrap.
+
+        Returns:
+            Metrics by name, as data that JSON can hold.
+        """
 
 
 METRICS: Registry[MetricSet] = Registry("metric set")
@@ -39,20 +49,18 @@ METRICS: Registry[MetricSet] = Registry("metric set")
 def score_episodes(
     episodes: Episodes, bound_s: Array | None = None, *, seed: int = 0, metrics: str | None = None
 ) -> dict[str, Any]:
-    """Compute the scores of one controller.
-
-    Beside the task's metrics these are `energy_J`; `voltage_variation`, the sum over drives and control periods of the
-    absolute change of voltage, V, from 0 V at the start; `saturation_share`, the fraction of drives and periods at
-    rated voltage; and `peak_belt_force_N`.
+    """Compute the scores of one controller from its B recorded episodes.
 
     Args:
         episodes: Recorded episodes.
-        bound_s: Shortest possible settling time of each episode, s, shape (B,), NaN where it is unknown.
+        bound_s: Shortest possible settling time of each episode, s, shape (B,), NaN where it is unknown. Default: none.
         seed: Seed of the bootstrap.
         metrics: Name of the task's metric set. Default: "track" for episodes with a path, else "reach".
 
     Returns:
-        Plain data as in scores.json.
+        The task's metrics by name, and `energy_J`; `voltage_variation`, the sum over drives and control periods of the
+        absolute change of voltage, V, from 0 V at the start; `saturation_share`, the fraction of drives and periods at
+        rated voltage, 0 to 1; and `peak_belt_force_N`; the last four as mean and 95 % interval over the episodes.
 
     Raises:
         ValueError: If `bound_s` has another length, or holds a time that is not positive and finite.
@@ -75,11 +83,14 @@ def reach_metrics(episodes: Episodes, bound_s: Array | None, seed: int) -> dict[
 
     Args:
         episodes: Recorded episodes.
-        bound_s: Shortest possible settling time of each episode, s, shape (B,), NaN where it is unknown.
+        bound_s: Shortest possible settling time of each episode, s, shape (B,), NaN where it is unknown, or None.
         seed: Seed of the bootstrap.
 
     Returns:
-        `success`, `settling_s`, `over_bound`, `overshoot_mm` and `final_error_mm`, plain data.
+        `success`: fraction of episodes that settle, 0 to 1, by band of `BANDS`.
+        `settling_s`: mean, median, 95 % quantile and interval of the mean of the settling times, s, by band.
+        `over_bound`: result of `ratio_to_bound`; None without bounds.
+        `overshoot_mm`, `final_error_mm`: mean and 95 % interval over the episodes, mm.
 
     Raises:
         ValueError: If `bound_s` has another length, or holds a time that is not positive and finite.
@@ -105,9 +116,7 @@ def reach_metrics(episodes: Episodes, bound_s: Array | None, seed: int) -> dict[
 
 @METRICS.register("track")
 def track_metrics(episodes: Episodes, bound_s: Array | None, seed: int) -> dict[str, Any]:
-    """Compute contour error (to the path), tracking error (to the goal on it), delay and success of complete episodes.
-
-    Success is the fraction of episodes that never leave a band around the path.
+    """Compute contour error (distance to the path), tracking error (distance to the moving goal), delay and success.
 
     Args:
         episodes: Recorded episodes of a task with a path.
@@ -115,7 +124,9 @@ def track_metrics(episodes: Episodes, bound_s: Array | None, seed: int) -> dict[
         seed: Seed of the bootstrap.
 
     Returns:
-        `success`, `contour_mm`, `tracking_mm` (each root mean square and maximum) and `delay_ms`, plain data.
+        `success`: fraction of episodes whose contour error never exceeds a band of `BANDS`, 0 to 1, by band.
+        `contour_mm`, `tracking_mm`: `rms` and `max` over an episode, each as mean and 95 % interval over the episodes.
+        `delay_ms`: delay of the tool behind its goal, ms, mean and 95 % interval over the episodes.
 
     Raises:
         ValueError: If the episodes have no path.
@@ -138,18 +149,16 @@ def track_metrics(episodes: Episodes, bound_s: Array | None, seed: int) -> dict[
 
 
 def settling_times(error: Array, time_s: Array, band: float) -> tuple[Array, NDArray[np.bool_]]:
-    """Compute settling times.
-
-    The settling time is the first sample after which the error never leaves the band. An episode that ends outside the
-    band fails and counts in full.
+    """Compute the settling times of B episodes: the times from which on the error never exceeds the band.
 
     Args:
-        error: Distance to the goal, m, shape (B, n).
+        error: Distance to the goal at n samples, m, shape (B, n).
         time_s: Sample times, s, shape (n,).
-        band: Settling band, m.
+        band: Settling band: largest distance to the goal, m.
 
     Returns:
-        Settling times, s, shape (B,), and success, shape (B,).
+        times: Settling times from the first sample, s, shape (B,); the episode's duration if it does not settle.
+        success: True for episodes that end within the band, shape (B,).
     """
     outside = error > band
     after_last = np.where(outside.any(axis=1), error.shape[1] - np.argmax(outside[:, ::-1], axis=1), 0)
@@ -158,11 +167,11 @@ def settling_times(error: Array, time_s: Array, band: float) -> tuple[Array, NDA
 
 
 def overshoot(position: Array, goal: Array) -> Array:
-    """Compute the overshoot along the line from start to goal.
+    """Compute the largest distance by which the tool passes its goal, along the line from start to goal.
 
     Args:
-        position: Tool positions, m, shape (B, n, 2).
-        goal: Goals, m, shape (B, 2).
+        position: Tool positions at n samples of B episodes, m, shape (B, n, 2).
+        goal: Fixed tool goals, m, shape (B, 2).
 
     Returns:
         Overshoot, m, shape (B,); at least zero. Where start and goal coincide, the largest distance from them.
@@ -176,13 +185,15 @@ def overshoot(position: Array, goal: Array) -> Array:
 
 
 def tracking_delay(episodes: Episodes) -> Array:
-    """Compute the delay of the tool behind its goal: the time shift that fits best, to first order.
+    """Compute the mean delay of the tool behind its moving goal g.
+
+    The delay T minimizes the sum of |g - T g' - p|^2 over the samples of the tool position p (least squares).
 
     Args:
-        episodes: Recorded episodes.
+        episodes: B recorded episodes.
 
     Returns:
-        Delay, s, shape (B,).
+        Delay, s, negative if the tool leads, shape (B,); zero for a goal that does not move.
     """
     velocity = np.gradient(episodes.goal, episodes.time_s, axis=1)
     lag = np.sum((episodes.goal - episodes.position) * velocity, axis=(1, 2))
@@ -190,14 +201,15 @@ def tracking_delay(episodes: Episodes) -> Array:
 
 
 def mean_with_interval(values: Array, seed: int) -> dict[str, Any]:
-    """Compute a mean and its 95 % percentile-bootstrap interval over the episodes.
+    """Compute a mean over B episodes and its 95 % confidence interval (percentile bootstrap).
 
     Args:
-        values: One value per episode, shape (B,).
+        values: One value per episode, any unit, shape (B,).
         seed: Seed of the bootstrap.
 
     Returns:
-        `mean`, and `ci95` with its lower and upper limit; both are the mean where all values agree.
+        `mean`, and `ci95`: [lower limit, upper limit], in the unit of the values. Both limits are the mean if all
+        values are equal.
     """
     from scipy.stats import bootstrap  # SciPy's statistics take long to import
 
@@ -219,13 +231,13 @@ def ratio_to_bound(times: Array, bound_s: Array, seed: int) -> dict[str, Any] | 
     """Compute the ratio of settling times to the time-optimal bounds, over the episodes whose bound is known.
 
     Args:
-        times: Settling times, s, shape (B,).
-        bound_s: Bounds, s, shape (B,), NaN where unknown.
+        times: Settling times of B episodes, s, shape (B,).
+        bound_s: Shortest possible settling times, s, shape (B,), NaN where unknown.
         seed: Seed of the bootstrap.
 
     Returns:
-        By band: `mean` of the ratios, in which every episode counts alike; `ratio_of_means`, mean time over mean bound,
-        in which every millisecond counts alike; and the number of `episodes`. None without any bound.
+        For the band `BOUND_BAND`: `mean` and `ci95` of the ratios time / bound; `ratio_of_means`, mean time / mean
+        bound, which weights episodes by their bounds; and the number of `episodes` with a bound. None if there is none.
 
     Raises:
         ValueError: If `bound_s` has another length, or holds a time that is not positive and finite.
@@ -242,15 +254,15 @@ def ratio_to_bound(times: Array, bound_s: Array, seed: int) -> dict[str, Any] | 
 
 
 def ratio_of_means(times: Array, bound: Array, seed: int) -> dict[str, Any]:
-    """Compute the ratio of mean settling time to mean bound.
+    """Compute the ratio of the mean settling time to the mean time-optimal bound.
 
     Args:
-        times: Settling times, s, shape (B,).
-        bound: Bounds, s, shape (B,).
+        times: Settling times of B episodes, s, shape (B,).
+        bound: Shortest possible settling times of the same episodes, s, shape (B,), all known.
         seed: Seed of the bootstrap.
 
     Returns:
-        `mean`, and `ci95` with the limits of its 95 % percentile-bootstrap interval over the episodes.
+        `mean`: the ratio; `ci95`: [lower limit, upper limit] of its 95 % interval (percentile bootstrap over episodes).
     """
     index = np.random.default_rng(seed).integers(len(times), size=(BOOTSTRAP_RESAMPLES, len(times)))
     ratios = times[index].mean(axis=1) / bound[index].mean(axis=1)
@@ -258,7 +270,7 @@ def ratio_of_means(times: Array, bound: Array, seed: int) -> dict[str, Any]:
 
 
 class StoredBounds(NamedTuple):
-    """Time-optimal bounds that come with the package.
+    """Time-optimal bounds of B episodes, from the file of bounds in the package.
 
     Attributes:
         times_s: Shortest possible settling time of each episode, s, shape (B,), NaN where unknown; None if all are.
@@ -270,16 +282,15 @@ class StoredBounds(NamedTuple):
 
 
 def condition_digests(conditions: EpisodeConditions) -> list[str]:
-    """Return 16 hexadecimal digits that identify each episode's conditions, with all values to nine digits.
+    """Compute a hash of each episode's machine parameters, start and goal, by which stored bounds are looked up.
 
-    A stored bound is found by this digest, so that it applies to every seed, control period and sensor preset with the
-    same conditions, and to no other.
+    Episodes with equal conditions have equal digests, whatever their seed, control period and sensors.
 
     Args:
-        conditions: Conditions of B episodes.
+        conditions: Conditions of B episodes; values enter with nine significant digits.
 
     Returns:
-        B digests.
+        B digests of 16 hexadecimal digits (the start of SHA-256).
     """
     machine = conditions.machine
     shape = json.dumps(
@@ -309,10 +320,13 @@ def stored_bounds(scenario: Scenario) -> StoredBounds:
     """Look up the time-optimal bounds of a scenario's episodes.
 
     Args:
-        scenario: Scenario.
+        scenario: Machine, task, randomization and seeds of the episodes.
 
     Returns:
-        Bounds, and the reason where they are missing.
+        Shortest possible settling time of each episode to 0.2 mm, s, and the reason where bounds are missing.
+
+    Raises:
+        ValueError: If the environment rejects the scenario's options.
     """
     if scenario.controller_task.ahead_s:
         return StoredBounds(None, "bounds exist for goals that do not move only")

@@ -15,19 +15,19 @@ SMALLEST_ERROR_MM = 1e-3  # mm, lower end of the logarithmic error axis
 
 
 def plot_episode(episodes: Episodes, episode: int = 0, *, title: str = "") -> Any:
-    """Plot an episode: the tool's path, its distance to the goal and to the path, and the voltages.
+    """Plot one episode in three panels: tool path, distance to the goal (and to the path) over time, and voltages.
 
     Args:
         episodes: Recorded episodes.
-        episode: Index of the episode.
-        title: Title of the figure.
+        episode: Index of the episode, from 0 to the number of episodes - 1.
+        title: Title of the figure; empty for none.
 
     Returns:
         A matplotlib figure.
 
     Raises:
         ImportError: If matplotlib is not installed; the message names the extra.
-        IndexError: If there is no such episode.
+        IndexError: If `episode` is out of range.
     """
     try:
         from matplotlib.figure import Figure
@@ -87,17 +87,18 @@ def _plot_voltages(axes: Any, episodes: Episodes, episode: int) -> None:
 
 
 def save_plot(path: str | Path, episodes: Episodes, episode: int = 0, *, title: str = "") -> None:
-    """Write the plot of an episode to a file, complete or not at all.
+    """Write the plot of one episode to a file; if this fails, an existing file stays unchanged.
 
     Args:
         path: File to write; the suffix is .png, .svg or .pdf.
         episodes: Recorded episodes.
-        episode: Index of the episode.
-        title: Title of the figure.
+        episode: Index of the episode, from 0 to the number of episodes - 1.
+        title: Title of the figure; empty for none.
 
     Raises:
         ImportError: If matplotlib is not installed; the message names the extra.
-        IndexError: If there is no such episode.
+        IndexError: If `episode` is out of range.
+        OSError: If the file cannot be written.
     """
     figure = plot_episode(episodes, episode, title=title)
     with atomic_file(path) as temporary:

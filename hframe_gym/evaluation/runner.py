@@ -28,12 +28,12 @@ SAMPLES_PER_PERIOD = 10
 
 
 class Evaluation(NamedTuple):
-    """Result of `evaluate`.
+    """Scores and recorded episodes of the controllers compared by `evaluate`.
 
     Attributes:
-        scores: Plain data as in scores.json: `schema`, `machine`, `task`, `randomize`, `episodes`, `seed`, `sensors`,
-            `period_s` and, by controller, `controllers`.
-        episodes: Recorded episodes by controller.
+        scores: Contents of scores.json: the scenario (`schema`, `machine`, `task`, `randomize`, `episodes`, `seed`,
+            `sensors`, `period_s`) and `controllers`, the result of `score_episodes` by name of the controller.
+        episodes: Recorded episodes by name of the controller.
     """
 
     scores: dict[str, Any]
@@ -52,14 +52,14 @@ def evaluate(
     period: float = 0.01,
     duration_s: float = 1.5,
 ) -> Evaluation:
-    """Evaluate controllers on identical episodes.
+    """Simulate controllers on identical episodes and score them.
 
     Args:
-        controllers: Names as for `make_controller`, or controllers by the name under which to report them.
-        machine: Machine, preset name or path of a machine.json; or a `Scenario`, which also gives what follows.
-        task: "reach", "track", another registered task, or a task object.
-        randomize: Preset name or list of randomization rules.
-        sensors: What controllers observe: "state", "rig", or sensors.
+        controllers: One name or several names as for `make_controller`, or controllers by the name in the scores.
+        machine: Machine, preset name or path of a machine.json; or a `Scenario`, which replaces all further arguments.
+        task: "reach", "track", the name of another registered task, or a task object.
+        randomize: Preset name or list of randomization rules for the machine's parameters.
+        sensors: What controllers observe: "state" (true full state), "rig" (encoders and lasers), or a sensor suite.
         episodes: Number of episodes.
         seed: Seed of the first episode; episode b has seed + b.
         period: Control period, s.
@@ -106,14 +106,14 @@ def _describe(scenario: Scenario) -> dict[str, Any]:
 
 
 def rollout(controller: Controller, scenario: Scenario) -> Episodes:
-    """Run one controller in the episodes of a scenario.
+    """Simulate all episodes of a scenario with one controller, in parallel.
 
     Args:
-        controller: Controller; it is reset first.
-        scenario: Scenario.
+        controller: Controller designed for the scenario's control period; it is reset first.
+        scenario: Machine, task, randomization, sensors and number of episodes.
 
     Returns:
-        Recorded episodes.
+        Positions, goals, voltages, energy and belt forces of the episodes, with ten samples per control period.
 
     Raises:
         InputError: If the environment rejects the scenario's options, or the simulated motion diverges.
@@ -214,17 +214,17 @@ def _points(travel: Array, speed: Array) -> MotionPoint:
 
 
 def write_scores(folder: str | Path, scores: Mapping[str, Any]) -> Path:
-    """Write scores.json, complete or not at all.
+    """Write scores.json to a folder; if this fails, an existing file stays unchanged.
 
     Args:
         folder: Folder, which is created if necessary.
-        scores: `Evaluation.scores`.
+        scores: `scores` of an `Evaluation`.
 
     Returns:
-        Path of the file.
+        Path of scores.json.
 
     Raises:
-        ValueError: If a value is not finite.
+        ValueError: If a value is not finite, which JSON cannot hold.
     """
     path = Path(folder) / "scores.json"
     write_text(path, json.dumps(scores, indent=2, allow_nan=False) + "\n")

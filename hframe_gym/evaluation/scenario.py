@@ -40,9 +40,9 @@ class Scenario:
 
     Attributes:
         machine: Machine, preset name or path of a machine.json; `randomize` varies its parameters.
-        task: "reach", "track", another registered task, or a task object.
-        randomize: Preset name or list of randomization rules.
-        sensors: What controllers observe: "state" (the true full state), "rig" (encoders and lasers), or sensors.
+        task: "reach", "track", the name of another registered task, or a task object.
+        randomize: Preset name or list of randomization rules for the machine's parameters.
+        sensors: What controllers observe: "state" (true full state), "rig" (encoders and lasers), or a sensor suite.
             Scores always use the true position of the tool.
         episodes: Number of episodes, B.
         seed: Seed of the first episode.
@@ -77,12 +77,12 @@ class Scenario:
 
     @property
     def periods(self) -> int:
-        """Number of control periods in an episode."""
+        """Number of control periods in an episode: duration_s / period, rounded."""
         return round(self.duration_s / self.period)
 
     @cached_property
     def declared_machine(self) -> Machine:
-        """The machine as declared, loaded if a name or a path was given."""
+        """Machine with its nominal parameters, before randomization; loaded if a name or a path was given."""
         return as_machine(self.machine)
 
     @property
@@ -92,12 +92,12 @@ class Scenario:
 
     @property
     def metrics(self) -> str:
-        """Name of the task's metric set in `METRICS`."""
+        """Name of the task's metric set in the registry `METRICS` (see metrics.py), for example "reach"."""
         return as_task(self.task).metrics
 
     @property
     def controller_task(self) -> Task:
-        """The task with its previewed goals one control period apart, over the same time ahead."""
+        """Copy of the task whose previewed goals are one control period apart and cover the same preview time."""
         task = as_task(self.task)
         if not (dataclasses.is_dataclass(task) and hasattr(task, "previews") and hasattr(task, "preview_s")):
             return task
@@ -136,13 +136,13 @@ class Episodes:
 
 
 class EpisodeConditions(NamedTuple):
-    """What no controller can influence in the B episodes of a scenario.
+    """Machine parameters, starts and goals of the B episodes of a scenario; they do not depend on the controller.
 
     Attributes:
-        machine: Machine that is simulated.
-        parameters: Parameters in the order of `Machine.parameters`, shape (B, P).
-        start: Tool position at the start, m, shape (B, 2).
-        goal: Goal, m, shape (B, 2).
+        machine: Machine that is simulated, with nominal parameters.
+        parameters: Sampled values of the P parameters in the order of `Machine.parameters`, shape (B, P).
+        start: Tool position (x, y) at the start, m, shape (B, 2).
+        goal: Tool goal (x, y) at the start, m, shape (B, 2).
     """
 
     machine: Machine
@@ -152,13 +152,13 @@ class EpisodeConditions(NamedTuple):
 
 
 def episode_conditions(scenario: Scenario) -> EpisodeConditions:
-    """Return the conditions of a scenario's episodes, as its environment samples them.
+    """Sample the machine parameters, starts and goals of a scenario's episodes without simulating them.
 
     Args:
-        scenario: Scenario.
+        scenario: Machine, task, randomization, number of episodes and seed.
 
     Returns:
-        Parameters, starts and goals.
+        Machine, sampled parameters, starts and goals.
 
     Raises:
         ValueError: If the environment rejects the scenario's options.
@@ -184,17 +184,17 @@ class ControllerSource(ABC):
     @staticmethod
     @abstractmethod
     def make(name: str, scenario: Scenario) -> Controller | None:
-        """Make a controller.
+        """Create the controller of a name, if this source provides it.
 
         Args:
-            name: What the user gave.
-            scenario: Conditions under which the controller will run.
+            name: Controller name from the user, for example a path.
+            scenario: Machine, task, sensors and control period with which the controller will run.
 
         Returns:
-            The controller, or None if the name does not belong to this source.
+            The controller, or None if this source has no controller of this name.
 
         Raises:
-            InputError: If the name belongs to this source and the controller cannot be made.
+            InputError: If this source has the controller but cannot create it, for example from a damaged file.
         """
 
     @staticmethod
@@ -203,10 +203,10 @@ class ControllerSource(ABC):
         """Describe the names that this source accepts.
 
         Args:
-            scenario: Conditions under which the controller will run.
+            scenario: Scenario in which the controller will run; the accepted names may depend on its task.
 
         Returns:
-            A phrase that completes "controller 'x' is unknown; choose ...".
+            A phrase that completes the error message "controller 'x' is unknown; choose ...".
         """
 
 
@@ -221,21 +221,22 @@ def make_controller(
     sensors: SensorsLike = "state",
     period: float = 0.01,
 ) -> Controller:
-    """Make a controller by its name.
+    """Create a controller by its name.
 
-    Controllers are designed from the machine as declared. Where the environment observes sensors, a controller with
-    `feedback = "estimated_state"` (such as `pid`) runs from a `StateEstimator`.
+    Controllers are designed from the machine's nominal parameters. If the environment observes sensors, a controller
+    with `feedback = "estimated_state"` (such as `pid`) is combined with a `StateEstimator`.
 
     Args:
         name: A registered name (`pid`, `adaptive-pid`, `textbook-pid`), `module:name` of one that a module registers
             when it is imported, or what a controller source accepts, such as an agent's folder or a shipped agent.
-        machine: Machine, preset name or path of a machine.json; or a `Scenario`, which also gives what follows.
-        task: Task that the controller is to do; selects shipped agents.
-        sensors: What the controller observes, see `Scenario`.
+        machine: Machine, preset name or path of a machine.json; or a `Scenario`, which replaces all further arguments.
+        task: Task (name or object) for which the controller is needed; selects among shipped agents.
+        sensors: What the controller observes: "state" (true full state), "rig" (encoders and lasers), or a sensor
+            suite.
         period: Control period, s.
 
     Returns:
-        The controller.
+        The controller, for a batch of any size.
 
     Raises:
         InputError: If the name is unknown, or the controller cannot run on this machine or from these sensors.
