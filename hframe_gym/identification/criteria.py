@@ -110,20 +110,24 @@ class SelectionCriteria:
     min_saturated_travel: float = 300.0
 
     def __post_init__(self) -> None:
-        """Refuse thresholds that are negative or not finite."""
+        """Check the thresholds.
+
+        Raises:
+            ValueError: If a threshold is negative or not finite.
+        """
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
             if not 0.0 <= value < float("inf"):
                 raise ValueError(f"criterion {field.name} is {value}; it must be finite and not negative")
 
     def __str__(self) -> str:
-        """Return all thresholds, one per line."""
+        """Return all thresholds as text, one "name = value" per line."""
         return "\n".join(f"{name} = {value:g}" for name, value in self.as_json().items())
 
     def as_json(self) -> dict[str, float]:
-        """Return the thresholds as in report.json.
+        """Return the thresholds as the entry `criteria` of report.json.
 
         Returns:
-            Value by name.
+            Threshold by attribute name.
         """
         return dataclasses.asdict(self)
