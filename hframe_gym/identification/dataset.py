@@ -55,8 +55,7 @@ class PreparedRecording:
             machine: Machine with its effects.
 
         Returns:
-            Positions, then velocities (all zero where there are belts), in the coordinates' units, shape
-            (2 * coordinates,).
+            Positions, then velocities (zero, at rest), in the coordinates' units, shape (2 * coordinates,).
         """
         return model_initial_state(machine, self.initial)
 
