@@ -109,8 +109,8 @@ def design_discriminating_experiment(
         data: Runs that were fitted.
 
     Returns:
-        Design of the run. None if there is no rival, if the identified effect is structural (adds coordinates), or if
-        the predictions of no simulated run differ by `MINIMUM_SIGMA`.
+        Design of the run. None if the identified effect or every rival is structural (adds coordinates), if there is
+        no rival, or if the predictions of no simulated run differ by `MINIMUM_SIGMA`.
     """
     present = {e.label: e for e in current.machine.effects}
     alternatives = [r for r in rivals if r.label not in present and not r.definition.structure]

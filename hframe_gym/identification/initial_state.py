@@ -164,7 +164,7 @@ def encoder_zero_errors(machine: Machine, initial: Sequence[InitialState]) -> Ar
         initial: Measured initial states, one per run.
 
     Returns:
-        Assumed minus actual zeros, in the sensors' units, shape (sensors,); 0 where the zero is not known.
+        Values to add to the assumed zeros, in the sensors' units, shape (sensors,); 0 where the zero is not known.
     """
     errors = np.zeros(len(machine.sensors))
     if not machine.belts:
@@ -187,7 +187,7 @@ def refine_offsets(initial: InitialState, machine: Machine, errors: Array) -> In
     Args:
         initial: Measured initial state.
         machine: Machine with the sensors and coordinates of that state.
-        errors: Errors of the zeros in the sensors' units, shape (sensors,), see `encoder_zero_errors`.
+        errors: Values to add to the zeros, in the sensors' units, shape (sensors,), see `encoder_zero_errors`.
 
     Returns:
         Corrected copy, marked by `offsets_refined=True`.
