@@ -7,7 +7,7 @@ belts is projected out of the residual and of every column.
 
 Notation: theta (k,) are the free parameters, r(theta) is the residual in units of the sensors' noise, J = dr/dtheta and
 E (m columns) are optional responses to perturbations that no free parameter describes. A "row" is one element of r: one
-measured value, or the mean of a block of consecutive ones.
+measured value, or the scaled sum of a block of consecutive ones.
 """
 
 from __future__ import annotations

@@ -207,8 +207,8 @@ def residuals(run: PreparedRecording, data: Dataset, measurements: Array, rows_p
             Inner products of residuals that change more slowly stay the same, with fewer rows to multiply.
 
     Returns:
-        Residuals, dimensionless; zero where a value was not measured or `run.rows` excludes it. Shape (batch, n * sensors) or, with blocks,
-        (batch, n // rows_per_block * sensors).
+        Residuals, dimensionless, shape (batch, n // rows_per_block * sensors); zero where a value was not measured or
+        `run.rows` excludes it.
     """
     measured = np.isfinite(run.outputs)
     counted = measured if run.rows is None else measured & run.rows[:, None]
