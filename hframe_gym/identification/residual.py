@@ -251,15 +251,16 @@ def is_white(machine: Machine, data: Dataset) -> bool:
 def force_error(machine: Machine, data: Dataset) -> float | None:
     """Return the relative error of the drives' force, |F_drive - F_model| / |F_drive| (root mean squares).
 
-    F_drive follows from the voltages, F_model from the measured motion and the machine (inverse dynamics). Positions are filtered at 100 Hz without phase lag and differentiated centrally; forces are decimated by ten.
+    F_drive follows from the voltages, F_model from the measured motion and the machine (inverse dynamics). Positions
+    are filtered at 100 Hz without phase lag and differentiated centrally; forces are decimated by ten.
 
     Args:
         machine: Machine to evaluate.
         data: Measured runs; those with missing measurements are left out.
 
     Returns:
-        Error over all runs, dimensionless. None if the machine has belts, if a coordinate lacks a drive or a sensor, or
-        if no force acts.
+        Error over all runs, dimensionless. None if the machine has belts, if a coordinate lacks a drive or a sensor that
+        measures it alone, or if no run is complete.
 
     References:
         Janot, Gautier and Brunot (2019), the EMPS benchmark.

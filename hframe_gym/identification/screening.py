@@ -1,6 +1,7 @@
 """Rank candidate effects by the reduction of the cost that a linearized model predicts, without fitting any.
 
-The cost is chi-squared, the sum of squared residuals in units of the noise. A candidate of small size adds a known force, or a known change of a measurement, along the fitted machine's motion.
+The cost is chi-squared, the sum of squared residuals in units of the noise. A candidate of small
+size adds a known force, or a known change of a measurement, along the fitted machine's motion.
 The response of the predicted measurements to it is one column of the linearized residual.  After elimination of the
 machine's free parameters, the squared correlation of column and residual is the reduction of the cost that a fit of the
 candidate would achieve.
