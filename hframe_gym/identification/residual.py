@@ -259,8 +259,8 @@ def force_error(machine: Machine, data: Dataset) -> float | None:
         data: Measured runs; those with missing measurements are left out.
 
     Returns:
-        Error over all runs, dimensionless. None if the machine has belts, if a coordinate lacks a drive or a sensor that
-        measures it alone, or if no run is complete.
+        Error over all runs, dimensionless. None if the machine has belts, if a coordinate lacks a drive or a sensor
+        that measures it alone, or if no run is complete.
 
     References:
         Janot, Gautier and Brunot (2019), the EMPS benchmark.

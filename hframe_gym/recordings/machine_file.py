@@ -82,7 +82,7 @@ def save_machine(machine: Machine, path: str | Path) -> None:
 
     Args:
         machine: Machine to write.
-        path: Path of the file. An existing file is replaced.
+        path: Path of the file; its folder is created if necessary, and an existing file is replaced.
     """
     write_text(path, json.dumps(machine_to_dict(machine), indent=1) + "\n")
 

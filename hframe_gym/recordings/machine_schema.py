@@ -21,7 +21,7 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
 
 
 class QuantityEntry(Table):
-    """A value, its unit (SI, such as "kg" or "Nm s/rad") and, if identified, its standard deviation in that unit."""
+    """A value, its unit (SI, such as "kg") and, if identified, its standard deviation in that unit."""
 
     value: FiniteFloat
     unit: str
@@ -29,7 +29,7 @@ class QuantityEntry(Table):
 
 
 class CoordinateEntry(Table):
-    """One coordinate; only rotary ones have a `radius` (pulley), and `range` is [lowest, highest] position, m or rad."""
+    """One coordinate; only rotary ones have a `radius` (pulley), and `range` is [lowest, highest], m or rad."""
 
     name: Name
     kind: CoordinateKind

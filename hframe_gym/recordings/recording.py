@@ -55,15 +55,16 @@ def load_recordings(folder: str | Path, machine: Machine) -> list[Recording]:
     """Load and validate all recordings of a folder.
 
     Args:
-        folder: Folder of the runs; files with other endings than .csv, .csv.gz and .parquet, and hidden files, are ignored.
+        folder: Folder of the runs; files with other endings than .csv, .csv.gz and .parquet, and hidden files, are
+            ignored.
         machine: Machine that was recorded; its channels name the columns.
 
     Returns:
         The runs in the order of their file names.
 
     Raises:
-        InputError: If the folder does not exist or has no recordings, two files are the same run (`a.csv`, `a.parquet`), or a file is
-            invalid.
+        InputError: If the folder does not exist or has no recordings, two files are the same run (`a.csv`,
+            `a.parquet`), or a file is invalid.
     """
     path = Path(folder)
     if not path.is_dir():

@@ -88,8 +88,8 @@ def read_path(path: str | Path) -> tuple[Array, Array | None]:
         Times of the points, s, shifted so that the first is zero, shape (n,); None if the file has no times.
 
     Raises:
-        InputError: If the file cannot be read or has other columns, fewer than two rows, a cell that is empty or infinite, or times that
-            do not increase. The message names file, row and column.
+        InputError: If the file cannot be read or has other columns, fewer than two rows, a cell that is empty or
+            infinite, or times that do not increase. The message names file, row and column.
     """
     path = Path(path)
     header, columns = read_table(path)
