@@ -16,6 +16,10 @@ from dataclasses import dataclass
 class SelectionCriteria:
     """Thresholds by which `identify` selects effects and reaches its verdict.
 
+    Chi-squared per sample is the mean squared residual in units of the sensors' noise (1: only noise is left). The gain
+    of an effect is the reduction of chi-squared per sample that it causes. The cost is chi-squared summed over all
+    samples. A table is a force or friction level that is interpolated over one variable.
+
     Pass a changed copy to `identify(..., criteria=SelectionCriteria(max_effects=3))`. `print` shows all values.
 
     Attributes:

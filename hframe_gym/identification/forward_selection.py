@@ -38,8 +38,8 @@ class SelectedEffect:
 
     Attributes:
         effect: The effect with its fitted parameters.
-        rivals: Labels of effects that explain the data equally well, and descriptions of what no recording can
-            distinguish.
+        rivals: Labels of effects that explain the data equally well, and descriptions of causes that no recording can
+            distinguish from this effect.
         gain: Reduction of chi-squared per sample on the fitted runs.
         machine_without: The machine as it was fitted before the effect was added.
         rival_effects: The rivals among the fitted candidates.

@@ -75,11 +75,14 @@ def _force_at_rest(machine: Machine, position: Array) -> Array:
 
 
 def model_initial_state(machine: Machine, initial: InitialState) -> Array:
-    """Return the initial state of a machine whose effects change the static equilibrium or the sensors' readings.
+    """Return the state from which a machine is simulated, given the measurements at rest.
 
-    Encoders with a known zero determine the angles of their pulleys; the other pulleys are in static equilibrium. So
-    are an eccentric pulley, and all pulleys where an effect changes the reading of a laser, until a machine with that
-    effect has refined the zeros: before, the apparent stretch of the belts was the effect.
+    Effects of the machine may change its static equilibrium or the sensors' readings, so the state depends on them.
+
+    Encoders with a known zero determine the angles of their pulleys; all other pulleys are in static equilibrium.
+    Until `refine_offsets` has corrected the zeros with a machine that has the effect, static equilibrium is also used
+    for an eccentric pulley, and for all pulleys if an effect changes a laser's measurement at rest: the uncorrected
+    zeros would attribute the effect to a stretch of the belts.
 
     Args:
         machine: Machine with its effects; structural effects may have added coordinates.

@@ -35,8 +35,8 @@ class InitialState:
         offset: Zeros of the sensors: measurement minus the reading computed for `state`, in the sensors' units, shape
             (sensors,).
         resting_rows: Number of rows at rest at the beginning of the run.
-        offset_known: Whether a sensor is an encoder that kept its zero in all runs and measures the stretch of the
-            belts, shape (sensors,).
+        offset_known: True for each encoder that kept its zero in all runs and resolves the stretch of the belts, shape
+            (sensors,).
         offsets_refined: Whether a fitted machine has corrected the encoders' zeros.
         position_measured: Whether sensors with a known zero measure the position at rest.
         warnings: What could not be measured and what is assumed instead, one sentence each.
@@ -226,8 +226,8 @@ def _position_warning(
 def common_encoder_zeros(initial: Sequence[InitialState], machine: Machine, quanta: Array) -> EncoderZeros:
     """Find the encoders that kept their zero in all runs of a session.
 
-    If an encoder's zero differs from run to run by no more than the stretch of the belts that friction can hold, the
-    encoder kept its zero; an encoder that was switched on for every run differs by turns.
+    If an encoder's zero differs from run to run by no more than the belt stretch that static friction can maintain, the
+    encoder kept its zero. The zeros of an encoder that was switched on anew for every run differ by far more.
 
     Args:
         initial: Initial states of the runs, each estimated with unknown zeros.

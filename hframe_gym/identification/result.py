@@ -76,7 +76,8 @@ class IdentificationResult:
         before: The machine with its parameters refitted.
         after: The machine with the selected effects.
         effects: Selected effects.
-        gains: Fraction of the held-out squared error, in units of the noise, that each effect removes, by label.
+        gains: Fraction of the squared error on the held-out runs that each effect removes, by label (name@site);
+            negative if the effect increases the error.
         dependence: Variables that the residual force of the refitted machine depends on, strongest first.
         white: Whether the corrected machine leaves only the sensors' noise.
         fitted: Runs that were fitted.
