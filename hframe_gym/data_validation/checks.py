@@ -1,4 +1,4 @@
-"""Checks of recordings before identification: clock, sensors, wiring, excitation and parameters."""
+"""Check recordings before identification: clock, sensors, wiring, excitation and parameters."""
 
 from __future__ import annotations
 
@@ -30,12 +30,15 @@ _MORE_NOISE = 3.0  # times the declared noise
 def check_recordings(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
     """Check recordings of a machine before identification.
 
+    The checks cover the clock, the rest before the motion, sensors (noise, empty, stuck or clipped channels), wiring
+    (signs, swapped channels, units, ratios), excitation, and the precision with which parameters can be estimated.
+
     Args:
         recordings: Runs of the machine, at least one.
         machine: Declared machine.
 
     Returns:
-        Findings: faults first, then advice, then notes.
+        Findings sorted by severity: faults first, then advice, then notes.
     """
     data = prepare(recordings, machine)
     findings = [_sampling_rate(recordings), *_overlapping_clocks(recordings), *_sensor_noise(data, machine)]
@@ -58,14 +61,14 @@ def check_recordings(recordings: Sequence[Recording], machine: Machine) -> list[
 
 
 def recording_warnings(recording: Recording, machine: Machine) -> list[Finding]:
-    """Check one recording by itself: clock, inputs that never change, outputs that are stuck or clipped.
+    """Check a single recording: irregular sampling, inputs that never change, outputs that are stuck or clipped.
 
     Args:
         recording: Run of the machine.
         machine: Declared machine.
 
     Returns:
-        Faults and advice, no notes.
+        Findings of severity "fault" or "advice"; notes are left out.
     """
     findings = [
         *_check_sampling(recording),

@@ -1,4 +1,4 @@
-"""Excitation and identifiability: what recordings excite, and the smallest standard deviations that they allow.
+"""Check excitation and identifiability: motion and spectra of the runs, and Cramer-Rao bounds of the parameters.
 
 The Cramer-Rao bound is evaluated for the declared machine in simulation mode, with white residuals of the size of the
 sensors' noise. A fit of real data has larger errors, because no model is exact.
@@ -37,15 +37,19 @@ _MODE_POWER = 1e-3  # of the total power that should be near or above the lowest
 
 
 def check_excitation(recordings: Sequence[Recording], data: Dataset, machine: Machine) -> list[Finding]:
-    """Check whether the inputs excite what identification has to estimate.
+    """Check whether inputs and motion are rich enough for identification.
+
+    The checks cover constant inputs, inputs above the rated voltage, drive force relative to Coulomb friction, travel,
+    speed, direction, and the spectrum of the inputs relative to the lowest belt mode.
 
     Args:
         recordings: Runs as recorded.
-        data: The same runs, prepared.
+        data: The same runs, prepared by `identification.prepare`.
         machine: Declared machine.
 
     Returns:
-        Findings about all runs together.
+        Findings, advice where excitation is insufficient and notes elsewhere. Except for constant inputs they are about
+        all runs together.
     """
     findings = constant_inputs(recordings, machine) + _overvoltage(recordings, machine)
     if rigid_motions(machine):
@@ -54,14 +58,14 @@ def check_excitation(recordings: Sequence[Recording], data: Dataset, machine: Ma
 
 
 def constant_inputs(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
-    """Report inputs that never change in a run.
+    """Report inputs that have one constant value throughout a run.
 
     Args:
         recordings: Runs as recorded.
-        machine: Declared machine.
+        machine: Declared machine, which names the input channels.
 
     Returns:
-        Advice by run and channel.
+        One finding of severity "advice" for each run and constant channel.
     """
     return [
         Finding("advice", recording.name, channel, f"never changes, it is {values[0]:.4g} V throughout")
@@ -208,13 +212,14 @@ _SINGULAR = 1e-13  # eigenvalue of the normalized information matrix below which
 
 @dataclass(frozen=True)
 class CramerRaoBound:
-    """Bound on the standard deviation of one parameter in a joint fit.
+    """Lower bound on the standard deviation of one parameter that is estimated jointly with others.
 
     Attributes:
-        name: Full name of the parameter.
-        relative_std: Smallest standard deviation relative to the parameter's value; infinite without influence.
-        partner: The parameter with the largest correlation, or "".
-        correlation: Correlation with the partner.
+        name: Full name of the parameter, e.g. `x.coulomb`.
+        relative_std: Smallest possible standard deviation divided by the absolute value of the parameter; infinite if
+            the parameter has no influence on the measurements.
+        partner: Name of the parameter with the largest absolute correlation, "" if there is no other.
+        correlation: Correlation of the estimates of the two, in [-1, 1].
     """
 
     name: str
@@ -224,16 +229,22 @@ class CramerRaoBound:
 
 
 def cramer_rao_bounds(data: Dataset, machine: Machine, names: Sequence[str] = ()) -> list[CramerRaoBound]:
-    """Return the Cramer-Rao bounds of parameters that are estimated jointly.
+    """Compute the Cramer-Rao bounds on the standard deviations of parameters that are estimated jointly.
+
+    The bounds hold for the declared machine, simulated without feedback, with white sensor noise and without priors.
+    At most 20000 rows of each run are used.
 
     Args:
         data: Prepared runs.
-        machine: Declared machine.
-        names: Full names of the parameters. Default: those that identification refits. Parameters that are zero are
-            left out.
+        machine: Declared machine, whose parameter values are the expansion point.
+        names: Full names of the parameters. Default: those that identification refits. Parameters whose value is zero
+            are left out.
 
     Returns:
-        One bound per parameter.
+        One bound per parameter, in the order of the names.
+
+    Raises:
+        KeyError: If the machine has no parameter of a given name.
 
     References:
         Ljung, System Identification (1999), section 7.4.
@@ -259,14 +270,15 @@ def cramer_rao_bounds(data: Dataset, machine: Machine, names: Sequence[str] = ()
 
 
 def check_parameters(data: Dataset, machine: Machine) -> list[Finding]:
-    """Report the identifiability of each parameter that identification refits.
+    """Report how precisely each parameter that identification refits can be estimated (Cramer-Rao bound).
 
     Args:
-        data: Prepared runs that move.
+        data: Prepared runs in which the machine moves.
         machine: Declared machine.
 
     Returns:
-        Advice for parameters that these runs do not determine, notes for the others.
+        One finding per parameter: advice if it has no influence or its relative standard deviation is at least 10 %,
+        otherwise a note.
     """
     findings = []
     for bound in cramer_rao_bounds(data, machine):

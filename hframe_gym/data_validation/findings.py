@@ -1,4 +1,4 @@
-"""Findings about recordings, and their output on a terminal and as JSON."""
+"""Represent findings about recordings, print them and write them as JSON."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ _STYLES: dict[Severity, str] = {"fault": "bold red", "advice": "yellow", "note":
 
 @dataclass(frozen=True)
 class Finding:
-    """One statement about recordings.
+    """One result of a check of recordings.
 
     Attributes:
         severity: "fault" for a probable mistake in the data, "advice" for something that impairs identification, "note"
             for a property of the data.
         run: Name of the recording, or "" if the finding is about all of them.
-        channel: Column, coordinate or parameter, or "".
+        channel: Name of the column, coordinate or parameter that the finding is about, or "".
         message: What was found, as one sentence.
     """
 
@@ -39,20 +39,20 @@ class Finding:
     message: str
 
     def __str__(self) -> str:
-        """Return the finding as one line."""
+        """Return the finding as one line of text: "severity: run, channel: message"."""
         subject = ", ".join(part for part in (self.run, self.channel) if part)
         return f"{self.severity}: {subject}: {self.message}" if subject else f"{self.severity}: {self.message}"
 
 
 def group_findings(findings: Sequence[Finding]) -> list[Finding]:
-    """Merge findings that differ only in the run and in numbers.
+    """Merge findings that several runs have in common: same severity, channel and message except for its numbers.
 
     Args:
         findings: Findings in any order.
 
     Returns:
-        One finding per group, with the first run of the group and the number of further runs, in the order of first
-        occurrence. Findings about all runs are not merged.
+        One finding per group in the order of first occurrence: the group's first finding, whose `run` also gives the
+        number of further runs. Findings about all runs (`run` is "") are merged only if they are identical.
     """
     groups: dict[tuple[str, str, str], list[Finding]] = {}
     for finding in findings:
@@ -65,11 +65,13 @@ def group_findings(findings: Sequence[Finding]) -> list[Finding]:
 
 
 def print_findings(findings: Sequence[Finding], console: Console) -> None:
-    """Print findings, as a table on a terminal and as lines elsewhere, and their number by severity.
+    """Print findings and their number by severity: as a table on a terminal, as lines of text elsewhere.
+
+    Similar findings are merged by `group_findings` before they are printed.
 
     Args:
         findings: Findings in the order of printing.
-        console: Console to print on.
+        console: Rich console to print on.
     """
     if console.is_terminal:
         table = Table("", "run", "channel", "finding", box=None)

@@ -1,4 +1,4 @@
-"""Signs, swapped channels, units and ratios: mistakes in the wiring that contradict the machine model.
+"""Find mistakes in the wiring that contradict the machine model: signs, swapped channels, units and ratios.
 
 Rigid kinematics (belts that do not stretch) alone cannot distinguish swapped encoders from a laser that counts
 backwards; the motion that the machine simulates under the recorded voltages can. Therefore each single mistake (one
@@ -39,29 +39,33 @@ _SUSPECTS = {"linear": ((1000.0, "millimeters"), (0.001, "kilometers")), "rotary
 
 
 def sensor_motions(machine: Machine) -> Array:
-    """Return the reading of each sensor per unit of each rigid motion.
+    """Return how much each sensor changes per unit of each rigid motion (motion that does not stretch belts).
 
     Args:
-        machine: Machine.
+        machine: Machine with sensors.
 
     Returns:
-        Readings, shape (sensors, motions), with the motions in the order of `rigid_motions`.
+        Change of the measurement in the sensor's unit (m or rad) per unit of the motion, shape (sensors, rigid
+        motions), with the motions in the order of `rigid_motions`.
     """
     motions = np.array(list(rigid_motions(machine).values())).reshape(-1, len(machine.coordinates))
     return machine.sensor_matrix @ motions.T
 
 
 def rigid_prediction(outputs: Array, channel: int, machine: Machine) -> tuple[Array, Array] | None:
-    """Predict one channel from the others by rigid kinematics.
+    """Predict one sensor's measurements from the other sensors by rigid kinematics (belts that do not stretch).
 
     Args:
-        outputs: Measurements, shape (n, sensors), NaN where not measured.
+        outputs: Measurements in the sensors' units, shape (n, sensors), NaN where not measured. A column without any
+            measurement is not used.
         channel: Index of the sensor to predict.
-        machine: Machine.
+        machine: Machine with these sensors.
 
     Returns:
-        Predicted measurements up to a constant, shape (n,), and the weights of the channels, shape (sensors,). None if
-        the measured channels do not determine this one.
+        Predicted measurements up to a constant, in the sensor's unit, shape (n,).
+        Weights of all sensors in the prediction, shape (sensors,); 0 for unused ones.
+
+        None instead of both if the other sensors do not determine this one.
     """
     M = sensor_motions(machine)
     others = [k for k in range(len(M)) if k != channel and np.isfinite(outputs[:, k]).any()]
@@ -78,14 +82,16 @@ def rigid_prediction(outputs: Array, channel: int, machine: Machine) -> tuple[Ar
 
 
 def check_wiring(data: Dataset, machine: Machine) -> list[Finding]:
-    """Check signs, swapped channels, units and ratios.
+    """Check for channels with a wrong sign, unit or gear ratio and for swapped channels.
+
+    Measured speeds are compared with those that the machine simulates under the recorded voltages.
 
     Args:
-        data: Prepared runs that move.
+        data: Prepared runs in which the machine moves, at least one.
         machine: Declared machine.
 
     Returns:
-        Findings about all runs together.
+        Findings about all runs together; empty if no mistake is suspected.
     """
     output_corrections, input_corrections = _single_corrections(machine)
     inputs_as_recorded = np.eye(len(machine.drives))

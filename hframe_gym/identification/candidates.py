@@ -1,8 +1,8 @@
-"""The candidates of the search: every effect of the library at every site, at several starting values of its shape.
+"""List the candidates of the search: every effect of the library at every site, with several starting values.
 
-The library gives sizes relative to the machine (0.3 of the typical force, a tenth of the top speed); `TypicalScales`
-turns them into values. Periods along the travel are candidates where the periodogram of the missing force has its
-peaks.
+A site is the component that an effect acts on: a coordinate, a drive, a sensor or the machine. The library gives
+sizes relative to the machine (0.3 of the typical force, a tenth of the top speed); `TypicalScales` converts them to
+values. For effects that are periodic in position, the peaks of the missing force's periodogram are the starting values.
 """
 
 from __future__ import annotations
@@ -37,14 +37,15 @@ _CHUNKS = 8  # Chunks of the grid, so that the recursion of the phase does not a
 
 @dataclass(frozen=True)
 class Candidate:
-    """An effect at a site with starting values of its shape.
+    """An effect at a site with starting values of its shape parameters (widths, speeds, spatial rates).
 
     Attributes:
         effect: Definition of the effect.
-        site: Where it acts.
-        columns: Parameters of one or more perturbations of typical size, whose weighted sum is the effect; an effect
-            without an amplitude has one, which is the effect itself.
-        scales: Typical sizes at the site, by unit.
+        site: Name of the coordinate, drive or sensor on which the effect acts, or "machine".
+        columns: Complete sets of effect parameters, by parameter name. Each set is one basis function of the effect at
+            its typical size (for example sine and cosine); the effect is their weighted sum. An effect without an
+            amplitude has a single set, which is the effect itself.
+        scales: Typical sizes at the site, by unit of the effect's parameters, see `TypicalScales.of`.
     """
 
     effect: Effect
@@ -63,13 +64,15 @@ class Candidate:
         return not self.effect.amplitudes
 
     def applied(self, amounts: Sequence[float]) -> AppliedEffect:
-        """Return the effect with given weights of its columns.
+        """Return the weighted sum of the basis functions as one effect with parameter values.
+
+        Weights of a sine and a cosine are converted to amplitude and phase.
 
         Args:
-            amounts: Weights, shape (columns,).
+            amounts: Dimensionless weights of `columns`, shape (columns,).
 
         Returns:
-            The effect with its parameters, clipped to their bounds.
+            Effect at the site; its parameters are clipped to their bounds.
         """
         values = dict(self.columns[0])
         phase = next((p.name for p in self.effect.parameters if p.role == "phase"), None)
@@ -92,20 +95,20 @@ def candidates(
     *,
     slow_friction: bool = False,
 ) -> list[Candidate]:
-    """Return all candidates of the library that the machine does not have yet.
+    """List the library's effects that the machine lacks, at every site and with several starting values.
 
     Args:
         machine: Current machine.
         data: Prepared recordings.
-        scales: Typical sizes on this machine.
-        missing_force: Position, velocity and missing force by coordinate, shape (n, 3) each, see
-            `residual.missing_force`.
-        slow_friction: Whether to try all long periods of friction along the travel, beside the peaks of the
-            periodogram.
+        scales: Typical sizes on this machine, which convert relative starting values to physical ones.
+        missing_force: By coordinate name, an array of shape (n, 3) over all rows of all runs: position, velocity and
+            the force that the model lacks, in the coordinate's units, see `residual.missing_force`.
+        slow_friction: Whether friction that is periodic in position is tried with all long periods (see `slow_rates`)
+            in addition to the peaks of the periodogram.
 
     Returns:
-        Candidates of effects that act through forces or readings; those that replace a part of the model are in
-        `screening.screen_structures`.
+        Candidates that add a force or change a measurement, at most 64 sets of starting values per effect and site.
+        Effects that replace a part of the model are excluded; `screening.screen_structures` tries those.
     """
     present = {e.label for e in machine.effects}
     proposed: list[Candidate] = []
@@ -183,18 +186,18 @@ def _range_shapes(j: int, data: Dataset) -> list[Mapping[str, float]]:
 
 
 def effect_parameters(effect: AppliedEffect, machine: Machine, scales: TypicalScales) -> tuple[FreeParameter, ...]:
-    """Return the free parameters of an effect.
+    """Return the free parameters with which an effect is fitted.
 
-    Parameters that may be zero or negative are fitted linearly, all others as logarithms. Their values are those at
-    theta = 0, except for a table, whose values are theta itself.
+    Parameters that may be zero or negative are fitted linearly, all others as logarithms, see `FreeParameter`. The
+    starting value is at theta = 0. The ordinates of a table (a curve given by its values at knots) are zero there.
 
     Args:
         effect: Effect with its starting values.
         machine: Machine that it acts on.
-        scales: Typical sizes on this machine.
+        scales: Typical sizes on this machine, which set the change of a linear parameter per unit of theta.
 
     Returns:
-        One free parameter for each that is not fixed.
+        One free parameter for every parameter of the effect that is not fixed.
     """
     at_site = scales.of(machine.coordinate_of_site(effect.site) or "")
     free = []
@@ -219,16 +222,18 @@ def effect_parameters(effect: AppliedEffect, machine: Machine, scales: TypicalSc
 
 
 def periodogram_peaks(motion: Array, *, friction: bool) -> Array:
-    """Return the most likely rates of a sine of position in the missing force.
+    """Return the spatial rates at which a sine of position explains most of the missing force.
 
-    The periodogram is that of least squares at each rate, beside a constant, viscous and dry friction.
+    At each rate, a sine and a cosine are fitted by least squares together with a constant, viscous and dry friction
+    (periodogram). Rates from 0.5 to 150 periods over the traveled range are searched.
 
     Args:
-        motion: Position, velocity and missing force, in the coordinate's units, shape (n, 3).
-        friction: Whether the sine modulates the friction level, so that its force changes sign with the velocity.
+        motion: Position, velocity and missing force of one coordinate, in its units, one row each, shape (n, 3).
+        friction: True for a periodic friction level, whose force changes sign with the velocity; False for a periodic
+            force.
 
     Returns:
-        Rates in rad per unit of position, best first, at most six.
+        Rates, rad per unit of position, largest explained power first, at most six; none without travel.
 
     References:
         Lomb (1976), Least-squares frequency analysis of unequally spaced data.
@@ -265,15 +270,15 @@ def periodogram_peaks(motion: Array, *, friction: bool) -> Array:
 
 
 def slow_rates(position: Array) -> Array:
-    """Return all distinguishable rates of a few periods over the travel.
+    """Return the spatial rates of 0.5 to 6 periods over the traveled range, as closely as data can distinguish.
 
-    A simulation shows their effect, though the observer's noise may hide it in the missing force.
+    The noise of the observer may hide such slow variations in the missing force, but a simulation reveals them.
 
     Args:
-        position: Positions along all runs, in the coordinate's unit, shape (n,).
+        position: Positions of one coordinate over all rows of all runs, in its unit, shape (n,).
 
     Returns:
-        Rates in rad per unit of position.
+        Rates, rad per unit of position, shape (rates,); empty without travel.
     """
     travel = float(np.ptp(position))
     return np.asarray(2 * np.pi / travel * _SLOW_PERIODS if travel > 0.0 else np.zeros(0))

@@ -16,6 +16,10 @@ from dataclasses import dataclass
 class SelectionCriteria:
     """Thresholds by which `identify` selects effects and reaches its verdict.
 
+    Chi-squared per sample is the mean squared residual in units of the sensors' noise (1: only noise is left). The gain
+    of an effect is the reduction of chi-squared per sample that it causes. The cost is chi-squared summed over all
+    samples. A table is a force or friction level that is interpolated over one variable.
+
     Pass a changed copy to `identify(..., criteria=SelectionCriteria(max_effects=3))`. `print` shows all values.
 
     Attributes:
@@ -110,20 +114,24 @@ class SelectionCriteria:
     min_saturated_travel: float = 300.0
 
     def __post_init__(self) -> None:
-        """Refuse thresholds that are negative or not finite."""
+        """Check the thresholds.
+
+        Raises:
+            ValueError: If a threshold is negative or not finite.
+        """
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
             if not 0.0 <= value < float("inf"):
                 raise ValueError(f"criterion {field.name} is {value}; it must be finite and not negative")
 
     def __str__(self) -> str:
-        """Return all thresholds, one per line."""
+        """Return all thresholds as text, one "name = value" per line."""
         return "\n".join(f"{name} = {value:g}" for name, value in self.as_json().items())
 
     def as_json(self) -> dict[str, float]:
-        """Return the thresholds as in report.json.
+        """Return the thresholds as the entry `criteria` of report.json.
 
         Returns:
-            Value by name.
+            Threshold by attribute name.
         """
         return dataclasses.asdict(self)

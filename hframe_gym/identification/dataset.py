@@ -27,10 +27,10 @@ class PreparedRecording:
         name: Name of the run.
         time_s: Sample times, s, shape (n,).
         inputs: Drive voltages, V, shape (n, drives).
-        outputs: Measurements minus the sensors' zeros, in the sensors' units, shape (n, sensors); NaN where not
-            measured.
+        outputs: Measurements minus the sensors' zeros (readings at position 0), in the sensors' units, shape
+            (n, sensors); NaN where not measured.
         initial: Measured initial state.
-        rows: Rows that count in the residual, shape (n,). Default: all.
+        rows: Mask of the rows that enter the residual, shape (n,). None: all.
     """
 
     name: str
@@ -42,18 +42,20 @@ class PreparedRecording:
 
     @property
     def count(self) -> int:
-        """Number of measured values that count."""
+        """Number of measured values that enter the residual."""
         counted = self.outputs if self.rows is None else self.outputs[self.rows]
         return int(np.isfinite(counted).sum())
 
     def initial_state(self, machine: Machine) -> Array:
-        """Return the initial state of a machine in this run.
+        """Return the state from which a machine is simulated over this run.
+
+        It depends on the machine, because effects may act on the sensors and on the static equilibrium at rest.
 
         Args:
             machine: Machine with its effects.
 
         Returns:
-            Positions and velocities, in the coordinates' units, shape (2 * coordinates,).
+            Positions, then velocities (zero, at rest), in the coordinates' units, shape (2 * coordinates,).
         """
         return model_initial_state(machine, self.initial)
 
@@ -65,8 +67,8 @@ class Dataset:
     Attributes:
         runs: The recordings.
         noise: Standard deviations of the sensors' noise, in their units, shape (sensors,).
-        quantum: Quanta of the sensors, in their units, 0 where there is none, shape (sensors,).
-        behind_belts: Whether elastic belts lie between a sensor and the tool, shape (sensors,).
+        quantum: Quantization steps of the sensors, in their units, 0 where there is none, shape (sensors,).
+        behind_belts: True for encoders on pulleys, which elastic belts separate from the tool, shape (sensors,).
     """
 
     runs: tuple[PreparedRecording, ...]
@@ -76,7 +78,7 @@ class Dataset:
 
     @property
     def count(self) -> int:
-        """Number of measured values that count."""
+        """Number of measured values of all runs that enter the residual."""
         return sum(run.count for run in self.runs)
 
     @property
@@ -85,34 +87,34 @@ class Dataset:
         return float(np.median(np.concatenate([np.diff(run.time_s) for run in self.runs])))
 
     def with_runs(self, names: Sequence[str]) -> Dataset:
-        """Return the data set of some of the runs, with the same noise.
+        """Return a copy that contains only some of the runs; noise and quanta are not estimated again.
 
         Args:
-            names: Names of the runs to keep.
+            names: Names of the runs to keep; names of other runs are ignored.
 
         Returns:
-            Reduced copy.
+            Copy with these runs, in the order of this data set.
         """
         return dataclasses.replace(self, runs=tuple(run for run in self.runs if run.name in names))
 
     def with_rows(self, rows: Sequence[NDArray[np.bool_]]) -> Dataset:
-        """Return the same runs, with only some of their rows in the residual.
+        """Return a copy whose residual contains only some rows; simulations still cover all rows.
 
         Args:
-            rows: Rows that count, by run, each of shape (n,).
+            rows: One mask per run in the order of `runs`, True for a row that enters the residual, shape (n,) each.
 
         Returns:
-            Copy with these rows.
+            Copy with these masks.
         """
         pairs = zip(self.runs, rows, strict=True)
         return dataclasses.replace(self, runs=tuple(dataclasses.replace(run, rows=counted) for run, counted in pairs))
 
 
 def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:
-    """Prepare recordings for fitting a machine: fill gaps, estimate initial states, zeros and noise.
+    """Prepare recordings for a fit: fill gaps, estimate the initial states and the sensors' zeros, quanta and noise.
 
     Args:
-        recordings: Runs of one rig.
+        recordings: Runs of one rig, at least one.
         machine: Machine with the rig's coordinates, belts and sensors.
 
     Returns:
@@ -140,11 +142,11 @@ def with_all_measurements(data: Dataset, recordings: Sequence[Recording]) -> Dat
     """Return a data set with all measurements, including the saturated ones that a fit leaves out.
 
     Args:
-        data: Prepared data set.
-        recordings: Recordings that it was made from, and possibly others.
+        data: Data set prepared from recordings whose saturated measurements were removed.
+        recordings: The original recordings of its runs; other runs are ignored.
 
     Returns:
-        Copy with all outputs.
+        Copy with the original measurements minus the estimated zeros of the sensors.
     """
     outputs = {r.name: fill_gaps(r).outputs for r in recordings}
     runs = (dataclasses.replace(run, outputs=outputs[run.name] - run.initial.offset) for run in data.runs)
@@ -152,15 +154,17 @@ def with_all_measurements(data: Dataset, recordings: Sequence[Recording]) -> Dat
 
 
 def refine_encoder_offsets(data: Dataset, machine: Machine, reference: Dataset | None = None) -> Dataset:
-    """Correct the encoders' zeros by a fitted machine, see `encoder_zero_errors`.
+    """Correct the estimated zeros of the encoders with a fitted machine, see `encoder_zero_errors`.
 
     Args:
         data: Data set to correct.
         machine: Fitted machine.
-        reference: Data set that the machine was fitted to, from which the errors are estimated. Default: `data`.
+        reference: Data set from which the errors of the zeros are estimated: the one that the machine was fitted to.
+            Default: `data`.
 
     Returns:
-        Corrected copy; `data` itself where no encoder kept its zero or the machine has no effects.
+        Copy with corrected initial states and measurements; `data` itself if no encoder kept its zero in all runs or
+        the machine has no effects.
     """
     runs = (data if reference is None else reference).runs
     if not machine.effects or not any(np.any(run.initial.offset_known) for run in data.runs):
@@ -175,39 +179,42 @@ def refine_encoder_offsets(data: Dataset, machine: Machine, reference: Dataset |
 
 @dataclass(frozen=True)
 class TypicalScales:
-    """Typical sizes of physical quantities on a machine in its recordings, by unit.
+    """Typical sizes of physical quantities on a machine during its recordings.
+
+    The keys are the units that effect parameters declare: "force", "speed", "position", "viscous" (force / speed),
+    "drag" (force / speed^2) and "stiffness" (force / position) of a coordinate, or an SI unit such as "A" or "N".
 
     Attributes:
-        by_coordinate: Sizes by coordinate and by unit, in the coordinates' units.
-        general: Sizes by unit of quantities that belong to no coordinate.
+        by_coordinate: Sizes by coordinate and by key, in the coordinate's units (N, m/s, m or Nm, rad/s, rad).
+        general: Sizes of quantities that belong to no coordinate, SI, by key.
     """
 
     by_coordinate: Mapping[str, Mapping[str, float]]
     general: Mapping[str, float]
 
     def of(self, coordinate: str) -> Mapping[str, float]:
-        """Return the sizes that apply at a coordinate.
+        """Return the sizes that apply at a coordinate, with the general ones.
 
         Args:
-            coordinate: Name of the coordinate; an unknown name gives the general sizes.
+            coordinate: Name of the coordinate; any other text, such as "", gives the general sizes only.
 
         Returns:
-            Size by unit.
+            Size by key, in the coordinate's units or SI.
         """
         return {**self.general, **self.by_coordinate.get(coordinate, {})}
 
 
 def scales_of_motion(machine: Machine, positions: Array, velocities: Array, inputs: Sequence[Array]) -> TypicalScales:
-    """Return the typical sizes of the quantities in a motion.
+    """Compute typical sizes from a motion: top speed, travel, largest current and belt force, typical drive force.
 
     Args:
         machine: Machine that moved.
-        positions: Positions along all runs, in the coordinates' units, shape (n, coordinates).
-        velocities: Velocities along all runs, shape (n, coordinates).
-        inputs: Drive voltages by run, V, each of shape (n, drives).
+        positions: Positions over all rows of all runs, m or rad, shape (n, coordinates).
+        velocities: Velocities over the same rows, m/s or rad/s, shape (n, coordinates).
+        inputs: Drive voltages by run, V, shape (rows of the run, drives) each; n rows in total.
 
     Returns:
-        Typical sizes by coordinate and unit.
+        Typical sizes, all positive.
     """
     force = typical_force(machine)
     top_speed = np.maximum(np.percentile(np.abs(velocities), 99, axis=0), 1e-9)

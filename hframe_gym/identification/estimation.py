@@ -30,12 +30,12 @@ _DAMPINGS = 10.0 ** np.array([-6.0, -4.0, -3.0, -2.0, -1.0, 0.0, 1.0, 2.0])
 
 @dataclass(frozen=True)
 class Fit:
-    """Result of a fit.
+    """Result of a fit of k free parameters.
 
     Attributes:
         machine: Fitted machine.
-        free: Free parameters.
-        theta: Their fitted coordinates, shape (k,).
+        free: Free parameters, k of them.
+        theta: Fitted theta of each, the dimensionless variable defined by `FreeParameter`, shape (k,).
         cost: Sum of squared residuals in units of the noise, without the prior.
         count: Number of measured values.
         mode: Prediction mode of the fit.
@@ -52,12 +52,12 @@ class Fit:
 
     @property
     def chi2(self) -> float:
-        """Cost per measured value: one when only the sensors' noise remains."""
+        """Chi-squared per sample: cost per measured value, 1 if only the sensors' noise remains."""
         return self.cost / self.count
 
     @property
     def values(self) -> dict[str, float]:
-        """Fitted values by full parameter name."""
+        """Fitted values, SI, by full parameter name such as `x.coulomb`."""
         return values_at(self.free, self.theta)
 
 
@@ -72,20 +72,20 @@ def fit(
     tolerance: float = 1e-4,
     longest_step: float = SEARCH_STEP,
 ) -> Fit:
-    """Fit free parameters of a machine to a data set.
+    """Fit free parameters of a machine to a data set by the Levenberg-Marquardt method.
 
     Args:
-        machine: Machine that supplies everything but the free parameters.
-        free: Free parameters.
+        machine: Machine that supplies the model and the values of all other parameters.
+        free: The k free parameters with their Gaussian priors.
         data: Runs to fit.
-        mode: "one_step" or "simulation".
-        theta: Initial guess, shape (k,); default: the centers of the free parameters.
+        mode: "one_step" (prediction with an observer) or "simulation" (no feedback), see `prediction`.
+        theta: Initial guess of the free parameters' theta, shape (k,). Default: zero, their central values.
         iterations: Maximum number of iterations.
         tolerance: Relative decrease of the cost per iteration below which the search ends.
         longest_step: Maximum integration step, s.
 
     Returns:
-        The best parameters.
+        Fit at the lowest cost that was found. Theta stays within four prior standard deviations.
     """
     model = ResidualModel(machine, tuple(free), data, mode, longest_step)
     theta = np.zeros(len(free)) if theta is None else np.array(theta, float)
@@ -117,7 +117,7 @@ def fit(
 
 
 def prediction_cost(machine: Machine, data: Dataset, mode: Mode, *, longest_step: float = SEARCH_STEP) -> float:
-    """Return the sum of squared prediction errors of a machine in units of the noise.
+    """Return the sum of a machine's squared prediction errors, each divided by the sensor's noise.
 
     Args:
         machine: Machine that predicts.
@@ -126,7 +126,7 @@ def prediction_cost(machine: Machine, data: Dataset, mode: Mode, *, longest_step
         longest_step: Maximum integration step, s.
 
     Returns:
-        The cost; infinite if a prediction diverges.
+        Cost, dimensionless, summed over all values of all runs; infinite if a prediction diverges.
     """
 
     def of_run(run: PreparedRecording) -> float:
@@ -148,18 +148,18 @@ _BOUND_TOLERANCE = 1e-6  # relative
 
 
 def with_uncertainty(fitted: Fit, data: Dataset) -> Machine:
-    """Attach the covariance of the free parameters to a fitted machine.
+    """Estimate the covariance of the fitted parameters and attach it to the machine.
 
-    The sandwich covariance H^-1 M H^-1 holds for residuals that are not white: H is the information with the prior, M
-    the covariance of the gradient, estimated from sums over blocks of 0.2 s, which preserve the correlation inside
-    each block.  White residuals of the assumed size give M = H and so H^-1, which is also the reported minimum.
+    The sandwich covariance H^-1 M H^-1 holds for residuals that are not white: H is the Fisher information with the
+    prior, M the covariance of the gradient, estimated from sums over blocks of 0.2 s, which preserve the correlation
+    inside each block. White residuals of the assumed size give M = H and so H^-1; no smaller variance is reported.
 
     Args:
-        fitted: Fit whose parameters are uncertain.
+        fitted: Fit of the parameters.
         data: Runs that were fitted.
 
     Returns:
-        The fitted machine with the covariance of the parameters' values, SI.
+        The fitted machine; its `uncertainty` holds the covariance of the free parameters' values, SI.
 
     References:
         White (1982), "Maximum likelihood estimation of misspecified models".
@@ -189,14 +189,18 @@ def with_uncertainty(fitted: Fit, data: Dataset) -> Machine:
 
 
 def parameter_doubts(machine: Machine, declared: Machine) -> dict[str, list[str]]:
-    """Return the reasons to doubt each identified parameter.
+    """List for each identified parameter why its value may be unreliable.
+
+    Reasons are a value at its bound, a large standard deviation, a value that the prior determines, and a correlation
+    above 0.95 with another parameter.
 
     Args:
         machine: Identified machine with its uncertainty.
-        declared: Machine as it was declared, for the priors.
+        declared: Machine as it was declared, which defines the priors.
 
     Returns:
-        By full parameter name, a list of phrases for the report, often empty.  No entries without uncertainty.
+        By full parameter name, phrases for the report; an empty list for a reliable parameter. Empty if the machine
+        has no uncertainty.
     """
     if machine.uncertainty is None:
         return {}

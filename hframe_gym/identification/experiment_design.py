@@ -1,9 +1,9 @@
-"""Design the next experiment: voltages for which two equally good machines predict the most different motions.
+"""Design the next experiment: voltages for which two machines that fit equally well predict different motions.
 
 A family of excitations (alternating steps, ramps through breakaway, staircases, chirps, random steps), along every
-combination of the drives and at several amplitudes, is simulated with both machines.  Those that keep both machines
-inside the travel compete.  The difference that counts is the one that remains when the second machine's parameters
-adapt to the new run as far as their covariance allows: optimal discrimination between models, linearized.
+combination of the drives and at several amplitudes, is simulated with both machines. Those that keep both machines
+inside the travel are compared by the difference of the predictions that remains when the second machine's parameters
+adapt to the new run as far as their covariance allows (optimal discrimination between models, linearized).
 
 References:
     Atkinson and Fedorov (1975), "The design of experiments for discriminating between two rival models".
@@ -47,15 +47,15 @@ _HOLD_TIMES_S = (0.02, 0.05, 0.15, 0.4)  # of random steps
 
 @dataclass(frozen=True)
 class ExperimentDesign:
-    """Voltages of the proposed run and the difference that they should show.
+    """Voltages of the proposed run and the expected difference between the two models' predictions.
 
     Attributes:
-        separates: Labels of the two effects.
+        separates: Labels (name@site) of the two effects between which the run decides.
         time_s: Sample times, s, shape (n,).
         inputs: Drive voltages, V, shape (n, drives); the run starts at rest at zero.
         sigma: Root of the sum of squared differences of all predicted values, in standard deviations of the noise.
-        rms: Root mean square of the same differences.
-        channel: Output channel with the largest difference.
+        rms: Root mean square of the same differences per predicted value, in standard deviations of the noise.
+        channel: Output channel with the largest sum of squared differences.
     """
 
     separates: tuple[str, str]
@@ -76,19 +76,19 @@ class ExperimentDesign:
         )
 
     def as_json(self) -> dict[str, Any]:
-        """Return the design without its voltages.
+        """Return the design, without its voltages, as the entry `next_experiment` of report.json.
 
         Returns:
-            The entry `next_experiment` of report.json.
+            Labels of the two effects, name of the file with the voltages, and purpose of the run.
         """
         return {"separates": list(self.separates), "file": FILE, "why": self.why}
 
     def write(self, path: Path, machine: Machine) -> None:
-        """Write the voltages as an input recording.
+        """Write the voltages as a CSV file with the columns time_s and one per input channel.
 
         Args:
-            path: CSV file to write; it appears only when it is complete.
-            machine: Machine that names the input channels.
+            path: File to write; it appears only when it is complete.
+            machine: Machine whose drives name the input columns.
         """
         with atomic_file(path) as temporary:
             header = ",".join(["time_s", *machine.input_channels])
@@ -99,18 +99,18 @@ class ExperimentDesign:
 def design_discriminating_experiment(
     current: Fit, corrected: Machine, label: str, rivals: Sequence[AppliedEffect], data: Dataset
 ) -> ExperimentDesign | None:
-    """Design the run that separates an identified effect from its best rival.
+    """Design the run that decides between an identified effect and its best rival.
 
     Args:
         current: Fit of the corrected machine.
         corrected: Corrected machine with its uncertainty.
-        label: Label of the identified effect.
-        rivals: Effects that explain the data equally well, as they were fitted, best first.
+        label: Label (name@site) of the identified effect.
+        rivals: Other effects that explain the data equally well, with fitted parameters, best first.
         data: Runs that were fitted.
 
     Returns:
-        The run, or None if there is no rival, if one of the two effects is structural, or if no run that was tried
-        separates them.
+        Design of the run. None if the identified effect or every rival is structural (adds coordinates), if there is
+        no rival, or if the predictions of no simulated run differ by `MINIMUM_SIGMA`.
     """
     present = {e.label: e for e in current.machine.effects}
     alternatives = [r for r in rivals if r.label not in present and not r.definition.structure]
@@ -121,14 +121,14 @@ def design_discriminating_experiment(
 
 
 def fit_rival(current: Fit, label: str, rival: AppliedEffect, data: Dataset, scale: TypicalScales) -> Machine:
-    """Fit the machine with a rival in place of an identified effect.
+    """Fit the machine again with a rival effect in place of an identified one.
 
     Args:
         current: Fit of the corrected machine.
-        label: Label of the effect to replace.
-        rival: Effect that replaces it.
+        label: Label (name@site) of the effect to replace.
+        rival: Effect that replaces it, with its starting values.
         data: Runs to fit.
-        scale: Typical values, for the rival's free parameters.
+        scale: Typical sizes on this machine, for the rival's free parameters.
 
     Returns:
         The fitted machine with its uncertainty.
@@ -154,11 +154,12 @@ def separate_machines(
         second: The other, whose parameters adapt to the new run within their uncertainty.  The machines may differ in
             their effects, but not in their sensors and drives.
         labels: Labels of the effects that distinguish them.
-        data: Recordings behind both, for the sensors' noise, the sampling period and, where a machine declares no
-            range, the travel.
+        data: Recordings that both were fitted to. They supply the sensors' noise, the sampling period and, for a
+            coordinate without a declared range, the permitted travel.
 
     Returns:
-        The run, or None if none that was tried exceeds MINIMUM_SIGMA.
+        Design of the run with the largest difference, or None if the predictions of no simulated run differ by at
+        least `MINIMUM_SIGMA` standard deviations of the noise.
     """
     rows = round(_DURATION_S / data.period)
     time_s: Array = np.arange(rows, dtype=np.float64) * data.period

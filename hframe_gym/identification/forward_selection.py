@@ -1,8 +1,8 @@
 """Forward selection of the effects that a machine lacks.
 
 The best candidates of the screening are fitted together with the machine's parameters; the best of them is selected if
-it reduces chi-squared per sample by enough, and the search continues from there. At the end every effect must still be
-worth its place. `SelectionCriteria` states what is enough.
+it reduces chi-squared per sample by enough, and the search continues from there. At the end, effects that no longer
+reduce it by enough are removed. `SelectionCriteria` holds the thresholds. A gain is a reduction of chi-squared.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ class SelectedEffect:
 
     Attributes:
         effect: The effect with its fitted parameters.
-        rivals: Labels of effects that explain the data equally well, and descriptions of what no recording can
-            distinguish.
+        rivals: Labels of effects that explain the data equally well, and descriptions of causes that no recording can
+            distinguish from this effect.
         gain: Reduction of chi-squared per sample on the fitted runs.
         machine_without: The machine as it was fitted before the effect was added.
         rival_effects: The rivals among the fitted candidates.
@@ -52,13 +52,13 @@ class SelectedEffect:
     rival_effects: tuple[AppliedEffect, ...] = ()
 
     def with_values(self, machine: Machine) -> SelectedEffect:
-        """Return the same selection with the parameters of a machine that was fitted later.
+        """Return a copy in which the effect has the parameter values of a machine that was fitted later.
 
         Args:
             machine: Machine that contains the effect.
 
         Returns:
-            Copy with that machine's parameters of the effect.
+            Copy with the updated effect.
         """
         effect = next(e for e in machine.effects if e.label == self.effect.label)
         return dataclasses.replace(self, effect=effect)
@@ -77,19 +77,20 @@ def select_effects(
     log: Log,
     finished: Callable[[Fit], bool] = lambda fit: False,
 ) -> Selection:
-    """Add the effects that the data require, in the mode of the current fit.
+    """Add one effect after another while each reduces chi-squared per sample by enough.
 
     Args:
-        current: Fit of the machine with the effects selected so far.
+        current: Fit of the machine with the effects selected so far; its prediction mode is used throughout.
         selected: Effects selected so far.
         data: Prepared recordings to fit.
         criteria: Decision thresholds.
-        min_gain: Smallest gain of an effect, chi-squared per sample, where the excess over the noise is small.
-        log: Called with a line of text for every candidate that is decided on.
-        finished: Whether a fit with one more effect ends the search.
+        min_gain: Smallest reduction of chi-squared per sample for which an effect is selected, see `minimum_gain`.
+        log: Called with a line of text for the best candidate of each step, selected or not.
+        finished: Called with each new fit; the search ends when it returns True.
 
     Returns:
-        Fit of the machine with all effects, and the effects.
+        Fit of the machine with all effects.
+        All selected effects with their fitted parameters.
     """
     while len(selected) < criteria.max_effects and current.chi2 > criteria.noise_level:
         enough = minimum_gain(current, min_gain, criteria)
@@ -113,14 +114,14 @@ def select_effects(
 
 
 def describe_gain(before: Fit, after: Fit) -> str:
-    """Return the words for a gain: reduces chi-squared per sample from 98.99 to 0.79 (one-step prediction).
+    """Describe the benefit of an effect: "reduces chi-squared per sample from 98.99 to 0.79 (simulation)".
 
     Args:
         before: Fit without the effect.
         after: Fit with the effect, in the same mode.
 
     Returns:
-        A predicate for a sentence about the effect.
+        Text that continues a sentence whose subject is the effect.
     """
     mode = _MODE_NAMES[before.mode]
     return f"reduces chi-squared per sample from {before.chi2:.4g} to {after.chi2:.4g} ({mode})"
@@ -157,16 +158,16 @@ def _promising(ranked: list[ScoredCandidate], enough: float, criteria: Selection
 
 
 def fit_with_candidate(current: Fit, scored: ScoredCandidate, scales: TypicalScales, data: Dataset) -> Fit:
-    """Fit the machine with one more effect, all parameters together.
+    """Add a candidate effect to the machine and fit the parameters of both together, with few iterations.
 
     Args:
-        current: Fit without the effect.
-        scored: Screened candidate with the weights of its columns.
+        current: Fit without the effect; its prediction mode is used.
+        scored: Screened candidate with the weights of its basis functions.
         scales: Typical sizes on this machine.
         data: Prepared recordings to fit.
 
     Returns:
-        Fit of a few iterations, in the mode of the current fit.
+        Fit that suffices to rank the candidate, not fully converged.
     """
     machine = current.machine.with_effects(scored.candidate.applied(scored.amounts))
     added = effect_parameters(machine.effects[-1], machine, scales)
@@ -230,15 +231,15 @@ def _rivals(trials: list[Fit], current: Fit, data: Dataset, criteria: SelectionC
 
 
 def minimum_gain(current: Fit, min_gain: float, criteria: SelectionCriteria) -> float:
-    """Return the smallest gain with which an effect is selected.
+    """Return the smallest reduction of chi-squared per sample for which an effect is selected.
 
     Args:
         current: Fit without the effect.
-        min_gain: Smallest gain where the excess over the noise is small, chi-squared per sample.
-        criteria: Decision thresholds.
+        min_gain: Lower limit of the result, chi-squared per sample; it decides where little more than noise is left.
+        criteria: Decision thresholds, which raise the result for short recordings and large residuals.
 
     Returns:
-        Chi-squared per sample.
+        Required reduction of chi-squared per sample.
     """
     excess = current.chi2 - 1.0
     large = excess >= criteria.large_excess
@@ -255,21 +256,22 @@ def prune_effects(
     log: Log,
     longest_step: float,
 ) -> Selection:
-    """Remove the effects that are not worth their place in the mode of the current fit, weakest first.
+    """Remove effects without which the machine fits the data as well, weakest first.
 
     Later effects may make earlier ones superfluous. An effect is also removed if its amplitude is within a few standard
     deviations of zero. Structural effects are kept, because the other effects act on the coordinates that they add.
 
     Args:
-        current: Fit of the machine with all selected effects.
-        selected: The effects.
+        current: Fit of the machine with all selected effects; its prediction mode is used throughout.
+        selected: All selected effects.
         data: Prepared recordings to fit.
         criteria: Decision thresholds.
         log: Called with a line of text for every effect that is removed.
-        longest_step: Longest integration step, s.
+        longest_step: Maximum integration step, s.
 
     Returns:
-        Fit of the machine with the remaining effects, and the effects.
+        Fit of the machine with the remaining effects.
+        The remaining effects with their fitted parameters.
     """
     for candidate in sorted(selected, key=lambda s: s.gain):
         if candidate.effect.definition.structure:
@@ -298,16 +300,16 @@ def _uncertain(current: Fit, effect: AppliedEffect, data: Dataset, criteria: Sel
 
 
 def without_effect(current: Fit, label: str, data: Dataset, *, longest_step: float) -> Fit:
-    """Fit the machine without one of its effects.
+    """Remove one effect from the machine and fit the remaining free parameters again.
 
     Args:
-        current: Fit of the machine with the effect.
+        current: Fit of the machine with the effect; its prediction mode is used.
         label: Label of the effect, name@site.
         data: Prepared recordings to fit.
-        longest_step: Longest integration step, s.
+        longest_step: Maximum integration step, s.
 
     Returns:
-        Fit of all other parameters, in the same mode.
+        Fit without the effect.
     """
     others = tuple(e for e in current.machine.effects if e.label != label)
     kept = [i for i, free in enumerate(current.free) if not free.name.startswith(f"{label}.")]
@@ -322,14 +324,14 @@ def without_effect(current: Fit, label: str, data: Dataset, *, longest_step: flo
 
 
 def typical_scales(current: Fit, data: Dataset) -> TypicalScales:
-    """Return the typical sizes of the quantities in the motion of a fitted machine.
+    """Compute typical forces, speeds and travels from the motion that a fitted machine predicts.
 
     Args:
         current: Fit of the machine.
         data: Prepared recordings.
 
     Returns:
-        Typical sizes by coordinate and unit.
+        Typical sizes, see `TypicalScales`.
     """
     motions = list(
         map_runs(lambda run: predict(current.machine, run, current.mode, period=data.period, states=True), data)

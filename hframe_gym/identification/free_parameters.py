@@ -27,9 +27,9 @@ _UNDECLARED_COULOMB, _UNDECLARED_VISCOUS = 0.01, 0.1
 
 @dataclass(frozen=True)
 class FreeParameter:
-    """One fitted parameter and the coordinate theta in which it is fitted.
+    """One fitted parameter of a machine and the dimensionless variable theta that the optimizer changes.
 
-    The value is `center * exp(theta)`, or `center + scale * theta` where `scale` is given.
+    The parameter's value is `center * exp(theta)`, or `center + scale * theta` where `scale` is given.
 
     Attributes:
         name: Full name of the machine parameter, e.g. `x.coulomb`.
@@ -51,10 +51,10 @@ class FreeParameter:
     along: str = ""
 
     def value(self, theta: Array) -> Array:
-        """Return the parameter's value, clipped to its bounds.
+        """Convert theta to the parameter's value, clipped to its bounds.
 
         Args:
-            theta: Coordinates of the parameter, any shape.
+            theta: Dimensionless optimizer variable, any shape.
 
         Returns:
             Values of the same shape, SI.
@@ -63,13 +63,13 @@ class FreeParameter:
         return np.clip(raw, self.lower, self.upper)
 
     def theta(self, value: float) -> float:
-        """Return the theta that gives a value, the inverse of `value` inside the bounds.
+        """Convert a value of the parameter to theta; the inverse of the method `value` inside the bounds.
 
         Args:
-            value: Value of the parameter, SI.
+            value: Value of the parameter, SI; positive if the parameter is fitted as a logarithm.
 
         Returns:
-            Its coordinate.
+            Theta, dimensionless.
         """
         return math.log(value / self.center) if self.scale is None else (value - self.center) / self.scale
 
@@ -77,37 +77,37 @@ class FreeParameter:
         """Return the derivative of the value with respect to theta.
 
         Args:
-            theta: Coordinate of the parameter.
+            theta: Dimensionless optimizer variable.
 
         Returns:
-            Derivative, SI.
+            d value / d theta, in the SI unit of the value. The bounds are not considered.
         """
         return self.center * math.exp(theta) if self.scale is None else self.scale
 
 
 def values_at(free: Sequence[FreeParameter], theta: Array) -> dict[str, float]:
-    """Return the values of free parameters by full name.
+    """Convert a vector of theta to parameter values.
 
     Args:
-        free: Free parameters.
-        theta: Their coordinates, shape (k,).
+        free: Free parameters, k of them.
+        theta: Theta of each, shape (k,).
 
     Returns:
-        Values, SI.
+        Value, SI, by full parameter name.
     """
     return {f.name: float(f.value(t)) for f, t in zip(free, theta, strict=True)}
 
 
 def parameter_table(machine: Machine, free: Sequence[FreeParameter], thetas: Array) -> Array:
-    """Return kernel parameters for a batch of theta.
+    """Convert a batch of theta to complete parameter vectors of the machine, as `simulate_batch` needs them.
 
     Args:
         machine: Machine that supplies all parameters that are not free.
-        free: Free parameters.
-        thetas: Their coordinates, shape (batch, k).
+        free: Free parameters, k of them.
+        thetas: Theta of each for every simulation of the batch, shape (batch, k).
 
     Returns:
-        Parameters in the order of `Machine.parameters`, shape (batch, parameters).
+        All parameters of the machine, SI, in the order of `Machine.parameters`, shape (batch, parameters).
     """
     names = list(machine.parameters)
     table = np.tile(np.array(list(machine.parameters.values())), (len(thetas), 1))
@@ -131,12 +131,13 @@ def second_difference_penalty(count: int) -> Array:
 
 
 def prior_precision(free: Sequence[FreeParameter]) -> Array:
-    """Return the inverse covariance of the Gaussian prior of theta.
+    """Return the inverse covariance of the Gaussian prior of theta, whose mean is 0.
 
-    Each parameter is independent around 0, except that the second differences of curves have unit variance.
+    The parameters are independent with the standard deviations `prior`. Second differences of the ordinates of a curve
+    have unit variance in addition, which favors smooth curves.
 
     Args:
-        free: Free parameters.
+        free: Free parameters, k of them.
 
     Returns:
         Precision, shape (k, k).
@@ -149,13 +150,13 @@ def prior_precision(free: Sequence[FreeParameter]) -> Array:
 
 
 def typical_force(machine: Machine) -> float:
-    """Return a tenth of the force of all drives at standstill and rated voltage.
+    """Return a typical size of forces: a tenth of the force of all drives at standstill and rated voltage.
 
     Args:
         machine: Machine with its drives.
 
     Returns:
-        Force on belt travel, N.
+        Force at the belt (torque / pulley radius for a rotary coordinate), N.
     """
     total = 0.0
     for drive in machine.drives:
@@ -173,7 +174,7 @@ def default_free_parameters(machine: Machine, *, effects: bool = True) -> tuple[
 
     Args:
         machine: Declared machine.
-        effects: Whether the parameters of its effects are included.
+        effects: Whether the nonzero parameters of the declared effects are included.
 
     Returns:
         Free parameters centered on the declared values.

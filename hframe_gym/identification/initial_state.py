@@ -36,7 +36,9 @@ _INVERSION_TOLERANCE = 1e-6  # m
 
 
 def static_equilibrium(machine: Machine, position: Array) -> Array:
-    """Return the positions at rest under the forces of a machine's effects, with the tool at a given position.
+    """Return the positions of all coordinates at rest, stretched belts included, for a given position of the tool.
+
+    The belts stretch where effects exert forces at rest (cables, tilt).
 
     Static friction carries the load up to the Coulomb level. Any excess force displaced the carriage; it came to rest
     at the far end of its first swing, at twice the displacement of the excess, or where the belts carry the entire
@@ -44,7 +46,8 @@ def static_equilibrium(machine: Machine, position: Array) -> Array:
 
     Args:
         machine: Machine with its effects.
-        position: Positions of the machine's first coordinates, the linear ones among them, in their units.
+        position: Positions of the first coordinates, in their units, shape (at most coordinates,); only those of the
+            linear coordinates are used.
 
     Returns:
         Positions in the coordinates' units, shape (coordinates,).
@@ -72,18 +75,21 @@ def _force_at_rest(machine: Machine, position: Array) -> Array:
 
 
 def model_initial_state(machine: Machine, initial: InitialState) -> Array:
-    """Return the initial state of a machine whose effects change the static equilibrium or the sensors' readings.
+    """Return the state from which a machine is simulated, given the measurements at rest.
 
-    Encoders with a known zero determine the angles of their pulleys; the other pulleys are in static equilibrium. So
-    are an eccentric pulley, and all pulleys where an effect changes the reading of a laser, until a machine with that
-    effect has refined the zeros: before, the apparent stretch of the belts was the effect.
+    Effects of the machine may change its static equilibrium or the sensors' readings, so the state depends on them.
+
+    Encoders with a known zero determine the angles of their pulleys; all other pulleys are in static equilibrium.
+    Until `refine_offsets` has corrected the zeros with a machine that has the effect, static equilibrium is also used
+    for an eccentric pulley, and for all pulleys if an effect changes a laser's measurement at rest: the uncorrected
+    zeros would attribute the effect to a stretch of the belts.
 
     Args:
         machine: Machine with its effects; structural effects may have added coordinates.
         initial: Measured initial state.
 
     Returns:
-        Positions and velocities, in the coordinates' units, shape (2 * coordinates,).
+        Positions, then velocities (zero), in the coordinates' units, shape (2 * coordinates,).
     """
     if not machine.belts:
         return initial.state
@@ -98,16 +104,17 @@ def model_initial_state(machine: Machine, initial: InitialState) -> Array:
 
 
 def encoder_angles(machine: Machine, initial: InitialState) -> dict[int, float]:
-    """Return the angles of the pulleys whose encoders have a known zero.
+    """Return the angles at rest of the pulleys whose encoders kept a known zero.
 
-    The angle of an eccentric pulley is that of a concentric one with the same belt travel.
+    For a pulley with the effect of eccentricity, the angle is converted to that of a concentric pulley with the same
+    belt travel (radius * angle).
 
     Args:
         machine: Machine with its effects.
         initial: Measured initial state.
 
     Returns:
-        Angle in rad by index of the coordinate.
+        Angle, rad, by index of the coordinate in `Machine.coordinates`; empty if no zero is known.
     """
     angles: dict[int, float] = {}
     for j in np.flatnonzero(initial.offset_known):
@@ -120,10 +127,10 @@ def encoder_angles(machine: Machine, initial: InitialState) -> dict[int, float]:
 
 
 def position_from_measurements(machine: Machine, initial: InitialState) -> Array:
-    """Return the positions at rest for which a machine's lasers read what was measured.
+    """Return the positions at rest for which the machine's lasers would give the measured values.
 
-    The effects on the readings (skew, scale) are inverted. A reading beyond the end of a sensor's range has no inverse;
-    there other sensors determined the position, and it is kept.
+    Effects on the measurements (skew, scale) are inverted iteratively. A measurement beyond the end of a sensor's range
+    has no inverse; that position, which other sensors determined, is kept.
 
     Args:
         machine: Machine with its effects.
@@ -149,7 +156,7 @@ def position_from_measurements(machine: Machine, initial: InitialState) -> Array
 
 
 def encoder_zero_errors(machine: Machine, initial: Sequence[InitialState]) -> Array:
-    """Return by how much the known zeros of the encoders are wrong according to a fitted machine.
+    """Estimate the errors of the encoders' zeros from the static equilibrium of a fitted machine.
 
     `common_encoder_zeros` assumes that the belts are unstretched on average. A force that acts at rest, from a cable or
     a tilt, stretches them in one direction, and a machine with that force predicts by how much. The error is the median
@@ -157,10 +164,10 @@ def encoder_zero_errors(machine: Machine, initial: Sequence[InitialState]) -> Ar
 
     Args:
         machine: Fitted machine.
-        initial: Initial states of the runs.
+        initial: Measured initial states, one per run.
 
     Returns:
-        Errors in the sensors' units, shape (sensors,); 0 where the zero is not known.
+        Values to add to the assumed zeros, in the sensors' units, shape (sensors,); 0 where the zero is not known.
     """
     errors = np.zeros(len(machine.sensors))
     if not machine.belts:
@@ -178,15 +185,15 @@ def encoder_zero_errors(machine: Machine, initial: Sequence[InitialState]) -> Ar
 
 
 def refine_offsets(initial: InitialState, machine: Machine, errors: Array) -> InitialState:
-    """Return an initial state whose encoder zeros are corrected.
+    """Correct the encoder zeros of an initial state, and the pulley angles that follow from them.
 
     Args:
         initial: Measured initial state.
-        machine: Machine that the recordings were prepared for.
-        errors: Errors of the zeros in the sensors' units, shape (sensors,), see `encoder_zero_errors`.
+        machine: Machine with the sensors and coordinates of that state.
+        errors: Values to add to the zeros, in the sensors' units, shape (sensors,), see `encoder_zero_errors`.
 
     Returns:
-        Corrected copy with `offsets_refined`.
+        Corrected copy, marked by `offsets_refined=True`.
     """
     state = initial.state.copy()
     for j in np.flatnonzero(errors):
@@ -208,7 +215,8 @@ def initial_state_of_recording(machine: Machine, recording: Recording) -> Initia
         recording: The run; outputs may be missing.
 
     Returns:
-        Initial state of the machine and the sensors' offsets. `warnings` says what could not be determined.
+        Initial state of the machine and the sensors' offsets; `warnings` lists what could not be determined. If the
+            simulation diverges, the offsets are those of the measurements at rest.
     """
     criteria = SelectionCriteria()
     rows = count_resting_rows(recording)

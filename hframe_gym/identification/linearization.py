@@ -6,7 +6,8 @@ and the products of the Jacobian's columns are summed over runs.  In simulation 
 belts is projected out of the residual and of every column.
 
 Notation: theta (k,) are the free parameters, r(theta) is the residual in units of the sensors' noise, J = dr/dtheta and
-E (m columns) are optional responses to perturbations that no free parameter describes.
+E (m columns) are optional responses to perturbations that no free parameter describes. A "row" is one element of r: one
+measured value, or the scaled sum of a block of consecutive ones.
 """
 
 from __future__ import annotations
@@ -38,14 +39,14 @@ DIFFERENCE_STEP = 1e-4
 
 
 def forward_differences(values: Array, step: float = DIFFERENCE_STEP) -> Array:
-    """Return forward differences of values at an expansion point and at steps from it.
+    """Approximate the derivatives of values with respect to k variables by forward differences.
 
     Args:
-        values: Values at the expansion point, then after each step, shape (k + 1, ...).
-        step: Size of the steps.
+        values: Values at the expansion point, then with each variable increased by `step`, shape (k + 1, ...).
+        step: Increment of each variable.
 
     Returns:
-        Derivatives, shape (k, ...).
+        Derivatives with respect to each variable, shape (k, ...).
     """
     differences: Array = (values[1:] - values[0]) / step
     return differences
@@ -77,16 +78,16 @@ class NormalEquations:
     def from_rows(
         cls, jacobian: Array, residual: Array, responses: Array | None = None, *, count: int | None = None
     ) -> NormalEquations:
-        """Multiply out one run's linearized residual.
+        """Form the normal equations of one run's linearized residual.
 
         Args:
-            jacobian: J transposed, shape (k, rows).
-            residual: r, shape (rows,).
-            responses: E transposed, shape (m, rows); default: none.
-            count: Number of measured values (default: the number of rows).
+            jacobian: J transposed, derivatives of the residual with respect to k parameters, shape (k, rows).
+            residual: r, residual in units of the noise, shape (rows,).
+            responses: E transposed, responses to m perturbations, shape (m, rows). Default: none.
+            count: Number of measured values. Default: the number of rows.
 
         Returns:
-            Products of all pairs of columns.
+            Inner products of all pairs of J, E and r.
         """
         parts = [jacobian, residual[None]] if responses is None else [jacobian, responses, residual[None]]
         stacked = np.vstack(parts)
@@ -117,17 +118,19 @@ class NormalEquations:
 
     @property
     def chi2(self) -> float:
-        """Cost per measured value: one when only the sensors' noise remains."""
+        """Chi-squared per sample: cost per measured value, 1 if only the sensors' noise remains."""
         return self.cost / self.count
 
     def eliminate_parameters(self, precision: Array) -> NormalEquations:
-        """Return the normal equations of the responses alone, with theta at its optimum for every amount of them.
+        """Eliminate the free parameters by the Schur complement, so that only the amounts of the responses remain.
+
+        The products of the responses are reduced by the part that a change of theta can reproduce.
 
         Args:
-            precision: Prior precision of theta, shape (k, k).
+            precision: Inverse covariance of the prior of theta, shape (k, k).
 
         Returns:
-            The Schur complement: no free parameters, response products less what the parameters can mimic.
+            Normal equations with k = 0. `cost` and `count` are those of these normal equations.
         """
         hessian = self.information + precision
         right_side = np.column_stack([self.cross_products, self.gradient])
@@ -185,25 +188,25 @@ class ResidualModel:
     rows_per_block: int = 1
 
     def machine_at(self, theta: Array) -> Machine:
-        """Return the machine at a value of theta.
+        """Return the machine with the parameter values that theta describes.
 
         Args:
-            theta: Free parameters, shape (k,).
+            theta: Theta of the k free parameters (see `FreeParameter`), shape (k,).
 
         Returns:
-            Machine with their values.
+            Copy of the machine with these values.
         """
         return self.machine.replace(values_at(self.free, theta))
 
     def residuals(self, run: PreparedRecording, measurements: Array) -> Array:
-        """Return the residuals of predicted measurements of a run.
+        """Compare a batch of predictions of a run with its measurements.
 
         Args:
-            run: Measured run.
-            measurements: Predicted values, shape (batch, n, sensors).
+            run: Measured run of n samples.
+            measurements: Predicted values in the sensors' units, shape (batch, n, sensors).
 
         Returns:
-            Residuals in units of the noise, shape (batch, rows).
+            Measured minus predicted values in units of the noise, all sensors in one row, shape (batch, rows).
         """
         return residuals(run, self.data, measurements, self.rows_per_block)
 
@@ -214,11 +217,12 @@ class ResidualModel:
 
         Args:
             run: Run to predict.
-            theta: Expansion point, shape (k,).
-            responses: Function that returns additional columns.
+            theta: Theta of the k free parameters at the expansion point, shape (k,).
+            responses: Function that returns the residual's responses to m perturbations, shape (m, rows), from the run
+                and its predicted motion. Default: none.
 
         Returns:
-            Jacobian, additional columns and residual, all with the initial state projected out.
+            Jacobian, responses and residual. The unknown initial stretch of the belts is projected out of all.
         """
         machine = self.machine_at(theta)
         thetas = np.vstack([theta, theta + DIFFERENCE_STEP * np.eye(len(self.free))])
@@ -238,11 +242,11 @@ class ResidualModel:
         """Linearize the residual of all runs and sum their normal equations.
 
         Args:
-            theta: Expansion point, shape (k,).
-            responses: Function that returns additional columns of a run.
+            theta: Theta of the k free parameters at the expansion point, shape (k,).
+            responses: As in `linearize_run`.
 
         Returns:
-            Linearization with the summed normal equations.
+            Linearization with the normal equations summed over runs.
         """
 
         def of_run(run: PreparedRecording) -> tuple[NormalEquations, InitialStateProjection | None]:
@@ -286,13 +290,16 @@ class Linearization:
     projections: Mapping[str, InitialStateProjection | None]
 
     def costs(self, thetas: Array) -> Array:
-        """Return the exact costs of trial parameters, with the initial states of the expansion point.
+        """Compute the costs of trial parameters by prediction, not from the linearization.
+
+        Initial states and projections are those of the expansion point.
 
         Args:
-            thetas: Trial parameters, shape (batch, k).
+            thetas: Theta of the k free parameters for each trial, shape (batch, k).
 
         Returns:
-            Sums of squares without the prior, shape (batch,); infinite where a simulation diverges.
+            Sums of squared residuals in units of the noise, without the prior, shape (batch,); infinite where a
+            prediction diverges.
         """
 
         def of_run(run: PreparedRecording) -> Array:

@@ -30,10 +30,10 @@ _MIN_SAMPLES = 20  # Samples that make the mean of a bin usable.
 
 
 class Table(NamedTuple):
-    """A proposed table.
+    """A proposed table: a force or friction level that is interpolated between knots of one variable.
 
     Attributes:
-        effect: Name of the effect, with the variable in brackets.
+        effect: Name of the effect with its variable, for example "smooth_force[position of x]".
         site: Coordinate that the table acts on.
         knots: Values of the variable at the table's knots, denser where the curve bends, shape (knots,).
     """
@@ -46,17 +46,19 @@ class Table(NamedTuple):
 def table_candidates(
     machine: Machine, data: Dataset, scales: TypicalScales, criteria: SelectionCriteria
 ) -> list[Candidate]:
-    """Return the most promising tables as candidates, with one column per knot.
+    """Propose the tables that explain most of the missing force.
+
+    Several tables per coordinate are needed because a force on one coordinate also appears in the missing force of the
+    others, and one against time because a position that differs between runs correlates with time.
 
     Args:
         machine: Current machine.
         data: Prepared recordings.
-        scales: Typical sizes on this machine.
-        criteria: Decision thresholds.
+        scales: Typical sizes on this machine, which set the unit of the ordinates.
+        criteria: Decision thresholds; `max_tables_per_coordinate` limits the number.
 
     Returns:
-        For each coordinate the best tables, and one against time. A force that acts on one coordinate also appears in
-        the missing force of the others, and a position that differs between runs correlates with time.
+        For each coordinate the best tables and one against time; each has one basis function per knot.
     """
     motion_and_force = missing_force(machine, data)
     variables = table_variables(machine, data)
@@ -82,14 +84,15 @@ def table_candidates(
 
 
 def table_variables(machine: Machine, data: Dataset) -> dict[str, Array]:
-    """Return every variable that a table may depend on.
+    """Return the variables that a table may depend on, from the one-step prediction of all runs.
 
     Args:
-        machine: Current machine.
-        data: Prepared recordings.
+        machine: Current machine, which predicts the motion.
+        data: Prepared recordings with n rows in total.
 
     Returns:
-        Positions, velocities and distances traveled of the coordinates and the time, along all runs, shape (n,) each.
+        By name, shape (n,) each: "position of C" (m or rad), "velocity of C" (m/s or rad/s) and "path of C" (distance
+        traveled since the start of the run, m or rad) for each coordinate C, and "time" (s).
     """
 
     def variables_of_run(run: PreparedRecording) -> dict[str, Array]:
@@ -160,18 +163,21 @@ def add_tables(
     max_tables: int,
     log: Log,
 ) -> Selection:
-    """Add tables for the residual that the effects leave, in the mode of the current fit.
+    """Add tables (forces interpolated over one variable) for the residual that the selected effects leave.
+
+    A table is added only if it also predicts the half of the data that it was not fitted to (cross-validation).
 
     Args:
-        current: Fit of the machine with the effects selected so far.
+        current: Fit of the machine with the effects selected so far; its prediction mode is used throughout.
         selected: Effects selected so far.
         data: Prepared recordings to fit.
         criteria: Decision thresholds.
         max_tables: Largest number of tables to add.
-        log: Called with a line of text for every table that is fitted.
+        log: Called with a line of text for every table that is fitted to all data.
 
     Returns:
-        Fit of the machine with the tables, and all effects and tables.
+        Fit of the machine with the tables.
+        All selected effects, the tables last, with their fitted parameters.
     """
     for _ in range(max_tables):
         scales = typical_scales(current, data)

@@ -30,11 +30,11 @@ _MAX_DEPENDENCES = 6  # Variables that the report lists for the residual force.
 
 
 def hold_out(recordings: Sequence[Recording], chosen: Sequence[str] = ()) -> tuple[str, ...]:
-    """Choose the runs that are held out for the evaluation.
+    """Choose the runs that are held out: excluded from the fit and used to evaluate it.
 
     Args:
         recordings: All runs.
-        chosen: Names of the runs to hold out. Default: every fourth, at least one.
+        chosen: Names of the runs to hold out. Default: every fourth, the last one if there are fewer than four.
 
     Returns:
         Names of the held-out runs.
@@ -71,7 +71,7 @@ def identify(
     Args:
         recordings: Runs of one rig, at least two.
         machine: Machine as declared.
-        held_out: Names of the runs to evaluate on. Default: every fourth.
+        held_out: Names of the runs to evaluate on. Default: every fourth, see `hold_out`.
         criteria: Decision thresholds. Default: `SelectionCriteria()`.
         log: Called with a line of text at each stage. Default: nothing is reported.
 
@@ -215,7 +215,13 @@ class _Search:
         self._close = self._simulation and before.chi2 < criteria.max_simulation_chi2
 
     def run(self) -> tuple[Verdict, Fit, tuple[SelectedEffect, ...]]:
-        """Return verdict, fit and effects; tables are tried where no known effects explain the residual."""
+        """Search for effects, then for tables if no known effects explain the residual.
+
+        Returns:
+            Verdict: "effect_found", "no_effect" or "unexplained".
+            Fit of the machine with the effects, in the mode that decides.
+            The selected effects.
+        """
         base, before, criteria = self._base, self._before, self._criteria
         min_gain = criteria.min_gain_one_step
         if not self._simulation:

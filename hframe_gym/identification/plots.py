@@ -1,4 +1,4 @@
-"""The plots of a report."""
+"""Draw the plots of an identification report with matplotlib."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ def draw_plots(report: Mapping[str, Any], curves: Mapping[str, Array], machine: 
 
     Args:
         report: Content of report.json.
-        curves: Curves by name, see `result.plot_data`.
+        curves: Curves by name, see `result.plot_data` for names, shapes and units.
         machine: Corrected machine.
-        folder: Folder for the files; created if it does not exist.
+        folder: Folder for the files; created if it does not exist. Old plots that do not apply are deleted.
 
     Returns:
-        Paths of the files (PNG). Each file appears completely or not at all.
+        Paths of the written files (PNG). Each file appears completely or not at all.
 
     Raises:
         ImportError: If matplotlib is missing.

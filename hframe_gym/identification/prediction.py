@@ -4,8 +4,8 @@ Two prediction modes:
 
 - `one_step`: a Luenberger observer feeds the difference of measured and predicted values back into position and
   velocity at every sample.  The error of a wrong model remains local in time.
-- `simulation`: the machine runs from its initial state without feedback.  The stretch that friction held in the belts
-  at the beginning is unknown and is projected out of the residual.
+- `simulation`: the machine runs from its initial state without feedback.  At the start, static friction holds the
+  belts at an unknown stretch; its effect is projected out of the residual.
 """
 
 from __future__ import annotations
@@ -42,13 +42,13 @@ _BLOCK_S = 4e-3  # s; measurements respond more slowly than this to mechanical e
 
 
 def has_feedback(mode: Mode) -> bool:
-    """Return whether a prediction mode feeds measurements back.
+    """Return whether an observer corrects the predicted state with the measurements.
 
     Args:
         mode: "one_step" or "simulation".
 
     Returns:
-        Whether it does.
+        True for "one_step", False for "simulation".
     """
     return mode == "one_step"
 
@@ -57,11 +57,11 @@ def map_runs(function: Callable[[PreparedRecording], T], data: Dataset) -> Itera
     """Apply a function to every run, in parallel threads.
 
     Args:
-        function: Function of one run.
-        data: Runs.
+        function: Function of one run; it is called from several threads.
+        data: Data set with the runs.
 
     Yields:
-        Results in the order of the runs.
+        Result of the function for each run, in the order of the runs.
     """
     count = min(threads(), len(data.runs))
     if count == 1:
@@ -72,14 +72,18 @@ def map_runs(function: Callable[[PreparedRecording], T], data: Dataset) -> Itera
 
 
 def observer_gains(machine: Machine, period: float) -> Array:
-    """Return the observer gains of one-step prediction: critically damped, one observer per sensor.
+    """Return the gains of the Luenberger observer of one-step prediction.
+
+    Each sensor corrects its coordinate by a critically damped second-order observer with a bandwidth of 60 rad/s, or
+    25 rad/s for lasers beside encoders.
 
     Args:
-        machine: Machine whose sensors feed back.
+        machine: Machine whose sensors are fed back.
         period: Sampling period, s.
 
     Returns:
-        Corrections of positions, then velocities, per unit of measurement error, shape (2 * coordinates, sensors).
+        Corrections per sample of positions (first half of the rows) and velocities (second half), in the coordinates'
+        units, per unit of measurement error, shape (2 * coordinates, sensors).
     """
     count = len(machine.coordinates)
     gains = np.zeros((2 * count, len(machine.sensors)))
@@ -111,19 +115,23 @@ def predict(
     """Predict the measurements of a run for a batch of parameters or perturbations.
 
     Args:
-        machine: Machine that predicts; it also determines where the run starts.
-        run: Run to predict.
-        mode: "one_step" or "simulation".
+        machine: Machine that predicts; its effects also determine the initial state.
+        run: Run to predict, n samples.
+        mode: "one_step" (an observer feeds the measurements back) or "simulation" (no feedback).
         period: Sampling period, s.
-        parameters: Kernel parameters, shape (batch, parameters); default: those of the machine.
-        extra_force: Force on every coordinate, N or Nm, held per sample, shape (batch, n, coordinates).
-        extra_measurement: Value added to the sensors' output, channel units, shape (batch, n, sensors).
-        initial_state: Positions and velocities, shape (batch, 2 * coordinates); default: the machine's in this run.
+        parameters: All machine parameters, SI, in the order of `Machine.parameters`, shape (batch, parameters).
+            Default: those of the machine.
+        extra_force: Additional force on every coordinate, N or Nm, constant from each sample to the next, shape
+            (batch, n, coordinates). Default: none.
+        extra_measurement: Value added to the sensors' output, in their units, shape (batch, n, sensors). Default: none.
+        initial_state: Positions, then velocities, in the coordinates' units, shape (batch, 2 * coordinates). Default:
+            `run.initial_state(machine)`.
         longest_step: Maximum integration step, s.
         states: Whether to return positions and velocities too.
 
     Returns:
-        Predicted measurements (batch, n, sensors), with positions and velocities (batch, n, coordinates) on request.
+        Motion with the predicted measurements `readings`, in the sensors' units, shape (batch, n, sensors), and if
+        `states`, `positions` and `velocities`, in the coordinates' units, shape (batch, n, coordinates).
     """
     run_state = run.initial_state(machine)
     measured = gains = None
@@ -153,10 +161,10 @@ def predict(
 
 
 def mechanical_rows_per_block(data: Dataset) -> int:
-    """Return how many rows may be averaged where only the response to mechanical effects matters.
+    """Return how many rows may be averaged without loss, because mechanical effects act more slowly than 4 ms.
 
     Args:
-        data: Runs, for their sampling period.
+        data: Data set, for its sampling period.
 
     Returns:
         Number of rows in 4 ms, at least one.
@@ -165,15 +173,17 @@ def mechanical_rows_per_block(data: Dataset) -> int:
 
 
 def prediction_error(run: PreparedRecording, data: Dataset, measurements: Array) -> Array:
-    """Return measured minus predicted values, less what the sensors' zeros explain.
+    """Return measured minus predicted values, corrected for the uncertain zeros of the sensors.
+
+    The constant part that an error of the zeros explains is subtracted, see `rest_measurement.sensor_zero_error`.
 
     Args:
-        run: Measured run.
+        run: Measured run, n samples.
         data: Data set of the run, for the sensors' quanta.
-        measurements: Predicted values, shape (batch, n, sensors).
+        measurements: Predicted values, in the sensors' units, shape (batch, n, sensors).
 
     Returns:
-        Errors in channel units, shape (batch, n, sensors); arbitrary where a value was not measured.
+        Errors in the sensors' units, shape (batch, n, sensors); arbitrary where a value was not measured.
     """
     measured = np.isfinite(run.outputs)
     error: Array = run.outputs - measurements
@@ -185,20 +195,20 @@ def prediction_error(run: PreparedRecording, data: Dataset, measurements: Array)
 
 
 def residuals(run: PreparedRecording, data: Dataset, measurements: Array, rows_per_block: int = 1) -> Array:
-    """Return measured minus predicted values in units of the noise.
+    """Return measured minus predicted values, divided by the standard deviations of the sensors' noise.
 
-    The error that the sensors' zeros explain is removed, see `prediction_error`.
+    The constant part that an error of the sensors' zeros explains is subtracted, see `prediction_error`.
 
     Args:
-        run: Measured run.
+        run: Measured run, n samples.
         data: Data set of the run, for the sensors' noise.
-        measurements: Predicted values, shape (batch, n, sensors).
+        measurements: Predicted values, in the sensors' units, shape (batch, n, sensors).
         rows_per_block: How many consecutive rows are summed into one, scaled so that white noise keeps its size.
-            Products of columns that change more slowly stay the same, with fewer rows to multiply.
+            Inner products of residuals that change more slowly stay the same, with fewer rows to multiply.
 
     Returns:
-        Residuals, zero where a value was not measured or does not count, shape (batch, n * sensors) or, with blocks,
-        (batch, n // rows_per_block * sensors).
+        Residuals, dimensionless, shape (batch, n // rows_per_block * sensors); zero where a value was not measured or
+        `run.rows` excludes it.
     """
     measured = np.isfinite(run.outputs)
     counted = measured if run.rows is None else measured & run.rows[:, None]
@@ -218,26 +228,33 @@ class InitialStateProjection:
     """Projection that removes the unknown initial stretch of the belts from residuals.
 
     Attributes:
-        directions: Orthonormal responses of the residual to the initial state, shape (rows, s).
-        weights: Fraction of each that is removed, between 0 (known by the prior) and 1 (unknown), shape (s,).
+        directions: Orthonormal responses of the residual to s independent initial belt stretches, shape (rows, s).
+        weights: Fraction of each that is removed, from 0 (known by the prior) to 1 (unknown), shape (s,).
     """
 
     directions: Array
     weights: Array
 
     def __call__(self, residual: Array) -> Array:
-        """Project residuals (batch, rows), so that their squares are the costs at the optimal initial state."""
+        """Remove the part of residuals that an optimal initial stretch explains, weighted by its prior.
+
+        Args:
+            residual: Residuals in units of the noise, shape (batch, rows).
+
+        Returns:
+            Projected residuals, same shape; their sum of squares is the cost at the optimal initial stretch.
+        """
         return residual - (residual @ self.directions) * self.weights @ self.directions.T
 
 
 def held_belt_angles(machine: Machine) -> dict[str, float]:
-    """Return the angles that static friction typically holds in the belts at rest.
+    """Return the typical motor angles by which static friction keeps the belts stretched at rest.
 
     Args:
         machine: Machine with or without belts.
 
     Returns:
-        Angle in rad by name of each motor coordinate with a sensor; empty without belts.
+        Angle, rad, by name of each rotary coordinate with a sensor and without a spring; empty without belts.
     """
     if not machine.belts:
         return {}
@@ -271,10 +288,11 @@ def initial_state_projection(
         data: Data set of the run.
         mode: "one_step" or "simulation".
         longest_step: Maximum integration step, s.
-        rows_per_block: As of `residuals`.
+        rows_per_block: Number of consecutive rows summed into one, as in `residuals`.
 
     Returns:
-        The projection, or None in one-step mode (feedback forgets the initial state) and without belts.
+        The projection. None in one-step mode (the effect of the initial state decays), without belts, or if the
+        simulation diverges.
 
     References:
         Golub and Pereyra (1973), variable projection.

@@ -1,4 +1,4 @@
-"""report.html: one self-contained page about a result, built from the files of its folder."""
+"""Build report.html, one self-contained page about an identification result, from the files of its folder."""
 
 from __future__ import annotations
 
@@ -26,16 +26,17 @@ _MAX_NOISE_RATIO = 50.0  # Simulation error over noise beyond which the simulati
 
 
 def build_report(folder: Path) -> Path:
-    """Draw the plots of a result and write report.html.
+    """Draw the plots of an identification result and write report.html.
 
     Args:
-        folder: Folder that `hframe identify` wrote.
+        folder: Folder that `hframe identify` wrote; the plots are written to its folder plots/.
 
     Returns:
-        Path of the page.
+        Path of report.html.
 
     Raises:
-        InputError: If the folder holds no result or a file of it is damaged; the message names the file.
+        InputError: If the folder holds no result, or a file of it is damaged or cannot be written; the message names
+            the file.
         ImportError: If a library of the extra ``report`` is missing.
     """
     try:
@@ -68,14 +69,16 @@ def build_report(folder: Path) -> Path:
 
 
 def verdict_sentence(report: Mapping[str, Any], channels: Sequence[str]) -> str:
-    """Return the verdict in words.
+    """Describe the verdict and the error on the held-out runs in words.
+
+    The error is the mean simulation error in units of the noise, or the relative force error if the simulation drifts.
 
     Args:
         report: Content of report.json.
-        channels: Output channels of the machine.
+        channels: Names of the machine's output channels.
 
     Returns:
-        One or two sentences.
+        One or two English sentences.
     """
 
     def noise_ratio(stage: str) -> float:

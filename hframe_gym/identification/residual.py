@@ -1,4 +1,8 @@
-"""Analyze what a fitted machine leaves unexplained: errors per channel, missing forces, and what these depend on."""
+"""Analyze what a fitted machine leaves unexplained: errors per channel, missing forces, and what these depend on.
+
+The force residual (missing force) is the force that would have to be added to the model for it to follow the
+measurements.
+"""
 
 from __future__ import annotations
 
@@ -33,8 +37,8 @@ class ChannelError(NamedTuple):
     """Simulation error of one output channel; both values are None where the channel was never measured.
 
     Attributes:
-        rmse: Root mean square error, channel unit.
-        noise_ratio: The same in units of the sensor's noise.
+        rmse: Root mean square error, in the channel's unit (m or rad).
+        noise_ratio: The same divided by the standard deviation of the sensor's noise.
     """
 
     rmse: float | None
@@ -47,7 +51,7 @@ class Dependence(NamedTuple):
     Attributes:
         variable: Name of the variable, e.g. "velocity of x".
         coordinate: Coordinate on which the force acts.
-        explained: Fraction of the force residual's variance that a curve over the variable explains.
+        explained: Fraction of the force residual's variance that a curve over the variable explains, in [0, 1].
     """
 
     variable: str
@@ -56,15 +60,15 @@ class Dependence(NamedTuple):
 
 
 def simulation_error(machine: Machine, run: PreparedRecording, data: Dataset) -> Array:
-    """Return measured minus simulated values of a run, less the sensors' zeros.
+    """Return measured minus simulated values of a run, corrected for the uncertain zeros of the sensors.
 
     Args:
-        machine: Machine to simulate from the run's initial state.
-        run: Measured run.
-        data: Data set of the run.
+        machine: Machine, simulated without feedback from its initial state in this run.
+        run: Measured run, n samples.
+        data: Data set of the run, for sampling period and quanta.
 
     Returns:
-        Errors in channel units, NaN where not measured, shape (n, sensors).
+        Errors in the sensors' units, NaN where not measured, shape (n, sensors).
     """
     motion = predict(machine, run, "simulation", period=data.period, longest_step=POLISH_STEP)
     error = prediction_error(run, data, motion.readings)[0]
@@ -75,11 +79,11 @@ def channel_errors(machine: Machine, data: Dataset) -> dict[str, ChannelError]:
     """Return the simulation error of every output channel over all runs.
 
     Args:
-        machine: Machine to evaluate; nothing is fitted but the sensors' zeros.
+        machine: Machine to simulate; only the sensors' zeros are adjusted to the runs.
         data: Measured runs.
 
     Returns:
-        Errors by output channel.
+        Error by name of the output channel.
     """
     error = np.concatenate(list(map_runs(lambda run: simulation_error(machine, run, data), data)))
     errors = {}
@@ -94,15 +98,15 @@ def channel_errors(machine: Machine, data: Dataset) -> dict[str, ChannelError]:
 
 
 def force_residual(machine: Machine, run: PreparedRecording, data: Dataset) -> Array:
-    """Return the force that would have to be added for the machine to follow the measurements.
+    """Estimate the force that would have to be added for the machine to follow the measurements.
 
-    It is the velocity correction of the one-step prediction's observer, which acts as a disturbance observer: correct
-    below its bandwidth.
+    It is mass times the velocity correction per time of the observer in one-step prediction, which thereby acts as a
+    disturbance observer: the estimate is valid below the observer's bandwidth.
 
     Args:
         machine: Machine that predicts.
-        run: Measured run.
-        data: Data set of the run.
+        run: Measured run, n samples.
+        data: Data set of the run, for the sampling period.
 
     Returns:
         Force on every coordinate, N or Nm, shape (n, coordinates).
@@ -115,12 +119,12 @@ def force_residual(machine: Machine, run: PreparedRecording, data: Dataset) -> A
 
 
 def smooth_force_residual(machine: Machine, run: PreparedRecording, data: Dataset) -> Array:
-    """Return `force_residual` below 30 Hz, filtered without phase lag.
+    """Estimate the missing force of a run (see `force_residual`) and low-pass filter it at 30 Hz without phase lag.
 
     Args:
         machine: Machine that predicts.
-        run: Measured run.
-        data: Data set of the run.
+        run: Measured run, n samples.
+        data: Data set of the run, for the sampling period.
 
     Returns:
         Force on every coordinate, N or Nm, shape (n, coordinates).
@@ -129,16 +133,18 @@ def smooth_force_residual(machine: Machine, run: PreparedRecording, data: Datase
 
 
 def missing_force(machine: Machine, data: Dataset) -> dict[str, Array]:
-    """Return the missing force along all runs with the motion to which it belongs.
+    """Estimate the force that the model lacks along all runs, together with the motion.
 
-    The observer shows a missing force through its two equal poles.  These are inverted, up to 40 Hz.
+    The observer of the one-step prediction filters the missing force by two equal poles. This low-pass is inverted, up
+    to 40 Hz.
 
     Args:
         machine: Machine that predicts.
-        data: Measured runs.
+        data: Measured runs with n rows in total.
 
     Returns:
-        By coordinate: position, velocity and missing force, coordinate units, shape (rows of all runs, 3).
+        By coordinate name, an array of shape (n, 3): position, velocity and missing force, in m, m/s, N or rad, rad/s,
+        Nm.
     """
     position_gains = observer_gains(machine, data.period)[: len(machine.coordinates)].sum(axis=1)
     time_constant = 2.0 * data.period / np.maximum(position_gains, 1e-12)  # of each pole, (coordinates,)
@@ -162,15 +168,16 @@ def _low_pass(values: Array, cutoff: float, period: float) -> Array:
 
 
 def dependence_variables(machine: Machine, run: PreparedRecording, data: Dataset) -> dict[str, Array]:
-    """Return the variables on which a missing effect may depend.
+    """Return the variables of a run on which a missing effect may depend.
 
     Args:
         machine: Machine whose one-step prediction supplies positions and velocities.
-        run: Measured run.
-        data: Data set of the run.
+        run: Measured run, n samples.
+        data: Data set of the run, for the sampling period.
 
     Returns:
-        By name: positions, velocities, inputs and time, SI, shape (n,) each.
+        By name, shape (n,) each: "position of C" (m or rad) and "velocity of C" (m/s or rad/s) for each coordinate C,
+        the input channels (V) and "time" (s).
     """
     motion = predict(machine, run, "one_step", period=data.period, states=True)
     names = machine.coordinate_names
@@ -188,7 +195,8 @@ def rank_dependences(machine: Machine, data: Dataset) -> list[Dependence]:
         data: Measured runs.
 
     Returns:
-        Dependences that explain more than 5 % of the variance, strongest first.
+        Pairs of coordinate and variable that explain more than 5 % of the variance of the force residual, strongest
+        first.
     """
     force = np.concatenate([smooth_force_residual(machine, run, data) for run in data.runs])
     by_run = [dependence_variables(machine, run, data) for run in data.runs]
@@ -214,17 +222,17 @@ def _correlation_ratio(values: Array, variable: Array) -> float:
 
 
 def is_white(machine: Machine, data: Dataset) -> bool:
-    """Return whether the simulation error contains only the sensors' noise.
+    """Test whether the simulation error is white, that is, contains only the sensors' noise.
 
-    Means of white noise over blocks of 20 ms shrink with the root of the block length.  The noise of a quantized
-    channel is at least its quantum's.
+    The standard deviation of means over blocks of 20 ms decreases with the root of the block length for white noise,
+    but hardly for an error that is correlated in time.
 
     Args:
         machine: Machine to simulate.
         data: Measured runs.
 
     Returns:
-        Whether the block means of every channel shrink like those of white noise.
+        True if the block means of every channel scatter by less than 0.6 standard deviations of its noise.
     """
     rows = max(2, round(_WHITENESS_BLOCK_S / data.period))
     errors = [simulation_error(machine, run, data) for run in data.runs]
@@ -241,16 +249,18 @@ def is_white(machine: Machine, data: Dataset) -> bool:
 
 
 def force_error(machine: Machine, data: Dataset) -> float | None:
-    """Return the relative error of the drives' force by inverse dynamics, |F_drive - F_model| / |F_drive|.
+    """Return the relative error of the drives' force, |F_drive - F_model| / |F_drive| (root mean squares).
 
-    Positions are filtered at 100 Hz without phase lag and differentiated centrally; forces are decimated by ten.
+    F_drive follows from the voltages, F_model from the measured motion and the machine (inverse dynamics). Positions
+    are filtered at 100 Hz without phase lag and differentiated centrally; forces are decimated by ten.
 
     Args:
         machine: Machine to evaluate.
-        data: Measured runs; those with gaps are left out.
+        data: Measured runs; those with missing measurements are left out.
 
     Returns:
-        The error over all runs; None unless every coordinate is driven and measured directly, without belts.
+        Error over all runs, dimensionless. None if the machine has belts, if a coordinate lacks a drive or a sensor
+        that measures it alone, or if no run is complete.
 
     References:
         Janot, Gautier and Brunot (2019), the EMPS benchmark.

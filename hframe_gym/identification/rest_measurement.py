@@ -1,8 +1,8 @@
-"""What the sensors of a run measure at rest: the position and the zero of every sensor.
+"""Estimate from the measurements at rest the initial position of a run and the zero of every sensor.
 
 A recording begins at rest; the rows before the first input change measure the position there. Sensors with a fixed zero
 (lasers) determine the position of the tool. The pulleys follow from unstretched belts or from encoders whose zero is
-known. What a sensor measures at rest beyond the reading of that state is its zero.
+known. The zero of a sensor is its measurement at rest minus the reading that the model computes for that state.
 """
 
 from __future__ import annotations
@@ -32,10 +32,11 @@ class InitialState:
 
     Attributes:
         state: Positions and velocities at rest, in the coordinates' units, shape (2 * coordinates,).
-        offset: Measurement minus reading of the state, the sensors' zeros, shape (sensors,).
+        offset: Zeros of the sensors: measurement minus the reading computed for `state`, in the sensors' units, shape
+            (sensors,).
         resting_rows: Number of rows at rest at the beginning of the run.
-        offset_known: Whether a sensor is an encoder that kept its zero in all runs and measures the stretch of the
-            belts, shape (sensors,).
+        offset_known: True for each encoder that kept its zero in all runs and resolves the stretch of the belts, shape
+            (sensors,).
         offsets_refined: Whether a fitted machine has corrected the encoders' zeros.
         position_measured: Whether sensors with a known zero measure the position at rest.
         warnings: What could not be measured and what is assumed instead, one sentence each.
@@ -68,25 +69,27 @@ class EncoderZeros(NamedTuple):
 
     @classmethod
     def unknown(cls, machine: Machine) -> EncoderZeros:
-        """Return zeros that are all unknown.
+        """Return the zeros of encoders none of which is known (all NaN).
 
         Args:
             machine: Machine with the sensors.
 
         Returns:
-            Zeros of all sensors.
+            Unknown zeros, one per sensor.
         """
         return cls(np.full(len(machine.sensors), np.nan), np.zeros(len(machine.sensors), np.bool_))
 
 
 def count_resting_rows(recording: Recording) -> int:
-    """Return the number of rows at rest; the row of the first input change still measures the position at rest.
+    """Count the rows at the beginning of a run in which the machine is at rest.
+
+    These are the rows up to the first change of an input, included: its measurement still precedes the motion.
 
     Args:
         recording: The run.
 
     Returns:
-        Number of rows, at least 1.
+        Number of rows, at least 1; 1 if an input is not zero in the first row.
     """
     changes = np.flatnonzero(np.any(recording.inputs != recording.inputs[0], axis=1))
     if np.any(recording.inputs[0]):
@@ -95,13 +98,13 @@ def count_resting_rows(recording: Recording) -> int:
 
 
 def settled_rows(resting_rows: int) -> slice:
-    """Return the later half of the resting rows: a vibration from before the recording has decayed there.
+    """Select the later half of the rows at rest, where a vibration from before the recording has decayed.
 
     Args:
-        resting_rows: Number of rows at rest at the beginning of a run.
+        resting_rows: Number of rows at rest at the beginning of a run, at least 1.
 
     Returns:
-        Slice of the rows.
+        Slice along the rows of the run.
     """
     return slice(resting_rows // 2, resting_rows)
 
@@ -164,13 +167,13 @@ def estimate_initial_state(recording: Recording, machine: Machine, zeros: Encode
 
 
 def rigid_basis(machine: Machine) -> Array:
-    """Return a basis of the displacements that stretch neither belts nor springs.
+    """Return a basis of the rigid motions: displacements that stretch neither belts nor springs.
 
     Args:
-        machine: Machine.
+        machine: Machine with coordinates and belts.
 
     Returns:
-        Displacements in the coordinates' units, shape (coordinates, motions).
+        Displacements in the coordinates' units, one per column, shape (coordinates, rigid motions).
     """
     if not machine.belts:
         return np.eye(len(machine.coordinates))
@@ -223,16 +226,17 @@ def _position_warning(
 def common_encoder_zeros(initial: Sequence[InitialState], machine: Machine, quanta: Array) -> EncoderZeros:
     """Find the encoders that kept their zero in all runs of a session.
 
-    If an encoder's zero differs from run to run by no more than the stretch of the belts that friction can hold, the
-    encoder kept its zero; an encoder that was switched on for every run differs by turns.
+    If an encoder's zero differs from run to run by no more than the belt stretch that static friction can maintain, the
+    encoder kept its zero. The zeros of an encoder that was switched on anew for every run differ by far more.
 
     Args:
-        initial: Initial states of the runs, with unknown zeros.
+        initial: Initial states of the runs, each estimated with unknown zeros.
         machine: Machine as declared.
         quanta: Quanta of the sensors, in their units, shape (sensors,).
 
     Returns:
-        Zeros of the encoders that kept them.
+        Zeros of the encoders that kept them, NaN for all other sensors. All are unknown without belts or with fewer
+        than three runs.
     """
     zeros = EncoderZeros.unknown(machine)
     if not machine.belts or len(initial) < _MIN_RUNS_FOR_ZERO:
@@ -257,7 +261,7 @@ def _mean_stiffness(machine: Machine) -> float:
 
 
 def sensor_zero_error(error: Array, measured: NDArray[np.bool_], resting_rows: int, max_mean: Array) -> Array:
-    """Return the part of a prediction error that the sensors' zeros explain.
+    """Estimate the constant part of a prediction error that wrong zeros of the sensors explain.
 
     It is the mean over the settled resting rows, because a sensor counts from where it was switched on. Those rows
     determine the zero of a quantized channel only to within its quantum, so up to half a quantum of the mean over the
@@ -265,13 +269,14 @@ def sensor_zero_error(error: Array, measured: NDArray[np.bool_], resting_rows: i
     behind belts loses its entire mean: friction holds an unknown stretch of the belts at rest.
 
     Args:
-        error: Measured minus predicted, 0 where not measured, shape (batch, n, sensors).
+        error: Measured minus predicted values, in the sensors' units, 0 where not measured, shape (batch, n, sensors).
         measured: Whether a value was measured, shape (n, sensors).
         resting_rows: Number of rows at rest at the beginning of the run.
-        max_mean: Largest part of the run's mean that may be added, shape (sensors,).
+        max_mean: Largest part of the run's mean that may be added, in the sensors' units, see `max_zero_means`, shape
+            (sensors,).
 
     Returns:
-        Zero errors, shape (batch, 1, sensors).
+        Errors of the zeros, in the sensors' units, shape (batch, 1, sensors).
     """
     rest = settled_rows(resting_rows)
     count = measured.sum(axis=0)
@@ -281,20 +286,22 @@ def sensor_zero_error(error: Array, measured: NDArray[np.bool_], resting_rows: i
 
 
 def max_zero_means(machine: Machine, quanta: Array) -> Array:
-    """Return the part of a run's mean error that a zero may explain: half a quantum, or anything behind belts.
+    """Return how much of a run's mean prediction error may be attributed to the zero of each sensor.
+
+    The limit is half a quantum, and unlimited for an encoder behind elastic belts, whose initial stretch is unknown.
 
     Args:
         machine: Machine with the sensors.
-        quanta: Quanta of the sensors, in their units, shape (sensors,).
+        quanta: Quantization steps of the sensors, in their units, shape (sensors,).
 
     Returns:
-        Limits in the sensors' units, shape (sensors,).
+        Limits in the sensors' units, infinite behind belts, shape (sensors,).
     """
     return np.where(behind_belts(machine), np.inf, quanta / 2)
 
 
 def behind_belts(machine: Machine) -> NDArray[np.bool_]:
-    """Return which sensors are encoders on pulleys, with elastic belts between them and the tool.
+    """Mark the encoders on pulleys, which elastic belts separate from the tool.
 
     Args:
         machine: Machine with the sensors.

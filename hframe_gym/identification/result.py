@@ -1,4 +1,4 @@
-"""The result of an identification, and the folder of files it is written to.
+"""Hold the result of an identification and write it to a folder.
 
 The folder holds report.json, declared.json, before.json, machine.json, evidence.npz (the curves of the plots) and,
 where another run would distinguish the leading effect from a rival, next_experiment.csv. `report.build_report` adds
@@ -37,17 +37,17 @@ class PredictionErrors:
 
     Attributes:
         channels: Simulation error by output channel.
-        force: Relative error of the drives' force, None where the machine has none.
+        force: Relative error of the drives' force, see `residual.force_error`; None where it is not defined.
     """
 
     channels: dict[str, ChannelError]
     force: float | None
 
     def as_json(self) -> dict[str, Any]:
-        """Return the errors as in report.json.
+        """Return the errors in the format of report.json.
 
         Returns:
-            rmse and noise_ratio by channel, and force_error where there is one.
+            By channel name, a dictionary with rmse (channel unit) and noise_ratio; and force_error where it is defined.
         """
         content: dict[str, Any] = {c: {"rmse": e.rmse, "noise_ratio": e.noise_ratio} for c, e in self.channels.items()}
         return content if self.force is None else content | {"force_error": self.force}
@@ -76,7 +76,8 @@ class IdentificationResult:
         before: The machine with its parameters refitted.
         after: The machine with the selected effects.
         effects: Selected effects.
-        gains: Fraction of the held-out squared error, in units of the noise, that each effect removes, by label.
+        gains: Fraction of the squared error on the held-out runs that each effect removes, by label (name@site);
+            negative if the effect increases the error.
         dependence: Variables that the residual force of the refitted machine depends on, strongest first.
         white: Whether the corrected machine leaves only the sensors' noise.
         fitted: Runs that were fitted.
@@ -144,14 +145,14 @@ class IdentificationResult:
 
 
 def write_result(result: IdentificationResult, folder: Path, warnings: Sequence[str] = ()) -> None:
-    """Write a result to a folder, everything except plots and report.html.
+    """Write all files of a result except the plots and report.html, which `build_report` adds.
 
     Each file appears completely or not at all; report.json is written last.
 
     Args:
         result: Result of `identify`.
         folder: Folder to write to; created if it does not exist.
-        warnings: Findings about the recordings, for the report.
+        warnings: Findings about the recordings, one line of text each, which report.json repeats.
     """
     folder.mkdir(parents=True, exist_ok=True)
     save_machine(result.declared.machine, folder / "declared.json")
@@ -169,16 +170,22 @@ def write_result(result: IdentificationResult, folder: Path, warnings: Sequence[
 
 
 def plot_data(result: IdentificationResult) -> dict[str, Array]:
-    """Return the curves that the report plots.
+    """Compute the curves that the report plots.
 
     Args:
         result: Result of `identify`.
 
     Returns:
-        Arrays by name. ``RUN/time_s`` (n,), ``RUN/measured``, ``RUN/declared``, ``RUN/before`` and ``RUN/after`` (n,
-        sensors): time, measurements and the three machines' simulation errors of each held-out run. ``force/variable``,
-        ``force/before`` and ``force/after`` (m,): residual force of the fitted runs against the variable that it
-        depends on most, thinned. ``coverage/NAME`` (m,): positions, velocities and inputs of the fitted runs, thinned.
+        Arrays by name.
+
+        - ``RUN/time_s``: sample times of each held-out run, s, shape (n,).
+        - ``RUN/measured``: its measurements, in the sensors' units, shape (n, sensors).
+        - ``RUN/declared``, ``RUN/before``, ``RUN/after``: simulation errors of the declared, refitted and corrected
+          machine, in the sensors' units, shape (n, sensors).
+        - ``force/variable``: variable that the residual force of the fitted runs depends on most, thinned to m points,
+          SI, shape (m,); absent if there is none.
+        - ``force/before``, ``force/after``: residual force of the two machines at these points, N or Nm, shape (m,).
+        - ``coverage/NAME``: positions, velocities and inputs of the fitted runs, thinned, SI, shape (m,).
     """
     curves: dict[str, Array] = {}
     evaluations = {"declared": result.declared, "before": result.before, "after": result.after}

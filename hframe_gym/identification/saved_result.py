@@ -1,4 +1,4 @@
-"""Read the folder that `result.write_result` wrote, and check that its files are complete and belong together."""
+"""Read the folder that `result.write_result` wrote, and check that its files are complete and consistent."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ class SavedResult:
         report: Content of report.json.
         machine: Corrected machine.
         declared: Machine as declared.
-        curves: Curves of the plots by name, see `plot_data`.
+        curves: Curves of the plots by name, see `result.plot_data`.
     """
 
     report: dict[str, Any]
@@ -120,16 +120,16 @@ class SavedResult:
 
 
 def load_result(folder: Path) -> SavedResult:
-    """Read the files that `write_result` wrote.
+    """Read an identification result from its folder and check that its files are consistent.
 
     Args:
-        folder: Folder of the result.
+        folder: Folder that `write_result` wrote.
 
     Returns:
-        The result, checked for consistency.
+        Report, machines and curves.
 
     Raises:
-        InputError: If a file is missing, damaged or does not belong to the others; the message names the file.
+        InputError: If a file is missing, damaged or inconsistent with the others; the message names the file.
     """
     if not (folder / "report.json").is_file():
         raise InputError(f"{folder}: no report.json here; run `hframe identify RUNS --out {folder}` first")

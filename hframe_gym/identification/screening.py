@@ -1,9 +1,10 @@
-"""Screen candidates by the cost that each would save to first order, without fitting any.
+"""Rank candidate effects by the reduction of the cost that a linearized model predicts, without fitting any.
 
-A candidate of small size adds a known force, or a known change of a measurement, along the fitted machine's motion.
+The cost is chi-squared, the sum of squared residuals in units of the noise. A candidate of small
+size adds a known force, or a known change of a measurement, along the fitted machine's motion.
 The response of the predicted measurements to it is one column of the linearized residual.  After elimination of the
-machine's free parameters, the squared correlation of column and residual is the cost that fitting the candidate would
-save.
+machine's free parameters, the squared correlation of column and residual is the reduction of the cost that a fit of the
+candidate would achieve.
 
 Structural effects (a yawing bridge, idlers with inertia) and those that replace dry friction (presliding) have no small
 version to linearize around.  Every starting value of theirs is simulated instead, and the difference from the present
@@ -43,11 +44,11 @@ _FITTED_STRUCTURES = 3
 
 
 class Perturbation(NamedTuple):
-    """What the columns of candidates add along a motion.
+    """Forces and changes of measurements that the basis functions (columns) of candidates cause along a motion.
 
     Attributes:
         force: Force on every coordinate, N or Nm, shape (columns, n, coordinates).
-        measurement: Change of the sensors' output, channel units, shape (columns, n, sensors).
+        measurement: Change of the sensors' output, in their units, shape (columns, n, sensors).
     """
 
     force: Array
@@ -59,8 +60,8 @@ class ScoredCandidate(NamedTuple):
 
     Attributes:
         candidate: Effect, site and starting values.
-        gain: Cost that it would save.
-        amounts: Weights of its columns that save it.
+        gain: Predicted reduction of chi-squared, summed over all samples.
+        amounts: Weights of its columns with which this reduction is reached, dimensionless.
     """
 
     candidate: Candidate
@@ -69,15 +70,16 @@ class ScoredCandidate(NamedTuple):
 
 
 def screen(fit: Fit, candidates: Sequence[Candidate], data: Dataset) -> list[ScoredCandidate]:
-    """Rank candidates by the cost that they would save to first order.
+    """Rank candidates by their linearized reduction of chi-squared.
 
     Args:
-        fit: Fit of the present machine.
+        fit: Fit of the present machine; its prediction mode is used.
         candidates: Effects, sites and starting values to compare.
         data: Runs that were fitted.
 
     Returns:
-        Scored candidates, best first; those that would need the wrong sign save nothing.
+        Scored candidates, largest reduction first. It is 0 for a candidate whose amplitude would have an inadmissible
+        sign or that the machine's free parameters can reproduce.
     """
     if not candidates:
         return []
@@ -102,7 +104,7 @@ def screen(fit: Fit, candidates: Sequence[Candidate], data: Dataset) -> list[Sco
 def candidate_perturbations(
     machine: Machine, candidates: Sequence[Candidate], run: PreparedRecording, motion: Motion
 ) -> Perturbation:
-    """Return what all columns of some candidates would add along a motion, in order.
+    """Compute the forces and measurement changes that candidates of typical size would cause along a motion.
 
     This is an approximation in three respects: the motion is that of the machine without the candidate, the machine's
     present effects do not interact with it, and forces are held from each sample to the next.
@@ -111,10 +113,10 @@ def candidate_perturbations(
         machine: Machine that moves.
         candidates: Candidates; neighbors of the same effect and site are evaluated together.
         run: Run with the sample times and voltages of the motion.
-        motion: Motion of the machine, a batch of one.
+        motion: Motion of the machine with positions and velocities, a batch of one, n samples.
 
     Returns:
-        Forces and changes of measurements.
+        Forces and changes of measurements by column, in the order of the candidates and of their columns.
     """
     # Ties refer to the parameters of effects; the machine's tables already hold their values.
     bare = dataclasses.replace(machine, effects=(), ties={})
@@ -222,31 +224,31 @@ def _score(candidate: Candidate, information: Array, gradient: Array, before: Ar
 
 
 def has_no_small_version(effect: Effect) -> bool:
-    """Return whether an effect replaces a part of the machine, so that it cannot be linearized around zero.
+    """Return whether an effect replaces a part of the model, so that it cannot be linearized around amplitude zero.
 
     Args:
         effect: Definition of the effect.
 
     Returns:
-        True for structural effects and those that replace dry friction.
+        True for structural effects (they add coordinates) and those that replace dry friction.
     """
     return bool(effect.structure or effect.friction)
 
 
 def screen_structures(current: Fit, data: Dataset, scale: TypicalScales, minimum_gain: float) -> list[Machine]:
-    """Return the present machine with each of the most promising effects that replace a part of it.
+    """Build machines with the most promising effects that replace a part of the model, one effect each.
 
-    To first order such effects promise less than a fit achieves, so several are returned, and structural effects with
-    their two best starting values.
+    For such effects the linearization predicts a smaller benefit than a fit achieves. Therefore the three best are
+    returned, structural effects with their two best starting values.
 
     Args:
-        current: Fit of the present machine.
+        current: Fit of the present machine; its prediction mode is used.
         data: Runs that were fitted.
-        scale: Typical values, to which the starting values are relative.
-        minimum_gain: Decrease of the cost per measured value below which an effect is not promising.
+        scale: Typical sizes on this machine, to which the starting values are relative.
+        minimum_gain: Smallest linearized reduction of chi-squared per sample of a promising effect.
 
     Returns:
-        Machines with one more effect, which is their last, best first.
+        Copies of the present machine with one more effect, the last in its list; best first.
     """
     machine = current.machine
     present = {e.label for e in machine.effects}

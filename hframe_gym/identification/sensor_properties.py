@@ -1,4 +1,4 @@
-"""Properties of the sensors that follow from the recordings alone: quantum, noise and the ends of their range.
+"""Estimate properties of the sensors from the recordings alone: quantum, noise and the ends of their range.
 
 A sensor saturates where many measurements lie together at the outermost value while the encoders show that the machine
 moves. Those rows carry no position: they are kept out of the fit, and the effect ``sensor_range`` goes into the
@@ -27,7 +27,7 @@ _MIN_RESTING_ROWS = 30  # Fewer resting rows of all runs together do not give a 
 
 
 def quantum_of(values: Array) -> float:
-    """Return the quantum of one channel of one run.
+    """Estimate the quantization step (quantum) of one channel from one run.
 
     The quantum is the smallest change of which nearly all changes are multiples.
 
@@ -47,13 +47,13 @@ def quantum_of(values: Array) -> float:
 
 
 def sensor_quantum(channel: Sequence[Array], resolution: float) -> float:
-    """Return the quantum of a sensor, the median over the runs that show one.
+    """Estimate the quantization step of a sensor as the median over the runs in which it can be determined.
 
-    A run in which the sensor hardly moves shows no quantum and does not count.
+    It cannot be determined in a run in which the sensor hardly moves.
 
     Args:
         channel: Measurements of the sensor by run, each of shape (n,), NaN where not measured.
-        resolution: Declared resolution, used where no run shows a quantum.
+        resolution: Declared resolution, in the sensor's unit, returned if no run determines the quantum.
 
     Returns:
         Quantum in the sensor's unit; 0 where there is none.
@@ -63,10 +63,11 @@ def sensor_quantum(channel: Sequence[Array], resolution: float) -> float:
 
 
 def sensor_noise(channel: Sequence[Array], resting_rows: Sequence[int], quantum: float, declared: float) -> float:
-    """Return the standard deviation of a sensor's noise.
+    """Estimate the standard deviation of a sensor's noise.
 
-    It is estimated from the resting rows. Where there are too few, the declared value is used, and third differences of
-    the measurements where none is declared. It is at least the standard deviation of the rounding error.
+    It is estimated from the rows at rest. If these are fewer than 30, the declared value is used, or if none is
+    declared, an estimate from third differences of the measurements. The result is at least the standard deviation of
+    the rounding error, quantum / sqrt(12).
 
     Args:
         channel: Measurements of the sensor by run, each of shape (n,), NaN where not measured.
@@ -105,17 +106,17 @@ def _difference_noise(channel: Sequence[Array]) -> float:
 def saturation_ranges(
     recordings: Sequence[Recording], machine: Machine, noise: Array, criteria: SelectionCriteria
 ) -> dict[str, Range]:
-    """Find the sensors that saturate, from the measurements alone.
+    """Find the sensors that saturate: many measurements lie at the outermost value while the machine moves.
 
     Args:
         recordings: All runs of the rig.
         machine: Machine as declared.
-        noise: Standard deviations of the sensors' noise, shape (sensors,).
+        noise: Standard deviations of the sensors' noise, in their units, shape (sensors,).
         criteria: Decision thresholds.
 
     Returns:
-        Lower and upper end of the range by channel, in the sensor's unit, for the sensors that saturate. An end that
-        was never reached lies far away.
+        Lower and upper end of the range by channel name, in the sensor's unit, for the sensors that saturate. An end
+        that was never reached is set to ten times the largest measurement.
     """
     ranges: dict[str, Range] = {}
     travel = [_positions_from_encoders(r, machine) for r in recordings]
@@ -186,13 +187,13 @@ def _end(
 def blank_saturated(
     recording: Recording, ranges: Mapping[str, Range], machine: Machine, noise: Array, criteria: SelectionCriteria
 ) -> Recording:
-    """Return the recording with the measurements at the ends of a range set to NaN.
+    """Set the saturated measurements of a recording to NaN: those at or beyond the ends of a sensor's range.
 
     Args:
         recording: One run.
-        ranges: Lower and upper end by channel, in the sensor's unit.
-        machine: Machine that the recording belongs to.
-        noise: Standard deviations of the sensors' noise, shape (sensors,).
+        ranges: Lower and upper end by channel name, in the sensor's unit.
+        machine: Machine that was recorded.
+        noise: Standard deviations of the sensors' noise, in their units, shape (sensors,).
         criteria: Decision thresholds.
 
     Returns:
@@ -207,14 +208,14 @@ def blank_saturated(
 
 
 def range_effects(ranges: Mapping[str, Range], selected: Sequence[AppliedEffect] = ()) -> tuple[AppliedEffect, ...]:
-    """Return the effects ``sensor_range`` of saturated sensors.
+    """Convert the ranges of saturated sensors to effects ``sensor_range``.
 
     Args:
-        ranges: Lower and upper end by channel, in the sensor's unit.
+        ranges: Lower and upper end by channel name, in the sensor's unit.
         selected: Effects that the fit selected. Where one of them limits the same sensor, the nearer ends are used.
 
     Returns:
-        One effect per channel.
+        One effect per channel in `ranges`.
     """
     effects = []
     for channel, (low, high) in ranges.items():

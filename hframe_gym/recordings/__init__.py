@@ -1,4 +1,4 @@
-"""Files of machines and recordings: read, validated and written."""
+"""Read, validate and write the files of machines and recordings."""
 
 from .machine_file import load_machine, machine_to_dict, save_machine
 from .recording import GAP_PERIODS, Recording, fill_gaps, load_recording, load_recordings, run_name, write_trajectory

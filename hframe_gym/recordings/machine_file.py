@@ -1,4 +1,4 @@
-"""machine.json: the components of a machine with units, parameter values and their standard deviations."""
+"""Read and write machine.json: a machine's components with parameter values, units and standard deviations."""
 
 from __future__ import annotations
 
@@ -45,14 +45,14 @@ _MAY_BE_ZERO = ("viscous", "coulomb", "Ke", "noise", "resolution")
 
 
 def load_machine(source: str | Path | Machine) -> Machine:
-    """Load a machine.
+    """Load a machine from a preset or a machine.json.
 
     Args:
-        source: Name of a preset (see `BUILTIN_MACHINES`), path of a machine.json, or a machine, which is returned
+        source: Name of a preset (a key of `BUILTIN_MACHINES`), path of a machine.json, or a machine, which is returned
             unchanged.
 
     Returns:
-        The machine.
+        The validated machine.
 
     Raises:
         InputError: If the source is neither a file nor a preset, or a field of the file is invalid. The message names
@@ -78,11 +78,11 @@ def load_machine(source: str | Path | Machine) -> Machine:
 
 
 def save_machine(machine: Machine, path: str | Path) -> None:
-    """Write a machine.json that `load_machine` reads back with the same parameter values.
+    """Write a machine to a machine.json, which `load_machine` reads back with the same parameter values.
 
     Args:
         machine: Machine to write.
-        path: Path of the file; its folder is created if necessary.
+        path: Path of the file; its folder is created if necessary, and an existing file is replaced.
     """
     write_text(path, json.dumps(machine_to_dict(machine), indent=1) + "\n")
 
@@ -94,7 +94,7 @@ def machine_to_dict(machine: Machine) -> dict[str, Any]:
         machine: Machine to convert.
 
     Returns:
-        Dictionaries, lists, strings and numbers only.
+        Content with the fields of `MachineFile`, made of dictionaries, lists, strings and numbers only.
     """
 
     def quantity(owner: str, key: str, value: float) -> dict[str, Any]:

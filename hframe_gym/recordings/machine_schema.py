@@ -1,4 +1,4 @@
-"""Schema of machine.json: which fields there are and which types they have."""
+"""Define the schema of machine.json: its fields and their types."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
 
 
 class QuantityEntry(Table):
-    """A value with its unit and, if it was identified, its standard deviation."""
+    """A value, its unit (SI, such as "kg") and, if identified, its standard deviation in that unit."""
 
     value: FiniteFloat
     unit: str
@@ -29,7 +29,7 @@ class QuantityEntry(Table):
 
 
 class CoordinateEntry(Table):
-    """One coordinate; `radius` for rotary ones only, `range` in the unit of its position."""
+    """One coordinate; only rotary ones have a `radius` (pulley), and `range` is [lowest, highest], m or rad."""
 
     name: Name
     kind: CoordinateKind
@@ -41,7 +41,7 @@ class CoordinateEntry(Table):
 
 
 class BeltEntry(Table):
-    """One belt section with its rows of coefficients by coordinate."""
+    """One belt section; `extension` and `length` give its change per unit of belt travel of each coordinate."""
 
     name: Name
     EA: QuantityEntry
@@ -68,7 +68,10 @@ class DriveEntry(Table):
 
 
 class SensorEntry(Table):
-    """One sensor; `range` and `delay` declare the effects sensor_range and sensor_delay."""
+    """One sensor, whose measurement is the sum of coordinates times coefficients in `row`.
+
+    `range` ([lowest, highest], m or rad) and `delay` declare the effects sensor_range and sensor_delay.
+    """
 
     channel: str
     kind: str | None = None
@@ -80,7 +83,7 @@ class SensorEntry(Table):
 
 
 class EffectEntry(Table):
-    """One effect at its site."""
+    """One effect at its site: the name of a coordinate, drive or sensor, or "machine"."""
 
     name: str
     site: str
@@ -88,14 +91,14 @@ class EffectEntry(Table):
 
 
 class UncertaintyEntry(Table):
-    """Covariance matrix of the identified parameters."""
+    """Covariance matrix of the identified parameters, SI, with one row and column for each of `names`."""
 
     names: list[str]
     covariance: list[list[FiniteFloat]]
 
 
 class MachineFile(Table):
-    """The content of a machine.json."""
+    """Content of a machine.json; `ties` sets a parameter to a factor times another: {name: [other name, factor]}."""
 
     schema_: Literal[1] = Field(alias="schema")
     name: str

@@ -1,4 +1,4 @@
-"""Recordings: one run of a machine per file, validated when read.
+"""Read, validate and write recordings: files that hold one run of a machine each.
 
 The file is a table whose first column is `time_s`, followed by the machine's channels by name in any order. The cell of
 an output that was not measured is empty. Errors name file, row (1 is the first row below the header) and column.
@@ -52,18 +52,19 @@ class Recording:
 
 
 def load_recordings(folder: str | Path, machine: Machine) -> list[Recording]:
-    """Load all recordings of a folder.
+    """Load and validate all recordings of a folder.
 
     Args:
-        folder: Folder; files with other endings than .csv, .csv.gz and .parquet, and hidden files, are ignored.
-        machine: Machine that was recorded.
+        folder: Folder of the runs; files with other endings than .csv, .csv.gz and .parquet, and hidden files, are
+            ignored.
+        machine: Machine that was recorded; its channels name the columns.
 
     Returns:
         The runs in the order of their file names.
 
     Raises:
-        InputError: If the folder has no recordings, two files are the same run (`a.csv`, `a.parquet`), or a file is
-            invalid.
+        InputError: If the folder does not exist or has no recordings, two files are the same run (`a.csv`,
+            `a.parquet`), or a file is invalid.
     """
     path = Path(folder)
     if not path.is_dir():
@@ -80,18 +81,20 @@ def load_recordings(folder: str | Path, machine: Machine) -> list[Recording]:
 
 
 def load_recording(path: str | Path, machine: Machine, *, outputs_needed: bool = True) -> Recording:
-    """Load one recording.
+    """Load and validate one recording.
 
     Args:
-        path: File of the recording.
-        machine: Machine that was recorded.
-        outputs_needed: Whether a file without any output column, a plain voltage history, is refused.
+        path: File of the recording, .csv, .csv.gz or .parquet.
+        machine: Machine that was recorded; its channels name the columns.
+        outputs_needed: Whether the file must have output columns. False also accepts voltages alone; the outputs are
+            then NaN.
 
     Returns:
-        The run, with channels in the machine's order.
+        The run, with inputs in the order of the machine's drives and outputs in that of its sensors.
 
     Raises:
-        InputError: If the file does not follow the format. The message names file, row and column.
+        InputError: If the file cannot be read, columns are missing or unknown, a time or input is empty or infinite,
+            times do not increase, or a channel is in a wrong unit. The message names file, row and column.
     """
     path = Path(path)
     header, columns = read_table(path)
@@ -115,15 +118,15 @@ def load_recording(path: str | Path, machine: Machine, *, outputs_needed: bool =
 
 
 def write_trajectory(path: str | Path, trajectory: Trajectory, inputs: Array, machine: Machine) -> None:
-    """Write a simulated run as a recording.
+    """Write a simulated run as a recording that `load_recording` can read.
 
     The file appears complete or not at all.
 
     Args:
-        path: File to write, .csv or .csv.gz.
-        trajectory: Simulated motion.
+        path: File to write, .csv or .csv.gz (compressed).
+        trajectory: Simulated sample times and sensor readings, n samples.
         inputs: Drive voltages, V, shape (n, drives).
-        machine: Machine that was simulated.
+        machine: Machine that was simulated; its channels name the columns.
     """
     header = ["time_s", *machine.input_channels, *machine.output_channels]
     table = np.column_stack([trajectory.time_s, inputs, trajectory.outputs])
@@ -135,13 +138,13 @@ def write_trajectory(path: str | Path, trajectory: Trajectory, inputs: Array, ma
 
 
 def run_name(path: Path) -> str:
-    """Return the name of a run.
+    """Return the name of a run: its file name without folder and without .csv, .csv.gz or .parquet.
 
     Args:
-        path: File of the run.
+        path: File of the run; it need not exist.
 
     Returns:
-        The file name without its ending.
+        Name of the run. The name of a file with another ending is returned unchanged.
     """
     for suffix in SUFFIXES:
         if path.name.endswith(suffix):
@@ -150,16 +153,16 @@ def run_name(path: Path) -> str:
 
 
 def fill_gaps(recording: Recording) -> Recording:
-    """Insert rows for samples that the logger dropped.
+    """Insert rows for samples that the logger dropped: where a step exceeds 1.5 median sampling periods.
 
     Inputs are held from each row until the next, so a lost row would extend the input of the row before it. The lost
     voltages are interpolated, which is closer to those that were applied. The lost outputs are NaN.
 
     Args:
-        recording: Run with gaps.
+        recording: Run with or without gaps.
 
     Returns:
-        The run with additional rows, or the same object if no sample was lost.
+        Copy with additional rows at regular times, or the same object if no sample was lost.
     """
     time_s = recording.time_s
     steps = np.diff(time_s)

@@ -1,4 +1,4 @@
-"""Tables of numbers with a header, from CSV or Parquet files, and paths of points for the task `track`.
+"""Read tables of numbers with a header from CSV or Parquet files, and paths of points for the task `track`.
 
 Rows are counted from 1, the first row below the header. An empty cell is NaN.
 """
@@ -22,13 +22,14 @@ SUFFIXES = (".csv", ".csv.gz", ".parquet")
 
 
 def read_table(path: Path) -> tuple[list[str], dict[str, Array]]:
-    """Read the columns of a table.
+    """Read a table of numbers with a header line.
 
     Args:
-        path: A CSV file, plain or compressed by gzip, or a Parquet file.
+        path: A CSV file (.csv, or .csv.gz compressed by gzip) or a Parquet file (.parquet).
 
     Returns:
-        The header, and by column name the values, shape (rows,), NaN where a cell is empty.
+        Names of the columns in the order of the file.
+        Values of each column by its name, shape (rows,), NaN where a cell is empty.
 
     Raises:
         InputError: If the file cannot be read, rows differ in length, or a cell is not a number. The message names
@@ -40,17 +41,17 @@ def read_table(path: Path) -> tuple[list[str], dict[str, Array]]:
 
 
 def refuse_rows(path: Path, name: str, column: Array, invalid: NDArray[np.bool_], reason: str) -> None:
-    """Refuse a column if any of its rows is invalid.
+    """Raise an error that names the first invalid value of a column, if there is one.
 
     Args:
-        path: File of the column.
-        name: Name of the column.
+        path: File of the column, for the message.
+        name: Name of the column, for the message.
         column: Values of the column, shape (rows,).
-        invalid: Which rows are invalid, shape (rows,).
-        reason: Second half of the message, for example "is infinite".
+        invalid: True for each invalid row, shape (rows,).
+        reason: Text that follows the value in the message, for example "is infinite".
 
     Raises:
-        InputError: If a row is invalid. The message names file, column and the first such row.
+        InputError: If any row is invalid. The message names file, row, column and value.
     """
     if invalid.any():
         row = int(np.argmax(invalid))
@@ -59,10 +60,10 @@ def refuse_rows(path: Path, name: str, column: Array, invalid: NDArray[np.bool_]
 
 
 def refuse_decreasing_times(path: Path, time_s: Array) -> None:
-    """Refuse times that do not increase.
+    """Raise an error if times are not strictly increasing.
 
     Args:
-        path: File of the times.
+        path: File of the times, for the message.
         time_s: Times, s, shape (rows,).
 
     Raises:
@@ -77,17 +78,18 @@ def refuse_decreasing_times(path: Path, time_s: Array) -> None:
 
 
 def read_path(path: str | Path) -> tuple[Array, Array | None]:
-    """Read a path for the task `track`: columns x_m and y_m, and optionally time_s.
+    """Read the path that the tool follows in the task `track`: columns x_m and y_m, and optionally time_s.
 
     Args:
-        path: File of the path.
+        path: CSV or Parquet file of the path.
 
     Returns:
-        Points, m, shape (n, 2), and their times from zero, s, shape (n,), or None if the file has no times.
+        Points (x, y) of the tool, m, shape (n, 2).
+        Times of the points, s, shifted so that the first is zero, shape (n,); None if the file has no times.
 
     Raises:
-        InputError: If the file has other columns, fewer than two rows, a cell that is empty or infinite, or times that
-            do not increase. The message names file, row and column.
+        InputError: If the file cannot be read or has other columns, fewer than two rows, a cell that is empty or
+            infinite, or times that do not increase. The message names file, row and column.
     """
     path = Path(path)
     header, columns = read_table(path)
