@@ -109,7 +109,7 @@ class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]])
 
     @property
     def parameters(self) -> Array:
-        """Values of all `machine.parameters`, in their order, in the running episodes, SI, shape (num_envs, parameters)."""
+        """Values of all `machine.parameters` in the running episodes, in their order, SI, (num_envs, parameters)."""
         return self.batch.values[:, : len(self.machine.parameters)].copy()
 
     @property
