@@ -86,9 +86,9 @@ class Scene:
 class BeltGeometry:
     """Compute where the pulleys are, and the path of the belt around them.
 
-    The path follows the sections of the 20th-order model (eq. 25-34 of Sollmann et al. 2010): from the cart down the left side of the bridge,
-    out along the frame, around two corner pulleys (the right one is the motor), back to the right side of the bridge,
-    up, and the same above.
+    The path follows the sections of the 20th-order model (eq. 25-34 of Sollmann et al. 2010): from the cart down the
+    left side of the bridge, out along the frame, around two corner pulleys (the right one is the motor), back to the
+    right side of the bridge, up, and the same above.
 
     Args:
         workspace: Rows x and y, columns low and high, m, shape (2, 2).
@@ -262,7 +262,7 @@ class Renderer:
             scene: Positions, tensions and goal of an environment.
 
         Returns:
-            Picture, uint8, shape (HEIGHT, WIDTH, 3), in mode "rgb_array"; None in mode "human", which updates the window.
+            Picture, uint8, shape (HEIGHT, WIDTH, 3), in mode "rgb_array"; None in mode "human" (updates the window).
         """
         surface, draw = self._surface, self._pygame.draw
         surface.blit(self._background, (0, 0))

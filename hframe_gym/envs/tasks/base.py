@@ -54,7 +54,7 @@ class Task(ABC):
 
     @property
     def parameters(self) -> dict[str, float]:
-        """Nominal values, SI, of parameters that can be randomized, by name; the rule for `speed` names `task.speed`."""
+        """Nominal values, SI, of parameters that can be randomized, by name; rules refer to `speed` as `task.speed`."""
         return {}
 
     def check(self, workspace: Array) -> None:  # noqa: B027  (optional)
@@ -215,8 +215,8 @@ class ReferenceTrajectories:
         """Allocate the goal arrays of an observation.
 
         Returns:
-            `desired_goal` (count, 2), already filled in if goals do not move, and for a task with future goals `preview`
-            (count, 2 * previews); m, float32.
+            `desired_goal` (count, 2), already filled in if goals do not move, and for a task with future goals
+            `preview` (count, 2 * previews); m, float32.
         """
         if not self.moving:
             return {"desired_goal": self._fixed_goals.copy()}
