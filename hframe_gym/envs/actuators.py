@@ -33,9 +33,9 @@ class Actuators:
     Args:
         bits: Resolution of the D/A converter, which has 2**bits levels from -range_V to range_V; None: continuous.
         range_V: Voltage range of the converter, V; None: the rated voltage.
-        current_limit: Largest current in either direction, A; None: the machine's limits alone. The amplifier lowers
-            the voltage so that |V - Ke N w| / R stays within it; the machine gets the effect `current_limit` at every
-            drive. A smaller limit that the machine has already stays.
+        current_limit: Largest current in either direction, A; None: only the machine's limits. The amplifier lowers
+            the voltage V so that |V - Ke N w| / R stays within it (gear ratio N, pulley speed w, resistance R); every
+            drive gets the effect `current_limit`. A smaller limit of the machine remains.
         delay: Dead time between action and voltage, s; the machine gets the effect `input_delay`.
 
     Raises:
@@ -243,7 +243,7 @@ def _delay(history: Any, delays: Any, period: float, h: float, first: int, last:
     """Write the mean voltage that arrives in each step of a control period to inputs (blocks, steps * drives, LANES).
 
     history (blocks, periods, drives, LANES): volts of this period (0), the one before (1), ...; delays (blocks, drives,
-    LANES) s. A step h is not longer than the period, so that it sees two of the held voltages at most.
+    LANES) s. A step h is not longer than the period, so that at most two commanded voltages arrive during it.
     """
     drives = history.shape[2]
     oldest = history.shape[1] - 1

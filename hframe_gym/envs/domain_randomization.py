@@ -302,7 +302,7 @@ def as_rules(randomize: RandomizationLike, names: Sequence[str]) -> tuple[Rule, 
 
 
 def _as_rule(entry: object) -> Rule:
-    """Return a rule, made from a mapping where it is one; raises InputError for anything else."""
+    """Convert a dict of arguments to a rule and check a rule; raises InputError for anything else."""
     if isinstance(entry, Mapping):
         arguments = dict(entry)
         try:

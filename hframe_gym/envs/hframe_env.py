@@ -27,7 +27,7 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     ## Action Space
 
-    `Box(-1, 1, (2,), float32)`, held for one control period (10 ms). Entries outside the range are clipped and counted.
+    `Box(-1, 1, (2,), float32)`, constant for one control period (10 ms). Entries outside this range are clipped.
 
     | index | action | unit | range |
     |---|---|---|---|
