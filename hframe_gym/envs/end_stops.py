@@ -1,8 +1,8 @@
 """End stops: rubber buffers at both ends of the ranges of x and y.
 
-A buffer of stiffness k and damping c, compressed by d at the rate v, pushes back with k d (1 + c v) and never pulls: it is
-stiff in compression and soft in release, so that an impact loses energy. It is an effect with an active region: away
-from the ends it costs two comparisons per coordinate and step.
+A buffer of stiffness k and damping c, compressed by d at the rate v, pushes back with k d (1 + c v) and never pulls: it
+is stiff in compression and soft in release, so that an impact loses energy. It is an effect with an active region:
+away from the ends it costs two comparisons per coordinate and step.
 
 References:
     Hunt and Crossley, "Coefficient of restitution interpreted as damping in vibroimpact" (1975), with exponent 1.
