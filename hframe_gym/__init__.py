@@ -3,20 +3,20 @@
 Importing the package registers the environments `HFrame-v0` and `HFrameTrack-v0` with Gymnasium. The names below load
 their subpackage when they are first used:
 
-    Machine              the machine model: coordinates, belts, drives, sensors, effects
+    Machine              machine model: coordinates, belts, drives, sensors, effects
     load_machine         read a machine.json, or return a preset by name
     save_machine         write a machine.json
     simulate             simulate a machine over a voltage history
-    Trajectory           the result of a simulation
+    Trajectory           result of a simulation: states and sensor outputs over time
     load_recordings      read the recordings of a folder
     check_recordings     report faults and gaps in recordings before identification
     identify             fit a machine to recordings and find the effects that its model lacks
-    EFFECTS              the library of effects, by name
-    HFrameEnv            the environment
-    HFrameVectorEnv      the vectorized environment
+    EFFECTS              library of effects (friction, delay, ...) by name
+    HFrameEnv            Gymnasium environment of one machine
+    HFrameVectorEnv      Gymnasium vector environment of many machines
     make_controller      create a controller by name
     evaluate             evaluate controllers on a task
-    InputError           the error of faulty files and arguments
+    InputError           exception for invalid files and arguments
 """
 
 from __future__ import annotations

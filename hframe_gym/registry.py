@@ -1,4 +1,4 @@
-"""Registries of named parts, such as controllers, tasks, rewards and sensor kinds.
+"""Registries of named parts: classes or functions, such as controllers, tasks, rewards and sensor kinds.
 
 A part that is defined outside the package is available to every command and to `gym.make` without any change inside the
 package: a name of the form `package.module:name` imports the module first, and modules that installed packages declare
@@ -24,13 +24,13 @@ PLUGIN_GROUP = "hframe_gym.plugins"
 
 @cache
 def load_plugins() -> None:
-    """Import the plugins of installed packages, once.
+    """Import the plugins of installed packages; later calls do nothing.
 
     A plugin is a module that registers effects, controllers, tasks or other parts when it is imported; a package
     declares it as an entry point of the group `hframe_gym.plugins`.
 
     Warns:
-        UserWarning: If a plugin cannot be imported.
+        UserWarning: If a plugin cannot be imported; the other plugins are still imported.
     """
     for plugin in entry_points(group=PLUGIN_GROUP):
         try:
@@ -43,9 +43,12 @@ def import_modules(package: str, path: Iterable[str], *, skip: tuple[str, ...] =
     """Import every module of a package, so that the parts in them register themselves.
 
     Args:
-        package: Name of the package, its `__name__`.
-        path: Its folders, its `__path__`.
-        skip: Modules that are not imported, because they need an extra.
+        package: Full name of the package, its `__name__`.
+        path: Folders of the package, its `__path__`.
+        skip: Names of modules, without the package, that are not imported because they need optional dependencies.
+
+    Raises:
+        ImportError: If a module cannot be imported.
     """
     for module in pkgutil.iter_modules(path):
         if module.name not in skip:
@@ -53,10 +56,10 @@ def import_modules(package: str, path: Iterable[str], *, skip: tuple[str, ...] =
 
 
 class Registry(Generic[T]):
-    """Parts of one kind by name.
+    """Collection of parts (classes or functions) of one kind, which options and commands select by name.
 
     Args:
-        kind: What the parts are, for messages, for example "controller".
+        kind: Kind of the parts for error messages, for example "controller".
     """
 
     def __init__(self, kind: str) -> None:
@@ -64,7 +67,7 @@ class Registry(Generic[T]):
         self._parts: dict[str, T] = {}
 
     def register(self, name: str) -> Callable[[P], P]:
-        """Return a decorator that adds a part under a name.
+        """Return a decorator that adds a class or function to the registry.
 
         Args:
             name: Name by which options and commands select the part.
@@ -73,7 +76,7 @@ class Registry(Generic[T]):
             A decorator that returns its argument unchanged.
 
         Raises:
-            ValueError: If the name is taken by another part.
+            ValueError: By the decorator, if the name belongs to another part.
         """
 
         def add(part: P) -> P:
@@ -86,10 +89,10 @@ class Registry(Generic[T]):
         return add
 
     def unregister(self, name: str) -> None:
-        """Remove a part, for example after a test.
+        """Remove a part from the registry, for example after a test.
 
         Args:
-            name: Name of the part.
+            name: Name under which the part was registered.
 
         Raises:
             KeyError: If no part has this name.
@@ -97,16 +100,16 @@ class Registry(Generic[T]):
         del self._parts[name]
 
     def get(self, name: str) -> T:
-        """Return the part of a name.
+        """Look up a part by name; import plugins, or the given module, if necessary.
 
         Args:
-            name: A registered name, or `package.module:name` for a part that the module registers when imported.
+            name: Registered name, or `package.module:name` for a part that this module registers when it is imported.
 
         Returns:
-            The registered part.
+            Class or function that was registered under the name.
 
         Raises:
-            InputError: If no part has this name; the message lists the names there are.
+            InputError: If the module cannot be imported or no part has this name; the message lists all names.
         """
         module, colon, key = name.rpartition(":")
         if colon:
@@ -120,15 +123,15 @@ class Registry(Generic[T]):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Registered names in the order of registration."""
+        """Registered names in the order of registration, without plugins that are not imported yet."""
         return tuple(self._parts)
 
     def __contains__(self, name: object) -> bool:
-        """Return whether a name is registered, by a plugin if by nothing else."""
+        """Return whether a name is registered; import plugins before the answer is False."""
         if name not in self._parts:
             load_plugins()
         return name in self._parts
 
     def __iter__(self) -> Iterator[str]:
-        """Iterate over the registered names."""
+        """Iterate over the registered names in the order of registration, without importing plugins."""
         return iter(self._parts)

@@ -1,7 +1,8 @@
 """Actuators: what an action becomes at the motors, as declared by the machine or as a rig has it.
 
 The machine declares the converter of each drive (bits, voltage range); dead time and current limit are its effects
-`input_delay` and `current_limit`, which the kernel simulates.
+`input_delay` and `current_limit`, which the compiled simulation kernel (code generated for a machine) simulates.
+Batches are stored in the kernel's SIMD layout: environment b is lane b % LANES of block b // LANES.
 """
 
 from __future__ import annotations
@@ -32,9 +33,9 @@ class Actuators:
     Args:
         bits: Resolution of the D/A converter, which has 2**bits levels from -range_V to range_V; None: continuous.
         range_V: Voltage range of the converter, V; None: the rated voltage.
-        current_limit: Largest current in either direction, A; None: the machine's limits alone. The amplifier lowers
-            the voltage so that |V - Ke N w| / R stays within it; the machine gets the effect `current_limit` at every
-            drive. A smaller limit that the machine has already stays.
+        current_limit: Largest current in either direction, A; None: only the machine's limits. The amplifier lowers
+            the voltage V so that |V - Ke N w| / R stays within it (gear ratio N, pulley speed w, resistance R); every
+            drive gets the effect `current_limit`. A smaller limit of the machine remains.
         delay: Dead time between action and voltage, s; the machine gets the effect `input_delay`.
 
     Raises:
@@ -57,16 +58,17 @@ class Actuators:
             raise InputError(f"drives: delay is {self.delay!r}, it must be from 0 to 0.1 s")
 
     def apply(self, machine: Machine) -> Machine:
-        """Return the machine with these actuators.
+        """Put these converters, current limit and dead time into a copy of a machine.
 
         Args:
-            machine: The machine.
+            machine: Machine whose drives get them.
 
         Returns:
-            The machine with these converters, and with effects for current limit and dead time.
+            Copy with the bits and voltage range of these converters at every drive, and with the effects
+            `current_limit` and `input_delay` where a limit or a delay is given.
 
         Raises:
-            InputError: If the machine has a dead time already and `delay` is not 0.
+            InputError: If the machine has an input delay already and `delay` is not 0.
         """
         drives = [
             dataclasses.replace(d, converter_bits=self.bits or 0, voltage_range=self.range_V) for d in machine.drives
@@ -94,8 +96,8 @@ def _with_current_limit(machine: Machine, drive: str, limit: float) -> Machine:
     return machine.with_effects(effect)
 
 
-# Section II of the paper: a 12-bit converter and amplifiers of type A12. The paper gives no current limit; 12 A is the
-# peak current of amplifiers of this name. At standstill 12 V would drive 17 A.
+# Section II of Sollmann et al. (2010): a 12-bit converter and amplifiers of type A12. The paper gives no current limit;
+# 12 A is the peak current of amplifiers of this name. At standstill 12 V would drive 17 A.
 ACTUATOR_PRESETS: dict[str, Actuators | None] = {
     "ideal": Actuators(),
     "rig": Actuators(bits=12, current_limit=12.0),
@@ -105,14 +107,14 @@ ActuatorsLike: TypeAlias = Literal["ideal", "rig", "machine"] | Actuators
 
 
 def with_actuators(machine: Machine, drives: ActuatorsLike) -> Machine:
-    """Return the machine with the actuators of the option `drives`.
+    """Apply the environment option `drives` to a machine.
 
     Args:
-        machine: The machine.
-        drives: Name of a preset, or actuators.
+        machine: Machine whose drives get the converters, current limit and dead time.
+        drives: "ideal" (continuous converters), "rig" (12 bits, 12 A), "machine" (no change), or `Actuators(...)`.
 
     Returns:
-        The machine; unchanged for "machine".
+        Changed copy of the machine, or the machine itself for "machine".
 
     Raises:
         InputError: If the name is unknown, the object is of another type, or the actuators do not fit the machine.
@@ -126,20 +128,20 @@ def with_actuators(machine: Machine, drives: ActuatorsLike) -> Machine:
 
 
 class ActuatorModel:
-    """Converters and dead times of a batch: from actions to the input voltages of the kernel.
+    """Convert actions to the input voltages of the simulation kernel, with D/A converters and dead times.
 
     Args:
-        machine: The machine.
-        count: Environments.
-        column: Maps the full name of a parameter to its column in the parameters that `begin` is given.
+        machine: Machine with its drives and their converters.
+        count: Number of environments.
+        column: Function that returns the column of a parameter in the `values` of `begin`, given its full name.
         period: Control period, s.
-        steps: Steps of the integrator per period.
-        delayed: Whether a drive has a dead time.
+        steps: Integration steps per control period.
+        delayed: Whether any drive has a dead time.
 
     Attributes:
-        inputs: Input voltages of the kernel, V, shape (blocks, drives, LANES), or (blocks, steps * drives, LANES) with
-            one set for each step where a drive has a dead time.
-        delays: Dead times, s, shape (blocks, drives, LANES); to be written at reset.
+        inputs: Input voltages of the kernel, V. Shape (blocks, drives, LANES), constant over a control period; with a
+            dead time (blocks, steps * drives, LANES), one set of drives per integration step.
+        delays: Dead times, s, shape (blocks, drives, LANES). The simulator writes them at reset.
     """
 
     def __init__(
@@ -162,11 +164,11 @@ class ActuatorModel:
         self._commanded = np.zeros((blocks, drives, LANES)) if delayed else None
 
     def begin(self, index: Index, values: Array) -> None:
-        """Begin episodes without any voltage under way.
+        """Set the converters of k environments for new episodes and clear the voltages that dead times still delay.
 
         Args:
-            index: Environments, with the spare lanes of the last block, shape (k,).
-            values: Parameters, shape (k, N).
+            index: Indices of the environments, shape (k,). Indices from `count` on are unused lanes of the last block.
+            values: All N parameters of these environments, SI, in the columns that `column` returns, shape (k, N).
         """
         block, lane = np.divmod(index, LANES)
         for k, (bits_column, range_column) in enumerate(self._columns):
@@ -179,17 +181,20 @@ class ActuatorModel:
         self._history[block, :, :, lane] = 0.0
 
     def begin_period(self) -> None:
-        """Begin a control period of all environments."""
+        """Shift the history of commanded voltages of all environments by one control period and drop the oldest.
+
+        Call it once per control period, before `command`.
+        """
         self._history[:, 1:] = self._history[:, :-1]
 
     def command(self, actions: NDArray[Any], first: int, last: int, clipped: NDArray[np.int64]) -> None:
-        """Set the input voltages of blocks first..last-1 for a control period.
+        """Write the input voltages of blocks first to last - 1 for one control period to `inputs`.
 
         Args:
-            actions: Fractions of the rated voltage, shape (count, drives).
-            first: First block.
-            last: Block after the last one.
-            clipped: Entries outside [-1, 1] in this episode, shape (count,); increased.
+            actions: Voltages as fractions of the rated voltages, clipped to [-1, 1], shape (count, drives).
+            first: Index of the first block.
+            last: Index after the last block.
+            clipped: Number of clipped action entries in each running episode, shape (count,); updated in place.
         """
         converters = self._rated, self._converters, self._quantized
         if self._commanded is None:
@@ -238,7 +243,7 @@ def _delay(history: Any, delays: Any, period: float, h: float, first: int, last:
     """Write the mean voltage that arrives in each step of a control period to inputs (blocks, steps * drives, LANES).
 
     history (blocks, periods, drives, LANES): volts of this period (0), the one before (1), ...; delays (blocks, drives,
-    LANES) s. A step h is not longer than the period, so that it sees two of the held voltages at most.
+    LANES) s. A step h is not longer than the period, so that at most two commanded voltages arrive during it.
     """
     drives = history.shape[2]
     oldest = history.shape[1] - 1

@@ -1,9 +1,10 @@
-"""A batch of machines of one shape: their state, their parameters, and one control period of all of them.
+"""A batch of machines with the same equations: their state, their parameters, and one control period of all of them.
 
-State and parameters stay in the kernel's SIMD layout, arrays (blocks, rows, LANES), from one step to the next: machine
-b is lane b % LANES of block b // LANES. Spare lanes of the last block repeat the last machine. Positions and velocities
-are belt travel, m and m/s. Compiled functions work on blocks first..last-1, run without the interpreter lock and use
-only arithmetic that rounds alike everywhere, so that a machine gets the same bits in any batch, lane or thread.
+State and parameters stay in the SIMD layout of the compiled simulation kernel (code generated for a machine), arrays
+(blocks, rows, LANES): machine b is lane b % LANES of block b // LANES. Unused lanes of the last block repeat the last
+machine. Positions and velocities are belt travel, m and m/s: the coordinate if linear, radius * angle if rotary.
+Compiled functions work on blocks first to last - 1, run without the interpreter lock and use only arithmetic that
+rounds alike everywhere, so that a machine gets the same bits in any batch, lane or thread.
 """
 
 from __future__ import annotations
@@ -30,15 +31,15 @@ BLOCKS_FOR_THREADS = 64
 
 
 def parameter_values(machine: Machine, name: str, values: Array) -> Array:
-    """Return one parameter of a batch, which may be tied to another one.
+    """Return one parameter of k machines; a tied parameter is computed as its factor times the parameter it is tied to.
 
     Args:
-        machine: The machine.
-        name: Full name of the parameter.
-        values: Parameters in the order of `Machine.parameters`, shape (k, P or more).
+        machine: Machine that defines the parameters and their ties.
+        name: Full name of a parameter of `machine.parameters` or `machine.ties`, for example "phi1.radius".
+        values: Parameters of k machines, SI, columns in the order of `machine.parameters`; more may follow.
 
     Returns:
-        Values, SI, shape (k,).
+        Parameter values, SI, shape (k,).
     """
     if name in machine.ties:
         free, factor = machine.ties[name]
@@ -47,14 +48,14 @@ def parameter_values(machine: Machine, name: str, values: Array) -> Array:
 
 
 def units_per_travel(machine: Machine, values: Array) -> Array:
-    """Return the coordinates' units per meter of belt travel.
+    """Compute the factors from belt travel (m) to the units of the coordinates (m or rad).
 
     Args:
-        machine: The machine.
-        values: Parameters in the order of `Machine.parameters`, shape (k, P or more).
+        machine: Machine with its coordinates.
+        values: Parameters of k machines, SI, columns in the order of `machine.parameters`; more may follow.
 
     Returns:
-        1 for a linear coordinate, 1 / radius, rad/m, for a rotary one; shape (k, coordinates).
+        1 for a linear coordinate, 1 / radius in rad/m for a rotary one; shape (k, coordinates).
     """
     units = np.ones((len(values), len(machine.coordinates)))
     for i, c in enumerate(machine.coordinates):
@@ -64,13 +65,14 @@ def units_per_travel(machine: Machine, values: Array) -> Array:
 
 
 def block_ranges(index: Index) -> Iterator[tuple[int, int]]:
-    """Yield ranges of blocks that together hold all machines of an index.
+    """Divide the blocks of LANES machines that contain given machines into ranges of consecutive blocks.
 
     Args:
-        index: Machines, ascending, shape (k,).
+        index: Indices of the machines, ascending, not empty, shape (k,).
 
     Yields:
-        First block, and block after the last one.
+        first: Index of the first block of a range.
+        last: Index after its last block.
     """
     if len(index) == (index[-1] - index[0] + 1):
         yield int(index[0]) // LANES, int(index[-1]) // LANES + 1
@@ -81,22 +83,22 @@ def block_ranges(index: Index) -> Iterator[tuple[int, int]]:
 
 
 class BatchedSimulator:
-    """A batch of machines.
+    """Simulate many machines with the same equations and different parameters, one control period at a time.
 
     Args:
-        machine: The machine.
+        machine: Machine model.
         count: Number of machines.
-        space: Parameters that `reset` is given; those of the machine come first.
-        period: Control period, s; voltages are held that long.
-        longest_step: Longest step of the integrator, s.
-        end_stops: Whether x and y end at buffers.
-        sensors: Whether to evaluate the machine's sensors.
+        space: Names of the parameters in the columns that `reset` gets; those of the machine come first.
+        period: Control period, s; voltages are constant for this time.
+        longest_step: Largest integration step, s.
+        end_stops: Whether rubber buffers limit x and y.
+        sensors: Whether to compute the machine's sensor outputs.
 
     Attributes:
-        state: Travel and velocity of each coordinate, time and effect states, shape (blocks, rows, LANES).
-        parameters: Parameters of the machines, shape (blocks, P or more, LANES).
-        units_per_travel: The coordinates' units per meter of travel, shape (blocks, coordinates, LANES).
-        readings: Ideal readings of the sensors with their effects and delays, shape (blocks, sensors, LANES).
+        state: Belt travel (m) and its rate (m/s) of all coordinates, time (s), effect states; (blocks, rows, LANES).
+        parameters: Parameters of the machines, SI, shape (blocks, parameters, LANES).
+        units_per_travel: Factor from belt travel to the coordinate's unit, shape (blocks, coordinates, LANES).
+        readings: Sensor outputs with effects and delay, before noise and rounding, shape (blocks, sensors, LANES).
 
     Raises:
         InputError: If the period or the step is not positive.
@@ -159,12 +161,12 @@ class BatchedSimulator:
         self._kernel = kernel_for(self._stepped)
 
     def reset(self, index: Index, position: Array, values: Array) -> None:
-        """Put machines at rest with unstretched belts; time and effect states are zero and no voltage is under way.
+        """Put machines at rest with unstretched belts; set time, effect states and delayed voltages to zero.
 
         Args:
-            index: Machines, ascending, shape (k,).
-            position: Tool positions, m, shape (k, 2).
-            values: Parameters, shape (k, N), those of the machine first.
+            index: Indices of the machines, ascending, shape (k,).
+            position: Tool positions x, y, m, shape (k, 2).
+            values: All N parameters in the order of the constructor's `space`, SI, shape (k, N).
         """
         if index[-1] == self.count - 1:
             spare = np.arange(self.count, self.blocks * LANES)
@@ -195,10 +197,10 @@ class BatchedSimulator:
         """Advance all machines by one control period.
 
         Args:
-            actions: Finite fractions of the rated voltage, clipped to [-1, 1], shape (count, drives).
-            clipped: Clipped entries in this episode, shape (count,); increased.
-            finish: Called, in any thread, for ranges of blocks (first, last) once they are done; returns a machine
-                whose state is not finite, or -1.
+            actions: Voltages as fractions of the rated voltages, finite, clipped to [-1, 1], shape (count, drives).
+            clipped: Number of clipped action entries in each episode, shape (count,); updated in place.
+            finish: Function called, in any thread, after blocks first to last - 1 are advanced, with (first, last). It
+                returns the index of a machine whose state is not finite, or -1.
 
         Raises:
             NotFiniteError: If a state is not finite; the message names the environment.
@@ -231,9 +233,7 @@ class BatchedSimulator:
 
     def _advance_blocks(self, inputs: Array, steps: int, first: int, last: int) -> None:
         """Advance blocks first..last-1 by steps of the integrator."""
-        self._kernel.advance_blocks(
-            self.state, self.parameters, self._derived, inputs, self.h, steps, first, last
-        )  # fmt: skip
+        self._kernel.advance_blocks(self.state, self.parameters, self._derived, inputs, self.h, steps, first, last)
 
     def _advance_with_delay_line(self, delay_line: DelayLine, first: int, last: int) -> None:
         """Advance blocks first..last-1 by one control period and record their readings after every step."""
@@ -250,13 +250,14 @@ class BatchedSimulator:
     # -- reading ---------------------------------------------------------------------------------------------------
 
     def tool_product(self, name: str) -> tuple[int, int]:
-        """Return the coordinates whose product a yawing bridge adds to the tool position.
+        """Find the product term of the tool position, such as yaw * y of a bridge that yaws: x_tool = x + yaw * y.
 
         Args:
-            name: "x" or "y".
+            name: Axis of the tool position, "x" or "y".
 
         Returns:
-            Indices of two coordinates, or -1 twice.
+            first: Index of the first coordinate of the product, -1 if there is no product.
+            second: Index of the second coordinate of the product, -1 if there is no product.
         """
         for sensor in self.machine.sensors:
             for key, factor in sensor.row.items():
@@ -266,27 +267,27 @@ class BatchedSimulator:
         return -1, -1
 
     def values(self, index: Index, column: int) -> Array:
-        """Return one parameter.
+        """Return the present value of one parameter in k machines.
 
         Args:
-            index: Machines, shape (k,).
-            column: Column of the parameter in `Machine.parameters`.
+            index: Indices of the machines, shape (k,).
+            column: Index of the parameter in the order of `Machine.parameters`.
 
         Returns:
-            Values, SI, shape (k,).
+            Parameter values, SI, shape (k,).
         """
         block, lane = np.divmod(index, LANES)
         return self.parameters[block, column, lane]
 
     def tools(self, first: int = 0, last: int | None = None) -> Array:
-        """Return the tool positions in full precision.
+        """Return the true tool positions of the machines in blocks first to last - 1.
 
         Args:
-            first: First block.
-            last: Block after the last one; default: all.
+            first: Index of the first block of LANES machines.
+            last: Index after the last block; default: to the end.
 
         Returns:
-            Positions, m, shape (k, 2).
+            Positions x, y of the k machines in these blocks, m, float64, shape (k, 2).
         """
         last = self.blocks if last is None else last
         state, units = self.state[first:last], self.units_per_travel[first:last]
@@ -298,26 +299,26 @@ class BatchedSimulator:
         return positions.transpose(0, 2, 1).reshape(-1, 2)[: self.count - first * LANES].copy()
 
     def positions(self, b: int) -> dict[str, float]:
-        """Return the positions of one machine.
+        """Return the positions of all coordinates of one machine.
 
         Args:
-            b: Index of the machine.
+            b: Index of the machine, 0 to count - 1.
 
         Returns:
-            Positions by coordinate, m or rad.
+            Position by name of the coordinate, m (linear) or rad (rotary).
         """
         block, lane = divmod(b, LANES)
         values = self.state[block, : self._n, lane] * self.units_per_travel[block, :, lane]
         return dict(zip(self.machine.coordinate_names, values.tolist(), strict=True))
 
     def tensions(self, b: int) -> dict[str, float]:
-        """Return the tensions of one machine's belts.
+        """Compute the present belt tensions of one machine.
 
         Args:
-            b: Index of the machine.
+            b: Index of the machine, 0 to count - 1.
 
         Returns:
-            Tensions beyond the pretension by belt, N.
+            Tension minus pretension by name of the belt, N.
         """
         block, lane = divmod(b, LANES)
         state, parameters = self.state[block, :, lane], self.parameters[block, :, lane]

@@ -50,13 +50,14 @@ class EnvConfig:
     """Options of an environment.
 
     Args:
-        machine: A `Machine`, a preset name or the path of a machine.json.
+        machine: A `Machine`, the name of a machine preset ("hframe", ...) or the path of a machine.json.
         task: Registered name ("reach", "track"), `package.module:name`, or a `Task`.
         reward: Registered name ("dense", "sparse"), `package.module:name`, or a function of achieved and desired
-            positions, (n, 2) -> (n,).
+            tool positions, m, shape (n, 2) each, that returns n rewards.
         randomize: "none", "default", "wide", "identified" (from the covariance of a machine.json that `hframe identify`
-            wrote), or a list of rules.
-        sensors: What is observed: "state" (the full true state), "rig" (the paper's encoders and lasers), "machine"
+            wrote), or a list of `RandomizeParameter` and `RandomizeIdentified`.
+        sensors: What is observed: "state" (the true positions and velocities of x, y and the driven coordinates), "rig"
+            (encoders and lasers of Sollmann et al. 2010, with noise and resolution), "machine"
             (the sensors that the machine declares), or `Sensors(...)`.
         drives: What applies the voltages: "ideal" (continuous converters), "rig" (12 bits, 12 A), "machine" (the
             converters that the machine declares), or `Actuators(...)`. Dead times and current limits that the machine
@@ -65,11 +66,11 @@ class EnvConfig:
         ends: What happens at the workspace's edge: "stops" (rubber buffers) or "terminate" (the episode ends with
             `penalty`). With "terminate" an agent can learn to give up, so the penalty must outweigh that.
         penalty: Subtracted from the reward outside the workspace where `ends` is "terminate".
-        period: Control period, s.
-        longest_step: Longest step of the integrator, s.
+        period: Control period, s, positive.
+        longest_step: Largest integration step, s, positive; a control period is divided into equal steps.
 
     Raises:
-        InputError: If a value is invalid.
+        InputError: If `ends`, `privileged` or `penalty` is invalid. The environment checks the other options.
     """
 
     machine: MachineLike = "hframe"
@@ -94,15 +95,15 @@ class EnvConfig:
 
 
 def check_keywords(constructor: str, options: dict[str, Any], others: tuple[str, ...] = ("render_mode",)) -> None:
-    """Check that all keywords of a constructor exist.
+    """Check that every keyword given to an environment is an option of `EnvConfig`.
 
     Args:
-        constructor: Name of the class, for the message.
-        options: The keywords that are meant for `EnvConfig`.
-        others: Keywords that the constructor takes itself.
+        constructor: Name of the environment's class, for the error message.
+        options: Keywords given to the constructor, without those in `others`.
+        others: Further keywords of the constructor, listed in the message.
 
     Raises:
-        TypeError: If a keyword is unknown; the message lists those there are.
+        TypeError: If a keyword is unknown; the message suggests a similar one and lists all valid keywords.
     """
     names = [field.name for field in dataclasses.fields(EnvConfig)]
     for keyword in options:
@@ -116,16 +117,16 @@ def check_keywords(constructor: str, options: dict[str, Any], others: tuple[str,
 
 
 def as_machine(machine: MachineLike) -> Machine:
-    """Return the machine of the option `machine`.
+    """Convert the environment option `machine` to a `Machine`, reading a file where necessary.
 
     Args:
-        machine: A `Machine`, a preset name or the path of a machine.json.
+        machine: A `Machine`, which is returned unchanged, the name of a machine preset, or the path of a machine.json.
 
     Returns:
-        The machine.
+        Machine model.
 
     Raises:
-        InputError: If there is no such preset or file, or the file is faulty.
+        InputError: If no preset or file has this name, or the file is invalid.
     """
     if isinstance(machine, Machine):
         return machine

@@ -32,13 +32,13 @@ RESET_STEP = 2**62
 
 
 def compiled(function: Function) -> Function:
-    """Compile a function with Numba, without the interpreter lock, and cache it on disk.
+    """Compile a function with Numba and cache the machine code on disk; calls release Python's interpreter lock.
 
     Args:
         function: Function in the subset of Python that Numba supports.
 
     Returns:
-        The compiled function.
+        Compiled function with the same arguments.
     """
     result: Any = njit(nogil=True, cache=True, error_model="numpy")(function)
     return result
@@ -54,15 +54,15 @@ def _mix(z: Any) -> Any:
 
 @compiled
 def uniform(key: Any, step: Any, channel: Any) -> float:
-    """Return a uniform number in the open interval (0, 1).
+    """Generate one uniform random number; equal arguments always give the same number.
 
     Args:
-        key: Key of the episode, uint64.
-        step: Control period of the episode, or `RESET_STEP`.
-        channel: Index of the number within the step.
+        key: Key of the episode (its seed), uint64.
+        step: Index of the control period since the reset, from 0, or `RESET_STEP` for numbers that the reset uses.
+        channel: Index of the random number within the step, from 0.
 
     Returns:
-        The number, never exactly 0 or 1.
+        Number in the open interval (0, 1), never exactly 0 or 1.
     """
     z = _mix(np.uint64(key) + _GOLDEN)
     z = _mix(z + _GOLDEN * (np.uint64(step) + _ONE))
@@ -87,13 +87,14 @@ def _log(x: float) -> float:
 
 @compiled
 def cos_sin_of_turns(u: float) -> tuple[float, float]:
-    """Return cosine and sine of an angle of u turns, each with an error below 1e-15.
+    """Compute cosine and sine of an angle, each with an error below 1e-15.
 
     Args:
-        u: Angle in turns (1 turn is 2 pi rad).
+        u: Angle in turns (1 turn is 2 pi rad), any finite number.
 
     Returns:
-        Cosine and sine.
+        cosine: cos(2 pi u).
+        sine: sin(2 pi u).
     """
     quarter = math.floor(4.0 * u + 0.5)
     r = (4.0 * u - quarter) * 1.5707963267948966
@@ -111,15 +112,16 @@ def cos_sin_of_turns(u: float) -> tuple[float, float]:
 
 @compiled
 def normal_pair(key: Any, step: Any, channel: Any) -> tuple[float, float]:
-    """Return two independent standard normal numbers (Box-Muller).
+    """Generate two independent normal random numbers of mean 0 and variance 1 (Box and Muller 1958).
 
     Args:
-        key: Key of the episode, uint64.
-        step: Control period of the episode.
-        channel: Index of the first of the two uniform numbers from which the pair is computed.
+        key: Key of the episode (its seed), uint64.
+        step: Index of the control period since the reset, from 0.
+        channel: Channel of `uniform` for the first of the two uniform numbers used; `channel + 1` is the other.
 
     Returns:
-        The two numbers.
+        first: Normal number.
+        second: Normal number, independent of `first`.
     """
     radius = math.sqrt(-2.0 * _log(uniform(key, step, channel)))
     cosine, sine = cos_sin_of_turns(uniform(key, step, channel + 1))
@@ -135,14 +137,14 @@ def _fill(keys: Any, out: Any) -> None:
 
 
 def reset_uniforms(keys: NDArray[np.uint64], count: int) -> NDArray[np.float64]:
-    """Return the uniform numbers of resets.
+    """Generate the uniform random numbers that the resets of k episodes use.
 
     Args:
-        keys: Keys of the episodes that begin, shape (k,).
-        count: Numbers per episode.
+        keys: Keys of the new episodes from `episode_keys`, shape (k,).
+        count: Random numbers per episode.
 
     Returns:
-        Numbers in (0, 1), shape (k, count).
+        Random numbers in (0, 1), shape (k, count).
     """
     out = np.empty((len(keys), count))
     _fill(keys, out)
@@ -150,13 +152,13 @@ def reset_uniforms(keys: NDArray[np.uint64], count: int) -> NDArray[np.float64]:
 
 
 def episode_keys(keys: NDArray[np.uint64], episodes: NDArray[np.int64]) -> NDArray[np.uint64]:
-    """Return the keys of episodes: SplitMix64's sequence of seeds.
+    """Derive the key (seed) of an episode in each of k environments, as SplitMix64 derives its sequence of seeds.
 
     Args:
-        keys: Keys of the environments, shape (k,).
-        episodes: Number of the episode in each environment, shape (k,).
+        keys: Keys of the environments, one 64-bit random number each, shape (k,).
+        episodes: Number of episodes that each environment began since it was seeded; -1 for startup samples. (k,).
 
     Returns:
-        Keys of the episodes, shape (k,).
+        Keys of the episodes for `uniform` and `normal_pair`, shape (k,).
     """
     return keys + _GOLDEN * episodes.astype(np.uint64)

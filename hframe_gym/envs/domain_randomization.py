@@ -40,19 +40,20 @@ class Distribution(Protocol):
 
     @property
     def bounded(self) -> bool:
-        """Whether all values lie between the quantiles of 0 and 1.
+        """Whether the distribution has a finite smallest and largest value.
 
-        A rule with a bounded distribution is checked when the environment is made, others at every sample.
+        A rule with a bounded distribution is compared with the limits of its parameters when the environment is made,
+        any other rule at every sample.
         """
 
     def quantile(self, u: Array) -> Array:
-        """Map uniform numbers to values of the distribution.
+        """Compute quantiles; of uniform random numbers u they are samples of the distribution.
 
         Args:
-            u: Uniform numbers in (0, 1), shape (k,).
+            u: Probabilities in (0, 1), shape (k,).
 
         Returns:
-            Values, shape (k,). Each must depend on its uniform number alone, to the bit.
+            Quantiles, shape (k,). Entry i must depend on u[i] alone, to the bit, so that results do not depend on k.
         """
 
 
@@ -80,7 +81,14 @@ class Uniform(Distribution):
         _check(self, math.isfinite(self.low) and math.isfinite(self.high) and self.low <= self.high)
 
     def quantile(self, u: Array) -> Array:
-        """Map uniform numbers u, shape (k,), to values, shape (k,)."""
+        """Compute quantiles, low + (high - low) u.
+
+        Args:
+            u: Probabilities in (0, 1), shape (k,).
+
+        Returns:
+            Values of the distribution, shape (k,).
+        """
         return self.low + (self.high - self.low) * u
 
 
@@ -105,7 +113,14 @@ class LogUniform(Distribution):
         _check(self, 0.0 < self.low <= self.high < math.inf)
 
     def quantile(self, u: Array) -> Array:
-        """Map uniform numbers u, shape (k,), to values, shape (k,)."""
+        """Compute quantiles, low (high / low)^u.
+
+        Args:
+            u: Probabilities in (0, 1), shape (k,).
+
+        Returns:
+            Values of the distribution, shape (k,).
+        """
         # SciPy's exponential: that of NumPy may round differently for arrays of another size.
         values: Array = self.low * exp10(math.log10(self.high / self.low) * u)
         return values
@@ -132,7 +147,14 @@ class Normal(Distribution):
         _check(self, math.isfinite(self.mean) and 0.0 <= self.std < math.inf)
 
     def quantile(self, u: Array) -> Array:
-        """Map uniform numbers u, shape (k,), to values, shape (k,)."""
+        """Compute quantiles, mean + std * (standard normal quantile of u).
+
+        Args:
+            u: Probabilities in (0, 1), shape (k,).
+
+        Returns:
+            Values of the distribution, shape (k,).
+        """
         return self.mean + self.std * np.asarray(ndtri(u))
 
 
@@ -154,6 +176,9 @@ class RandomizeParameter:
         how: Whether the sampled number scales the parameter, is added to it or replaces it.
         when: Sample at every reset, or once per seed ("startup").
         shared: Sample one number for all matching parameters instead of one for each.
+
+    Raises:
+        InputError: If `distribution` is neither a `Distribution` nor the name and arguments of a registered one.
     """
 
     parameter: str
@@ -178,32 +203,32 @@ class RandomizeParameter:
             )
 
     def quantile(self, u: Array) -> Array:
-        """Map uniform numbers to values of the distribution.
+        """Compute quantiles of the rule's distribution; of uniform random numbers u they are samples.
 
         Args:
-            u: Uniform numbers in (0, 1), shape (k,).
+            u: Probabilities in (0, 1), shape (k,).
 
         Returns:
-            Values, shape (k,).
+            Samples for `apply`, shape (k,).
         """
         assert isinstance(self.distribution, Distribution)
         return self.distribution.quantile(u)
 
     @property
     def bounded(self) -> bool:
-        """Whether the distribution is bounded."""
+        """Whether the rule's distribution has a finite smallest and largest value."""
         assert isinstance(self.distribution, Distribution)
         return self.distribution.bounded
 
     def apply(self, value: Array, sample: Array) -> Array:
-        """Change a parameter by sampled numbers.
+        """Apply samples to a parameter of k environments: value * sample, value + sample or sample, according to `how`.
 
         Args:
-            value: Values before, shape (k,).
-            sample: Sampled numbers, shape (k,).
+            value: Parameter before the change, SI, shape (k,).
+            sample: Samples of the distribution; dimensionless where `how` is "scale", else SI, shape (k,).
 
         Returns:
-            Values after, shape (k,).
+            Parameter after the change, SI, shape (k,).
         """
         if self.how == "scale":
             return value * sample
@@ -228,7 +253,7 @@ class RandomizeIdentified:
 
 Rule: TypeAlias = RandomizeParameter | RandomizeIdentified
 
-# What the paper determines least accurately.
+# The parameters that Sollmann et al. (2010) determine least accurately.
 DEFAULT: tuple[Rule, ...] = (
     RandomizeParameter("*.EA", Uniform(0.7, 1.3), shared=True),  # one belt, one material
     RandomizeParameter("*.rest_length", Uniform(0.85, 1.2)),
@@ -254,18 +279,18 @@ RandomizationLike: TypeAlias = Literal["none", "default", "wide", "identified"] 
 
 
 def as_rules(randomize: RandomizationLike, names: Sequence[str]) -> tuple[Rule, ...]:
-    """Return the rules of the option `randomize`.
+    """Convert the environment option `randomize` to randomization rules.
 
     Args:
-        randomize: Name of a preset, or a list of rules. A rule may be a mapping of the arguments of
-            `RandomizeParameter`, as a TOML or JSON file gives it.
-        names: Full names of the parameters that can be randomized.
+        randomize: Name of a preset, or a list of `RandomizeParameter` and `RandomizeIdentified`. An entry may also be a
+            dict of the arguments of `RandomizeParameter`, as read from a TOML or JSON file.
+        names: Full names of all parameters that can be randomized, for example "x.mass".
 
     Returns:
-        The rules; those of a preset as far as parameters match them.
+        Rules in the order given. Rules of a preset that match no parameter of `names` are left out.
 
     Raises:
-        InputError: If the preset is unknown or an entry is not a rule.
+        InputError: If the preset is unknown, or an entry is not a rule or has an invalid `how` or `when`.
     """
     if isinstance(randomize, str):
         if randomize not in RANDOMIZATION_PRESETS:
@@ -277,7 +302,7 @@ def as_rules(randomize: RandomizationLike, names: Sequence[str]) -> tuple[Rule, 
 
 
 def _as_rule(entry: object) -> Rule:
-    """Return a rule, made from a mapping where it is one; raises InputError for anything else."""
+    """Convert a dict of arguments to a rule and check a rule; raises InputError for anything else."""
     if isinstance(entry, Mapping):
         arguments = dict(entry)
         try:
@@ -294,13 +319,13 @@ def _as_rule(entry: object) -> Rule:
 
 
 def matching(names: Sequence[str], rule: RandomizeParameter) -> list[int]:
-    """Return the indices of the names that a rule matches.
+    """Find the parameters whose names match the pattern of a rule.
 
     Args:
-        names: Full names of parameters.
-        rule: The rule.
+        names: Full names of parameters, for example "x.mass".
+        rule: Rule whose `parameter` is a name or a pattern with * and ?, case-sensitive.
 
     Returns:
-        Indices into `names`, ascending.
+        Indices into `names`, ascending; empty if no name matches.
     """
     return [i for i, name in enumerate(names) if fnmatchcase(name, rule.parameter)]

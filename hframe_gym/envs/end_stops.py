@@ -1,8 +1,8 @@
 """End stops: rubber buffers at both ends of the ranges of x and y.
 
-A buffer pushes back with k d (1 + c v) and never pulls: it is stiff in compression and soft in release, so that an
-impact loses energy. It is an effect with an active region: away from the ends it costs two comparisons per coordinate
-and step.
+A buffer of stiffness k and damping c, compressed by d at the rate v, pushes back with k d (1 + c v) and never pulls: it
+is stiff in compression and soft in release, so that an impact loses energy. It is an effect with an active region:
+away from the ends it costs two comparisons per coordinate and step.
 
 References:
     Hunt and Crossley, "Coefficient of restitution interpreted as damping in vibroimpact" (1975), with exponent 1.
@@ -46,13 +46,13 @@ END_STOP = Effect(
 
 
 def with_end_stops(machine: Machine) -> Machine:
-    """Return the machine with a buffer at both ends of x and y.
+    """Add rubber buffers at both ends of the ranges of x and y to a copy of a machine.
 
     Args:
-        machine: A machine whose coordinates x and y have ranges.
+        machine: Machine whose coordinates x and y have ranges.
 
     Returns:
-        The machine with two more effects; its parameters keep their order and come first.
+        Copy with two more effects `end_stop`, one for x and one for y. Their parameters follow those of the machine.
     """
     stops = []
     for name in ("x", "y"):
@@ -62,12 +62,12 @@ def with_end_stops(machine: Machine) -> Machine:
 
 
 def rated_belt_force(machine: Machine) -> float:
-    """Return the force of all drives together at rated voltage and standstill.
+    """Add up the belt forces of all drives at rated voltage and standstill (no back-EMF).
 
     Args:
-        machine: The machine.
+        machine: Machine with its drives.
 
     Returns:
-        Force on the belt, N.
+        Sum of drive torque / pulley radius (of the drive force on a linear coordinate) over all drives, N.
     """
     return sum(d.gain * d.rated_voltage / machine.coordinate(d.coordinate).travel_per_unit for d in machine.drives)

@@ -41,13 +41,13 @@ Flags = NDArray[np.bool_]
 
 
 class StepResult(NamedTuple):
-    """One control period of all environments; new arrays, first axis count.
+    """Result of one control period of `count` environments, in new arrays.
 
     Attributes:
-        observation: Observations.
+        observation: Observation arrays by key, float32, first axis count.
         reward: Rewards, shape (count,).
-        terminated: Whether the tool left the workspace and episodes end there, shape (count,).
-        truncated: Whether the episode reached the limit, shape (count,).
+        terminated: Whether the tool is outside the workspace; always False unless `ends` is "terminate". (count,) bool.
+        truncated: Whether the episode has reached its maximum number of control periods, shape (count,).
         distance: Distance of the true tool position to the goal, m, shape (count,).
         contour: Distance of the true tool position to the path, m, shape (count,); None for a task without a path.
     """
@@ -61,21 +61,21 @@ class StepResult(NamedTuple):
 
 
 class EnvironmentBatch:
-    """A batch of environments.
+    """Advance, observe and reset many environments with the same options.
 
     Args:
-        config: Options.
+        config: Options of the environments.
         count: Number of environments.
 
     Attributes:
-        machine: The machine without randomization, with the chosen sensors and actuators.
+        machine: Machine without randomization, with the chosen sensors and actuators.
         workspace: Rows x and y, columns low and high, m, shape (2, 2).
-        simulator: The machines.
-        sampler: Samples their parameters.
-        references: The goals.
-        observations: Builds observations.
-        values: All parameters of the running episodes, in the order of `sampler.space.names`, shape (count, N).
-        clipped: Action entries outside [-1, 1] in this episode, shape (count,).
+        simulator: Simulates the machines.
+        sampler: Samples parameters at startup and reset.
+        references: Computes the goals.
+        observations: Computes observations from states or measurements.
+        values: All N parameters of the running episodes, SI, order of `sampler.space.names`, shape (count, N).
+        clipped: Number of action entries outside [-1, 1] in each running episode, shape (count,).
 
     Raises:
         InputError: If an option is invalid or options do not fit together.
@@ -127,15 +127,16 @@ class EnvironmentBatch:
     # -- reset -----------------------------------------------------------------------------------------------------
 
     def reset(self, index: Index, start: ArrayLike | None = None, target: ArrayLike | None = None) -> None:
-        """Begin new episodes.
+        """Begin a new episode in k environments, with new parameters, start position and goal.
 
         Args:
-            index: Environments, ascending, shape (k,).
-            start: Start positions in place of the task's, m, shape (2,) or (k, 2).
-            target: Targets in place of the task's, m, shape (2,) or (k, 2).
+            index: Indices of the environments, ascending, shape (k,).
+            start: Tool positions at the start, m, shape (2,) or (k, 2). Default: the task chooses them.
+            target: Goal positions, m, shape (2,) or (k, 2). Default: the task chooses them.
 
         Raises:
-            InputError: If a position is outside the workspace, or the task has no target.
+            InputError: If a position is outside the workspace, a sampled parameter is outside its limits, or `target`
+                is given for a task without one, such as "track".
         """
         starts, targets = self._points("start", start, len(index)), self._points("target", target, len(index))
         keys, uniforms, values = self.sampler.sample(index, self.task.draws)
@@ -158,13 +159,13 @@ class EnvironmentBatch:
         return np.array(np.broadcast_to(values, (k, 2)))
 
     def randomized(self, index: Index) -> dict[str, Array]:
-        """Return the randomized parameters.
+        """Return the values of the randomized parameters in the running episodes.
 
         Args:
-            index: Environments, shape (k,).
+            index: Indices of k environments, shape (k,).
 
         Returns:
-            Values by full name, SI, shape (k,) each.
+            Values by full name of the parameter, SI, shape (k,) each; empty without randomization.
         """
         columns = zip(self.sampler.names, self.sampler.columns, strict=True)
         return {name: self.values[index, column] for name, column in columns}
@@ -172,17 +173,17 @@ class EnvironmentBatch:
     # -- step ------------------------------------------------------------------------------------------------------
 
     def check_actions(self, actions: Any) -> NDArray[Any]:
-        """Check actions.
+        """Check the shape of actions and that they are finite, and convert them to a contiguous float array.
 
         Args:
-            actions: Fractions of the rated voltage, shape (count, drives).
+            actions: Voltages as fractions of the rated voltages, shape (count, drives). `step` clips them to [-1, 1].
 
         Returns:
-            The actions as float32 or float64.
+            Actions, float32 if they were float32, else float64, shape (count, drives).
 
         Raises:
-            ValueError: If the shape is another one or a number is not finite; the message names environment and motor.
-            gymnasium.error.ResetNeeded: If no episode was begun.
+            ValueError: If the shape differs or an entry is not finite; the message names environment and drive.
+            gymnasium.error.ResetNeeded: If `reset` was not called before.
         """
         if not self._was_reset:
             raise error.ResetNeeded("call reset before step")
@@ -202,14 +203,14 @@ class EnvironmentBatch:
         """Advance all environments by one control period.
 
         Args:
-            actions: Actions from `check_actions`.
-            limit: Control periods after which an episode is truncated.
+            actions: Result of `check_actions`: fractions of the rated voltages, shape (count, drives).
+            limit: Number of control periods after which an episode is truncated; None: never.
 
         Returns:
-            Observations, rewards and ends.
+            Observations, rewards, flags of the ends of episodes, and errors of the tool position.
 
         Raises:
-            NotFiniteError: If a state is not finite.
+            NotFiniteError: If a position or velocity is not finite; the message names the environment.
         """
         self.references.elapsed += 1
         observation, tool = self._blank()
@@ -243,11 +244,12 @@ class EnvironmentBatch:
         return StepResult(observation, reward, terminated, truncated, distance, contour)
 
     def restart(self, index: Index, result: StepResult) -> None:
-        """Begin new episodes and write their first observations.
+        """Begin a new episode in k environments and write its first observation into the result of a step.
 
         Args:
-            index: Environments, ascending, shape (k,).
-            result: Output; observation, distance and contour of these environments are replaced.
+            index: Indices of the environments, ascending, shape (k,).
+            result: Result of `step`. The rows `index` of its observation, distance and contour are overwritten; its
+                rewards and flags are not changed.
         """
         self.reset(index)
         observation = result.observation
@@ -260,10 +262,10 @@ class EnvironmentBatch:
             result.contour[index] = self.contour(index)
 
     def observe(self) -> Observation:
-        """Observe all environments as they are.
+        """Compute the observations of all environments from the present states or the last measurements.
 
         Returns:
-            New arrays, first axis count.
+            New float32 arrays by key of the observation space, first axis count.
         """
         observation, tool = self._blank()
         self.references.write(slice(None), observation)
@@ -277,10 +279,10 @@ class EnvironmentBatch:
         return observation, tool
 
     def contour(self, index: Index | slice) -> Array | None:
-        """Return the distances of the true tool positions to their paths.
+        """Compute the distance of the true tool position to the path of the goal, regardless of time.
 
         Args:
-            index: Environments, shape (k,).
+            index: Indices of k environments, shape (k,), or a slice of them.
 
         Returns:
             Distances, m, shape (k,); None for a task without a path.
@@ -288,10 +290,10 @@ class EnvironmentBatch:
         return self.references.contour(index, self.simulator.tools()[index])
 
     def distance(self, index: Index) -> Array:
-        """Return the distances of the true tool positions to their goals.
+        """Compute the distance of the true tool position to the present goal.
 
         Args:
-            index: Environments, ascending, shape (k,).
+            index: Indices of k environments, ascending, shape (k,).
 
         Returns:
             Distances, m, shape (k,).
@@ -302,14 +304,14 @@ class EnvironmentBatch:
         return distances(tool[index], self.references.goals(index))
 
     def compute_reward(self, achieved: ArrayLike, desired: ArrayLike) -> Any:
-        """Compute rewards, exactly those that `step` returns.
+        """Compute rewards of tool positions; for the goals of a step they equal its rewards to the bit.
 
         Args:
-            achieved: Achieved positions, m, shape (2,) or (n, 2).
-            desired: Desired positions, m, the same shape.
+            achieved: Achieved tool positions, m, shape (2,) or (n, 2).
+            desired: Goal positions, m, the same shape.
 
         Returns:
-            A float, or an array of shape (n,).
+            Reward as a float for shape (2,), or n rewards, shape (n,).
         """
         a, d = np.asarray(achieved, np.float32), np.asarray(desired, np.float32)
         if a.ndim == 1:

@@ -27,7 +27,7 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     ## Action Space
 
-    `Box(-1, 1, (2,), float32)`, held for one control period (10 ms). Entries outside the range are clipped and counted.
+    `Box(-1, 1, (2,), float32)`, constant for one control period (10 ms). Entries outside this range are clipped.
 
     | index | action | unit | range |
     |---|---|---|---|
@@ -51,7 +51,7 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
     | `achieved_goal` | 0, 1 | x, y of the tool | m | -0.33 to 0.33, -0.24 to 0.24 |
     | `desired_goal` | 0, 1 | x, y of the goal | m | -0.33 to 0.33, -0.24 to 0.24 |
     | `preview` | 2 i, 2 i + 1 | x, y of future goal i (tasks with a path) | m | -0.33 to 0.33, -0.24 to 0.24 |
-    | `privileged` | | state of all coordinates, randomized parameters (with `privileged=True`) | | |
+    | `privileged` | | state of all coordinates, randomized parameters (only with `privileged=True`) | | |
 
     With `sensors="rig"` or `"machine"`, positions are measurements and velocities their differences over the control
     period, unfiltered. `achieved_goal` is then the measured tool position: that of a sensor of x or y inside its range,
@@ -119,28 +119,30 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     @property
     def entries(self) -> tuple[SignalSpec, ...]:
-        """Name, unit and bounds of every entry of `observation`."""
+        """Name, unit and bounds of every entry of `observation`, in order."""
         return self.batch.observations.entries
 
     @property
     def privileged_entries(self) -> tuple[SignalSpec, ...]:
-        """Name, unit and bounds of every entry of `privileged`; empty without `privileged=True`."""
+        """Name, unit and bounds of every entry of `privileged`, in order; empty without `privileged=True`."""
         return self.batch.observations.privileged
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begin an episode.
+        """Begin an episode: sample parameters, put the tool at rest at its start position and choose the goal.
 
         Args:
-            seed: Seed of the environment's generator; None continues it.
-            options: `start` and `target`, each (x, y) in m, in place of what the task chooses.
+            seed: Seed of the environment's random generator; None continues the present sequence.
+            options: Optional keys `start` and `target`: tool and goal positions (x, y), m, in place of random ones.
 
         Returns:
-            Observation and info.
+            observation: Arrays by key, see Observation Space.
+            info: Distance to the goal and further values, see Episode End.
 
         Raises:
-            InputError: If an option is unknown or a position is outside the workspace.
+            InputError: If an option is unknown, a position is outside the workspace, or `target` is given for a task
+                without one, such as "track".
         """
         super().reset(seed=seed)
         if self._seeded_by is not self.np_random or seed is not None:
@@ -154,18 +156,22 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
         return observation, info
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Advance by one control period.
+        """Apply constant motor voltages for one control period.
 
         Args:
-            action: Fractions of the rated voltages, shape (2,).
+            action: Voltages as fractions of the rated voltages, shape (2,); clipped to [-1, 1].
 
         Returns:
-            Observation, reward, terminated, truncated (always False) and info.
+            observation: Arrays by key, see Observation Space.
+            reward: Reward, see Rewards.
+            terminated: Whether the tool left the workspace; always False unless `ends` is "terminate".
+            truncated: Always False; `gym.make` adds the limit of 150 steps.
+            info: Distance to the goal and further values, see Episode End.
 
         Raises:
-            ValueError: If the action has another shape or a number is not finite.
+            ValueError: If the action has another shape or an entry is not finite.
             gymnasium.error.ResetNeeded: If `reset` was not called.
-            NotFiniteError: If the motion is not finite.
+            NotFiniteError: If a position or velocity is not finite (simulation diverged).
         """
         result = self.batch.step(self.batch.check_actions(np.asarray(action)[None]))
         observation = {k: v[0] for k, v in result.observation.items()}
@@ -174,15 +180,15 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
         return observation, result.reward.item(), result.terminated.item(), False, info
 
     def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
-        """Compute the reward that `step` returns.
+        """Compute rewards of tool positions, for example to relabel goals (hindsight experience replay).
 
         Args:
-            achieved_goal: Achieved positions, m, shape (2,) or (n, 2).
-            desired_goal: Desired positions, m, the same shape.
-            info: Not used.
+            achieved_goal: Achieved tool positions, m, shape (2,) or (n, 2).
+            desired_goal: Goal positions, m, the same shape.
+            info: Not used; part of the signature that stable-baselines3 calls.
 
         Returns:
-            A float, or an array of shape (n,).
+            Reward as a float for shape (2,), or n rewards, shape (n,); the same bits as the rewards of `step`.
         """
         return self.batch.compute_reward(achieved_goal, desired_goal)
 
@@ -211,10 +217,11 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
             self.render()
 
     def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
-        """Draw the stage.
+        """Draw the machine from above, with belts, goal and the past path of the tool.
 
         Returns:
-            The picture, shape (height, width, 3), in mode "rgb_array"; None in mode "human", which updates the window.
+            Mode "rgb_array": picture, uint8, shape (height, width, 3). Mode "human": None; updates the window. Without
+            a render mode: None, with a warning.
 
         Raises:
             ImportError: If pygame is missing; the message names the extra.
@@ -229,7 +236,7 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
         return self._renderer.draw(Scene.of(self.batch, 0, self._trail))
 
     def close(self) -> None:
-        """Close the window, if there is one."""
+        """Close the window of render mode "human" if it is open; the environment remains usable."""
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
@@ -246,11 +253,12 @@ class HFrameTrackEnv(HFrameEnv):
     and the info `contour_m`.
 
     Args:
-        render_mode: As for `HFrameEnv`.
-        **options: As for `HFrameEnv`; `task` is "track" by default and must have metrics "track".
+        render_mode: None, "rgb_array" or "human".
+        **options: Keywords of `EnvConfig`. `task` is "track" by default; another task must have `metrics` "track".
 
     Raises:
-        InputError: If the task has no path.
+        InputError: If the task has no path, or an option is invalid.
+        TypeError: If a keyword is unknown; the message lists the keywords.
     """
 
     def __init__(self, *, render_mode: str | None = None, **options: Unpack[EnvOptions]) -> None:
@@ -260,29 +268,29 @@ class HFrameTrackEnv(HFrameEnv):
 
 
 def require_path(batch: EnvironmentBatch) -> None:
-    """Check that the task of HFrameTrack-v0 has a path.
+    """Check that the task of an environment `HFrameTrack-v0` has a path (`metrics` is "track").
 
     Args:
-        batch: The environments.
+        batch: Environments with their task.
 
     Raises:
-        InputError: If it has none.
+        InputError: If the task has no path, such as "reach".
     """
     if batch.task.metrics != "track":
         raise InputError(f"HFrameTrack-v0 needs a task with a path, not {batch.task.name!r}; use HFrame-v0 for it")
 
 
 def check_reset_options(options: dict[str, Any] | None) -> dict[str, Any]:
-    """Return the options of a reset as keywords of `EnvironmentBatch.reset`.
+    """Check the names in the argument `options` of an environment's `reset`.
 
     Args:
-        options: Options by name, or None.
+        options: Values by name, `start` and `target` allowed; or None.
 
     Returns:
-        The options.
+        The same options, empty for None, as keywords of `EnvironmentBatch.reset`.
 
     Raises:
-        InputError: If a name is unknown.
+        InputError: If a name is neither "start" nor "target".
     """
     options = options or {}
     unknown = sorted(set(options) - {"start", "target"})

@@ -52,18 +52,18 @@ class ParameterSpace:
 
     @classmethod
     def of(cls, machine: Machine, task_parameters: Mapping[str, float] | None = None) -> ParameterSpace:
-        """Collect the parameters of a machine and a task.
+        """Collect the parameters of a machine and a task, with the limits of their random values.
 
-        Friction, noise and converter resolution may vanish. A belt keeps `SMALLEST_FRACTION` of its length wherever
-        the carriage can be. Parameters of effects have the bounds of their definition. Any other positive parameter
-        keeps `SMALLEST_FRACTION` of its nominal value.
+        Friction, noise and converter resolution may be 0. The rest length of a belt is at least `SMALLEST_FRACTION` of
+        its nominal value at every position in the workspace. Parameters of effects have the bounds of their
+        definition. Any other positive parameter is at least `SMALLEST_FRACTION` of its nominal value.
 
         Args:
-            machine: The machine.
-            task_parameters: Nominal values of the task's parameters by their short names.
+            machine: Machine without randomization.
+            task_parameters: Nominal values of the task's parameters, SI, by name without "task.", e.g. "speed".
 
         Returns:
-            The parameter space.
+            Names, nominal values and limits of all N parameters.
         """
         task = {f"task.{name}": value for name, value in (task_parameters or {}).items()}
         values = {**machine.parameters, **machine.device_parameters, **task}
@@ -98,20 +98,20 @@ def _effect_and_belt_bounds(machine: Machine) -> dict[str, tuple[float, float]]:
 
 
 class RuleSampler:
-    """Samples parameters by the rules of one occasion.
+    """Sample parameters by the rules for startup, or by those for reset.
 
     Args:
-        space: The parameters.
-        rules: Rules of all occasions.
-        machine: The machine, whose covariance `RandomizeIdentified` uses.
-        when: The occasion, "reset" or "startup"; rules of the other one are ignored.
-        before: Smallest and largest values after an earlier occasion, (N,) each. Default: the nominal values.
+        space: Names, nominal values and limits of all N parameters.
+        rules: Randomization rules.
+        machine: Machine whose identified covariance `RandomizeIdentified` uses.
+        when: Rules to apply, "reset" or "startup"; those with another `when` are ignored.
+        before: Smallest and largest values before sampling, SI, shape (N,) each. Default: nominal values.
 
     Attributes:
-        names: Full names of the parameters that change.
-        draws: Uniform numbers per sample.
-        low: Smallest value of every parameter after this occasion, shape (N,).
-        high: Largest value of every parameter after this occasion, shape (N,).
+        names: Full names of the parameters that the rules change.
+        draws: Uniform random numbers per sample of all parameters.
+        low: Smallest possible value of every parameter after sampling, SI, shape (N,).
+        high: Largest possible value of every parameter after sampling, SI, shape (N,).
 
     Raises:
         InputError: If a rule matches no parameter, or can leave the limits of one.
@@ -201,14 +201,14 @@ class RuleSampler:
         self.high[indices] = np.minimum(self.high[indices] + reach, self._space.upper[indices])
 
     def sample(self, base: Array, uniforms: Array) -> Array:
-        """Sample parameters.
+        """Apply the rules to the parameters of k environments.
 
         Args:
-            base: Values before, shape (k, N).
-            uniforms: Uniform numbers in (0, 1), shape (k, draws).
+            base: All N parameters before sampling, SI, shape (k, N).
+            uniforms: Uniform random numbers in (0, 1), shape (k, draws).
 
         Returns:
-            Values after, shape (k, N). Negative samples of friction and noise are set to zero.
+            All parameters after sampling, SI, shape (k, N). Negative samples of friction and noise are set to zero.
 
         Raises:
             InputError: If an unbounded distribution yields a value outside the limits of a parameter.
@@ -240,31 +240,31 @@ class RuleSampler:
 
 
 class EpisodeSamples(NamedTuple):
-    """Samples of k new episodes."""
+    """Random numbers and parameters of k new episodes."""
 
-    keys: Keys  # of the episodes' random numbers, (k,)
-    uniforms: Array  # uniform numbers for the task, (k, n)
-    values: Array  # all parameters, (k, N)
+    keys: Keys  # keys (seeds) of the episodes for counter_rng, (k,)
+    uniforms: Array  # uniform random numbers in (0, 1) for the task, (k, n)
+    values: Array  # all N parameters, SI, (k, N)
 
 
 class MachineSampler:
-    """Samples the parameters of `count` environments, and the keys of their episodes' random numbers.
+    """Sample the parameters of `count` environments, and the keys (seeds) of their episodes.
 
     Each environment takes one number from its generator when it is seeded. The key of every episode is derived from
     that number and the number of episodes before.
 
     Args:
-        machine: The machine without randomization.
-        randomize: Preset or rules.
+        machine: Machine without randomization.
+        randomize: Name of a preset, or a list of rules; see `domain_randomization.as_rules`.
         count: Number of environments.
-        task_parameters: Nominal values of the task's parameters by their short names.
+        task_parameters: Nominal values of the task's parameters, SI, by name without "task.", e.g. "speed".
 
     Attributes:
-        space: All N parameters.
+        space: Names, nominal values and limits of all N parameters.
         names: Full names of the randomized parameters, sorted.
-        columns: Their indices in `space.names`.
-        low: Smallest value of every parameter, shape (N,).
-        high: Largest value of every parameter, shape (N,).
+        columns: Indices of the randomized parameters in `space.names`.
+        low: Smallest possible value of every parameter, SI, shape (N,).
+        high: Largest possible value of every parameter, SI, shape (N,).
     """
 
     def __init__(
@@ -288,46 +288,46 @@ class MachineSampler:
         self._keys, self._episodes = np.zeros(count, np.uint64), np.zeros(count, np.int64)
 
     def seed(self, b: int, generator: np.random.Generator) -> None:
-        """Seed one environment; it samples its startup rules again at the next reset.
+        """Seed one environment; its next reset applies the startup rules again.
 
         Args:
-            b: Index of the environment.
-            generator: Generator from which it takes one number.
+            b: Index of the environment, 0 to count - 1.
+            generator: Random generator; one 64-bit number is taken from it as the key of the environment.
         """
         self._keys[b] = generator.bit_generator.random_raw()
         self._episodes[b] = 0
         self._seeded[b] = self._needs_startup[b] = True
 
     def normalized(self, values: Array) -> Array:
-        """Divide the randomized parameters by their nominal values; those of nominal value zero stay as they are.
+        """Divide the randomized parameters by their nominal values; a parameter with nominal value 0 is not divided.
 
         Args:
-            values: All parameters, shape (k, N).
+            values: All N parameters of k environments, SI, shape (k, N).
 
         Returns:
-            Randomized parameters, dimensionless, shape (k, len(names)).
+            Randomized parameters in the order of `names`, dimensionless, shape (k, len(names)).
         """
         nominal = self.space.nominal[self.columns]
         return values[:, self.columns] / np.where(nominal == 0.0, 1.0, nominal)
 
     def normalized_bounds(self) -> dict[str, tuple[float, float]]:
-        """Return the bounds of the randomized parameters.
+        """Compute the bounds of the randomized parameters divided by their nominal values.
 
         Returns:
-            Smallest and largest normalized value by full name.
+            (Smallest, largest) result of `normalized`, by full name of the parameter.
         """
         edges = np.sort(self.normalized(np.stack([self.low, self.high])), axis=0)
         return {name: (low, high) for name, (low, high) in zip(self.names, edges.T.tolist(), strict=True)}
 
     def sample(self, index: Index, task_numbers: int) -> EpisodeSamples:
-        """Sample new episodes.
+        """Sample parameters and random numbers for a new episode in k environments.
 
         Args:
-            index: Environments whose episodes begin, shape (k,).
-            task_numbers: Uniform numbers per episode that the task needs.
+            index: Indices of the environments, shape (k,).
+            task_numbers: Uniform random numbers per episode for the task (n).
 
         Returns:
-            Keys, uniform numbers and parameters of the episodes.
+            Keys (k,), uniform random numbers (k, n) and parameters (k, N) of the episodes.
         """
         for b in index[~self._seeded[index]].tolist():
             self.seed(b, seeding.np_random()[0])

@@ -1,4 +1,9 @@
-"""Simulation of sensors for a batch: delay, noise, quantization and range of the kernel's ideal readings."""
+"""Simulation of sensors for a batch of environments: delay, noise, quantization and range.
+
+An ideal reading is the output of a sensor in its unit, without noise and quantization, as the compiled simulation
+kernel (generated code) computes it. Readings have the kernel's SIMD layout (blocks, sensors, LANES): environment b is
+lane b % LANES of block b // LANES. A measurement includes noise, quantization and range.
+"""
 
 from __future__ import annotations
 
@@ -21,16 +26,18 @@ _FIRST_CUSTOM_CHANNEL = 1 << 20
 
 
 class SensorArray:
-    """Measurements of a batch: noise and quantization of ideal readings, and the one before for differences.
+    """Add noise, quantization and range limits to ideal readings; keep the last two measurements for differences.
 
     Args:
-        machine: The machine, with its sensors declared.
-        sensors: The observed sensors, n.
-        count: Environments.
-        column: Maps the full name of a parameter to its column in the parameters that `begin` is given.
+        machine: Machine that declares the sensors.
+        sensors: The n sensors to measure.
+        count: Number of environments.
+        column: Function that returns the column of a parameter in the `values` of `begin`, given its full name.
 
     Attributes:
-        measurements: The last and the one before, in the channels' units, shape (count, 2, n).
+        measurements: Last measurement (row 0) and the one before (row 1), in the channels' units, shape (count, 2, n).
+        low: Lower end of each sensor's range, in the channels' units, -inf without a range, shape (count, n).
+        high: Upper end of each sensor's range, in the channels' units, inf without a range, shape (count, n).
     """
 
     def __init__(self, machine: Machine, sensors: tuple[Sensor, ...], count: int, column: Callable[[str], int]) -> None:
@@ -51,12 +58,12 @@ class SensorArray:
         self.measurements = np.zeros((count, 2, len(sensors)))
 
     def begin(self, index: Index, keys: NDArray[np.uint64], values: Array) -> None:
-        """Begin episodes.
+        """Set noise, resolution and range of the sensors for new episodes of k environments.
 
         Args:
-            index: Environments, shape (k,).
-            keys: Keys of the episodes, shape (k,).
-            values: Parameters, shape (k, N).
+            index: Indices of the environments, shape (k,).
+            keys: Keys (seeds) of the episodes, shape (k,).
+            values: All N parameters of these environments, SI, in the columns that `column` returns, shape (k, N).
         """
         self._keys[index] = keys
         for j, (noise, resolution) in enumerate(self._device_columns):
@@ -66,13 +73,13 @@ class SensorArray:
                 self.low[index, j], self.high[index, j] = values[:, limits[0]], values[:, limits[1]]
 
     def measure(self, readings: Array, index: Index, elapsed: NDArray[np.int64], *, fresh: bool) -> None:
-        """Measure.
+        """Write the new measurements of k environments to `measurements`; the last ones become those before.
 
         Args:
-            readings: Ideal readings of all sensors of the machine, delayed, shape (blocks, sensors, LANES).
-            index: Environments, shape (k,).
-            elapsed: Control periods since the reset of each environment, shape (count,).
-            fresh: Whether an episode begins, so that there is no measurement before.
+            readings: Ideal readings of all sensors of the machine, with delay, shape (blocks, sensors, LANES).
+            index: Indices of the environments, shape (k,).
+            elapsed: Control periods since the reset of every environment, shape (count,).
+            fresh: Whether this is the first measurement of an episode; both rows then hold it.
         """
         devices = self._noise, self._resolution, self.low, self.high
         _measure(readings, self._rows, *devices, self._keys, elapsed, index, fresh, self.measurements)
@@ -138,13 +145,16 @@ def _ideal_and_normal(
 
 
 class DelayLine:
-    """History of ideal readings at the steps of the integrator, for sensors with a delay.
+    """History of ideal readings, one entry per integration step, for sensors with a delay.
 
     Args:
-        blocks: SIMD blocks.
-        sensors: Sensors of the machine.
+        blocks: Number of SIMD blocks of LANES environments.
+        sensors: Number of sensors of the machine.
         longest_delay: Largest delay that a sensor can have, s.
-        h: Step of the integrator, s.
+        h: Integration step, s.
+
+    Attributes:
+        delays: Delay of each sensor, s, shape (blocks, sensors, LANES). The simulator writes them at reset.
     """
 
     def __init__(self, blocks: int, sensors: int, longest_delay: float, h: float) -> None:
@@ -154,34 +164,34 @@ class DelayLine:
         self.delays = np.zeros((blocks, sensors, LANES))
 
     def fill(self, index: Index, readings: Array) -> None:
-        """Begin episodes of machines that were at rest before.
+        """Fill the history of k environments with one reading, as if they had been at rest before the episode.
 
         Args:
-            index: Environments, ascending, shape (k,).
-            readings: Ideal readings, shape (blocks, sensors, LANES).
+            index: Indices of the environments, ascending, shape (k,).
+            readings: Ideal readings at the start, without delay, shape (blocks, sensors, LANES).
         """
         block, lane = np.divmod(index, LANES)
         self._history[block, :, :, lane] = readings[block, :, lane][:, None]
 
     def record(self, readings: Array, step: int, first: int, last: int) -> None:
-        """Record the readings after one step of the integrator.
+        """Store the readings of blocks first to last - 1 after one integration step; they replace the oldest.
 
         Args:
-            readings: Ideal readings, shape (blocks, sensors, LANES).
-            step: Steps since the environments were made; the same for all.
-            first: First block.
-            last: Block after the last one.
+            readings: Ideal readings without delay, shape (blocks, sensors, LANES).
+            step: Number of integration steps since the environments were created, the same for all environments.
+            first: Index of the first block.
+            last: Index after the last block.
         """
         self._history[first:last, step % self._depth] = readings[first:last]
 
     def read(self, step: int, first: int, last: int, out: Array) -> None:
-        """Write the delayed readings.
+        """Compute the readings at the present time minus each sensor's delay, for blocks first to last - 1.
 
         Args:
-            step: Step that was recorded last.
-            first: First block.
-            last: Block after the last one.
-            out: Output, shape (blocks, sensors, LANES).
+            step: Number of the integration step that was recorded last.
+            first: Index of the first block.
+            last: Index after the last block.
+            out: Output, delayed ideal readings, shape (blocks, sensors, LANES).
         """
         _interpolate(self._history, self.delays, self._h, step, first, last, out)
 

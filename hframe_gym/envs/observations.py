@@ -1,4 +1,8 @@
-"""Observations of a batch, from the full state or from measurements."""
+"""Observations of a batch of environments, from the state or from measurements.
+
+Environments are simulated in blocks: environment b is lane b % LANES of block b // LANES. Methods for a range of blocks
+can run in several threads at once.
+"""
 
 from __future__ import annotations
 
@@ -26,11 +30,12 @@ Observation = dict[str, NDArray[np.float32]]
 
 
 class StateView(NamedTuple):
-    """Entries of a state that are observed, n of them; the first two are the tool position.
+    """Selection of n positions and velocities of the simulated state; the first two are the tool position.
 
     Attributes:
-        rows: Row of the state, its coordinate, and two coordinates whose product is added (-1 for none), shape (n, 4).
-        box: Lower and upper bound in the coordinates' units, shape (2, n).
+        rows: For each entry the row of the state, the index of its coordinate, and the indices of two coordinates whose
+            product is added (-1: none; see `BatchedSimulator.tool_product`), shape (n, 4).
+        box: Lower and upper bounds of the entries (m, rad, m/s or rad/s), shape (2, n).
     """
 
     rows: Index
@@ -38,14 +43,14 @@ class StateView(NamedTuple):
 
     @classmethod
     def of(cls, simulator: BatchedSimulator, signals: Sequence[SignalSpec]) -> StateView:
-        """Return the view of state signals, with the bounds of the observation space rounded to float32.
+        """Find the rows of the simulated state for observation signals; round their bounds to float32.
 
         Args:
-            simulator: The batch of machines.
-            signals: Positions and velocities; x and y first.
+            simulator: Simulator of the machines.
+            signals: Specifications of n positions and velocities; positions x and y come first.
 
         Returns:
-            The view.
+            Rows and bounds of the n entries.
         """
         names = simulator.machine.coordinate_names
         rows = np.full((len(signals), 4), -1)
@@ -59,17 +64,17 @@ class StateView(NamedTuple):
 
 
 class ObservationBuilder:
-    """Builds the observations of a batch.
+    """Compute the observations of `simulator.count` environments, except their goals.
 
     Args:
-        simulator: The batch of machines.
-        sensors: The observed sensors; None for the full state.
+        simulator: Simulator of the machines.
+        sensors: Observed sensors, or None to observe the true state.
         sampler: Sampler of the parameters.
-        privileged: Whether observations contain the entry `privileged`.
+        privileged: Whether observations contain the array `privileged` (true state and randomized parameters).
 
     Attributes:
-        entries: Signals of `observation`.
-        privileged: Signals of the entry `privileged`; empty if there is none.
+        entries: Name, unit and bounds of every entry of `observation`.
+        privileged: Name, unit and bounds of every entry of `privileged`; empty without this array.
         measured: Whether sensors are observed instead of the state.
     """
 
@@ -114,14 +119,14 @@ class ObservationBuilder:
         sampler: MachineSampler,
         elapsed: NDArray[np.int64],
     ) -> None:
-        """Begin episodes, after the simulator has set their initial states.
+        """Prepare new episodes of k environments and take their first measurements, after the simulator's reset.
 
         Args:
-            index: Environments, shape (k,).
-            keys: Keys of the episodes, shape (k,).
-            values: Parameters, shape (k, N).
-            sampler: Sampler that gave `values`.
-            elapsed: Control periods since the reset of each environment, shape (count,).
+            index: Indices of the environments, shape (k,).
+            keys: Keys (seeds) of the episodes, shape (k,).
+            values: All N parameters, SI, in the order of `sampler.space.names`, shape (k, N).
+            sampler: Sampler that returned `keys` and `values`.
+            elapsed: Control periods since the reset of every environment, shape (count,).
         """
         if self.privileged:
             self._parameters[index] = sampler.normalized(values)
@@ -130,12 +135,12 @@ class ObservationBuilder:
             self._sensors.measure(self._simulator.readings, index, elapsed, fresh=True)
 
     def measure(self, first: int, last: int, elapsed: NDArray[np.int64]) -> None:
-        """Take the measurements of one control period.
+        """Take the sensor measurements at the end of a control period; without sensors, do nothing.
 
         Args:
-            first: First block.
-            last: Block after the last one.
-            elapsed: Control periods since the reset of each environment, shape (count,).
+            first: Index of the first block of environments.
+            last: Index after the last block.
+            elapsed: Control periods since the reset of every environment, shape (count,).
         """
         if self._sensors is not None:
             self._sensors.measure(self._simulator.readings, self._rows(first, last), elapsed, fresh=False)
@@ -145,10 +150,11 @@ class ObservationBuilder:
         return np.arange(first * LANES, min(last * LANES, self._simulator.count))
 
     def blank(self) -> tuple[Observation, NDArray[np.float32]]:
-        """Allocate an observation.
+        """Allocate arrays for the outputs of `write`, without initial values.
 
         Returns:
-            Arrays of the observation without goals, first axis count, and of the true tool positions, (count, 2).
+            observation: `observation`, `achieved_goal` and, if enabled, `privileged`; float32, first axis count.
+            tool: Array for true tool positions, shape (count, 2); see `tool_array`.
         """
         count = self._simulator.count
         observation = {
@@ -160,28 +166,28 @@ class ObservationBuilder:
         return observation, self.tool_array(observation)
 
     def tool_array(self, observation: Observation) -> NDArray[np.float32]:
-        """Return the array for the true tool positions.
+        """Return the array into which `write` puts the true tool positions.
 
         Args:
-            observation: From `blank`.
+            observation: Observation arrays from `blank`.
 
         Returns:
-            Array of shape (count, 2); `achieved_goal` itself where the state is observed.
+            The array `achieved_goal` itself if the state is observed, else a new float32 array, shape (count, 2).
         """
         achieved = observation["achieved_goal"]
         return np.empty_like(achieved) if self.measured else achieved
 
     def write(self, first: int, last: int, observation: Observation, tool: NDArray[np.float32]) -> int:
-        """Write the observations of blocks first..last-1.
+        """Write the observations of the environments in blocks first to last - 1.
 
         Args:
-            first: First block.
-            last: Block after the last one.
-            observation: Output, from `blank`.
-            tool: Output, true tool positions, m, shape (count, 2).
+            first: Index of the first block.
+            last: Index after the last block.
+            observation: Output, arrays from `blank`; other rows are not changed.
+            tool: Output, true tool positions x, y, m, shape (count, 2), from `tool_array`.
 
         Returns:
-            Index of an environment whose state is not finite, or -1.
+            Index of an environment whose state is not finite, or -1 if all are finite.
         """
         observe = self._observe
         if self._sensors is None:
@@ -205,12 +211,12 @@ class ObservationBuilder:
         _write_measurements(sensors.measurements, self._simulator.period, *limits, *position, *boxes, index, *out)
 
     def write_tool(self, first: int, last: int, tool: NDArray[np.float32]) -> None:
-        """Write the true tool positions of blocks first..last-1.
+        """Write the true tool positions of the environments in blocks first to last - 1.
 
         Args:
-            first: First block.
-            last: Block after the last one.
-            tool: Output, m, shape (count, 2).
+            first: Index of the first block.
+            last: Index after the last block.
+            tool: Output, positions x, y, m, shape (count, 2); other rows are not changed.
         """
         self._observe(first, last, self._tool, tool, tool)
 

@@ -40,12 +40,12 @@ LUMPED_SECTIONS = {"left": ("s1", "s5", "s7"), "right": ("s2", "s6", "s8"), "bot
 
 @dataclass(frozen=True)
 class Scene:
-    """What a picture shows."""
+    """Positions, tensions and goal of one environment, as drawn in one picture."""
 
     position: Point  # of the tool, m
     target: Point  # m
     band: float  # tolerance around the target, m
-    angles: tuple[float, float]  # of the motors, rad
+    angles: tuple[float, float]  # of the two motor pulleys, rad
     tensions: dict[str, float]  # beyond the pretension, by belt, N
     trail: Sequence[Point]  # past tool positions, m
     path: Sequence[Point]  # of a moving goal, m
@@ -54,15 +54,15 @@ class Scene:
 
     @classmethod
     def of(cls, batch: EnvironmentBatch, b: int, trail: Sequence[Point]) -> Scene:
-        """Return the scene of one environment.
+        """Collect what a picture of one environment needs.
 
         Args:
-            batch: The batch.
-            b: Index of the environment.
-            trail: Past tool positions, m.
+            batch: Batch of environments.
+            b: Index of the environment, from 0.
+            trail: Past tool positions (x, y), m, oldest first.
 
         Returns:
-            The scene.
+            Present position, angles, tensions and goal of this environment.
         """
         index = np.array([b])
         position = batch.simulator.positions(b)
@@ -84,11 +84,11 @@ class Scene:
 
 
 class BeltGeometry:
-    """Positions of the pulleys, and the path of the belt around them.
+    """Compute where the pulleys are, and the path of the belt around them.
 
-    The path follows the sections of the 20th-order model (eq. 25-34): from the cart down the left side of the bridge,
-    out along the frame, around two corner pulleys (the right one is the motor), back to the right side of the bridge,
-    up, and the same above.
+    The path follows the sections of the 20th-order model (eq. 25-34 of Sollmann et al. 2010): from the cart down the
+    left side of the bridge, out along the frame, around two corner pulleys (the right one is the motor), back to the
+    right side of the bridge, up, and the same above.
 
     Args:
         workspace: Rows x and y, columns low and high, m, shape (2, 2).
@@ -102,27 +102,27 @@ class BeltGeometry:
         self._corners = [(self.x0, self.y0), (self.x1, self.y0), (self.x0, self.y1), (self.x1, self.y1)]
 
     def pulleys(self, x: float) -> list[Point]:
-        """Return the centers of the pulleys.
+        """Compute the centers of the eight pulleys.
 
         Args:
             x: Position of the bridge, m.
 
         Returns:
-            Centers of phi3, phi1 (motor), phi4, phi2 (motor), phi7, phi5, phi8 and phi6, m.
+            Points (x, y), m, of the pulleys phi3, phi1 (motor), phi4, phi2 (motor), phi7, phi5, phi8, phi6.
         """
         d, rise = HALF_BRIDGE + PULLEY_RADIUS, 2 * PULLEY_RADIUS
         bridge = [(x - d, self.y0 + rise), (x + d, self.y0 + rise), (x - d, self.y1 - rise), (x + d, self.y1 - rise)]
         return [*self._corners, *bridge]
 
     def sections(self, x: float, y: float) -> dict[str, list[Point]]:
-        """Return the lines of the belt sections.
+        """Compute the lines along which the nine belt sections are drawn.
 
         Args:
-            x: Tool position, m.
-            y: Tool position, m.
+            x: Tool position along x, m.
+            y: Tool position along y, m.
 
         Returns:
-            Points of sections s1 to s9, m.
+            Vertices (x, y), m, by name of the section, "s1" to "s9".
         """
         phi3, phi1, phi4, phi2, phi7, phi5, phi8, phi6 = self.pulleys(x)
         half = math.pi / 2
@@ -147,31 +147,31 @@ def _arc(center: Point, start: float, end: float) -> list[Point]:
 
 
 def section_tension(tensions: dict[str, float], section: str) -> float | None:
-    """Return the tension of a section.
+    """Look up the tension of a belt section, or of the lumped belt of the 8th-order model that contains it.
 
     Args:
-        tensions: Tensions by belt, N.
-        section: "s1" to "s9".
+        tensions: Tension minus pretension by name of the belt, N.
+        section: Name of the section, "s1" to "s9".
 
     Returns:
-        The tension of the section's belt or of the lumped belt that it is part of, N; None if the machine has neither.
+        Tension minus pretension, N; None if the machine has neither belt.
     """
     lumped = next(name for name, sections in LUMPED_SECTIONS.items() if section in sections)
     return tensions.get(section, tensions.get(lumped))
 
 
 def check_render_mode(mode: str | None, modes: Sequence[str]) -> str | None:
-    """Check a render mode.
+    """Check that an environment supports a render mode.
 
     Args:
-        mode: The render mode.
-        modes: Those there are.
+        mode: Render mode, or None for no rendering.
+        modes: Supported render modes.
 
     Returns:
-        The render mode.
+        `mode`, unchanged.
 
     Raises:
-        InputError: If it is unknown.
+        InputError: If `mode` is neither None nor in `modes`.
     """
     if mode is not None and mode not in modes:
         raise InputError(f"render_mode is {mode!r}; choose one of {', '.join(modes)} or None")
@@ -179,10 +179,10 @@ def check_render_mode(mode: str | None, modes: Sequence[str]) -> str | None:
 
 
 def tension_color(tension: float | None) -> Color:
-    """Return the color of a belt: blue below its pretension, red above it.
+    """Return the color of a belt: gray at its pretension, blue below it, red above it.
 
     Args:
-        tension: Tension beyond the pretension, N; None if it is not known.
+        tension: Tension minus pretension, N; None if unknown. The color saturates at `FULL_COLOR_TENSION`.
 
     Returns:
         Red, green and blue, 0 to 255.
@@ -205,12 +205,12 @@ def _load_pygame() -> Any:
 
 
 class Renderer:
-    """Draws scenes of one machine into a window or an array.
+    """Draw scenes of one machine into a window or an array.
 
     Args:
-        machine: The machine.
-        mode: "human" (a window) or "rgb_array".
-        fps: Pictures per second of the window.
+        machine: Machine whose coordinates x and y have ranges (the workspace).
+        mode: Render mode, "human" (a window) or "rgb_array" (an array).
+        fps: Maximum frame rate of the window, 1/s.
 
     Raises:
         ImportError: If pygame is missing; the message names the extra.
@@ -259,10 +259,10 @@ class Renderer:
         """Draw a scene.
 
         Args:
-            scene: The scene.
+            scene: Positions, tensions and goal of an environment.
 
         Returns:
-            The picture, shape (HEIGHT, WIDTH, 3), in mode "rgb_array"; None in mode "human", which shows it.
+            Picture, uint8, shape (HEIGHT, WIDTH, 3), in mode "rgb_array"; None in mode "human" (updates the window).
         """
         surface, draw = self._surface, self._pygame.draw
         surface.blit(self._background, (0, 0))
@@ -338,7 +338,7 @@ class Renderer:
         return None
 
     def close(self) -> None:
-        """Close the window, if there is one."""
+        """Close the window if it is open; a later `draw` opens a new one."""
         if self._window is not None:
             self._pygame.display.quit()
             self._window = None

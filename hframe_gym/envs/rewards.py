@@ -54,19 +54,19 @@ def evaluate_rows(
     distance: Any,
     reward: Any,
 ) -> None:
-    """Compute distances and built-in rewards of rows first to last - 1.
+    """Compute distances and built-in rewards of environments first to last - 1 (rows of the arrays).
 
     Args:
-        tool: True tool positions, m, shape (n, 2).
-        achieved: Achieved positions, m, shape (n, 2).
+        tool: True tool positions, m, shape (n, 2) for n environments.
+        achieved: Tool positions that the reward uses, true or measured, m, shape (n, 2).
         measured: Whether `achieved` is measured, so that it can differ from `tool`.
-        desired: Desired positions, m, shape (n, 2).
-        kind: Built-in reward, `BuiltinReward.kind`.
-        band: Tolerance of the sparse reward, m.
-        first: First row.
-        last: Row after the last one.
-        distance: Output, distance from tool to desired position, m, shape (n,).
-        reward: Output, rewards, shape (n,).
+        desired: Goal positions, m, shape (n, 2).
+        kind: Built-in reward: 0 dense, 1 sparse (`BuiltinReward.kind`).
+        band: Distance to the goal within which the sparse reward is 0, m.
+        first: Index of the first row.
+        last: Index after the last row.
+        distance: Output, distance from `tool` to `desired`, m, shape (n,); other rows are not changed.
+        reward: Output, rewards of `achieved` and `desired`, shape (n,); other rows are not changed.
     """
     # One loop for each operation, which the compiler vectorizes.
     for b in range(first, last):
@@ -91,14 +91,14 @@ def evaluate_rows(
 
 
 def distances(achieved: Positions, desired: Positions) -> Array:
-    """Compute the distances between positions.
+    """Compute the Euclidean distance of each tool position to its goal.
 
     Args:
-        achieved: Positions, m, shape (n, 2).
-        desired: Positions, m, shape (n, 2).
+        achieved: Tool positions, m, float32, shape (n, 2).
+        desired: Goal positions, m, float32, shape (n, 2).
 
     Returns:
-        Distances, m, shape (n,).
+        Distances, m, float64, shape (n,).
     """
     distance, reward = np.empty(len(achieved)), np.empty(len(achieved))
     evaluate_rows(achieved, achieved, False, desired, _DENSE, 0.0, 0, len(achieved), distance, reward)
@@ -107,17 +107,28 @@ def distances(achieved: Positions, desired: Positions) -> Array:
 
 @dataclass(frozen=True)
 class BuiltinReward:
-    """Base of the rewards that `step` computes in the same pass as the physics.
+    """Base class of the rewards that `step` computes in compiled code, in the same pass as the simulation.
 
     Args:
-        band: Tolerance of the task, m.
+        band: Distance to the goal that counts as a success, m.
+
+    Attributes:
+        kind: Number of the reward in `evaluate_rows`: 0 dense, 1 sparse.
     """
 
     band: float
     kind = _DENSE
 
     def __call__(self, achieved: Positions, desired: Positions) -> Array:
-        """Compute rewards, shape (n,), of achieved and desired positions, m, shape (n, 2) each."""
+        """Compute rewards of tool positions.
+
+        Args:
+            achieved: Achieved tool positions, m, float32, shape (n, 2).
+            desired: Goal positions, m, float32, shape (n, 2).
+
+        Returns:
+            Rewards, shape (n,).
+        """
         distance, reward = np.empty(len(achieved)), np.empty(len(achieved))
         evaluate_rows(achieved, achieved, False, desired, self.kind, self.band, 0, len(achieved), distance, reward)
         return reward
@@ -125,11 +136,13 @@ class BuiltinReward:
 
 @REWARDS.register("dense")
 class DenseReward(BuiltinReward):
-    """Minus the mean of d / (d + scale) over `SCALES`, d the distance to the goal.
+    """Reward -mean(d / (d + scale)) over the five lengths `SCALES`, with the distance d to the goal, m.
 
     It is 0 at the goal and approaches -1 far from it. In between it resembles -log d: its slope at 0.1 mm is about a
-    hundred times that at 10 mm, so that approaching further still pays where a plain distance is too small to learn
-    from.
+    hundred times that at 10 mm, so that the last tenths of a millimeter still change the reward measurably.
+
+    Args:
+        band: Not used.
     """
 
     kind = _DENSE
@@ -137,19 +150,23 @@ class DenseReward(BuiltinReward):
 
 @REWARDS.register("sparse")
 class SparseReward(BuiltinReward):
-    """0 within the task's band around the goal, -1 outside."""
+    """Reward 0 within a distance `band` of the goal, -1 outside.
+
+    Args:
+        band: Distance to the goal that counts as a success, m.
+    """
 
     kind = _SPARSE
 
 
 @dataclass(frozen=True)
 class PenalizedReward:
-    """A reward minus a penalty outside the workspace.
+    """Reward from which a penalty is subtracted outside the workspace.
 
     Args:
-        reward: The reward.
+        reward: Reward inside the workspace, a function of achieved and desired positions.
         workspace: Rows x and y, columns low and high, m, shape (2, 2).
-        penalty: What is subtracted where the tool is outside.
+        penalty: Amount subtracted where the achieved position is outside the workspace, not negative.
     """
 
     reward: Reward
@@ -157,34 +174,43 @@ class PenalizedReward:
     penalty: float
 
     def __call__(self, achieved: Positions, desired: Positions) -> Array:
-        """Compute rewards, shape (n,), of achieved and desired positions, m, shape (n, 2) each."""
+        """Compute rewards and subtract the penalty where `achieved` is outside the workspace.
+
+        Args:
+            achieved: Achieved tool positions, m, float32, shape (n, 2).
+            desired: Goal positions, m, float32, shape (n, 2).
+
+        Returns:
+            Rewards, shape (n,).
+        """
         outside = outside_workspace(achieved, self.workspace)
         return np.asarray(self.reward(achieved, desired), np.float64) - self.penalty * outside
 
 
 def outside_workspace(positions: Positions, workspace: NDArray[Any]) -> NDArray[np.bool_]:
-    """Test which positions lie outside the workspace.
+    """Test which positions lie outside the workspace; its edge counts as inside.
 
     Args:
-        positions: Positions, m, shape (n, 2).
+        positions: Positions x, y, m, shape (n, 2).
         workspace: Rows x and y, columns low and high, m, shape (2, 2).
 
     Returns:
-        Flags, shape (n,).
+        True for each position outside, shape (n,).
     """
     beyond = (positions < workspace[:, 0]) | (positions > workspace[:, 1])
     return np.asarray(beyond.any(axis=1))
 
 
 def as_reward(reward: RewardLike, band: float) -> Reward:
-    """Return the reward of the option `reward`.
+    """Convert the environment option `reward` to a reward function.
 
     Args:
-        reward: Registered name, `package.module:name`, or a function of achieved and desired positions.
-        band: Tolerance of the task, m.
+        reward: Registered name ("dense", "sparse"), `package.module:name`, or a function of achieved and desired
+            positions, m, float32, shape (n, 2) each, that returns n rewards.
+        band: Distance to the goal that counts as a success, m; an argument of registered rewards.
 
     Returns:
-        The reward.
+        Function of achieved and desired positions, m, shape (n, 2) each, that returns rewards, shape (n,).
 
     Raises:
         InputError: If the name is unknown, or the reward does not return one finite number per row.

@@ -24,7 +24,7 @@ Indices = None | int | Iterable[int]
 
 
 class HFrameVecEnv(VecEnv):  # type: ignore[misc]
-    """Many machines for stable-baselines3.
+    """Simulate many independent environments behind the `VecEnv` interface of stable-baselines3.
 
     Observations are new dicts of arrays, those after the reset where an episode ended. The info of an episode that
     ended holds `terminal_observation`, `TimeLimit.truncated` (the limit, not the workspace's edge, ended it),
@@ -34,11 +34,15 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
         num_envs: Number of environments.
         max_episode_steps: Control periods until truncation, or None.
         render_mode: None or "rgb_array".
-        **options: As for `HFrameEnv`.
+        **options: Keywords of `EnvConfig`, as for `HFrameEnv`.
 
     Attributes:
-        envs: The native vector environment.
-        reset_infos: The randomized parameters of the running episodes.
+        envs: The Gymnasium vector environment `HFrameVectorEnv`.
+        reset_infos: One dict per environment; `parameters` holds the randomized parameters, SI, by full name.
+
+    Raises:
+        InputError: If an option is invalid or options do not fit together.
+        TypeError: If a keyword is unknown.
     """
 
     def __init__(
@@ -60,10 +64,14 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
         super().__init__(num_envs, self.envs.single_observation_space, self.envs.single_action_space)
 
     def reset(self) -> dict[str, NDArray[np.float32]]:
-        """Begin episodes everywhere, with the seeds and options of `seed` and `set_options`.
+        """Begin episodes in all environments, with the seeds and options that `seed` and `set_options` stored.
 
         Returns:
-            Observations, first axis num_envs.
+            Observation arrays by key, float32, first axis num_envs.
+
+        Raises:
+            ValueError: If only some environments have an option.
+            InputError: If an option is unknown or a position is outside the workspace.
         """
         options = self._stacked_options()
         observation, info = self.envs.reset(seed=self._seeds, options=options)
@@ -80,10 +88,10 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
         return {name: np.array([options[name] for options in self._options]) for name in names}
 
     def step_async(self, actions: NDArray[Any]) -> None:
-        """Keep actions for `step_wait`.
+        """Store actions; `step_wait` applies them.
 
         Args:
-            actions: Fractions of the rated voltages, shape (num_envs, 2).
+            actions: Voltages as fractions of the rated voltages, clipped to [-1, 1], shape (num_envs, 2).
         """
         self._actions = actions
 
@@ -93,7 +101,14 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
         """Advance by one control period with the actions of `step_async`.
 
         Returns:
-            Observations, rewards, dones, first axis num_envs each, and one info per environment.
+            observation: Arrays by key, first axis num_envs; after the reset where an episode ended.
+            reward: Rewards, shape (num_envs,).
+            done: Whether the episode ended, by termination or truncation, shape (num_envs,).
+            infos: One dict per environment, empty unless its episode ended; see the class.
+
+        Raises:
+            ValueError: If the actions have another shape or an entry is not finite.
+            NotFiniteError: If a position or velocity is not finite (simulation diverged).
         """
         observation, reward, terminated, truncated, info = self.envs.step(self._actions)
         done = terminated | truncated
@@ -119,14 +134,14 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
             self.reset_infos[b] = {"parameters": parameters} if parameters else {}
 
     def close(self) -> None:
-        """Close the environment."""
+        """Release the vector environment and its renderer."""
         self.envs.close()
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
-        """Draw all stages.
+        """Draw the machine of every environment from above.
 
         Returns:
-            One picture per environment in mode "rgb_array", else None for each.
+            Per environment a picture, uint8, shape (height, width, 3), in mode "rgb_array", else None.
         """
         return self.envs.render() or [None] * self.num_envs
 
@@ -136,11 +151,14 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
         """Return an attribute of the vector environment.
 
         Args:
-            attr_name: Name of the attribute.
-            indices: Environments, None for all.
+            attr_name: Name of an attribute of `envs`.
+            indices: Index or indices of environments; None for all.
 
         Returns:
-            The attribute, once for each index.
+            The same attribute once per index.
+
+        Raises:
+            AttributeError: If there is no such attribute.
         """
         return [getattr(self.envs, attr_name)] * len(list(self._get_indices(indices)))
 
@@ -148,8 +166,8 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
         """Set an attribute of the vector environment, and thereby of all environments.
 
         Args:
-            attr_name: Name of the attribute.
-            value: Its value.
+            attr_name: Name of an attribute of `envs`.
+            value: New value.
             indices: Not used.
         """
         setattr(self.envs, attr_name, value)
@@ -158,25 +176,28 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
         """Call a method of the vector environment once.
 
         Args:
-            method_name: Name of the method.
-            *args: Its positional arguments.
-            indices: Environments, None for all.
-            **kwargs: Its keywords.
+            method_name: Name of a method of `envs`.
+            *args: Positional arguments of the method.
+            indices: Index or indices of environments; None for all. The method does not get them.
+            **kwargs: Keyword arguments of the method.
 
         Returns:
-            The result, once for each index.
+            The same result once per index.
+
+        Raises:
+            AttributeError: If there is no such method.
         """
         result = getattr(self.envs, method_name)(*args, **kwargs)
         return [result] * len(list(self._get_indices(indices)))
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Indices = None) -> list[bool]:
-        """Return that no environment is wrapped.
+        """Return False: the environments are rows of one vector environment and have no wrappers.
 
         Args:
             wrapper_class: Not used.
-            indices: Environments, None for all.
+            indices: Index or indices of environments; None for all.
 
         Returns:
-            False for each index.
+            False once per index.
         """
         return [False] * len(list(self._get_indices(indices)))

@@ -25,10 +25,13 @@ Index = NDArray[np.intp]
 
 @dataclass(frozen=True)
 class Encoders:
-    """Incremental encoders on the shafts of the motors, homed where x = y = 0.
+    """Incremental encoders on the motor shafts, with angle 0 where x = y = 0.
 
     Args:
-        lines: Lines per motor turn; read in quadrature, four counts per line.
+        lines: Lines per turn of the motor shaft, at least 1; quadrature decoding gives four counts per line.
+
+    Raises:
+        InputError: If `lines` is less than 1.
     """
 
     lines: int = 512
@@ -38,25 +41,28 @@ class Encoders:
             raise InputError(f"sensors: lines is {self.lines!r}, it must be at least 1")
 
     def quantum(self, gear_ratio: float) -> float:
-        """Return the angle of one count behind a gear.
+        """Compute the resolution of the encoder as an angle of the pulley.
 
         Args:
-            gear_ratio: Turns of the motor per turn of the pulley.
+            gear_ratio: Motor speed / pulley speed, positive.
 
         Returns:
-            Angle, rad.
+            Rotation of the pulley (output side of the gear) per encoder count, rad.
         """
         return 2.0 * math.pi / (4.0 * self.lines * gear_ratio)
 
 
 @dataclass(frozen=True)
 class Lasers:
-    """Laser distance sensors on x and y. Beyond its range a laser shows the end of the range.
+    """Laser distance sensors on x and y. Beyond its range a laser returns the end of the range.
 
     Args:
-        span: Length of the range, m; inf for an unlimited one.
-        centre: Middle (x, y) of the range, m.
-        noise: Standard deviation of the noise of each measurement, m.
+        span: Length of the measuring range of each axis, m, positive; inf for an unlimited range.
+        centre: Middle of the measuring ranges of x and y, m.
+        noise: Standard deviation of the noise of each measurement, m, not negative.
+
+    Raises:
+        InputError: If a number is invalid.
     """
 
     span: float = 0.1
@@ -73,28 +79,28 @@ class Lasers:
 
 
 class SensorSuite(ABC):
-    """Which sensors an environment has: how the machine's declaration changes, and what of it is observed."""
+    """Base class for the sensors of an environment: they change those of the machine, and some are observed."""
 
     @abstractmethod
     def apply(self, machine: Machine) -> Machine:
-        """Declare these sensors.
+        """Put the sensors of this suite into a copy of a machine.
 
         Args:
-            machine: The machine.
+            machine: Machine whose sensors are replaced or kept.
 
         Returns:
-            The machine with these sensors declared.
+            Copy of the machine that declares the sensors, with ranges as effects `sensor_range`.
         """
 
     @abstractmethod
     def observed(self, machine: Machine) -> tuple[Sensor, ...]:
-        """Return the sensors that an environment observes.
+        """Select the sensors of a machine whose measurements are in the observation.
 
         Args:
-            machine: A machine from `apply`.
+            machine: Result of `apply`.
 
         Returns:
-            Sensors in the order of the observation.
+            Sensors in the order of their measurements in the observation.
         """
 
 
@@ -105,11 +111,11 @@ class Sensors(SensorSuite):
     Effects at these channels that identification found (delay, skew, scale) stay; the range is that of `lasers`.
 
     Args:
-        encoders: The encoders, or None for none.
-        lasers: The lasers, or None for none.
+        encoders: Encoders of all driven coordinates; None: not observed.
+        lasers: Lasers on x and y; None: not observed.
 
     Raises:
-        InputError: If there is neither.
+        InputError: If both are None.
     """
 
     encoders: Encoders | None = Encoders()
@@ -120,7 +126,14 @@ class Sensors(SensorSuite):
             raise InputError("sensors: neither encoders nor lasers; choose sensors='state' for the full state")
 
     def apply(self, machine: Machine) -> Machine:
-        """Return the machine with this noise, resolution and range of x, y and the driven coordinates."""
+        """Set noise, resolution and range of the sensors of x, y and the driven coordinates.
+
+        Args:
+            machine: Machine; a sensor that it does not declare is added.
+
+        Returns:
+            Copy of the machine with these sensors and the ranges of the lasers.
+        """
         if self.encoders is not None:
             for drive in machine.drives:
                 quantum = self.encoders.quantum(drive.gear_ratio)
@@ -133,7 +146,14 @@ class Sensors(SensorSuite):
         return machine
 
     def observed(self, machine: Machine) -> tuple[Sensor, ...]:
-        """Return the sensors of x and y, then those of the driven coordinates."""
+        """Select the sensors of x and y (lasers), then those of the driven coordinates (encoders).
+
+        Args:
+            machine: Result of `apply`.
+
+        Returns:
+            Sensors in the order of the observation.
+        """
         lasers = ("x", "y") if self.lasers is not None else ()
         encoders = tuple(d.coordinate for d in machine.drives) if self.encoders is not None else ()
         return tuple(machine.sensor(_sensor_of(machine, name)) for name in dict.fromkeys((*lasers, *encoders)))
@@ -141,36 +161,50 @@ class Sensors(SensorSuite):
 
 @dataclass(frozen=True)
 class DeclaredSensors(SensorSuite):
-    """The sensors that the machine declares, as they are."""
+    """Observe all sensors that the machine declares, without changes."""
 
     def apply(self, machine: Machine) -> Machine:
-        """Return the machine unchanged."""
+        """Keep the sensors of a machine.
+
+        Args:
+            machine: Machine with its sensors.
+
+        Returns:
+            The same machine.
+        """
         return machine
 
     def observed(self, machine: Machine) -> tuple[Sensor, ...]:
-        """Return all sensors: those of x, of y, of the driven coordinates, then the others."""
+        """Select all sensors, ordered by coordinate: x, y, the driven coordinates, then the others.
+
+        Args:
+            machine: Machine with its sensors.
+
+        Returns:
+            Sensors in the order of the observation.
+        """
         first = ["x", "y", *(d.coordinate for d in machine.drives)]
         order = [*first, *(c for c in machine.coordinate_names if c not in first)]
         return tuple(sorted(machine.sensors, key=lambda sensor: order.index(sensor.coordinate)))
 
 
 SensorsLike: TypeAlias = Literal["state", "rig", "machine"] | SensorSuite
-# The paper's rig (section II): 512 lines before a gear of 5.9:1 and lasers with a range of 100 mm. The paper gives
-# neither their noise nor their position.
+# The rig of Sollmann et al. (2010), section II: encoders with 512 lines on the motor side of a gear of 5.9:1 and lasers
+# with a range of 100 mm. The paper gives neither their noise nor their position.
 SENSOR_PRESETS: dict[str, SensorSuite | None] = {"state": None, "rig": Sensors(), "machine": DeclaredSensors()}
 
 
 def as_sensors(sensors: SensorsLike) -> SensorSuite | None:
-    """Return the sensors of the option `sensors`.
+    """Convert the environment option `sensors` to a sensor suite.
 
     Args:
-        sensors: Name of a preset, or sensors.
+        sensors: "state", "rig" (encoders and lasers), "machine" (declared sensors), or a `SensorSuite`.
 
     Returns:
-        The sensors; None for the full state.
+        Sensor suite; None for "state", where the true state is observed.
 
     Raises:
-        InputError: If the name is unknown or the object is of another type.
+        InputError: If the name is unknown or the argument has another type.
     """
     if isinstance(sensors, SensorSuite):
         return sensors
@@ -180,18 +214,18 @@ def as_sensors(sensors: SensorsLike) -> SensorSuite | None:
 
 
 def observed_machine(machine: Machine, sensors: SensorsLike) -> Machine | None:
-    """Return the machine whose declared sensors are those that an environment observes.
+    """Return a copy of the machine with only the sensors in the observation; effects on other sensors are removed.
 
     Args:
-        machine: The machine.
-        sensors: The option `sensors`.
+        machine: Machine model.
+        sensors: Environment option: "state", "rig", "machine", or a `SensorSuite`.
 
     Returns:
-        A machine with these sensors in the order of the observation, with their ranges and delays as effects; None for
-        the full state.
+        Copy with these sensors in the order of the observation, with their ranges and delays as effects; None for
+        "state", where the true state is observed.
 
     Raises:
-        InputError: If the option is invalid.
+        InputError: If the name is unknown or the argument has another type.
     """
     suite = as_sensors(sensors)
     if suite is None:
@@ -230,25 +264,27 @@ def _with_range(machine: Machine, channel: str, low: float, high: float) -> Mach
 
 
 def sensor_range_names(sensor: Sensor) -> tuple[str, str]:
-    """Return the full names of the range of a sensor.
+    """Return the names of the parameters that hold the measuring range of a sensor (effect `sensor_range`).
 
     Args:
-        sensor: The sensor.
+        sensor: Sensor of a machine; the machine need not have this effect.
 
     Returns:
-        Names of the parameters of its effect `sensor_range`: lower and upper end.
+        low: Full name of the lower end, for example "sensor_range@x_m.low".
+        high: Full name of the upper end.
     """
     return f"sensor_range@{sensor.channel}.low", f"sensor_range@{sensor.channel}.high"
 
 
 @dataclass(frozen=True)
 class PositionFromSensors:
-    """How the tool position follows from the measurements of n sensors.
+    """Linear map from the measurements of n sensors to the tool position.
 
     Attributes:
-        belts: x and y per measurement on unstretched belts, shape (2, n); zero where the sensors do not determine it.
-        direct: Index of a sensor that measures x, and of one that measures y; -1 for none. Shape (2,).
-        scale: Tool position per measurement of these sensors, shape (2,).
+        belts: Matrix from measurements of coordinates other than x and y to x and y (m), for unstretched belts, shape
+            (2, n); zero where these sensors do not determine the axis.
+        direct: Index of the sensor that measures x, and of the one that measures y; -1 for none. Shape (2,).
+        scale: Factor from the measurement of the sensor `direct` to the tool position (m), shape (2,).
     """
 
     belts: Array
@@ -257,17 +293,17 @@ class PositionFromSensors:
 
     @classmethod
     def of(cls, machine: Machine, sensors: tuple[Sensor, ...]) -> PositionFromSensors:
-        """Derive the map from the machine's nominal kinematics.
+        """Compute the map from the nominal kinematics of a machine (pulley radii, unstretched belts).
 
         Args:
-            machine: The machine.
-            sensors: The observed sensors.
+            machine: Machine that declares the sensors.
+            sensors: The n observed sensors.
 
         Returns:
-            The map.
+            Map from the n measurements to the tool position.
 
         Raises:
-            InputError: If the sensors do not determine x or y.
+            InputError: If the sensors do not determine both x and y.
         """
         direct, scale = np.full(2, -1, np.intp), np.ones(2)
         for axis, name in enumerate(("x", "y")):

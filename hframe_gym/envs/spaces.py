@@ -20,15 +20,15 @@ SPEED_FACTOR = 3.0  # of the drives' no-load speed: more than any motion that a 
 
 @dataclass(frozen=True)
 class SignalSpec:
-    """One entry of `observation` or `privileged`.
+    """Name, unit and bounds of one entry of the observation arrays `observation` or `privileged`.
 
     Attributes:
-        name: Coordinate, "<coordinate> velocity", channel, or full name of a parameter.
-        unit: Unit.
-        coordinate: Coordinate whose position or velocity it is; "" for a parameter.
-        velocity: Whether it is a velocity.
-        low: Lower bound.
-        high: Upper bound.
+        name: "<coordinate>", "<coordinate> velocity", "<channel>", "<channel> rate", or full name of a parameter.
+        unit: Unit, for example "m" or "rad/s"; "1" for a parameter divided by its nominal value.
+        coordinate: Coordinate of which the entry is the position or velocity; "" for a parameter.
+        velocity: Whether the entry is a velocity.
+        low: Lower bound, in `unit`.
+        high: Upper bound, in `unit`.
     """
 
     name: str
@@ -40,10 +40,10 @@ class SignalSpec:
 
 
 def workspace_of(machine: Machine) -> Array:
-    """Return the workspace of the tool.
+    """Return the ranges of the coordinates x and y, the workspace of the tool.
 
     Args:
-        machine: The machine.
+        machine: Machine with coordinates x and y.
 
     Returns:
         Rows x and y, columns low and high, m, shape (2, 2).
@@ -71,14 +71,17 @@ def workspace_of(machine: Machine) -> Array:
 
 
 def state_signals(machine: Machine, names: Sequence[str] | None = None) -> tuple[SignalSpec, ...]:
-    """Return the signals of a state: positions, then velocities.
+    """Specify the entries of a state observation: the positions of coordinates, then their velocities.
 
     Args:
-        machine: The machine.
-        names: Coordinates; default: x, y and the driven ones.
+        machine: Machine with its coordinates.
+        names: Names of coordinates. Default: x, y and the driven coordinates.
 
     Returns:
-        The signals.
+        Specifications of all positions, then of all velocities, in the order of `names`.
+
+    Raises:
+        InputError: If the machine has no workspace or not two drives; see `workspace_of`.
     """
     workspace = workspace_of(machine)
     # m/s of belt: without load at rated voltage, times a margin
@@ -112,14 +115,20 @@ def _largest_position(machine: Machine, name: str, workspace: Array) -> float:
 
 
 def sensor_signals(machine: Machine, sensors: Sequence[Sensor]) -> tuple[SignalSpec, ...]:
-    """Return the signals of measurements: positions, then their differences over the control period.
+    """Specify the entries of an observation from sensors: measurements, then their rates of change.
+
+    A rate is the difference of two measurements divided by the control period.
 
     Args:
-        machine: The machine.
-        sensors: The observed sensors.
+        machine: Machine that declares the sensors.
+        sensors: Observed sensors.
 
     Returns:
-        The signals; named by the coordinate, or by the channel where two sensors measure one coordinate.
+        Specifications of all measurements, then of all rates, in the order of `sensors`. An entry has the name of the
+        coordinate, or of the sensor's channel if several sensors measure the same coordinate.
+
+    Raises:
+        InputError: If the machine has no workspace or not two drives; see `workspace_of`.
     """
     coordinates = [sensor.coordinate for sensor in sensors]
     specs = state_signals(machine, coordinates)
@@ -135,14 +144,17 @@ def sensor_signals(machine: Machine, sensors: Sequence[Sensor]) -> tuple[SignalS
 
 
 def privileged_signals(machine: Machine, bounds: Mapping[str, tuple[float, float]]) -> tuple[SignalSpec, ...]:
-    """Return the signals of `privileged`: the state of all coordinates and the normalized randomized parameters.
+    """Specify the entries of `privileged`: the true state of all coordinates, then the randomized parameters.
 
     Args:
-        machine: The machine.
-        bounds: Smallest and largest normalized value of each parameter, by full name.
+        machine: Machine with its coordinates.
+        bounds: (Smallest, largest) value of each randomized parameter divided by its nominal value, by full name.
 
     Returns:
-        The signals.
+        Specifications of all positions, all velocities, then all parameters.
+
+    Raises:
+        InputError: If the machine has no workspace or not two drives; see `workspace_of`.
     """
     observed = [spec.coordinate for spec in state_signals(machine) if not spec.velocity]
     others = [name for name in machine.coordinate_names if name not in observed]
@@ -157,17 +169,20 @@ def observation_space(
     observed: Sequence[SignalSpec] | None = None,
     privileged: Sequence[SignalSpec] = (),
 ) -> spaces.Dict:
-    """Return the observation space.
+    """Create the observation space of an environment.
 
     Args:
-        machine: The machine.
-        previews: Future goals in the observation.
-        observed: Signals of `observation`; default: the full state.
-        privileged: Signals of `privileged`.
+        machine: Machine with coordinates x and y.
+        previews: Number of future goals in the observation; 0 for a goal that does not move.
+        observed: Entries of `observation`. Default: positions and velocities of x, y and the driven coordinates.
+        privileged: Entries of `privileged`; empty: the observation does not have this key.
 
     Returns:
-        Bounded float32 boxes: `observation`, `achieved_goal`, `desired_goal`, and where there are any `preview`
-        (2 * previews,) and `privileged`.
+        Bounded float32 boxes by key: `observation`, `achieved_goal` (2,), `desired_goal` (2,), and if requested
+        `preview` (2 * previews,) and `privileged`.
+
+    Raises:
+        InputError: If the machine has no workspace or not two drives; see `workspace_of`.
     """
     workspace = workspace_of(machine)
     goal = (workspace[:, 0] - MARGIN, workspace[:, 1] + MARGIN)
@@ -189,24 +204,25 @@ def observation_space(
 
 
 def bounds_of(signals: Sequence[SignalSpec]) -> tuple[Array, Array]:
-    """Return the bounds of signals.
+    """Collect the bounds of n observation entries into two arrays.
 
     Args:
-        signals: The signals, n of them.
+        signals: Specifications of the n entries.
 
     Returns:
-        Lower and upper bounds, shape (n,) each.
+        low: Lower bounds, in the units of the entries, shape (n,).
+        high: Upper bounds, in the units of the entries, shape (n,).
     """
     return np.array([s.low for s in signals]), np.array([s.high for s in signals])
 
 
 def action_space(machine: Machine) -> spaces.Box:
-    """Return the action space: one fraction of the rated voltage for each drive, float32 in [-1, 1].
+    """Create the action space: the voltage of each drive as a fraction of its rated voltage.
 
     Args:
-        machine: The machine.
+        machine: Machine with its drives.
 
     Returns:
-        The box, shape (drives,).
+        Box from -1 to 1, float32, shape (drives,).
     """
     return spaces.Box(-1.0, 1.0, (len(machine.drives),), np.float32)

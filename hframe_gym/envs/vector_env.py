@@ -32,7 +32,7 @@ class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]])
 
     ## Action Space, Observation Space, Rewards, Starting State
 
-    Those of `HFrameEnv` with a first axis of num_envs. Returned arrays are new ones at every step.
+    Those of `HFrameEnv` with a first axis of num_envs. Every step returns new arrays.
 
     ## Episode End
 
@@ -94,31 +94,29 @@ class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]])
 
     @property
     def entries(self) -> tuple[SignalSpec, ...]:
-        """Name, unit and bounds of every entry of `observation`."""
+        """Name, unit and bounds of every entry of `observation`, in order."""
         return self.batch.observations.entries
 
     @property
     def privileged_entries(self) -> tuple[SignalSpec, ...]:
-        """Name, unit and bounds of every entry of `privileged`; empty without `privileged=True`."""
+        """Name, unit and bounds of every entry of `privileged`, in order; empty without `privileged=True`."""
         return self.batch.observations.privileged
 
     @property
     def machine(self) -> Machine:
-        """The machine without randomization, with the chosen sensors and actuators."""
+        """Machine without randomization, with the chosen sensors and actuators."""
         return self.batch.machine
 
     @property
     def parameters(self) -> Array:
-        """Parameters of the running episodes in the order of `machine.parameters`, SI, shape (num_envs, P)."""
+        """Values of all `machine.parameters` in the running episodes, in their order, SI, (num_envs, parameters)."""
         return self.batch.values[:, : len(self.machine.parameters)].copy()
 
     @property
     def travel(self) -> Array:
-        """True belt travel of all coordinates in full precision, m, shape (num_envs, coordinates)."""
+        """True positions as belt travel (radius * angle if rotary), m, float64, shape (num_envs, coordinates)."""
         count = len(self.machine.coordinates)
         return self.batch.simulator.state[:, :count].transpose(0, 2, 1).reshape(-1, count)[: self.num_envs].copy()
-
-    # -- reset -----------------------------------------------------------------------------------------------------
 
     def reset(  # type: ignore[override]
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -126,15 +124,16 @@ class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]])
         """Begin episodes in all environments, or in those of a mask.
 
         Args:
-            seed: Seed of environment 0, the others following, or one for each. None continues the generators.
-            options: `start` and `target`, m, shape (2,) or one row for each environment that is reset; `reset_mask`,
-                bool, shape (num_envs,).
+            seed: Seed s, which gives environment i the seed s + i, or one seed per environment. None: not seeded again.
+            options: Optional keys: `start` and `target`, tool and goal positions, m, shape (2,) or one row for each
+                environment that is reset; `reset_mask`, the environments to reset, bool, shape (num_envs,).
 
         Returns:
-            Observations and info.
+            observation: Arrays by key, first axis num_envs, of all environments.
+            info: Arrays (num_envs,) by key, zero for environments that are not reset, and their masks "_key".
 
         Raises:
-            InputError: If an option is unknown or a position is outside the workspace.
+            InputError: If an option is unknown, a position is outside the workspace, or the task has no target.
             TypeError: If the mask is not an array of bool.
             ValueError: If the mask has another shape or selects nothing.
         """
@@ -164,22 +163,24 @@ class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]])
             raise ValueError(f"options['reset_mask'] must have shape ({self.num_envs},) and hold at least one True")
         return np.flatnonzero(mask)
 
-    # -- step ------------------------------------------------------------------------------------------------------
-
     def step(self, actions: Any) -> tuple[Observation, Array, Flags, Flags, dict[str, Any]]:
         """Advance all environments by one control period.
 
         Args:
-            actions: Fractions of the rated voltages, shape (num_envs, 2).
+            actions: Fractions of the rated voltages, clipped to [-1, 1], shape (num_envs, 2).
 
         Returns:
-            Observations, rewards, terminated, truncated, first axis num_envs each, and info.
+            observation: Arrays by key, first axis num_envs.
+            reward: Rewards, shape (num_envs,).
+            terminated: Whether the tool left the workspace, with `ends="terminate"`, shape (num_envs,).
+            truncated: Whether the episode reached `max_episode_steps`, shape (num_envs,).
+            info: Arrays (num_envs,) by key, and their masks "_key".
 
         Raises:
-            ValueError: If the actions have another shape or a number is not finite.
+            ValueError: If the actions have another shape or an entry is not finite.
             RuntimeError: In mode "Disabled", if an episode is over and was not reset.
             gymnasium.error.ResetNeeded: If `reset` was not called.
-            NotFiniteError: If a motion is not finite.
+            NotFiniteError: If a position or velocity is not finite (simulation diverged).
         """
         checked = self.batch.check_actions(actions)
         resetting = np.flatnonzero(self._over)
@@ -213,15 +214,15 @@ class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]])
         self._collect_parameters()
 
     def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
-        """Compute the reward that `step` returns.
+        """Compute rewards of tool positions, for example to relabel goals (hindsight experience replay).
 
         Args:
-            achieved_goal: Achieved positions, m, shape (2,) or (n, 2).
-            desired_goal: Desired positions, m, the same shape.
+            achieved_goal: Achieved tool positions, m, shape (2,) or (n, 2).
+            desired_goal: Goal positions, m, the same shape.
             info: Not used.
 
         Returns:
-            A float, or an array of shape (n,).
+            Reward as a float for shape (2,), or n rewards, shape (n,); the same bits as the rewards of `step`.
         """
         return self.batch.compute_reward(achieved_goal, desired_goal)
 
@@ -267,8 +268,6 @@ class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]])
         mask[index] = True
         return mask
 
-    # -- rendering -------------------------------------------------------------------------------------------------
-
     def _update_trails(self, fresh: Index) -> None:
         """Extend the trails of the pictures; those of environments fresh (k,) begin anew."""
         if self.render_mode is None:
@@ -280,10 +279,10 @@ class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]])
             trail.append((position["x"], position["y"]))
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:  # type: ignore[override]
-        """Draw all stages.
+        """Draw the machine of every environment from above.
 
         Returns:
-            One picture, shape (height, width, 3), for each environment; None without a render mode.
+            One picture, uint8, shape (height, width, 3), per environment; None without a render mode.
 
         Raises:
             ImportError: If pygame is missing; the message names the extra.
@@ -296,7 +295,7 @@ class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]])
         return tuple(frame for frame in frames if frame is not None)
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Close the renderer.
+        """Release the renderer; Gymnasium's `close` calls this method.
 
         Args:
             **kwargs: Not used.
@@ -321,13 +320,13 @@ class HFrameTrackVectorEnv(HFrameVectorEnv):
 
     Args:
         num_envs: Number of environments.
-        max_episode_steps: As for `HFrameVectorEnv`.
-        autoreset_mode: As for `HFrameVectorEnv`.
-        render_mode: As for `HFrameVectorEnv`.
-        **options: As for `HFrameEnv`; `task` is "track" by default and must have metrics "track".
+        max_episode_steps: Control periods until truncation, or None.
+        autoreset_mode: "NextStep", "SameStep" or "Disabled", see `HFrameVectorEnv`.
+        render_mode: None or "rgb_array".
+        **options: Keywords of `EnvConfig`. `task` is "track" by default; another task must have `metrics` "track".
 
     Raises:
-        InputError: If the task has no path.
+        InputError: If the task has no path, or an option is invalid.
     """
 
     def __init__(

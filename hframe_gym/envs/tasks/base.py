@@ -18,24 +18,23 @@ Metrics = Literal["reach", "track"]
 
 
 class Task(ABC):
-    """What an episode asks of the tool.
+    """Base class of tasks: where an episode starts, and where the goal of the tool is at every time.
 
-    At reset a task makes a *plan*, a row of numbers for each environment. All its methods are pure functions of plans,
-    so that the goal, its preview and the distance to the path do not depend on the calls before. To add a task, write a
-    subclass with `begin` and `goal` and register it:
+    At reset a task makes a *plan* for each environment: a row of `plan_size` numbers that defines the goal at all times
+    of the episode (for `reach` the target, for `track` path, center, direction, start and speed). All methods are pure
+    functions of plans, so that goals do not depend on earlier calls. To add a task, write a subclass with `begin` and
+    `goal` and register it:
 
         @TASKS.register("my-task")
         @dataclass(frozen=True)
         class MyTask(Task): ...
 
     Attributes:
-        metrics: Which scores suit the task: "reach" for a goal that stays (settling time, success at the end), "track"
-            for a goal that moves along a path (contour and tracking errors). A task of metrics "track" implements
-            `contour`.
-        draws: Uniform random numbers per episode.
-        plan_size: Numbers in a plan.
-        band: Distance to the goal within which an episode counts as a success, m.
-        ahead_s: Times ahead of now for which `preview` shows the goal, s; empty for a goal that stays.
+        metrics: Set of evaluation metrics: "reach" for a fixed goal (settling time, success at the end), "track" for a
+            goal that moves along a path (contour and tracking errors). A task of metrics "track" implements `contour`.
+        draws: Number of uniform random numbers per episode that `begin` uses.
+        plan_size: Number of entries in a plan.
+        band: Distance to the goal that counts as a success, m.
     """
 
     metrics: ClassVar[Metrics] = "reach"
@@ -45,17 +44,17 @@ class Task(ABC):
 
     @property
     def ahead_s(self) -> tuple[float, ...]:
-        """Times ahead of now for which `preview` shows the goal, s; empty for a goal that stays."""
+        """Times from now of the future goals in the observation `preview`, s, ascending; empty for a fixed goal."""
         return ()
 
     @property
     def name(self) -> str:
-        """Registered name of the task's class, or else the class name in lower case."""
+        """Registered name of the task's class; if it is not registered, the class name in lower case."""
         return next((name for name in TASKS if TASKS.get(name) is type(self)), type(self).__name__.lower())
 
     @property
     def parameters(self) -> dict[str, float]:
-        """Nominal values of what randomization may vary, by short name; `speed` is randomized as `task.speed`."""
+        """Nominal values, SI, of parameters that can be randomized, by name; rules refer to `speed` as `task.speed`."""
         return {}
 
     def check(self, workspace: Array) -> None:  # noqa: B027  (optional)
@@ -72,53 +71,55 @@ class Task(ABC):
     def begin(
         self, workspace: Array, uniforms: Array, parameters: Mapping[str, Array] | None = None
     ) -> tuple[Array, Array]:
-        """Begin k episodes.
+        """Choose start positions and plans of k episodes.
 
         Args:
             workspace: Rows x and y, columns low and high, m, shape (2, 2).
-            uniforms: Uniform random numbers in [0, 1), shape (k, draws).
-            parameters: The task's parameters in each episode, (k,) each, by short name; default: nominal values.
+            uniforms: Uniform random numbers in (0, 1), shape (k, draws).
+            parameters: Randomized values of the property `parameters`, SI, shape (k,) each, by name without "task.".
+                Default: nominal values.
 
         Returns:
-            Start positions of the tool, m, shape (k, 2), and plans, shape (k, plan_size).
+            start: Start positions x, y of the tool, m, shape (k, 2).
+            plan: Plans, shape (k, plan_size).
         """
 
     @abstractmethod
     def goal(self, plan: Array, elapsed_s: Array) -> Array:
-        """Compute the goals of episodes.
+        """Compute the goals of n episodes, at one time or at m times each.
 
         Args:
             plan: Plans, shape (n, plan_size).
-            elapsed_s: Times since the reset, s, shape (n,) or (n, m).
+            elapsed_s: Times since the reset, s, not negative, shape (n,) or (n, m).
 
         Returns:
-            Goals, m, shape (n, 2) or (n, m, 2).
+            Goal positions x, y, m, shape (n, 2) or (n, m, 2).
         """
 
     def aim(self, target: Array) -> Array:
-        """Make plans for targets that a reset was given.
+        """Make plans whose goals are given targets (option `target` of an environment's `reset`).
 
         Args:
-            target: Targets, m, shape (k, 2).
+            target: Target positions x, y, m, shape (k, 2).
 
         Returns:
             Plans, shape (k, plan_size).
 
         Raises:
-            InputError: If the task has no target to choose.
+            InputError: If the task has no target that can be set; this is the default.
         """
         raise InputError(f"task {self.name} has no target; reset takes only the option 'start'")
 
     def contour(self, plan: Array, points: Array, elapsed_s: Array) -> Array | None:
-        """Compute the distance of points to the path, whatever the time.
+        """Compute the contour error: the distance of a point to the path, not to the moving goal.
 
         Args:
-            plan: Plans, shape (n, plan_size).
-            points: Points, m, shape (n, 2).
-            elapsed_s: Times since the reset, s, shape (n,).
+            plan: Plans of n episodes, shape (n, plan_size).
+            points: One point x, y per episode, m, shape (n, 2).
+            elapsed_s: Times since the reset, s, shape (n,); they tell where on the path to search.
 
         Returns:
-            Distances, m, shape (n,); None for a task without a path.
+            Distances, m, shape (n,); None for a task without a path, which is the default.
         """
         return None
 
@@ -128,17 +129,18 @@ TaskLike: TypeAlias = Literal["reach", "track"] | str | Task
 
 
 def as_task(task: TaskLike, **settings: Any) -> Task:
-    """Return the task of the option `task`.
+    """Convert the environment option `task` to a task.
 
     Args:
-        task: Registered name, `package.module:name`, or a task.
-        **settings: Keywords of the task's class where a name is given.
+        task: Registered name ("reach", "track"), `package.module:name`, or a `Task`, which is returned unchanged.
+        **settings: Keywords of the task's class if a name is given, for example speed=0.2; else ignored.
 
     Returns:
-        The task.
+        Task.
 
     Raises:
-        InputError: If the name is unknown or the object is not a task.
+        InputError: If the name is unknown, the argument is not a task, or a setting is invalid.
+        TypeError: If the task's class has no such keyword.
     """
     if isinstance(task, str):
         return TASKS.get(task)(**settings)
@@ -148,15 +150,15 @@ def as_task(task: TaskLike, **settings: Any) -> Task:
 
 
 def check_point(label: str, points: Array, workspace: Array) -> None:
-    """Check that points are positions in the workspace.
+    """Check that points lie in the workspace; its edge counts as inside.
 
     Args:
-        label: What the points are, for the message.
-        points: Points, m, shape (2,) or (k, 2).
+        label: Name of the option that the points come from, for the message.
+        points: Points x, y, m, shape (2,) or (k, 2).
         workspace: Rows x and y, columns low and high, m, shape (2, 2).
 
     Raises:
-        InputError: If a point is not finite or outside the workspace, or the shape is another one.
+        InputError: If a point is not finite or outside the workspace, or the last axis is not of length 2.
     """
     inside = (points >= workspace[:, 0]) & (points <= workspace[:, 1]) if points.shape[-1:] == (2,) else np.False_
     if not np.all(inside):
@@ -165,16 +167,16 @@ def check_point(label: str, points: Array, workspace: Array) -> None:
 
 
 class ReferenceTrajectories:
-    """Plans of `count` episodes of a task, and the goals that follow from them.
+    """Keep the plans of `count` environments and compute their goals over time.
 
     Args:
-        task: The task.
+        task: Task of all environments.
         count: Number of environments.
         period: Control period, s.
 
     Attributes:
-        elapsed: Control periods since the reset of each environment, shape (count,).
-        moving: Whether goals move.
+        elapsed: Control periods since the reset of each environment, shape (count,). The caller increments it.
+        moving: Whether goals move during an episode.
     """
 
     def __init__(self, task: Task, count: int, period: float) -> None:
@@ -186,34 +188,35 @@ class ReferenceTrajectories:
         self._times = np.array([0.0, *task.ahead_s])
 
     def begin(self, index: Index, plans: Array) -> None:
-        """Begin episodes.
+        """Store the plans of new episodes in k environments and set their elapsed time to zero.
 
         Args:
-            index: Environments, shape (k,).
-            plans: Their plans, shape (k, plan_size).
+            index: Indices of the environments, shape (k,).
+            plans: Plans from `Task.begin` or `Task.aim`, shape (k, plan_size).
         """
         self._plans[index] = plans
         self.elapsed[index] = 0
         self._fixed_goals[index] = self._task.goal(plans, np.zeros(len(index)))
 
     def goals(self, index: Index | slice) -> NDArray[np.float32]:
-        """Return the present goals.
+        """Compute the goals at the present time.
 
         Args:
-            index: Environments, shape (k,).
+            index: Indices of k environments, shape (k,), or a slice of them.
 
         Returns:
-            Goals, m, shape (k, 2), a new array.
+            Goal positions x, y, m, float32, shape (k, 2), a new array.
         """
         if not self.moving:
             return np.array(self._fixed_goals[index])
         return self._task.goal(self._plans[index], self._elapsed_s(index)).astype(np.float32)
 
     def blank(self) -> dict[str, NDArray[np.float32]]:
-        """Allocate the goals of an observation.
+        """Allocate the goal arrays of an observation.
 
         Returns:
-            `desired_goal`, already filled in if goals do not move, and `preview`, first axis count.
+            `desired_goal` (count, 2), already filled in if goals do not move, and for a task with future goals
+            `preview` (count, 2 * previews); m, float32.
         """
         if not self.moving:
             return {"desired_goal": self._fixed_goals.copy()}
@@ -222,10 +225,10 @@ class ReferenceTrajectories:
         return arrays | ({"preview": np.empty((count, size), np.float32)} if size else {})
 
     def write(self, index: Index | slice, observation: dict[str, NDArray[np.float32]]) -> None:
-        """Write goals and previews of environments index (k,) to an observation.
+        """Write the present and future goals of k environments to an observation.
 
         Args:
-            index: Environments.
+            index: Indices of the environments, shape (k,), or a slice of them; other rows are not changed.
             observation: Output; `desired_goal`, m, shape (count, 2), and `preview`, m, shape (count, 2 * previews): x
                 and y of the next future goal, then of the one after it, ...
         """
@@ -239,25 +242,25 @@ class ReferenceTrajectories:
             observation["preview"][index] = goals[:, 2:]
 
     def path(self, b: int, elapsed_s: Array) -> NDArray[np.float32]:
-        """Return the goals of one environment over time.
+        """Compute the goals of one environment at n times, for example to draw its path.
 
         Args:
-            b: Index of the environment.
+            b: Index of the environment, 0 to count - 1.
             elapsed_s: Times since its reset, s, shape (n,).
 
         Returns:
-            Goals, m, shape (n, 2), or (0, 2) if they do not move.
+            Goal positions x, y, m, float32, shape (n, 2); shape (0, 2) if goals do not move.
         """
         if not self.moving:
             return np.zeros((0, 2), np.float32)
         return self._task.goal(self._plans[b : b + 1], elapsed_s[None])[0].astype(np.float32)
 
     def contour(self, index: Index | slice, tools: Array) -> Array | None:
-        """Return the distances of tools to their paths.
+        """Compute the contour errors: the distances of tool positions to the paths of their goals.
 
         Args:
-            index: Environments, shape (k,).
-            tools: Tool positions, m, shape (k, 2).
+            index: Indices of k environments, shape (k,), or a slice of them.
+            tools: Tool positions x, y of these environments, m, shape (k, 2).
 
         Returns:
             Distances, m, shape (k,); None for a task without a path.

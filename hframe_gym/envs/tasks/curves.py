@@ -24,36 +24,36 @@ COARSE_VERTICES = 128  # vertices that a wide search for the nearest point tries
 
 
 class Curve(Protocol):
-    """A curve of finite length."""
+    """Interface of a plane curve of finite length, parametrized by its arc length."""
 
     @property
     def length(self) -> float:
-        """Length of a lap, or from end to end, m."""
+        """Length of one lap of a closed curve, or from end to end of an open one, m."""
 
     @property
     def closed(self) -> bool:
-        """Whether the curve ends where it begins."""
+        """Whether the last point of the curve equals the first."""
 
     @property
     def extent(self) -> Array:
         """Lowest and highest coordinate, rows x and y, m, shape (2, 2)."""
 
     def point(self, s: Array) -> Array:
-        """Return the points at arc lengths s.
+        """Compute the points at n arc lengths.
 
         Args:
-            s: Arc lengths, m, shape (n,).
+            s: Arc lengths from the start of the curve, m, any real number, shape (n,).
 
         Returns:
-            Points, m, shape (n, 2).
+            Points x, y, m, shape (n, 2).
         """
 
     def distance(self, points: Array, s: Array) -> Array:
-        """Return the distance of points to the curve.
+        """Compute the distances of n points to the curve.
 
         Args:
-            points: Points, m, shape (n, 2).
-            s: Approximate arc lengths of the nearest points, m, shape (n,).
+            points: Points x, y, m, shape (n, 2).
+            s: Approximate arc length of the nearest point of the curve to each of `points`, m, shape (n,).
 
         Returns:
             Distances, m, shape (n,).
@@ -62,10 +62,11 @@ class Curve(Protocol):
 
 @dataclass(frozen=True)
 class Circle(Curve):
-    """A circle, counterclockwise from (radius, 0).
+    """Circle around the origin, counterclockwise from (radius, 0).
 
     Args:
-        radius: Radius, m.
+        radius: Radius, m, positive.
+        closed: True for every circle; part of the interface `Curve`.
     """
 
     radius: float
@@ -82,21 +83,36 @@ class Circle(Curve):
         return np.array([[-self.radius, self.radius]] * 2)
 
     def point(self, s: Array) -> Array:
-        """Return the points, m, shape (n, 2), at arc lengths s, m, shape (n,)."""
+        """Compute the points at n arc lengths.
+
+        Args:
+            s: Arc lengths from the start of the curve, m, any real number, shape (n,).
+
+        Returns:
+            Points x, y, m, shape (n, 2).
+        """
         points: Array = _points_on_circle(s, self.radius, self.length)
         return points
 
     def distance(self, points: Array, s: Array) -> Array:
-        """Return the distances, m, shape (n,), of points, m, shape (n, 2); s is not needed."""
+        """Compute the distances of n points to the circle, | |p| - radius |.
+
+        Args:
+            points: Points x, y, m, shape (n, 2).
+            s: Not used.
+
+        Returns:
+            Distances, m, shape (n,).
+        """
         x, y = points.T
         return np.asarray(np.abs(np.sqrt(x * x + y * y) - self.radius))
 
 
 class Polyline:
-    """Straight segments between vertices; closed if the last vertex equals the first.
+    """Curve of straight segments between vertices; closed if the last vertex equals the first.
 
     Args:
-        vertices: Vertices, m, shape (n, 2). A vertex that repeats the one before adds no segment.
+        vertices: Vertices x, y, m, shape (n, 2). A vertex that repeats the one before adds no segment.
 
     Attributes:
         vertex_s: Arc length of every vertex, repeated ones included, m, shape (n,).
@@ -124,26 +140,26 @@ class Polyline:
         return np.mod(s, self.length) if self.closed else np.clip(s, 0.0, self.length)
 
     def point(self, s: Array) -> Array:
-        """Return the points at arc lengths s.
+        """Compute the points at n arc lengths.
 
         Args:
-            s: Arc lengths, m, shape (n,).
+            s: Arc lengths from the start of the curve, m, any real number, shape (n,).
 
         Returns:
-            Points, m, shape (n, 2).
+            Points x, y, m, shape (n, 2).
         """
         points: Array = _points_on_segments(self._vertices, self._s, self._wrapped(s))
         return points
 
     def distance(self, points: Array, s: Array) -> Array:
-        """Return the distances of points to the part of the curve near s.
+        """Compute the distances of n points to the part of the curve near s.
 
-        The search is limited to the arc on which the curve can turn back to the point. Where a curve crosses itself,
-        the other branch is therefore not taken for the path.
+        The search is limited to arc lengths within pi times the distance from the point to the curve's point at s.
+        Where the curve crosses itself, the other branch is therefore ignored.
 
         Args:
-            points: Points, m, shape (n, 2).
-            s: Approximate arc lengths of the nearest points, m, shape (n,).
+            points: Points x, y, m, shape (n, 2).
+            s: Approximate arc length of the nearest point of the curve to each of `points`, m, shape (n,).
 
         Returns:
             Distances, m, shape (n,).
@@ -231,38 +247,38 @@ def _nearest_distances(vertices: Any, vertex_s: Any, closed: bool, points: Any, 
 
 
 def circle(size: float) -> Circle:
-    """Return a circle.
+    """Create a circle around the origin, counterclockwise from (size / 2, 0).
 
     Args:
-        size: Diameter, m.
+        size: Diameter, m, positive.
 
     Returns:
-        The curve.
+        Closed curve.
     """
     return Circle(size / 2)
 
 
 def square(size: float) -> Polyline:
-    """Return a square, counterclockwise from the middle of its right side.
+    """Create a square around the origin, counterclockwise from the middle of its right side.
 
     Args:
-        size: Length of a side, m.
+        size: Length of a side, m, positive.
 
     Returns:
-        The curve.
+        Closed curve.
     """
     corners = [(1, 0), (1, 1), (-1, 1), (-1, -1), (1, -1), (1, 0)]
     return Polyline(0.5 * size * np.array(corners, float))
 
 
 def lissajous(size: float) -> Polyline:
-    """Return the figure of eight x = sin a, y = sin 2a, in segments of equal length.
+    """Create the figure of eight x = size / 2 sin(a), y = size / 2 sin(2 a), in segments of equal length.
 
     Args:
-        size: Width in both axes, m.
+        size: Extent along x and along y, m, positive.
 
     Returns:
-        The curve.
+        Closed curve that starts at the origin, toward positive x and y.
     """
     angle = np.linspace(0.0, 2.0 * np.pi, 4 * SEGMENTS + 1)
     fine = 0.5 * size * np.stack([np.sin(angle), np.sin(2.0 * angle)], axis=1)

@@ -18,10 +18,10 @@ class Reach(Task):
     """Move the tool to a point and keep it there.
 
     Args:
-        start: Start position (x, y), m; default: uniform in the workspace without the margin.
-        target: Target position (x, y), m; default: uniform in the workspace without the margin.
-        margin: Distance that random positions keep from the workspace's edge, m.
-        band: Distance to the target that counts as a success, m.
+        start: Start position (x, y), m. Default: random, uniform in the workspace reduced by `margin`.
+        target: Target position (x, y), m. Default: random, uniform in the workspace reduced by `margin`.
+        margin: Minimum distance of random positions from the edge of the workspace, m, not negative.
+        band: Distance to the target that counts as a success, m, positive.
     """
 
     start: tuple[float, float] | None = None
@@ -39,7 +39,7 @@ class Reach(Task):
             workspace: Rows x and y, columns low and high, m, shape (2, 2).
 
         Raises:
-            InputError: If they do not.
+            InputError: If `band` or `margin` is invalid, or `start` or `target` is outside the workspace.
         """
         if not self.band > 0.0:
             raise InputError(f"task reach: band is {self.band!r}, it must be a positive number of meters")
@@ -53,15 +53,16 @@ class Reach(Task):
     def begin(
         self, workspace: Array, uniforms: Array, parameters: Mapping[str, Array] | None = None
     ) -> tuple[Array, Array]:
-        """Choose start and target positions.
+        """Choose start and target positions of k episodes.
 
         Args:
             workspace: Rows x and y, columns low and high, m, shape (2, 2).
-            uniforms: Uniform random numbers, shape (k, 4).
-            parameters: Unused; the task has no parameters to randomize.
+            uniforms: Uniform random numbers in (0, 1): two for the start, two for the target, shape (k, 4).
+            parameters: Not used; the task has no parameters to randomize.
 
         Returns:
-            Start positions and plans (the targets), m, shape (k, 2) each.
+            start: Start positions x, y of the tool, m, shape (k, 2).
+            plan: Plans, which are the target positions x, y, m, shape (k, 2).
         """
         low, high = workspace[:, 0] + self.margin, workspace[:, 1] - self.margin
         points = [low + (high - low) * uniforms[:, i : i + 2] for i in (0, 2)]
@@ -71,9 +72,24 @@ class Reach(Task):
         return points[0], points[1]
 
     def aim(self, target: Array) -> Array:
-        """Return targets, m, shape (k, 2), which are the plans."""
+        """Make plans for given targets; a plan of this task is its target.
+
+        Args:
+            target: Target positions x, y, m, shape (k, 2).
+
+        Returns:
+            The same array as plans, shape (k, 2).
+        """
         return target
 
     def goal(self, plan: Array, elapsed_s: Array) -> Array:
-        """Return the targets, m, shape (n, 2), or (n, m, 2) for times elapsed_s of shape (n, m), s."""
+        """Return the targets as goals; they do not change over time.
+
+        Args:
+            plan: Plans of n episodes, which are the targets x, y, m, shape (n, 2).
+            elapsed_s: Times since the reset, s, shape (n,) or (n, m); only the shape is used.
+
+        Returns:
+            Goal positions x, y, m, shape (n, 2) or (n, m, 2).
+        """
         return plan if elapsed_s.ndim == 1 else np.repeat(plan[:, None], elapsed_s.shape[1], axis=1)

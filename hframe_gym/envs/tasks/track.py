@@ -30,18 +30,18 @@ class Track(Task):
     it slows down in the same way. A file with times keeps its times, with straight lines between the points.
 
     Args:
-        path: "circle", "square", "lissajous", a tuple of these (one is chosen per episode), or a CSV file of points
-            (see `hframe_gym.recordings`), which keeps its position and direction.
-        size: Width of a shape, m.
-        speed: Speed along the path, m/s; randomized as `task.speed`.
-        centre: Center (x, y) of a shape, m; default: uniform where the shape keeps `margin` from the workspace's edge.
+        path: Name of a shape ("circle", "square", "lissajous"), a tuple of names (one is chosen at random per episode),
+            or a CSV file of points (see `hframe_gym.recordings`), whose position and direction are not changed.
+        size: Width of a shape, m, positive.
+        speed: Speed along the path after the speed-up, m/s, positive; rules randomize it as `task.speed`.
+        centre: Center (x, y) of a shape, m. Default: random, uniform where the shape is at least `margin` inside.
         direction: 1 (counterclockwise), -1, or None for a random one.
-        phase: Fraction of a lap at which the goal starts, or None for a random one.
-        lead_s: Duration of the speed-up, s.
-        previews: Number of future goals in the observation.
-        preview_s: Time between them, s.
-        margin: Distance that random shapes keep from the workspace's edge, m.
-        band: Distance to the moving goal that counts as a success, m; being late therefore counts as an error.
+        phase: Fraction of a lap at which the goal starts, 0 to 1, or None for a random one.
+        lead_s: Duration of the speed-up, s, positive.
+        previews: Number of future goals in the observation, at least 1.
+        preview_s: Time between future goals, s, positive.
+        margin: Minimum distance of random shapes from the edge of the workspace, m, not negative.
+        band: Distance to the moving goal that counts as a success, m, positive; a delay on the path is an error too.
 
     Raises:
         InputError: If a number is invalid, a shape is unknown or a path cannot be read.
@@ -78,12 +78,12 @@ class Track(Task):
 
     @property
     def ahead_s(self) -> tuple[float, ...]:
-        """Times ahead of now for which `preview` shows the goal, s."""
+        """Times from now of the future goals in the observation `preview`, s, ascending."""
         return tuple(self.preview_s * (i + 1) for i in range(self.previews))
 
     @property
     def parameters(self) -> dict[str, float]:
-        """Nominal value of what randomization may vary: the speed, m/s."""
+        """Nominal value of the only parameter that can be randomized: `speed`, m/s."""
         return {"speed": self.speed}
 
     @cached_property
@@ -120,7 +120,7 @@ class Track(Task):
             workspace: Rows x and y, columns low and high, m, shape (2, 2).
 
         Raises:
-            InputError: If it does not fit; for a file the message names row and column.
+            InputError: If the path or its margin does not fit; for a file the message names row and column.
         """
         if self._is_file:
             self._check_file(workspace)
@@ -151,15 +151,16 @@ class Track(Task):
     def begin(
         self, workspace: Array, uniforms: Array, parameters: Mapping[str, Array] | None = None
     ) -> tuple[Array, Array]:
-        """Choose path, center, direction and phase.
+        """Choose path, center, direction and phase of k episodes.
 
         Args:
             workspace: Rows x and y, columns low and high, m, shape (2, 2).
-            uniforms: Uniform random numbers, shape (k, 5).
-            parameters: `speed` of each episode, m/s, shape (k,); default: `speed` for all.
+            uniforms: Uniform random numbers in (0, 1), shape (k, 5).
+            parameters: Values of "speed" in each episode, m/s, shape (k,). Default: the nominal speed.
 
         Returns:
-            Start positions, m, shape (k, 2), and plans, shape (k, 6).
+            start: Start positions x, y of the tool, which are the first goals, m, shape (k, 2).
+            plan: Path index, center x, y (m), direction, arc length at the start (m), speed (m/s); shape (k, 6).
         """
         plan = np.zeros((len(uniforms), self.plan_size))
         plan[:, DIRECTION] = 1.0
@@ -177,28 +178,28 @@ class Track(Task):
         return self.goal(plan, np.zeros(len(plan))), plan
 
     def aim(self, target: Array) -> Array:
-        """Refuse a target: a path has none.
+        """Raise an error: the goal moves along a path, so a target cannot be set.
 
         Args:
-            target: Targets, m, shape (k, 2).
+            target: Not used.
 
         Returns:
-            Nothing.
+            Never returns.
 
         Raises:
-            InputError: Always.
+            InputError: Always; the message names the option that moves the path.
         """
         raise InputError("task track has no target; choose where its path lies with Track(centre=(x, y))")
 
     def goal(self, plan: Array, elapsed_s: Array) -> Array:
-        """Compute the goals on the paths.
+        """Compute the goals on the paths of n episodes, at one time or at m times each.
 
         Args:
-            plan: Plans, shape (n, 6).
-            elapsed_s: Times since the reset, s, shape (n,) or (n, m).
+            plan: Plans from `begin`, shape (n, 6).
+            elapsed_s: Times since the reset, s, not negative, shape (n,) or (n, m).
 
         Returns:
-            Goals, m, shape (n, 2) or (n, m, 2).
+            Goal positions x, y, m, shape (n, 2) or (n, m, 2).
         """
         times = elapsed_s.reshape(len(plan), -1)
         out = np.empty((*times.shape, 2))
@@ -209,12 +210,12 @@ class Track(Task):
         return out.reshape(*elapsed_s.shape, 2)
 
     def contour(self, plan: Array, points: Array, elapsed_s: Array) -> Array:
-        """Compute the distance of points to their paths.
+        """Compute the contour error: the distance of one point per episode to the path, near the present goal.
 
         Args:
-            plan: Plans, shape (n, 6).
-            points: Points, m, shape (n, 2).
-            elapsed_s: Times since the reset, s, shape (n,).
+            plan: Plans of n episodes from `begin`, shape (n, 6).
+            points: One point x, y per episode, m, shape (n, 2).
+            elapsed_s: Times since the reset, s, shape (n,); the search starts at the goal of this time.
 
         Returns:
             Distances, m, shape (n,).
@@ -259,19 +260,19 @@ def _speed_up(t: float, speed: float, lead_s: float) -> float:
 
 @compiled
 def arc_lengths(plan: Any, elapsed_s: Any, lead_s: float, length: float) -> Any:
-    """Compute where goals are along their paths.
+    """Compute the arc lengths of the goals of n episodes along their paths at m times each.
 
-    A goal starts at rest and reaches its speed in lead_s. On an open path it slows down to rest at the end; a speed
-    that is too high for the length is reduced.
+    A goal starts at rest and reaches its speed after lead_s. On an open path it slows down to rest at the end; a speed
+    above length / lead_s is reduced to this value.
 
     Args:
-        plan: Plans, shape (n, 6).
-        elapsed_s: Times since the reset, s, shape (n, m).
-        lead_s: Duration of the speed-up and of the slow-down, s.
-        length: Length of the path, m; infinite for a closed one.
+        plan: Plans from `Track.begin`, shape (n, 6).
+        elapsed_s: Times since the reset, s, not negative, shape (n, m).
+        lead_s: Duration of the speed-up and of the slow-down, s, positive.
+        length: Length of the path, m; infinite for a closed path.
 
     Returns:
-        Arc lengths, m, shape (n, m).
+        Arc lengths from the start of the path, m, shape (n, m); on a closed path they continue over several laps.
     """
     out = np.empty(elapsed_s.shape)
     for i in range(elapsed_s.shape[0]):
