@@ -94,9 +94,12 @@ class Equations(BeltEquations):
     def ohmic_current(self, j: int, point: MotionPoint, motor_voltage: Value) -> Value:
         """Return the current (V - Ke N w) / R of a drive (eq. 17 of Sollmann et al. 2010, with the gear ratio N).
 
+        V is the motor voltage, Ke the back-EMF constant, w the speed of the drive's coordinate (rad/s or m/s), and R
+        the resistance.
+
         Args:
             j: Index of the drive in the machine.
-            point: Point of the motion.
+            point: Belt travel and speed of every coordinate, at which to evaluate.
             motor_voltage: Voltage at the motor, V.
 
         Returns:
@@ -125,7 +128,7 @@ class Equations(BeltEquations):
         """Add the forces of the effects to those of belts and drives, and determine the Coulomb friction.
 
         Args:
-            point: Point of the motion.
+            point: Belt travel and speed of every coordinate, at which to evaluate.
             motor_voltages: Voltage at each motor, V, from `motor_voltages`.
             forces: Forces of belts and drives (without back-EMF) along the belt travel of each coordinate, N.
 
@@ -197,7 +200,7 @@ class Equations(BeltEquations):
         """Return the sum of belt, drive and effect forces at a point, and the Coulomb friction separately.
 
         Args:
-            point: Point of the motion.
+            point: Belt travel and speed of every coordinate, at which to evaluate.
             voltages: Commanded voltage of each drive, V, after its delay.
 
         Returns:
@@ -213,7 +216,7 @@ class Equations(BeltEquations):
         """Return the sum of all forces on each coordinate, with friction.
 
         Args:
-            point: Point of the motion.
+            point: Belt travel and speed of every coordinate, at which to evaluate.
             voltages: Commanded voltage of each drive, V, after its delay.
             direction: Function of the speed, m/s, that gives the direction of the motion in [-1, 1]: `sign`, or for
                 optimization a smooth function such as tanh(v / v0) with a small speed v0.
@@ -234,7 +237,7 @@ class Equations(BeltEquations):
         """Return the acceleration of each coordinate.
 
         Args:
-            point: Point of the motion.
+            point: Belt travel and speed of every coordinate, at which to evaluate.
             voltages: Commanded voltage of each drive, V, after its delay.
             direction: Function of the speed, m/s, that gives the direction of the motion in [-1, 1]; see `net_forces`.
 

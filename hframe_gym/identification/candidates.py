@@ -60,16 +60,17 @@ class Candidate:
 
     @property
     def fixed(self) -> bool:
-        """Whether the effect has no amplitude that could be zero."""
+        """Whether the effect has no amplitude parameter, so that no parameter value switches it off."""
         return not self.effect.amplitudes
 
     def applied(self, amounts: Sequence[float]) -> AppliedEffect:
-        """Return the weighted sum of the basis functions as one effect with parameter values.
+        """Combine the candidate's columns, each multiplied by its weight, into one effect with parameter values.
 
-        Weights of a sine and a cosine are converted to amplitude and phase.
+        For an effect with a phase the two weights, of the sine and of the cosine, become amplitude and phase. An effect
+        without amplitudes ignores the weights.
 
         Args:
-            amounts: Dimensionless weights of `columns`, shape (columns,).
+            amounts: Dimensionless weight of each of `columns`, shape (columns,).
 
         Returns:
             Effect at the site; its parameters are clipped to their bounds.

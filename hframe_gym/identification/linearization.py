@@ -83,8 +83,10 @@ class NormalEquations:
         Args:
             jacobian: J transposed, derivatives of the residual with respect to k parameters, shape (k, rows).
             residual: r, residual in units of the noise, shape (rows,).
-            responses: E transposed, responses to m perturbations, shape (m, rows). Default: none.
-            count: Number of measured values. Default: the number of rows.
+            responses: E transposed: change of the residual that each of m perturbations causes, for example the force
+                of a candidate effect, shape (m, rows). Default: none.
+            count: Number of measured values; it is above the number of rows where rows are averages. Default: the
+                number of rows.
 
         Returns:
             Inner products of all pairs of J, E and r.
@@ -198,17 +200,18 @@ class ResidualModel:
         """
         return self.machine.replace(values_at(self.free, theta))
 
-    def residuals(self, run: PreparedRecording, measurements: Array) -> Array:
+    def residuals(self, run: PreparedRecording, predicted: Array) -> Array:
         """Compare a batch of predictions of a run with its measurements.
 
         Args:
             run: Measured run of n samples.
-            measurements: Predicted values in the sensors' units, shape (batch, n, sensors).
+            predicted: Predicted values in the sensors' units, shape (batch, n, sensors).
 
         Returns:
-            Measured minus predicted values in units of the noise, all sensors in one row, shape (batch, rows).
+            (measured - predicted) / noise, the values of all sensors one after another, shape (batch, rows). Where
+            `rows_per_block` is above one, that many samples are averaged into one row, and noise keeps its size.
         """
-        return residuals(run, self.data, measurements, self.rows_per_block)
+        return residuals(run, self.data, predicted, self.rows_per_block)
 
     def linearize_run(
         self, run: PreparedRecording, theta: Array, responses: Responses | None = None

@@ -100,8 +100,9 @@ def channel_errors(machine: Machine, data: Dataset) -> dict[str, ChannelError]:
 def force_residual(machine: Machine, run: PreparedRecording, data: Dataset) -> Array:
     """Estimate the force that would have to be added for the machine to follow the measurements.
 
-    It is mass times the velocity correction per time of the observer in one-step prediction, which thereby acts as a
-    disturbance observer: the estimate is valid below the observer's bandwidth.
+    At every sample, the observer of the one-step prediction corrects the velocities. This correction divided by the
+    sampling period is an acceleration; times the mass or inertia it is the missing force. The estimate is valid below
+    the observer's bandwidth. A missing measurement causes no correction.
 
     Args:
         machine: Machine that predicts.

@@ -154,8 +154,8 @@ class Polyline:
     def distance(self, points: Array, s: Array) -> Array:
         """Compute the distances of n points to the part of the curve near s.
 
-        The search is limited to arc lengths within pi times the distance from the point to the curve's point at s.
-        Where the curve crosses itself, the other branch is therefore ignored.
+        Only the part of the curve within an arc length of pi d before and after s is searched, where d is the distance
+        from the point to the curve's point at s. Where the curve crosses itself, the other branch is therefore ignored.
 
         Args:
             points: Points x, y, m, shape (n, 2).
