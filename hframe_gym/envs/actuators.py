@@ -185,7 +185,8 @@ class ActuatorModel:
 
         Call it once per control period, before `command`.
         """
-        self._history[:, 1:] = self._history[:, :-1]
+        if self._commanded is not None:  # without dead time nothing reads the history
+            self._history[:, 1:] = self._history[:, :-1]
 
     def command(self, actions: NDArray[Any], first: int, last: int, clipped: NDArray[np.int64]) -> None:
         """Write the input voltages of blocks first to last - 1 for one control period to `inputs`.

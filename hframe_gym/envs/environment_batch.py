@@ -222,12 +222,13 @@ class EnvironmentBatch:
 
         def finish(first: int, last: int) -> int:
             begin, end = first * LANES, min(last * LANES, self.count)
-            self.observations.measure(first, last, self.elapsed)
+            if measured:
+                self.observations.measure(first, last, self.elapsed)
             broken = self.observations.write(first, last, observation, tool)
-            rows = slice(begin, end)
             if self.references.moving:
-                self.references.write(rows, observation)
+                self.references.write(slice(begin, end), observation)
             if contour is not None and broken < 0:
+                rows = slice(begin, end)
                 contour[rows] = self.references.contour(rows, self.simulator.tools(first, last))
             if builtin is not None:
                 evaluate_rows(

@@ -201,9 +201,9 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
         }
         if contour is not None:
             info["contour_m"] = contour.item()
-        randomized = self.batch.randomized(_ONLY)
-        if randomized:
-            info["parameters"] = {name: value.item() for name, value in randomized.items()}
+        if self.batch.sampler.names:
+            values = self.batch.randomized(_ONLY)
+            info["parameters"] = {name: value.item() for name, value in values.items()}
         return info
 
     # -- rendering -------------------------------------------------------------------------------------------------
