@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike
 from .components import Array
 from .machine import Machine
 
-_RIGID = 1e-9  # eigenvalues below this fraction of the largest one belong to rigid-body modes
+_RIGID_EIGENVALUE = 1e-9  # eigenvalues below this fraction of the largest one belong to rigid-body modes
+_RIGID_EXTENSION = 1e-9  # m per unit of the leading coordinate; a motion that extends a belt by more is not rigid
 
 
 class StateSpace(NamedTuple):
@@ -57,6 +58,8 @@ def stiffness_matrix(machine: Machine, position: Array | None = None) -> Array:
 
 def linearize(machine: Machine, position: Array | None = None) -> StateSpace:
     """Linearize the equations of motion about rest, without Coulomb friction and effects.
+
+    The back-EMF of a drive acts as viscous friction of its coordinate.
 
     Args:
         machine: Machine.
@@ -103,10 +106,7 @@ def mode_frequencies(machine: Machine, position: Array | None = None) -> Array:
     mass_matrix = np.diag([c.mass for c in machine.coordinates])
     squared = eigh(stiffness_matrix(machine, position), mass_matrix, eigvals_only=True)
     scale = max(squared.max(), 1.0)
-    return np.sqrt(np.where(squared < _RIGID * scale, 0.0, squared)) / (2 * np.pi)
-
-
-_STRETCHES = 1e-9  # m per unit of the leading coordinate; a motion that extends a belt by more is not rigid
+    return np.sqrt(np.where(squared < _RIGID_EIGENVALUE * scale, 0.0, squared)) / (2 * np.pi)
 
 
 def rest_state(machine: Machine, position: ArrayLike | None = None) -> Array:
@@ -114,14 +114,15 @@ def rest_state(machine: Machine, position: ArrayLike | None = None) -> Array:
 
     Args:
         machine: Machine.
-        position: Positions of the linear coordinates in the machine's order, m, shape (linear coordinates,). Default:
-            zeros. The pulley angles follow from zero extension of every belt (least squares).
+        position: Positions of the linear coordinates in the machine's order, m, shape (linear coordinates,); a single
+            value applies to all of them. Default: zeros. The pulley angles follow from zero extension of every belt
+            (least squares); coordinates that a spring holds, such as the yaw of a bridge, are at zero.
 
     Returns:
         Positions, m or rad, then zero velocities, shape (2 * coordinates,).
 
     Raises:
-        ValueError: If the number of positions is not the number of linear coordinates.
+        ValueError: If there are several positions, but not one per linear coordinate.
     """
     count = len(machine.coordinates)
     q = np.zeros(count)
@@ -158,6 +159,6 @@ def rigid_motions(machine: Machine) -> dict[str, Array]:
         if coordinate.kind == "linear":
             motion = np.eye(count)[index]
             motion[rotary] = np.linalg.lstsq(G[:, rotary], -G[:, index], rcond=None)[0]
-            if np.max(np.abs(G @ motion)) < _STRETCHES:
+            if np.max(np.abs(G @ motion)) < _RIGID_EXTENSION:
                 motions[coordinate.name] = motion
     return motions
