@@ -150,9 +150,9 @@ class ActuatorModel:
         self._period, self._steps = period, steps
         drives, blocks = len(machine.drives), -(-count // LANES)
         self._rated = np.array([d.rated_voltage for d in machine.drives])
-        self._columns = [
-            [column(f"{d.name}.{key}") for key in ("converter_bits", "voltage_range")] for d in machine.drives
-        ]
+        self._columns = np.array(
+            [[column(f"{d.name}.{key}") for key in ("converter_bits", "voltage_range")] for d in machine.drives]
+        )
         # Quantum (0: continuous), lowest and highest voltage of the converters, V.
         self._converters = np.zeros((blocks, 3 * drives, LANES))
         self._quantized = False
@@ -170,15 +170,10 @@ class ActuatorModel:
             index: Indices of the environments, shape (k,). Indices from `count` on are unused lanes of the last block.
             values: All N parameters of these environments, SI, in the columns that `column` returns, shape (k, N).
         """
-        block, lane = np.divmod(index, LANES)
-        for k, (bits_column, range_column) in enumerate(self._columns):
-            bits, largest = values[:, bits_column], values[:, range_column]
-            quantum = np.where(bits > 0.0, 2.0 * largest / 2.0**bits, 0.0)
-            self._quantized = self._quantized or bool(np.any(bits > 0.0))
-            # Two's complement: there is one level less above zero.
-            for row, edge in enumerate((quantum, -largest, largest - quantum)):
-                self._converters[block, 3 * k + row, lane] = edge
-        self._history[block, :, :, lane] = 0.0
+        self._quantized |= _set_converters(index, values, self._columns, self._converters)
+        if self._commanded is not None:  # without dead time there is no history
+            block, lane = np.divmod(index, LANES)
+            self._history[block, :, :, lane] = 0.0
 
     def begin_period(self) -> None:
         """Shift the history of commanded voltages of all environments by one control period and drop the oldest.
@@ -213,6 +208,27 @@ def _longest_delay(machine: Machine) -> float:
         definitions = [e.definition for e in machine.effects if e.definition.delay and e.site in (drive.name, "drives")]
         longest.append(sum(float(d.delay(*(p.upper for p in d.parameters))) for d in definitions if d.delay))
     return max(longest)
+
+
+@compiled
+def _set_converters(index: Any, values: Any, columns: Any, converters: Any) -> bool:
+    """Write quantum, lowest and highest voltage of environments index (k,) to converters (blocks, 3 drives, LANES), V.
+
+    values (k, N): parameters; columns (drives, 2): those of the bits and of the voltage range. Return whether any
+    converter has levels.
+    """
+    quantized = False
+    for i in range(index.shape[0]):
+        block, lane = index[i] // LANES, index[i] % LANES
+        for k in range(columns.shape[0]):
+            bits, largest = values[i, columns[k, 0]], values[i, columns[k, 1]]
+            quantum = 2.0 * largest / math.ldexp(1.0, int(bits)) if bits > 0.0 else 0.0
+            quantized = quantized or bits > 0.0
+            converters[block, 3 * k, lane] = quantum
+            # Two's complement: there is one level less above zero.
+            converters[block, 3 * k + 1, lane] = -largest
+            converters[block, 3 * k + 2, lane] = largest - quantum
+    return quantized
 
 
 @compiled

@@ -10,6 +10,7 @@ rounds alike everywhere, so that a machine gets the same bits in any batch, lane
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -122,6 +123,7 @@ class BatchedSimulator:
         self.steps = max(1, int(np.ceil(period / longest_step - 1e-6)))
         self.h = period / self.steps
         self.blocks = -(-count // LANES)
+        self._unused = np.arange(count, self.blocks * LANES)  # lanes of the last block without a machine
         self._n = len(machine.coordinates)
         self._tool = [machine.coordinate_names.index(name) for name in ("x", "y")]
         # Travel of every coordinate at rest with unstretched belts per meter of x and of y, (n, 2).
@@ -169,9 +171,10 @@ class BatchedSimulator:
             values: All N parameters in the order of the constructor's `space`, SI, shape (k, N).
         """
         if index[-1] == self.count - 1:
-            spare = np.arange(self.count, self.blocks * LANES)
-            index = np.concatenate([index, spare])
-            position, values = (np.concatenate([a, np.repeat(a[-1:], len(spare), 0)]) for a in (position, values))
+            # The unused lanes of the last block repeat the last machine.
+            source = np.minimum(np.arange(len(index) + len(self._unused)), len(index) - 1)
+            index = np.concatenate([index, self._unused])
+            position, values = position[source], values[source]
         state = np.zeros((len(index), self.state.shape[1]))
         state[:, : self._n] = position[:, :1] * self._rest[:, 0] + position[:, 1:] * self._rest[:, 1]
         _put(index, state, self.state)
@@ -205,31 +208,38 @@ class BatchedSimulator:
         Raises:
             NotFiniteError: If a state is not finite; the message names the environment.
         """
-        broken: list[int] = []
         self.actuators.begin_period()
-
-        def run(first: int, last: int) -> None:
-            self.actuators.command(actions, first, last, clipped)
-            if self._delay_line is None:
-                self._advance_blocks(self.actuators.inputs, self.steps, first, last)
-                if self._sensors:
-                    self._kernel.read_blocks(self.state, self.parameters, first, last, self.readings)
-            else:
-                self._advance_with_delay_line(self._delay_line, first, last)
-            b = finish(first, last)
-            if b >= 0:
-                broken.append(b)
-
+        advance_range = partial(self._advance_period, actions, clipped, finish)
         if self.blocks < BLOCKS_FOR_THREADS:
-            run(0, self.blocks)
+            broken = [advance_range(0, self.blocks)]
         else:
-            in_parallel(run, self.blocks)
+            broken = []
+            in_parallel(lambda first, last: broken.append(advance_range(first, last)), self.blocks)
         self._steps_done += self.steps
-        if broken:
+        if max(broken) >= 0:
+            first_broken = min(b for b in broken if b >= 0)
             raise NotFiniteError(
-                f"environment {min(broken)}: the motion of machine {self.machine.name!r} is not finite; its parameters "
+                f"environment {first_broken}: the motion of machine {self.machine.name!r} is not finite; its parameters "
                 "are impossible, or it needs a smaller longest_step"
             )
+
+    def _advance_period(
+        self,
+        actions: NDArray[Any],
+        clipped: NDArray[np.int64],
+        finish: Callable[[int, int], int],
+        first: int,
+        last: int,
+    ) -> int:
+        """Advance blocks first..last-1 by one control period; arguments and result are those of `advance`, `finish`."""
+        self.actuators.command(actions, first, last, clipped)
+        if self._delay_line is None:
+            self._advance_blocks(self.actuators.inputs, self.steps, first, last)
+            if self._sensors:
+                self._kernel.read_blocks(self.state, self.parameters, first, last, self.readings)
+        else:
+            self._advance_with_delay_line(self._delay_line, first, last)
+        return finish(first, last)
 
     def _advance_blocks(self, inputs: Array, steps: int, first: int, last: int) -> None:
         """Advance blocks first..last-1 by steps of the integrator."""

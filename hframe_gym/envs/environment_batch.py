@@ -7,6 +7,7 @@ machines by one control period. The caller decides when an episode ends.
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -38,6 +39,7 @@ from .tasks.base import ReferenceTrajectories
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Flags = NDArray[np.bool_]
+_FLOAT32 = np.dtype(np.float32)
 
 
 class StepResult(NamedTuple):
@@ -47,7 +49,6 @@ class StepResult(NamedTuple):
         observation: Observation arrays by key, float32, first axis count.
         reward: Rewards, shape (count,).
         terminated: Whether the tool is outside the workspace; always False unless `ends` is "terminate". (count,) bool.
-        truncated: Whether the episode has reached its maximum number of control periods, shape (count,).
         distance: Distance of the true tool position to the goal, m, shape (count,).
         contour: Distance of the true tool position to the path, m, shape (count,); None for a task without a path.
     """
@@ -55,7 +56,6 @@ class StepResult(NamedTuple):
     observation: Observation
     reward: Array
     terminated: Flags
-    truncated: Flags
     distance: Array
     contour: Array | None
 
@@ -113,7 +113,12 @@ class EnvironmentBatch:
             observed=self.observations.entries,
             privileged=self.observations.privileged,
         )
+        # What every step needs, so that a step of a single environment does not look it up.
+        self._expected_shape = count, len(self.machine.drives)
+        self._has_path = self.task.metrics == "track"
+        self._ends = config.ends == "terminate"
         self._edges = self.workspace.astype(np.float32)
+        self._builtin = self.reward if isinstance(self.reward, BuiltinReward) else None
         self.references = ReferenceTrajectories(self.task, count, config.period)
         self.clipped = np.zeros(count, np.int64)
         self.values = np.tile(self.sampler.space.nominal, (count, 1))
@@ -188,61 +193,63 @@ class EnvironmentBatch:
         if not self._was_reset:
             raise error.ResetNeeded("call reset before step")
         values = np.ascontiguousarray(actions)
-        if values.dtype != np.float32:
+        if values.dtype != _FLOAT32:
             values = values.astype(np.float64, copy=False)
-        expected = (self.count, len(self.machine.drives))
-        if values.shape != expected:
-            raise ValueError(f"actions have shape {values.shape}, they must have {expected}")
+        if values.shape != self._expected_shape:
+            raise ValueError(f"actions have shape {values.shape}, they must have {self._expected_shape}")
         if not _all_finite(values):
             b, k = np.argwhere(~np.isfinite(values))[0].tolist()
             drive = self.machine.drives[k].name
             raise ValueError(f"action of environment {b}, {drive}: {values[b, k]} is not finite")
         return values
 
-    def step(self, actions: NDArray[Any], limit: int | None = None) -> StepResult:
+    def step(self, actions: NDArray[Any]) -> StepResult:
         """Advance all environments by one control period.
 
         Args:
-            actions: Result of `check_actions`: fractions of the rated voltages, shape (count, drives).
-            limit: Number of control periods after which an episode is truncated; None: never.
+            actions: Result of `check_actions`: voltages as fractions of the rated voltages, shape (count, drives).
 
         Returns:
-            Observations, rewards, flags of the ends of episodes, and errors of the tool position.
+            Observations, rewards, whether episodes end at the workspace's edge, and errors of the tool position.
 
         Raises:
             NotFiniteError: If a position or velocity is not finite; the message names the environment.
         """
-        self.references.elapsed += 1
+        self.references.advance()
         observation, tool = self._blank()
-        achieved, desired = observation["achieved_goal"], observation["desired_goal"]
+        count = self.count
+        contour = np.empty(count) if self._has_path else None
+        result = StepResult(observation, np.empty(count), np.zeros(count, np.bool_), np.empty(count), contour)
+        self.simulator.advance(actions, self.clipped, partial(self._finish_blocks, result, tool))
+        if self._builtin is None:
+            desired = observation["desired_goal"]
+            result.distance[:] = distances(tool, desired)
+            result.reward[:] = self.reward(observation["achieved_goal"], desired)
+        if self._ends:
+            result.terminated[:] = outside_workspace(tool, self._edges)
+        return result
+
+    def _finish_blocks(self, result: StepResult, tool: NDArray[np.float32], first: int, last: int) -> int:
+        """Write what follows from the new states of blocks first..last-1 to result and to tool (count, 2), m.
+
+        Return the index of an environment whose state is not finite, or -1.
+        """
+        observation, builtin = result.observation, self._builtin
+        begin, end = first * LANES, min(last * LANES, self.count)
         measured = self.observations.measured
-        reward, distance = np.empty(self.count), np.empty(self.count)
-        contour = np.empty(self.count) if self.task.metrics == "track" else None
-        builtin = self.reward if isinstance(self.reward, BuiltinReward) else None
-
-        def finish(first: int, last: int) -> int:
-            begin, end = first * LANES, min(last * LANES, self.count)
-            if measured:
-                self.observations.measure(first, last, self.elapsed)
-            broken = self.observations.write(first, last, observation, tool)
-            if self.references.moving:
-                self.references.write(slice(begin, end), observation)
-            if contour is not None and broken < 0:
-                rows = slice(begin, end)
-                contour[rows] = self.references.contour(rows, self.simulator.tools(first, last))
-            if builtin is not None:
-                evaluate_rows(
-                    tool, achieved, measured, desired, builtin.kind, builtin.band, begin, end, distance, reward
-                )
-            return broken
-
-        self.simulator.advance(actions, self.clipped, finish)
-        if builtin is None:
-            distance, reward = distances(tool, desired), np.asarray(self.reward(achieved, desired), np.float64)
-        ends = self.config.ends == "terminate"
-        terminated = outside_workspace(tool, self._edges) if ends else np.zeros(self.count, np.bool_)
-        truncated = np.zeros(self.count, np.bool_) if limit is None else self.elapsed >= limit
-        return StepResult(observation, reward, terminated, truncated, distance, contour)
+        if measured:
+            self.observations.measure(first, last, self.elapsed)
+        broken = self.observations.write(first, last, observation, tool)
+        if self.references.moving:
+            self.references.write(slice(begin, end), observation)
+        if result.contour is not None and broken < 0:
+            rows = slice(begin, end)
+            result.contour[rows] = self.references.contour(rows, self.simulator.tools(first, last))
+        if builtin is not None:
+            achieved, desired = observation["achieved_goal"], observation["desired_goal"]
+            errors = result.distance, result.reward
+            evaluate_rows(tool, achieved, measured, desired, builtin.kind, builtin.band, begin, end, *errors)
+        return broken
 
     def restart(self, index: Index, result: StepResult) -> None:
         """Begin a new episode in k environments and write its first observation into the result of a step.
@@ -276,7 +283,7 @@ class EnvironmentBatch:
     def _blank(self) -> tuple[Observation, NDArray[np.float32]]:
         """Allocate an observation of all environments, and true tool positions, shape (count, 2)."""
         observation, tool = self.observations.blank()
-        observation |= self.references.blank()
+        self.references.add_blank(observation)
         return observation, tool
 
     def contour(self, index: Index | slice) -> Array | None:
@@ -288,7 +295,7 @@ class EnvironmentBatch:
         Returns:
             Distances, m, shape (k,); None for a task without a path.
         """
-        return self.references.contour(index, self.simulator.tools()[index])
+        return self.references.contour(index, self.simulator.tools()[index]) if self._has_path else None
 
     def distance(self, index: Index) -> Array:
         """Compute the distance of the true tool position to the present goal.

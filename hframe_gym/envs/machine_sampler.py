@@ -204,7 +204,7 @@ class RuleSampler:
         """Apply the rules to the parameters of k environments.
 
         Args:
-            base: All N parameters before sampling, SI, shape (k, N).
+            base: All N parameters before sampling, SI, shape (k, N), or (1, N) if all environments have the same.
             uniforms: Uniform random numbers in (0, 1), shape (k, draws).
 
         Returns:
@@ -213,7 +213,8 @@ class RuleSampler:
         Raises:
             InputError: If an unbounded distribution yields a value outside the limits of a parameter.
         """
-        values = base.copy()
+        values = np.empty((len(uniforms), base.shape[1]))
+        values[:] = base
         samples: dict[int, Array] = {}  # by column of the uniform number, because a shared one is used several times
         for i, column, rule in self._single:
             if column not in samples:
@@ -334,13 +335,13 @@ class MachineSampler:
         if self._startup.names:
             fresh = index[self._needs_startup[index]]
             keys = episode_keys(self._keys[fresh], np.full(len(fresh), -1))
-            nominal = np.tile(self.space.nominal, (len(fresh), 1))
-            self._base[fresh] = self._startup.sample(nominal, reset_uniforms(keys, self._startup.draws))
+            self._base[fresh] = self._startup.sample(self.space.nominal[None], reset_uniforms(keys, self._startup.draws))
             self._needs_startup[fresh] = False
         keys = episode_keys(self._keys[index], self._episodes[index])
         self._episodes[index] += 1
         uniforms = reset_uniforms(keys, task_numbers + self._reset.draws)
-        base = self._base[index] if self._startup.names else np.repeat(self._base, len(index), axis=0)
+        base = self._base[index] if self._startup.names else self._base
         values = self._reset.sample(base, uniforms[:, task_numbers:])
-        values[:, self._integers] = np.rint(values[:, self._integers])
+        if self._integers:
+            values[:, self._integers] = np.rint(values[:, self._integers])
         return EpisodeSamples(keys, uniforms[:, :task_numbers], values)

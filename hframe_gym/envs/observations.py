@@ -101,6 +101,9 @@ class ObservationBuilder:
             self._goal_box = workspace_of(machine) + np.array([-MARGIN, MARGIN])
         self.privileged = privileged_signals(machine, sampler.normalized_bounds()) if privileged else ()
         self._all_state = StateView.of(simulator, [s for s in self.privileged if s.coordinate])
+        self._shapes = {"observation": (count, len(self.entries)), "achieved_goal": (count, 2)}
+        if privileged:
+            self._shapes["privileged"] = count, len(self.privileged)
         self._parameters = np.zeros((count, len(sampler.names) if privileged else 0), np.float32)
 
     def _observe(
@@ -156,13 +159,7 @@ class ObservationBuilder:
             observation: `observation`, `achieved_goal` and, if enabled, `privileged`; float32, first axis count.
             tool: Array for true tool positions, shape (count, 2); see `tool_array`.
         """
-        count = self._simulator.count
-        observation = {
-            "observation": np.empty((count, len(self.entries)), np.float32),
-            "achieved_goal": np.empty((count, 2), np.float32),
-        }
-        if self.privileged:
-            observation["privileged"] = np.empty((count, len(self.privileged)), np.float32)
+        observation = {key: np.empty(shape, np.float32) for key, shape in self._shapes.items()}
         return observation, self.tool_array(observation)
 
     def tool_array(self, observation: Observation) -> NDArray[np.float32]:

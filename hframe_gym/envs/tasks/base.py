@@ -175,17 +175,27 @@ class ReferenceTrajectories:
         period: Control period, s.
 
     Attributes:
-        elapsed: Control periods since the reset of each environment, shape (count,). The caller increments it.
         moving: Whether goals move during an episode.
     """
 
     def __init__(self, task: Task, count: int, period: float) -> None:
         self._task, self._period = task, period
-        self.elapsed = np.zeros(count, np.int64)
+        # Time is counted once for all environments, in control periods; an episode remembers when it began.
+        self._now = 0
+        self._began = np.zeros(count, np.int64)
         self.moving = bool(task.ahead_s) or task.metrics == "track"
         self._plans = np.zeros((count, task.plan_size))
         self._fixed_goals = np.zeros((count, 2), np.float32)  # goals at reset; all there is if goals do not move
         self._times = np.array([0.0, *task.ahead_s])
+
+    @property
+    def elapsed(self) -> NDArray[np.int64]:
+        """Number of control periods since the reset of each environment, shape (count,), a new array."""
+        return self._now - self._began
+
+    def advance(self) -> None:
+        """Advance the time of all environments by one control period."""
+        self._now += 1
 
     def begin(self, index: Index, plans: Array) -> None:
         """Store the plans of new episodes in k environments and set their elapsed time to zero.
@@ -195,7 +205,7 @@ class ReferenceTrajectories:
             plans: Plans from `Task.begin` or `Task.aim`, shape (k, plan_size).
         """
         self._plans[index] = plans
-        self.elapsed[index] = 0
+        self._began[index] = self._now
         self._fixed_goals[index] = self._task.goal(plans, np.zeros(len(index)))
 
     def goals(self, index: Index | slice) -> NDArray[np.float32]:
@@ -211,18 +221,20 @@ class ReferenceTrajectories:
             return np.array(self._fixed_goals[index])
         return self._task.goal(self._plans[index], self._elapsed_s(index)).astype(np.float32)
 
-    def blank(self) -> dict[str, NDArray[np.float32]]:
+    def add_blank(self, observation: dict[str, NDArray[np.float32]]) -> None:
         """Allocate the goal arrays of an observation.
 
-        Returns:
-            `desired_goal` (count, 2), already filled in if goals do not move, and for a task with future goals
-            `preview` (count, 2 * previews); m, float32.
+        Args:
+            observation: Gets `desired_goal`, shape (count, 2), which holds the goals already if these do not move, and
+                for a task with p future goals `preview`, shape (count, 2 p); m, float32.
         """
         if not self.moving:
-            return {"desired_goal": self._fixed_goals.copy()}
+            observation["desired_goal"] = self._fixed_goals.copy()
+            return
         count, size = len(self._fixed_goals), 2 * len(self._task.ahead_s)
-        arrays = {"desired_goal": np.empty((count, 2), np.float32)}
-        return arrays | ({"preview": np.empty((count, size), np.float32)} if size else {})
+        observation["desired_goal"] = np.empty((count, 2), np.float32)
+        if size:
+            observation["preview"] = np.empty((count, size), np.float32)
 
     def write(self, index: Index | slice, observation: dict[str, NDArray[np.float32]]) -> None:
         """Write the present and future goals of k environments to an observation.
@@ -271,4 +283,4 @@ class ReferenceTrajectories:
 
     def _elapsed_s(self, index: Index | slice) -> Array:
         """Return the times since the reset of environments index (k,), s, shape (k,)."""
-        return np.asarray(self.elapsed[index].astype(np.float64) * self._period)
+        return np.asarray((self._now - self._began[index]).astype(np.float64) * self._period)
