@@ -19,7 +19,6 @@ from rich.console import Console
 
 from benchmarks.results_file import write_results
 from hframe_gym.envs import HFrameVectorEnv
-from hframe_gym.envs.end_stops import rated_belt_force
 
 SEED, ENVS = 5, 4096
 REPORT_PERIODS = 250  # control periods between two reports
@@ -82,7 +81,10 @@ def bound(envs: HFrameVectorEnv) -> float:
         0.5 * upper[f"{c.name}.mass"] / (c.radius if c.kind == "rotary" else 1.0) ** 2 * speed**2
         for c in machine.coordinates
     )
-    force = rated_belt_force(machine) * upper["motor1.Kt"] / machine.drives[0].Kt / 0.9
+    stall_force = sum(
+        d.gain * d.rated_voltage / machine.coordinate(d.coordinate).travel_per_unit for d in machine.drives
+    )
+    force = stall_force * upper["motor1.Kt"] / machine.drives[0].Kt / 0.9
     belts = sum(
         0.5 * (2.0 * force) ** 2 * (upper[f"{b.name}.rest_length"] + 0.6) / lower[f"{b.name}.EA"] for b in machine.belts
     )

@@ -128,7 +128,10 @@ def with_actuators(machine: Machine, drives: ActuatorsLike) -> Machine:
 
 
 class ActuatorModel:
-    """Convert actions to the input voltages of the simulation kernel, with D/A converters and dead times.
+    """Convert actions to the input voltages of the simulated motors, with D/A converters and dead times.
+
+    Voltages are stored in blocks of LANES environments for the compiled simulation: environment b is lane b % LANES of
+    block b // LANES.
 
     Args:
         machine: Machine with its drives and their converters.
@@ -139,8 +142,8 @@ class ActuatorModel:
         delayed: Whether any drive has a dead time.
 
     Attributes:
-        inputs: Input voltages of the kernel, V. Shape (blocks, drives, LANES), constant over a control period; with a
-            dead time (blocks, steps * drives, LANES), one set of drives per integration step.
+        inputs: Input voltages of the simulation, V. Shape (blocks, drives, LANES), constant over a control period; if a
+            drive has a dead time, (blocks, steps * drives, LANES), one set of drives per integration step.
         delays: Dead times, s, shape (blocks, drives, LANES). The simulator writes them at reset.
     """
 
@@ -167,7 +170,8 @@ class ActuatorModel:
         """Set the converters of k environments for new episodes and clear the voltages that dead times still delay.
 
         Args:
-            index: Indices of the environments, shape (k,). Indices from `count` on are unused lanes of the last block.
+            index: Indices of the environments, shape (k,). Indices from `count` on are unused places in the last block
+                of LANES environments.
             values: All N parameters of these environments, SI, in the columns that `column` returns, shape (k, N).
         """
         self._quantized |= _set_converters(index, values, self._columns, self._converters)
@@ -184,11 +188,11 @@ class ActuatorModel:
             self._history[:, 1:] = self._history[:, :-1]
 
     def command(self, actions: NDArray[Any], first: int, last: int, clipped: NDArray[np.int64]) -> None:
-        """Write the input voltages of blocks first to last - 1 for one control period to `inputs`.
+        """Convert the actions for one control period and write the voltages of blocks first to last - 1 to `inputs`.
 
         Args:
             actions: Voltages as fractions of the rated voltages, clipped to [-1, 1], shape (count, drives).
-            first: Index of the first block.
+            first: Index of the first block; block i holds environments i * LANES to (i + 1) * LANES - 1.
             last: Index after the last block.
             clipped: Number of clipped action entries in each running episode, shape (count,); updated in place.
         """

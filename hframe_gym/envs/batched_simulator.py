@@ -21,9 +21,9 @@ from ..errors import InputError
 from ..machine import Machine, rest_state
 from .actuators import ActuatorModel
 from .counter_rng import compiled
-from .end_stops import with_end_stops
 from .machine_sampler import ParameterSpace
 from .measurements import DelayLine
+from .spaces import with_end_stops
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -37,10 +37,13 @@ def parameter_values(machine: Machine, name: str, values: Array) -> Array:
     Args:
         machine: Machine that defines the parameters and their ties.
         name: Full name of a parameter of `machine.parameters` or `machine.ties`, for example "phi1.radius".
-        values: Parameters of k machines, SI, columns in the order of `machine.parameters`; more may follow.
+        values: Parameters of k machines, SI, shape (k, N). The first columns are `machine.parameters` in their order.
 
     Returns:
         Parameter values, SI, shape (k,).
+
+    Raises:
+        ValueError: If the machine has no parameter of this name.
     """
     if name in machine.ties:
         free, factor = machine.ties[name]
@@ -51,9 +54,11 @@ def parameter_values(machine: Machine, name: str, values: Array) -> Array:
 def units_per_travel(machine: Machine, values: Array) -> Array:
     """Compute the factors from belt travel (m) to the units of the coordinates (m or rad).
 
+    Belt travel is the coordinate itself if it is linear, and radius * angle if it is the angle of a pulley.
+
     Args:
         machine: Machine with its coordinates.
-        values: Parameters of k machines, SI, columns in the order of `machine.parameters`; more may follow.
+        values: Parameters of k machines, SI, shape (k, N). The first columns are `machine.parameters` in their order.
 
     Returns:
         1 for a linear coordinate, 1 / radius in rad/m for a rotary one; shape (k, coordinates).
@@ -66,7 +71,10 @@ def units_per_travel(machine: Machine, values: Array) -> Array:
 
 
 def block_ranges(index: Index) -> Iterator[tuple[int, int]]:
-    """Divide the blocks of LANES machines that contain given machines into ranges of consecutive blocks.
+    """Find the blocks that contain given machines, as ranges of consecutive blocks.
+
+    A block holds LANES machines, which the compiled simulation functions process at once: machine b is in block
+    b // LANES.
 
     Args:
         index: Indices of the machines, ascending, not empty, shape (k,).
@@ -86,17 +94,21 @@ def block_ranges(index: Index) -> Iterator[tuple[int, int]]:
 class BatchedSimulator:
     """Simulate many machines with the same equations and different parameters, one control period at a time.
 
+    Machines are stored in blocks of LANES for the SIMD instructions of the processor: machine b is lane b % LANES of
+    block b // LANES. Belt travel is the coordinate itself (linear) or radius * angle (rotary), m.
+
     Args:
         machine: Machine model.
         count: Number of machines.
-        space: Names of the parameters in the columns that `reset` gets; those of the machine come first.
+        space: Names of the parameters in the columns of `reset`'s argument `values`; those of the machine come first.
         period: Control period, s; voltages are constant for this time.
         longest_step: Largest integration step, s.
         end_stops: Whether rubber buffers limit x and y.
         sensors: Whether to compute the machine's sensor outputs.
 
     Attributes:
-        state: Belt travel (m) and its rate (m/s) of all coordinates, time (s), effect states; (blocks, rows, LANES).
+        state: Belt travel of all coordinates (m), their rates (m/s), time (s) and internal states of effects such as
+            friction; shape (blocks, rows, LANES).
         parameters: Parameters of the machines, SI, shape (blocks, parameters, LANES).
         units_per_travel: Factor from belt travel to the coordinate's unit, shape (blocks, coordinates, LANES).
         readings: Sensor outputs with effects and delay, before noise and rounding, shape (blocks, sensors, LANES).
@@ -146,7 +158,7 @@ class BatchedSimulator:
         self._undelayed = np.zeros_like(self.readings)
         self._delay_line: DelayLine | None = None
         if sensors and self._kernel.lagged:
-            self._delay_line = DelayLine(self.blocks, len(machine.sensors), _longest_sensor_delay(machine), self.h)
+            self._delay_line = DelayLine(machine, self.blocks, self.h)
         self._steps_done = 0
 
     def _rest_travel(self, name: str) -> Array:
@@ -202,8 +214,8 @@ class BatchedSimulator:
         Args:
             actions: Voltages as fractions of the rated voltages, finite, clipped to [-1, 1], shape (count, drives).
             clipped: Number of clipped action entries in each episode, shape (count,); updated in place.
-            finish: Function called, in any thread, after blocks first to last - 1 are advanced, with (first, last). It
-                returns the index of a machine whose state is not finite, or -1.
+            finish: Function called with (first, last), in any thread, after blocks first to last - 1 (LANES machines
+                each) are advanced. It returns the index of a machine whose state is not finite, or -1.
 
         Raises:
             NotFiniteError: If a state is not finite; the message names the environment.
@@ -219,8 +231,8 @@ class BatchedSimulator:
         if max(broken) >= 0:
             first_broken = min(b for b in broken if b >= 0)
             raise NotFiniteError(
-                f"environment {first_broken}: the motion of machine {self.machine.name!r} is not finite; its parameters "
-                "are impossible, or it needs a smaller longest_step"
+                f"environment {first_broken}: the motion of machine {self.machine.name!r} is not finite; its "
+                "parameters are impossible, or it needs a smaller longest_step"
             )
 
     def _advance_period(
@@ -276,24 +288,11 @@ class BatchedSimulator:
                     return first, second
         return -1, -1
 
-    def values(self, index: Index, column: int) -> Array:
-        """Return the present value of one parameter in k machines.
-
-        Args:
-            index: Indices of the machines, shape (k,).
-            column: Index of the parameter in the order of `Machine.parameters`.
-
-        Returns:
-            Parameter values, SI, shape (k,).
-        """
-        block, lane = np.divmod(index, LANES)
-        return self.parameters[block, column, lane]
-
     def tools(self, first: int = 0, last: int | None = None) -> Array:
-        """Return the true tool positions of the machines in blocks first to last - 1.
+        """Compute the true tool positions of the machines in blocks first to last - 1.
 
         Args:
-            first: Index of the first block of LANES machines.
+            first: Index of the first block of LANES machines; block i holds machines i * LANES to (i + 1) * LANES - 1.
             last: Index after the last block; default: to the end.
 
         Returns:
@@ -301,7 +300,7 @@ class BatchedSimulator:
         """
         last = self.blocks if last is None else last
         state, units = self.state[first:last], self.units_per_travel[first:last]
-        positions = state[:, self._tool]
+        positions = state[:, self._tool]  # x and y are linear: their travel is the position; (blocks, 2, LANES)
         for axis, name in enumerate(("x", "y")):
             a, b = self.tool_product(name)
             if a >= 0:
@@ -309,7 +308,7 @@ class BatchedSimulator:
         return positions.transpose(0, 2, 1).reshape(-1, 2)[: self.count - first * LANES].copy()
 
     def positions(self, b: int) -> dict[str, float]:
-        """Return the positions of all coordinates of one machine.
+        """Convert the belt travel of one machine to the positions of its coordinates.
 
         Args:
             b: Index of the machine, 0 to count - 1.
@@ -336,16 +335,6 @@ class BatchedSimulator:
         point = MotionPoint(state[: self._n].tolist(), state[self._n : 2 * self._n].tolist())
         belts = zip(self.machine.belts, equations.belt_states(point), strict=True)
         return {belt.name: float(belt_state.tension) for belt, belt_state in belts}
-
-
-def _longest_sensor_delay(machine: Machine) -> float:
-    """Return the longest delay that a sensor can have within the bounds of its effects, s."""
-    longest = [0.0]
-    for sensor in machine.sensors:
-        definitions = [e.definition for e in machine.effects if e.site == sensor.channel]
-        delays = (d.measurement_delay(*(p.upper for p in d.parameters)) for d in definitions if d.measurement_delay)
-        longest.append(sum(map(float, delays)))
-    return max(longest)
 
 
 @compiled

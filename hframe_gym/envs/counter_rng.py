@@ -96,8 +96,8 @@ def cos_sin_of_turns(u: float) -> tuple[float, float]:
         cosine: cos(2 pi u).
         sine: sin(2 pi u).
     """
-    quarter = math.floor(4.0 * u + 0.5)
-    r = (4.0 * u - quarter) * 1.5707963267948966
+    quarter = math.floor(4.0 * u + 0.5)  # nearest multiple of a quarter turn
+    r = (4.0 * u - quarter) * 1.5707963267948966  # rest of the angle, rad, -pi/4 to pi/4
     s = r * r
     # Taylor series to r**14 and r**15; for |r| <= pi/4 the remainders are 1e-15 and 5e-17.
     cosine = 1.0 / 479001600 - s * (1.0 / 87178291200)
@@ -105,6 +105,7 @@ def cos_sin_of_turns(u: float) -> tuple[float, float]:
     cosine = 1.0 - s * (0.5 - s * (1.0 / 24 - s * (1.0 / 720 - s * (1.0 / 40320 - s * (1.0 / 3628800 - s * cosine)))))
     sine = 1.0 / 120 - s * (1.0 / 5040 - s * (1.0 / 362880 - s * (1.0 / 39916800 - s * sine)))
     sine = r * (1.0 - s * (1.0 / 6 - s * sine))
+    # Turn the vector (cosine, sine) of the rest by the quarter turns: by one if odd, then by two if reversed.
     odd, back = (quarter & 1) == 1, (quarter & 2) == 2
     first, second = (-sine, cosine) if odd else (cosine, sine)
     return (-first, -second) if back else (first, second)
@@ -152,7 +153,9 @@ def reset_uniforms(keys: NDArray[np.uint64], count: int) -> NDArray[np.float64]:
 
 
 def episode_keys(keys: NDArray[np.uint64], episodes: NDArray[np.int64]) -> NDArray[np.uint64]:
-    """Derive the key (seed) of an episode in each of k environments, as SplitMix64 derives its sequence of seeds.
+    """Derive the key of an episode in each of k environments; all random numbers of the episode follow from its key.
+
+    Keys differ by a constant from episode to episode, as the states of SplitMix64 (Steele, Lea and Flood 2014).
 
     Args:
         keys: Keys of the environments, one 64-bit random number each, shape (k,).

@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
-from typing import NamedTuple
 
 import numpy as np
 from gymnasium.utils import seeding
@@ -38,17 +37,17 @@ _EXTREME_UNIFORMS = np.array([0.5 * 2.0**-53, 1.0 - 0.5 * 2.0**-53])
 
 @dataclass(frozen=True)
 class ParameterSpace:
-    """All N parameters of an environment that can be randomized, with their full names and limits, (N,) each.
+    """List all N parameters of an environment that can be randomized, with their limits, arrays of shape (N,).
 
     First come `Machine.parameters`, then `Machine.device_parameters`, then those of the task, `task.*`.
     """
 
     machine_name: str  # for messages
-    names: tuple[str, ...]
-    nominal: Array  # values without randomization
-    lower: Array  # smallest value that each can be randomized to
-    upper: Array  # largest value that each can be randomized to
-    clipped: frozenset[int]  # indices of parameters whose samples are clipped to the limits without a message
+    names: tuple[str, ...]  # full names, for example "x.mass"
+    nominal: Array  # values without randomization, SI
+    lower: Array  # smallest value that each can be randomized to, SI
+    upper: Array  # largest value that each can be randomized to, SI
+    clipped: frozenset[int]  # indices of parameters whose samples are clipped to the limits without an error
 
     @classmethod
     def of(cls, machine: Machine, task_parameters: Mapping[str, float] | None = None) -> ParameterSpace:
@@ -104,7 +103,7 @@ class RuleSampler:
         space: Names, nominal values and limits of all N parameters.
         rules: Randomization rules.
         machine: Machine whose identified covariance `RandomizeIdentified` uses.
-        when: Rules to apply, "reset" or "startup"; those with another `when` are ignored.
+        when: Rules to apply, "reset" (every episode) or "startup" (once per seed); the others are ignored.
         before: Smallest and largest values before sampling, SI, shape (N,) each. Default: nominal values.
 
     Attributes:
@@ -240,14 +239,6 @@ class RuleSampler:
         return values
 
 
-class EpisodeSamples(NamedTuple):
-    """Random numbers and parameters of k new episodes."""
-
-    keys: Keys  # keys (seeds) of the episodes for counter_rng, (k,)
-    uniforms: Array  # uniform random numbers in (0, 1) for the task, (k, n)
-    values: Array  # all N parameters, SI, (k, N)
-
-
 class MachineSampler:
     """Sample the parameters of `count` environments, and the keys (seeds) of their episodes.
 
@@ -320,7 +311,7 @@ class MachineSampler:
         edges = np.sort(self.normalized(np.stack([self.low, self.high])), axis=0)
         return {name: (low, high) for name, (low, high) in zip(self.names, edges.T.tolist(), strict=True)}
 
-    def sample(self, index: Index, task_numbers: int) -> EpisodeSamples:
+    def sample(self, index: Index, task_numbers: int) -> tuple[Keys, Array, Array]:
         """Sample parameters and random numbers for a new episode in k environments.
 
         Args:
@@ -328,14 +319,21 @@ class MachineSampler:
             task_numbers: Uniform random numbers per episode for the task (n).
 
         Returns:
-            Keys (k,), uniform random numbers (k, n) and parameters (k, N) of the episodes.
+            keys: Keys of the episodes, from which all their random numbers follow, uint64, shape (k,).
+            uniforms: Uniform random numbers in (0, 1) for the task, shape (k, n).
+            values: All N parameters in the order of `space.names`, SI, shape (k, N).
+
+        Raises:
+            InputError: If an unbounded distribution yields a value outside the limits of a parameter.
         """
         for b in index[~self._seeded[index]].tolist():
             self.seed(b, seeding.np_random()[0])
         if self._startup.names:
             fresh = index[self._needs_startup[index]]
             keys = episode_keys(self._keys[fresh], np.full(len(fresh), -1))
-            self._base[fresh] = self._startup.sample(self.space.nominal[None], reset_uniforms(keys, self._startup.draws))
+            self._base[fresh] = self._startup.sample(
+                self.space.nominal[None], reset_uniforms(keys, self._startup.draws)
+            )
             self._needs_startup[fresh] = False
         keys = episode_keys(self._keys[index], self._episodes[index])
         self._episodes[index] += 1
@@ -344,4 +342,4 @@ class MachineSampler:
         values = self._reset.sample(base, uniforms[:, task_numbers:])
         if self._integers:
             values[:, self._integers] = np.rint(values[:, self._integers])
-        return EpisodeSamples(keys, uniforms[:, :task_numbers], values)
+        return keys, uniforms[:, :task_numbers], values

@@ -26,7 +26,10 @@ _FIRST_CUSTOM_CHANNEL = 1 << 20
 
 
 class SensorArray:
-    """Add noise, quantization and range limits to ideal readings; keep the last two measurements for differences.
+    """Turn ideal readings into measurements with noise, quantization and range; keep the last two for differences.
+
+    An ideal reading is the output of a sensor without noise and quantization, as the simulation computes it. Readings
+    are stored in blocks of LANES environments: environment b is lane b % LANES of block b // LANES.
 
     Args:
         machine: Machine that declares the sensors.
@@ -62,7 +65,7 @@ class SensorArray:
 
         Args:
             index: Indices of the environments, shape (k,).
-            keys: Keys (seeds) of the episodes, shape (k,).
+            keys: Keys of the episodes, from which their random numbers follow, shape (k,).
             values: All N parameters of these environments, SI, in the columns that `column` returns, shape (k, N).
         """
         self._keys[index] = keys
@@ -73,14 +76,16 @@ class SensorArray:
                 self.low[index, j], self.high[index, j] = values[:, limits[0]], values[:, limits[1]]
 
     def measure(self, readings: Array, index: Index, elapsed: NDArray[np.int64], *, fresh: bool) -> None:
-        """Write the new measurements of k environments to `measurements`; the last ones become those before.
+        """Write the new measurements of k environments to row 0 of `measurements`; the previous ones move to row 1.
 
         Args:
-            readings: Ideal readings of all sensors of the machine, with delay, shape (blocks, sensors, LANES).
+            readings: Ideal (noise-free) readings of all sensors of the machine, delays included, in the channels'
+                units, shape (blocks, sensors, LANES).
             index: Indices of the environments, shape (k,).
             elapsed: Control periods since the reset of every environment, shape (count,).
             fresh: Whether this is the first measurement of an episode; both rows then hold it.
         """
+        # Sensor kinds with a formula of their class replace what the compiled default wrote.
         devices = self._noise, self._resolution, self.low, self.high
         _measure(readings, self._rows, *devices, self._keys, elapsed, index, fresh, self.measurements)
         for j, kind in self._custom.items():
@@ -145,21 +150,24 @@ def _ideal_and_normal(
 
 
 class DelayLine:
-    """History of ideal readings, one entry per integration step, for sensors with a delay.
+    """Keep a history of ideal readings, one entry per integration step, for sensors with a delay.
+
+    An ideal reading is the output of a sensor without noise and quantization. Environment b is lane b % LANES of block
+    b // LANES of the arrays.
 
     Args:
-        blocks: Number of SIMD blocks of LANES environments.
-        sensors: Number of sensors of the machine.
-        longest_delay: Largest delay that a sensor can have, s.
+        machine: Machine with its sensors and their delays, which are effects.
+        blocks: Number of blocks of LANES environments.
         h: Integration step, s.
 
     Attributes:
         delays: Delay of each sensor, s, shape (blocks, sensors, LANES). The simulator writes them at reset.
     """
 
-    def __init__(self, blocks: int, sensors: int, longest_delay: float, h: float) -> None:
+    def __init__(self, machine: Machine, blocks: int, h: float) -> None:
         self._h = h
-        self._depth = math.ceil(longest_delay / h) + 3
+        sensors = len(machine.sensors)
+        self._depth = math.ceil(_longest_delay(machine) / h) + 3
         self._history = np.zeros((blocks, self._depth, sensors, LANES))
         self.delays = np.zeros((blocks, sensors, LANES))
 
@@ -168,7 +176,7 @@ class DelayLine:
 
         Args:
             index: Indices of the environments, ascending, shape (k,).
-            readings: Ideal readings at the start, without delay, shape (blocks, sensors, LANES).
+            readings: Ideal readings at the start, without delay, in the channels' units, (blocks, sensors, LANES).
         """
         block, lane = np.divmod(index, LANES)
         self._history[block, :, :, lane] = readings[block, :, lane][:, None]
@@ -177,23 +185,33 @@ class DelayLine:
         """Store the readings of blocks first to last - 1 after one integration step; they replace the oldest.
 
         Args:
-            readings: Ideal readings without delay, shape (blocks, sensors, LANES).
+            readings: Ideal readings without delay, in the channels' units, shape (blocks, sensors, LANES).
             step: Number of integration steps since the environments were created, the same for all environments.
-            first: Index of the first block.
+            first: Index of the first block of LANES environments.
             last: Index after the last block.
         """
         self._history[first:last, step % self._depth] = readings[first:last]
 
     def read(self, step: int, first: int, last: int, out: Array) -> None:
-        """Compute the readings at the present time minus each sensor's delay, for blocks first to last - 1.
+        """Interpolate the readings at the present time minus each sensor's delay, for blocks first to last - 1.
 
         Args:
             step: Number of the integration step that was recorded last.
-            first: Index of the first block.
+            first: Index of the first block of LANES environments.
             last: Index after the last block.
-            out: Output, delayed ideal readings, shape (blocks, sensors, LANES).
+            out: Output, delayed ideal readings in the channels' units, shape (blocks, sensors, LANES).
         """
         _interpolate(self._history, self.delays, self._h, step, first, last, out)
+
+
+def _longest_delay(machine: Machine) -> float:
+    """Return the longest delay that a sensor can have within the bounds of its effects, s."""
+    longest = [0.0]
+    for sensor in machine.sensors:
+        definitions = [e.definition for e in machine.effects if e.site == sensor.channel]
+        delays = (d.measurement_delay(*(p.upper for p in d.parameters)) for d in definitions if d.measurement_delay)
+        longest.append(sum(map(float, delays)))
+    return max(longest)
 
 
 @compiled

@@ -30,11 +30,11 @@ Observation = dict[str, NDArray[np.float32]]
 
 
 class StateView(NamedTuple):
-    """Selection of n positions and velocities of the simulated state; the first two are the tool position.
+    """Select n positions and velocities of the simulated state for an observation; the first two are the tool position.
 
     Attributes:
         rows: For each entry the row of the state, the index of its coordinate, and the indices of two coordinates whose
-            product is added (-1: none; see `BatchedSimulator.tool_product`), shape (n, 4).
+            product is added to it (-1: none), as yaw * y is added to x if a bridge can yaw; shape (n, 4).
         box: Lower and upper bounds of the entries (m, rad, m/s or rad/s), shape (2, n).
     """
 
@@ -56,7 +56,7 @@ class StateView(NamedTuple):
         rows = np.full((len(signals), 4), -1)
         for row, signal in zip(rows, signals, strict=True):
             i = names.index(signal.coordinate)
-            row[:2] = i + len(names) * signal.velocity, i
+            row[:2] = i + len(names) * signal.velocity, i  # all positions come first in the state, then all velocities
             if not signal.velocity:
                 row[2:] = simulator.tool_product(signal.coordinate)
         box = np.stack(bounds_of(signals)).astype(np.float32)
@@ -126,7 +126,7 @@ class ObservationBuilder:
 
         Args:
             index: Indices of the environments, shape (k,).
-            keys: Keys (seeds) of the episodes, shape (k,).
+            keys: Keys of the episodes, from which their random numbers follow, shape (k,).
             values: All N parameters, SI, in the order of `sampler.space.names`, shape (k, N).
             sampler: Sampler that returned `keys` and `values`.
             elapsed: Control periods since the reset of every environment, shape (count,).
@@ -141,7 +141,7 @@ class ObservationBuilder:
         """Take the sensor measurements at the end of a control period; without sensors, do nothing.
 
         Args:
-            first: Index of the first block of environments.
+            first: Index of the first block; block i holds environments i * LANES to (i + 1) * LANES - 1.
             last: Index after the last block.
             elapsed: Control periods since the reset of every environment, shape (count,).
         """
@@ -163,7 +163,7 @@ class ObservationBuilder:
         return observation, self.tool_array(observation)
 
     def tool_array(self, observation: Observation) -> NDArray[np.float32]:
-        """Return the array into which `write` puts the true tool positions.
+        """Choose the array into which `write` puts the true tool positions.
 
         Args:
             observation: Observation arrays from `blank`.
@@ -178,7 +178,7 @@ class ObservationBuilder:
         """Write the observations of the environments in blocks first to last - 1.
 
         Args:
-            first: Index of the first block.
+            first: Index of the first block; block i holds environments i * LANES to (i + 1) * LANES - 1.
             last: Index after the last block.
             observation: Output, arrays from `blank`; other rows are not changed.
             tool: Output, true tool positions x, y, m, shape (count, 2), from `tool_array`.
@@ -211,7 +211,7 @@ class ObservationBuilder:
         """Write the true tool positions of the environments in blocks first to last - 1.
 
         Args:
-            first: Index of the first block.
+            first: Index of the first block; block i holds environments i * LANES to (i + 1) * LANES - 1.
             last: Index after the last block.
             tool: Output, positions x, y, m, shape (count, 2); other rows are not changed.
         """

@@ -40,7 +40,7 @@ LUMPED_SECTIONS = {"left": ("s1", "s5", "s7"), "right": ("s2", "s6", "s8"), "bot
 
 @dataclass(frozen=True)
 class Scene:
-    """Positions, tensions and goal of one environment, as drawn in one picture."""
+    """Hold the positions, tensions and goal of one environment that a picture shows."""
 
     position: Point  # of the tool, m
     target: Point  # m
@@ -92,6 +92,10 @@ class BeltGeometry:
 
     Args:
         workspace: Rows x and y, columns low and high, m, shape (2, 2).
+
+    Attributes:
+        left, right, low, high: Ends of the workspace along x and along y, m.
+        x0, x1, y0, y1: Positions of the corner pulleys along x and along y, m.
     """
 
     def __init__(self, workspace: NDArray[np.float64]) -> None:
@@ -124,7 +128,9 @@ class BeltGeometry:
         Returns:
             Vertices (x, y), m, by name of the section, "s1" to "s9".
         """
-        phi3, phi1, phi4, phi2, phi7, phi5, phi8, phi6 = self.pulleys(x)
+        phi3, phi1, phi4, phi2, phi7, phi5, phi8, phi6 = self.pulleys(x)  # centers (x, y)
+        # Each section is a straight line, which touches the pulleys at a distance r from their centers, and the arc
+        # around the pulley at its end.
         half = math.pi / 2
         side, r = HALF_BRIDGE, PULLEY_RADIUS
         return {

@@ -79,7 +79,10 @@ class Lasers:
 
 
 class SensorSuite(ABC):
-    """Base class for the sensors of an environment: they change those of the machine, and some are observed."""
+    """Base class for the option `sensors` of an environment.
+
+    A suite puts its sensors into the machine (`apply`) and selects those in the observation (`observed`).
+    """
 
     @abstractmethod
     def apply(self, machine: Machine) -> Machine:
@@ -278,7 +281,7 @@ def sensor_range_names(sensor: Sensor) -> tuple[str, str]:
 
 @dataclass(frozen=True)
 class PositionFromSensors:
-    """Linear map from the measurements of n sensors to the tool position.
+    """Map the measurements of n sensors to the tool position.
 
     Attributes:
         belts: Matrix from measurements of coordinates other than x and y to x and y (m), for unstretched belts, shape
@@ -300,7 +303,7 @@ class PositionFromSensors:
             sensors: The n observed sensors.
 
         Returns:
-            Map from the n measurements to the tool position.
+            Map from the n measurements, in the units of the sensors' channels, to the tool position, m.
 
         Raises:
             InputError: If the sensors do not determine both x and y.
@@ -316,12 +319,13 @@ class PositionFromSensors:
             rows = np.array([machine.sensor_matrix[machine.output_channels.index(sensors[j].channel)] for j in others])
             linear = [c.name for c in machine.coordinates if c.kind == "linear"]
             count = len(machine.coordinates)
+            # All coordinates with unstretched belts where the tool is 1 m along x, and 1 m along y.
             unit = [rest_state(machine, [float(c == axis) for c in linear])[:count] for axis in ("x", "y")]
             per_position = rows @ np.stack(unit, axis=1)  # measurements per meter of x and of y, (others, 2)
-            if len(others) == 2 and np.linalg.matrix_rank(per_position) == 2:
-                belts[:, others] = np.linalg.inv(per_position)
-            elif np.linalg.matrix_rank(per_position) == 2:
-                belts[:, others] = np.linalg.pinv(per_position)
+            if np.linalg.matrix_rank(per_position) == 2:
+                # More than two sensors determine the position by least squares.
+                invert = np.linalg.inv if len(others) == 2 else np.linalg.pinv
+                belts[:, others] = invert(per_position)
         for axis, name in enumerate(("x", "y")):
             if direct[axis] < 0 and not belts[axis].any():
                 channels = ", ".join(sensor.channel for sensor in sensors) or "none"

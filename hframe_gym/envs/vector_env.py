@@ -189,7 +189,8 @@ class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]])
                 f"the episode of environment {resetting[0]} is over; reset it with options['reset_mask']"
             )
         result = self.batch.step(checked)
-        terminated, truncated = result.terminated, self._truncated()
+        limit = np.inf if self.max_episode_steps is None else self.max_episode_steps
+        terminated, truncated = result.terminated, self.batch.elapsed >= limit
         info: dict[str, Any] = {}
         if self.autoreset_mode is AutoresetMode.NEXT_STEP:
             if len(resetting):
@@ -207,11 +208,6 @@ class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]])
         self._describe(info, None, result.distance, result.contour)
         self._update_trails(resetting)
         return result.observation, result.reward, terminated, truncated, info
-
-    def _truncated(self) -> Flags:
-        """Return which episodes have reached `max_episode_steps`, shape (num_envs,)."""
-        limit = self.max_episode_steps
-        return np.zeros(self.num_envs, np.bool_) if limit is None else self.batch.elapsed >= limit
 
     def _restart(self, index: Index, result: StepResult) -> None:
         """Begin new episodes of environments index (k,) within a step."""

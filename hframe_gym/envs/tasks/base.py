@@ -54,7 +54,7 @@ class Task(ABC):
 
     @property
     def parameters(self) -> dict[str, float]:
-        """Nominal values, SI, of parameters that can be randomized, by name; rules refer to `speed` as `task.speed`."""
+        """Nominal values, SI, of the parameters that can be randomized, by name; rules name `speed` `task.speed`."""
         return {}
 
     def check(self, workspace: Array) -> None:  # noqa: B027  (optional)
@@ -71,7 +71,7 @@ class Task(ABC):
     def begin(
         self, workspace: Array, uniforms: Array, parameters: Mapping[str, Array] | None = None
     ) -> tuple[Array, Array]:
-        """Choose start positions and plans of k episodes.
+        """Choose start positions and plans of k episodes; a plan defines the goals of an episode at all times.
 
         Args:
             workspace: Rows x and y, columns low and high, m, shape (2, 2).
@@ -89,7 +89,7 @@ class Task(ABC):
         """Compute the goals of n episodes, at one time or at m times each.
 
         Args:
-            plan: Plans, shape (n, plan_size).
+            plan: Plans from `begin` or `aim`, which define the goals at all times, shape (n, plan_size).
             elapsed_s: Times since the reset, s, not negative, shape (n,) or (n, m).
 
         Returns:
@@ -100,10 +100,10 @@ class Task(ABC):
         """Make plans whose goals are given targets (option `target` of an environment's `reset`).
 
         Args:
-            target: Target positions x, y, m, shape (k, 2).
+            target: Target positions x, y of k episodes, m, shape (k, 2).
 
         Returns:
-            Plans, shape (k, plan_size).
+            Plans, as `begin` returns them, shape (k, plan_size).
 
         Raises:
             InputError: If the task has no target that can be set; this is the default.
@@ -116,7 +116,7 @@ class Task(ABC):
         Args:
             plan: Plans of n episodes, shape (n, plan_size).
             points: One point x, y per episode, m, shape (n, 2).
-            elapsed_s: Times since the reset, s, shape (n,); they tell where on the path to search.
+            elapsed_s: Times since the reset, s, shape (n,); the search starts at the goals of these times.
 
         Returns:
             Distances, m, shape (n,); None for a task without a path, which is the default.
@@ -168,6 +168,8 @@ def check_point(label: str, points: Array, workspace: Array) -> None:
 
 class ReferenceTrajectories:
     """Keep the plans of `count` environments and compute their goals over time.
+
+    A plan is the row of numbers from which a task computes the goals of an episode, see `Task`.
 
     Args:
         task: Task of all environments.

@@ -166,7 +166,7 @@ class Polyline:
         """
         wrapped = self._wrapped(s)
         offset = np.linalg.norm(points - self.point(s), axis=1)
-        # Half a circle through the goal and the mirror image of the point is pi/2 of its chord, which is 2 * offset.
+        # At most half a circle with the chord 2 * offset lies between s and the nearest point: pi / 2 * (2 * offset).
         window = np.minimum(math.pi * offset, self.length / 2 if self.closed else self.length)
         result: Array = _nearest_distances(self._vertices, self._s, self.closed, points, wrapped, window)
         return result

@@ -160,7 +160,7 @@ class Track(Task):
 
         Returns:
             start: Start positions x, y of the tool, which are the first goals, m, shape (k, 2).
-            plan: Path index, center x, y (m), direction, arc length at the start (m), speed (m/s); shape (k, 6).
+            plan: Index of the path, center x, y (m), direction, arc length at the start (m), speed (m/s); shape (k, 6).
         """
         plan = np.zeros((len(uniforms), self.plan_size))
         plan[:, DIRECTION] = 1.0
@@ -195,7 +195,7 @@ class Track(Task):
         """Compute the goals on the paths of n episodes, at one time or at m times each.
 
         Args:
-            plan: Plans from `begin`, shape (n, 6).
+            plan: Plans from `begin`, shape (n, 6): path index, center x, y (m), direction, start (m), speed (m/s).
             elapsed_s: Times since the reset, s, not negative, shape (n,) or (n, m).
 
         Returns:
@@ -266,7 +266,8 @@ def arc_lengths(plan: Any, elapsed_s: Any, lead_s: float, length: float) -> Any:
     above length / lead_s is reduced to this value.
 
     Args:
-        plan: Plans from `Track.begin`, shape (n, 6).
+        plan: Plans from `Track.begin`, shape (n, 6). Used are direction (+1 or -1), arc length at the start (m) and
+            speed (m/s).
         elapsed_s: Times since the reset, s, not negative, shape (n, m).
         lead_s: Duration of the speed-up and of the slow-down, s, positive.
         length: Length of the path, m; infinite for a closed path.
@@ -280,6 +281,7 @@ def arc_lengths(plan: Any, elapsed_s: Any, lead_s: float, length: float) -> Any:
         duration = length / speed + lead_s
         for j in range(elapsed_s.shape[1]):
             t = elapsed_s[i, j]
+            # The second half of an open path is the first half reversed in time; a closed path has no second half.
             if t < 0.5 * duration:
                 s = _speed_up(t, speed, lead_s)
             else:
