@@ -83,7 +83,7 @@ def block_ranges(index: Index) -> Iterator[tuple[int, int]]:
         first: Index of the first block of a range.
         last: Index after its last block.
     """
-    if len(index) == (index[-1] - index[0] + 1):
+    if len(index) == (index[-1] - index[0] + 1):  # consecutive machines
         yield int(index[0]) // LANES, int(index[-1]) // LANES + 1
         return
     blocks = np.unique(index // LANES)
@@ -187,6 +187,7 @@ class BatchedSimulator:
             source = np.minimum(np.arange(len(index) + len(self._unused)), len(index) - 1)
             index = np.concatenate([index, self._unused])
             position, values = position[source], values[source]
+        # At rest, the travel of every coordinate is a linear function of the tool position; the rest of the state is 0.
         state = np.zeros((len(index), self.state.shape[1]))
         state[:, : self._n] = position[:, :1] * self._rest[:, 0] + position[:, 1:] * self._rest[:, 1]
         _put(index, state, self.state)

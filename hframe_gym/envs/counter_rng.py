@@ -159,7 +159,8 @@ def episode_keys(keys: NDArray[np.uint64], episodes: NDArray[np.int64]) -> NDArr
 
     Args:
         keys: Keys of the environments, one 64-bit random number each, shape (k,).
-        episodes: Number of episodes that each environment began since it was seeded; -1 for startup samples. (k,).
+        episodes: Number of episodes that each environment began since it was seeded, or -1 for the parameters that
+            are sampled once per seed, shape (k,).
 
     Returns:
         Keys of the episodes for `uniform` and `normal_pair`, shape (k,).

@@ -210,7 +210,8 @@ class EnvironmentBatch:
             actions: Result of `check_actions`: voltages as fractions of the rated voltages, shape (count, drives).
 
         Returns:
-            Observations, rewards, whether episodes end at the workspace's edge, and errors of the tool position.
+            New arrays with first axis count: observations, rewards, whether episodes end at the workspace's edge, and
+            errors of the tool position, m.
 
         Raises:
             NotFiniteError: If a position or velocity is not finite; the message names the environment.

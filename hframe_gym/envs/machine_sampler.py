@@ -326,6 +326,7 @@ class MachineSampler:
         Raises:
             InputError: If an unbounded distribution yields a value outside the limits of a parameter.
         """
+        # Gymnasium seeds an environment that was reset without a seed from the operating system.
         for b in index[~self._seeded[index]].tolist():
             self.seed(b, seeding.np_random()[0])
         if self._startup.names:

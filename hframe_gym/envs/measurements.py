@@ -176,7 +176,8 @@ class DelayLine:
 
         Args:
             index: Indices of the environments, ascending, shape (k,).
-            readings: Ideal readings at the start, without delay, in the channels' units, (blocks, sensors, LANES).
+            readings: Ideal readings at the start of the episode, without delay, in the channels' units, shape (blocks,
+                sensors, LANES).
         """
         block, lane = np.divmod(index, LANES)
         self._history[block, :, :, lane] = readings[block, :, lane][:, None]

@@ -109,7 +109,7 @@ class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]])
 
     @property
     def parameters(self) -> Array:
-        """Values of all `machine.parameters` in the running episodes, in their order, SI, (num_envs, parameters)."""
+        """Values of the n `machine.parameters` in the running episodes, in their order, SI, shape (num_envs, n)."""
         return self.batch.values[:, : len(self.machine.parameters)].copy()
 
     @property
