@@ -1,6 +1,6 @@
 """Check excitation and identifiability: motion and spectra of the runs, and Cramer-Rao bounds of the parameters.
 
-The Cramer-Rao bound is evaluated for the declared machine in simulation mode, with white residuals of the size of the
+The Cramer-Rao bound is evaluated for the declared machine in simulation bandwidth, with white residuals of the size of the
 sensors' noise. A fit of real data has larger errors, because no model is exact.
 """
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..identification import Dataset, FreeParameter, PreparedRecording, default_free_parameters
 from ..identification.linearization import NormalEquations, ResidualModel
-from ..identification.prediction import map_runs
+from ..identification.prediction import SIMULATION, map_runs
 from ..machine import Machine, mode_frequencies, rigid_motions
 from ..recordings import Recording
 from .findings import Finding, Severity
@@ -299,7 +299,7 @@ def _residual_model(data: Dataset, machine: Machine, names: Sequence[str], direc
         FreeParameter(name, value, prior=np.inf, scale=direction * abs(value), lower=-np.inf)
         for name, value in ((name, machine.parameters[name]) for name in names)
     )
-    return ResidualModel(machine, free, data, "simulation")
+    return ResidualModel(machine, free, data, SIMULATION)
 
 
 def _joint_bounds(names: Sequence[str], information: Array) -> list[CramerRaoBound]:

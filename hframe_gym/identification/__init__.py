@@ -3,7 +3,7 @@
 from .criteria import SelectionCriteria
 from .dataset import Dataset, PreparedRecording, prepare
 from .estimation import Fit, fit
-from .forward_selection import SelectedEffect, select_effects
+from .forward_selection import EffectSearch, SelectedEffect
 from .free_parameters import FreeParameter, default_free_parameters
 from .initial_state import initial_state_of_recording
 from .pipeline import hold_out, identify
@@ -13,6 +13,7 @@ from .screening import screen
 
 __all__ = [
     "Dataset",
+    "EffectSearch",
     "Fit",
     "FreeParameter",
     "IdentificationResult",
@@ -28,6 +29,5 @@ __all__ = [
     "initial_state_of_recording",
     "prepare",
     "screen",
-    "select_effects",
     "write_result",
 ]

@@ -39,6 +39,10 @@ class SelectionCriteria:
         rival_gain_fraction: Fraction of the best candidate's gain above which another candidate counts as its rival.
         rival_gain_margin: Difference of chi-squared per sample below which two candidates are rivals.
         noise_level: Chi-squared per sample at which the search stops, because nothing but noise is left.
+        min_trial_gain: Fraction of the smallest gain that the first few iterations of a fit must reach.
+        min_confirmed_fraction: Smallest fraction of an effect's gain that remains if the parameters are fitted to the
+            other runs (leave-one-run-out).
+        min_force_ratio: Smallest force of an effect relative to the force that remains unexplained beside it.
         min_standard_deviations: Smallest amplitude of an effect in units of its robust standard deviation.
         max_effects: Largest number of effects that the forward selection adds.
         max_full_fits: Number of screened candidates that are fitted together with all parameters of the machine, per
@@ -89,6 +93,9 @@ class SelectionCriteria:
     rival_gain_fraction: float = 0.97
     rival_gain_margin: float = 0.002
     noise_level: float = 1.01
+    min_trial_gain: float = 0.5
+    min_confirmed_fraction: float = 0.3
+    min_force_ratio: float = 1.0
     min_standard_deviations: float = 4.0
     max_effects: int = 5
     max_full_fits: int = 5

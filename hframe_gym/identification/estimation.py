@@ -19,7 +19,7 @@ from ..machine import Machine, Uncertainty
 from .dataset import Dataset, PreparedRecording
 from .free_parameters import FreeParameter, default_free_parameters, prior_precision, values_at
 from .linearization import NormalEquations, ResidualModel
-from .prediction import SEARCH_STEP, Mode, map_runs, predict, residuals
+from .prediction import SEARCH_STEP, map_runs, predict, residuals
 
 Array = NDArray[np.float64]
 
@@ -38,7 +38,7 @@ class Fit:
         theta: Fitted theta of each, the dimensionless variable defined by `FreeParameter`, shape (k,).
         cost: Sum of squared residuals in units of the noise, without the prior.
         count: Number of measured values.
-        mode: Prediction mode of the fit.
+        bandwidth: Observer bandwidth of the predictions that were fitted, rad/s, see `prediction`.
         information: Fisher information of theta without the prior, shape (k, k).
     """
 
@@ -47,7 +47,7 @@ class Fit:
     theta: Array
     cost: float
     count: int
-    mode: Mode
+    bandwidth: float
     information: Array = field(repr=False)
 
     @property
@@ -65,7 +65,7 @@ def fit(
     machine: Machine,
     free: Sequence[FreeParameter],
     data: Dataset,
-    mode: Mode,
+    bandwidth: float,
     *,
     theta: Array | None = None,
     iterations: int = 25,
@@ -78,7 +78,7 @@ def fit(
         machine: Machine that supplies the model and the values of all other parameters.
         free: The k free parameters with their Gaussian priors.
         data: Runs to fit.
-        mode: "one_step" (prediction with an observer) or "simulation" (no feedback), see `prediction`.
+        bandwidth: Observer bandwidth of the predictions, rad/s, see `prediction`.
         theta: Initial guess of the free parameters' theta, shape (k,). Default: zero, their central values.
         iterations: Maximum number of iterations.
         tolerance: Relative decrease of the cost per iteration below which the search ends.
@@ -87,7 +87,7 @@ def fit(
     Returns:
         Fit at the lowest cost that was found. Theta stays within four prior standard deviations.
     """
-    model = ResidualModel(machine, tuple(free), data, mode, longest_step)
+    model = ResidualModel(machine, tuple(free), data, bandwidth, longest_step)
     theta = np.zeros(len(free)) if theta is None else np.array(theta, float)
     prior = precision = prior_precision(free)
     bounds = _MAXIMUM_DEVIATION * np.array([f.prior for f in free])
@@ -113,16 +113,16 @@ def fit(
         if decrease < tolerance * cost:
             break
     data_cost = cost - float(theta @ precision @ theta)
-    return Fit(model.machine_at(theta), model.free, theta, data_cost, data.count, mode, information)
+    return Fit(model.machine_at(theta), model.free, theta, data_cost, data.count, bandwidth, information)
 
 
-def prediction_cost(machine: Machine, data: Dataset, mode: Mode, *, longest_step: float = SEARCH_STEP) -> float:
+def prediction_cost(machine: Machine, data: Dataset, bandwidth: float, *, longest_step: float = SEARCH_STEP) -> float:
     """Return the sum of a machine's squared prediction errors, each divided by the sensor's noise.
 
     Args:
         machine: Machine that predicts.
         data: Runs to predict.
-        mode: "one_step" or "simulation".
+        bandwidth: Observer bandwidth of the predictions, rad/s, see `prediction`.
         longest_step: Maximum integration step, s.
 
     Returns:
@@ -130,7 +130,7 @@ def prediction_cost(machine: Machine, data: Dataset, mode: Mode, *, longest_step
     """
 
     def of_run(run: PreparedRecording) -> float:
-        motion = predict(machine, run, mode, period=data.period, longest_step=longest_step)
+        motion = predict(machine, run, bandwidth, period=data.period, longest_step=longest_step)
         return float(np.sum(residuals(run, data, motion.readings) ** 2))
 
     total = sum(map_runs(of_run, data))
@@ -164,7 +164,7 @@ def with_uncertainty(fitted: Fit, data: Dataset) -> Machine:
     References:
         White (1982), "Maximum likelihood estimation of misspecified models".
     """
-    model = ResidualModel(fitted.machine, fitted.free, data, fitted.mode)
+    model = ResidualModel(fitted.machine, fitted.free, data, fitted.bandwidth)
     sensors = len(fitted.machine.sensors)
     values_per_block = max(1, round(_BLOCK_S / data.period)) * sensors
 

@@ -140,7 +140,7 @@ def fit_rival(current: Fit, label: str, rival: AppliedEffect, data: Dataset, sca
     names = {f.name for f in kept}
     added = [f for f in effect_parameters(rival, machine, scale) if f.name not in names]
     theta = np.concatenate([kept_theta, np.zeros(len(added))])
-    rival_fit = fit(machine, kept + added, data, current.mode, theta=theta, longest_step=POLISH_STEP)
+    rival_fit = fit(machine, kept + added, data, current.bandwidth, theta=theta, longest_step=POLISH_STEP)
     return with_uncertainty(rival_fit, data)
 
 

@@ -20,16 +20,14 @@ from .criteria import SelectionCriteria
 from .dataset import Dataset, TypicalScales, scales_of_motion
 from .estimation import Fit, fit, with_uncertainty
 from .free_parameters import FreeParameter, default_free_parameters
-from .prediction import POLISH_STEP, SEARCH_STEP, has_feedback, map_runs, predict
+from .model_error import effect_force, fit_with_model_error, leave_one_out_gain, residue_force, search_step
+from .prediction import SEARCH_BANDWIDTH, map_runs, predict
 from .residual import missing_force
 from .screening import ScoredCandidate, screen, screen_structures
 
 Array = NDArray[np.float64]
 Log = Callable[[str], None]
-# Integration step by mode, s. In simulation a candidate is compared with the result of a refined fit.
-_STEPS = {"one_step": SEARCH_STEP, "simulation": POLISH_STEP}
 _TRIAL_ITERATIONS, _TRIAL_TOLERANCE = 8, 1e-3  # A trial need not converge fully to be ranked.
-_MODE_NAMES = {"one_step": "one-step prediction", "simulation": "simulation"}
 
 
 @dataclass(frozen=True)
@@ -67,50 +65,94 @@ class SelectedEffect:
 Selection = tuple[Fit, tuple[SelectedEffect, ...]]
 
 
-def select_effects(
-    current: Fit,
-    selected: tuple[SelectedEffect, ...],
-    data: Dataset,
-    *,
-    criteria: SelectionCriteria,
-    min_gain: float,
-    log: Log,
-    finished: Callable[[Fit], bool] = lambda fit: False,
-) -> Selection:
-    """Add one effect after another while each reduces chi-squared per sample by enough.
+@dataclass(frozen=True)
+class ConsideredEffect:
+    """An effect that reduces the error but was not selected.
+
+    Attributes:
+        label: Label of the effect, name@site.
+        gain: Reduction of chi-squared per sample on the fitted runs.
+        reason: Why it was not selected; a clause that follows "it ".
+    """
+
+    label: str
+    gain: float
+    reason: str
+
+
+class EffectSearch:
+    """Forward selection of effects, at the observer bandwidth that the remaining model error requires.
 
     Args:
-        current: Fit of the machine with the effects selected so far; its prediction mode is used throughout.
-        selected: Effects selected so far.
         data: Prepared recordings to fit.
         criteria: Decision thresholds.
-        min_gain: Smallest reduction of chi-squared per sample for which an effect is selected, see `minimum_gain`.
-        log: Called with a line of text for the best candidate of each step, selected or not.
-        finished: Called with each new fit; the search ends when it returns True.
+        log: Called with a line of text for the candidates of each step, selected or not.
 
-    Returns:
-        Fit of the machine with all effects.
-        All selected effects with their fitted parameters.
+    Attributes:
+        considered: Effects that reduced the error but failed a test, by label.
     """
-    while len(selected) < criteria.max_effects and current.chi2 > criteria.noise_level:
-        enough = minimum_gain(current, min_gain, criteria)
-        trials = _trials(current, data, enough, criteria)
-        if not trials:
-            break
-        trials.sort(key=lambda trial: trial.cost)
-        best = _converged(trials[0], data)
-        effect = best.machine.effects[-1]
-        gain = (current.cost - best.cost) / data.count
-        log(f"  {effect.label} {describe_gain(current, best)}")
-        if gain < enough:
-            break
-        close = _rivals(trials, current, data, criteria)
-        names = (*(e.label for e in close), *effect.definition.equivalent)
-        selected = (*selected, SelectedEffect(effect, names, gain, current.machine, close))
-        current = best
-        if finished(current):
-            break
-    return current, tuple(s.with_values(current.machine) for s in selected)
+
+    def __init__(self, data: Dataset, criteria: SelectionCriteria, log: Log) -> None:
+        self._data, self._criteria, self._log = data, criteria, log
+        self.considered: dict[str, ConsideredEffect] = {}
+
+    def run(self, current: Fit, selected: tuple[SelectedEffect, ...] = ()) -> Selection:
+        """Add one effect after another while one reduces the error by enough and passes the tests of `_doubt`.
+
+        Args:
+            current: Fit of the machine with the effects selected so far.
+            selected: Effects selected so far.
+
+        Returns:
+            Fit of the machine with all effects, at the bandwidth that its remaining error requires.
+            All selected effects with their fitted parameters.
+        """
+        data, criteria = self._data, self._criteria
+        while len(selected) < criteria.max_effects and current.chi2 > criteria.noise_level:
+            enough = minimum_gain(current, criteria)
+            trials = sorted(_trials(current, data, enough, criteria), key=lambda trial: trial.cost)
+            best = self._best(current, trials, enough)
+            if best is None:
+                break
+            trials = [best, *(t for t in trials if t.machine.effects[-1].label != best.machine.effects[-1].label)]
+            effect, gain = best.machine.effects[-1], (current.cost - best.cost) / data.count
+            close = _rivals(trials, current, data, criteria)
+            names = (*(e.label for e in close), *effect.definition.equivalent)
+            selected = (*selected, SelectedEffect(effect, names, gain, current.machine, close))
+            current = fit_with_model_error(best, data)
+        for s in selected:
+            self.considered.pop(s.effect.label, None)
+        return current, tuple(s.with_values(current.machine) for s in selected)
+
+    def _best(self, current: Fit, trials: list[Fit], enough: float) -> Fit | None:
+        """Return the converged fit of the first trial that passes all tests, None if there is none."""
+        for trial in trials:
+            if (current.cost - trial.cost) / self._data.count < self._criteria.min_trial_gain * enough:
+                return None
+            converged = _converged(trial, self._data)
+            effect, gain = converged.machine.effects[-1], (current.cost - converged.cost) / self._data.count
+            self._log(f"  {effect.label} {describe_gain(current, converged)}")
+            if gain < enough:
+                continue
+            doubt = self._doubt(current, converged)
+            if not doubt:
+                return converged
+            self._log(f"  {effect.label} is not selected: it {doubt}")
+            self.considered[effect.label] = ConsideredEffect(effect.label, gain, doubt)
+        return None
+
+    def _doubt(self, current: Fit, trial: Fit) -> str:
+        """Return why a candidate may not exist although it reduces the error, "" if nothing speaks against it."""
+        data, criteria = self._data, self._criteria
+        gain = current.cost - trial.cost
+        confirmed = leave_one_out_gain(current, trial, data)
+        if confirmed < criteria.min_confirmed_fraction * gain:
+            return f"is not confirmed by runs that it was not fitted to ({100 * confirmed / gain:.0f} % of the gain)"
+        size = effect_force(trial.machine, trial.machine.effects[-1], data)
+        residue = residue_force(trial, data)
+        if size < criteria.min_force_ratio * residue:
+            return f"has a force of {1e3 * size:.2g} mN, where {1e3 * residue:.2g} mN remain unexplained"
+        return ""
 
 
 def describe_gain(before: Fit, after: Fit) -> str:
@@ -118,13 +160,13 @@ def describe_gain(before: Fit, after: Fit) -> str:
 
     Args:
         before: Fit without the effect.
-        after: Fit with the effect, in the same mode.
+        after: Fit with the effect, at the same observer bandwidth.
 
     Returns:
         Text that continues a sentence whose subject is the effect.
     """
-    mode = _MODE_NAMES[before.mode]
-    return f"reduces chi-squared per sample from {before.chi2:.4g} to {after.chi2:.4g} ({mode})"
+    observer = f"observer of {before.bandwidth:g} rad/s" if before.bandwidth else "simulation"
+    return f"reduces chi-squared per sample from {before.chi2:.4g} to {after.chi2:.4g} ({observer})"
 
 
 def _trials(current: Fit, data: Dataset, enough: float, criteria: SelectionCriteria) -> list[Fit]:
@@ -135,11 +177,11 @@ def _trials(current: Fit, data: Dataset, enough: float, criteria: SelectionCrite
         data,
         scales,
         missing_force(current.machine, data),
-        slow_friction=not has_feedback(current.mode),
+        slow_friction=current.bandwidth < SEARCH_BANDWIDTH,
     )
     promising = _promising(screen(current, proposed, data), enough * data.count, criteria)
     trials = [fit_with_candidate(current, scored, scales, data) for scored in promising]
-    floor = criteria.one_step_floor
+    floor = criteria.one_step_floor if current.bandwidth >= SEARCH_BANDWIDTH else 1.0
     if not any(t.chi2 - floor < criteria.structural_remainder * (current.chi2 - floor) for t in trials):
         any_useful = max((current.cost - t.cost for t in trials), default=0.0) >= enough * data.count
         machines = screen_structures(current, data, scales, enough if any_useful else 0.0)
@@ -161,7 +203,7 @@ def fit_with_candidate(current: Fit, scored: ScoredCandidate, scales: TypicalSca
     """Add a candidate effect to the machine and fit the parameters of both together, with few iterations.
 
     Args:
-        current: Fit without the effect; its prediction mode is used.
+        current: Fit without the effect; its observer bandwidth is used.
         scored: Screened candidate with the weights of its basis functions.
         scales: Typical sizes on this machine.
         data: Prepared recordings to fit.
@@ -194,16 +236,16 @@ def _replace(current: Fit, machine: Machine, scales: TypicalScales, data: Datase
 
 
 def _trial_fit(machine: Machine, free: tuple[FreeParameter, ...], theta: Array, current: Fit, data: Dataset) -> Fit:
-    """Fit a candidate with few iterations, in the mode of the current fit."""
+    """Fit a candidate with few iterations, at the bandwidth of the current fit."""
     return fit(
         machine,
         free,
         data,
-        current.mode,
+        current.bandwidth,
         theta=theta,
         iterations=_TRIAL_ITERATIONS,
         tolerance=_TRIAL_TOLERANCE,
-        longest_step=_STEPS[current.mode],
+        longest_step=search_step(current.bandwidth),
     )
 
 
@@ -214,7 +256,7 @@ def _converged(trial: Fit, data: Dataset) -> Fit:
     """
     of_effects = np.array(["@" in f.name for f in trial.free])
     fits = [
-        fit(trial.machine, trial.free, data, trial.mode, theta=theta, longest_step=_STEPS[trial.mode])
+        fit(trial.machine, trial.free, data, trial.bandwidth, theta=theta, longest_step=search_step(trial.bandwidth))
         for theta in (trial.theta, np.where(of_effects, trial.theta, 0.0))
     ]
     return min(fits, key=lambda candidate_fit: candidate_fit.cost)
@@ -230,17 +272,18 @@ def _rivals(trials: list[Fit], current: Fit, data: Dataset, criteria: SelectionC
     return tuple(e for e in close if e.label != best.machine.effects[-1].label)
 
 
-def minimum_gain(current: Fit, min_gain: float, criteria: SelectionCriteria) -> float:
+def minimum_gain(current: Fit, criteria: SelectionCriteria) -> float:
     """Return the smallest reduction of chi-squared per sample for which an effect is selected.
 
     Args:
-        current: Fit without the effect.
-        min_gain: Lower limit of the result, chi-squared per sample; it decides where little more than noise is left.
+        current: Fit without the effect; its bandwidth decides between the limits of simulation and prediction.
         criteria: Decision thresholds, which raise the result for short recordings and large residuals.
 
     Returns:
         Required reduction of chi-squared per sample.
     """
+    wide = current.bandwidth >= SEARCH_BANDWIDTH
+    min_gain = criteria.min_gain_one_step if wide else criteria.min_gain_simulation
     excess = current.chi2 - 1.0
     large = excess >= criteria.large_excess
     fraction = criteria.min_gain_fraction_large_excess if large else criteria.min_gain_fraction
@@ -262,7 +305,7 @@ def prune_effects(
     deviations of zero. Structural effects are kept, because the other effects act on the coordinates that they add.
 
     Args:
-        current: Fit of the machine with all selected effects; its prediction mode is used throughout.
+        current: Fit of the machine with all selected effects; its observer bandwidth is used throughout.
         selected: All selected effects.
         data: Prepared recordings to fit.
         criteria: Decision thresholds.
@@ -278,7 +321,7 @@ def prune_effects(
             continue
         reduced = without_effect(current, candidate.effect.label, data, longest_step=longest_step)
         gain = (reduced.cost - current.cost) / data.count
-        superfluous = gain < minimum_gain(current, criteria.min_gain_simulation, criteria)
+        superfluous = gain < minimum_gain(current, criteria)
         if superfluous or _uncertain(current, candidate.effect, data, criteria):
             reason = "has no effect on the error" if superfluous else "has an amplitude that may be zero"
             log(f"  {candidate.effect.label} is removed: it {reason}")
@@ -303,7 +346,7 @@ def without_effect(current: Fit, label: str, data: Dataset, *, longest_step: flo
     """Remove one effect from the machine and fit the remaining free parameters again.
 
     Args:
-        current: Fit of the machine with the effect; its prediction mode is used.
+        current: Fit of the machine with the effect; its observer bandwidth is used.
         label: Label of the effect, name@site.
         data: Prepared recordings to fit.
         longest_step: Maximum integration step, s.
@@ -317,7 +360,7 @@ def without_effect(current: Fit, label: str, data: Dataset, *, longest_step: flo
         current.machine.replace(effects=others),
         [current.free[i] for i in kept],
         data,
-        current.mode,
+        current.bandwidth,
         theta=current.theta[kept],
         longest_step=longest_step,
     )
@@ -334,7 +377,7 @@ def typical_scales(current: Fit, data: Dataset) -> TypicalScales:
         Typical sizes, see `TypicalScales`.
     """
     motions = list(
-        map_runs(lambda run: predict(current.machine, run, current.mode, period=data.period, states=True), data)
+        map_runs(lambda run: predict(current.machine, run, current.bandwidth, period=data.period, states=True), data)
     )
     positions, velocities = (
         np.concatenate([getattr(m, key)[0] for m in motions]) for key in ("positions", "velocities")

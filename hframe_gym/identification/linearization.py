@@ -2,7 +2,7 @@
 
 Everything in identification that needs a Jacobian calls this module: estimation, screening of candidates, covariance
 and experiment design.  All perturbed machines of a run are simulated in one batch, one SIMD lane per free parameter,
-and the products of the Jacobian's columns are summed over runs.  In simulation mode the unknown initial stretch of the
+and the products of the Jacobian's columns are summed over runs.  The unknown initial stretch of the
 belts is projected out of the residual and of every column.
 
 Notation: theta (k,) are the free parameters, r(theta) is the residual in units of the sensors' noise, J = dr/dtheta and
@@ -25,7 +25,6 @@ from .free_parameters import FreeParameter, parameter_table, values_at
 from .prediction import (
     SEARCH_STEP,
     InitialStateProjection,
-    Mode,
     initial_state_projection,
     map_runs,
     predict,
@@ -177,7 +176,7 @@ class ResidualModel:
         machine: Machine that supplies everything but the free parameters.
         free: Free parameters.
         data: Runs to predict.
-        mode: "one_step" or "simulation".
+        bandwidth: Observer bandwidth of the predictions, rad/s, see `prediction`.
         longest_step: Maximum integration step, s.
         rows_per_block: How many rows are averaged into one, see `prediction.residuals`.
     """
@@ -185,7 +184,7 @@ class ResidualModel:
     machine: Machine
     free: tuple[FreeParameter, ...]
     data: Dataset
-    mode: Mode
+    bandwidth: float
     longest_step: float = SEARCH_STEP
     rows_per_block: int = 1
 
@@ -234,7 +233,7 @@ class ResidualModel:
         expansion_motion = Motion(*(part[:1] for part in motion))
         extra = None if responses is None else responses(run, expansion_motion)
         projection = initial_state_projection(
-            machine, run, self.data, self.mode, longest_step=self.longest_step, rows_per_block=self.rows_per_block
+            machine, run, self.data, self.bandwidth, longest_step=self.longest_step, rows_per_block=self.rows_per_block
         )
         if projection is not None:
             residual = projection(residual)
@@ -259,8 +258,8 @@ class ResidualModel:
 
         parts = list(map_runs(of_run, self.data))
         projections = {run.name: projection for run, (_, projection) in zip(self.data.runs, parts, strict=True)}
-        equations = NormalEquations.total(equations for equations, _ in parts)
-        return Linearization(self, self.machine_at(theta), equations, projections)
+        by_run = tuple(equations for equations, _ in parts)
+        return Linearization(self, self.machine_at(theta), by_run, projections)
 
     def _predict(self, machine: Machine, run: PreparedRecording, thetas: Array, *, states: bool = False) -> Motion:
         """Predict a run for a batch of theta; `machine` determines where the run starts."""
@@ -268,7 +267,7 @@ class ResidualModel:
         return predict(
             machine,
             run,
-            self.mode,
+            self.bandwidth,
             period=self.data.period,
             parameters=table,
             longest_step=self.longest_step,
@@ -283,14 +282,19 @@ class Linearization:
     Attributes:
         model: Residual as a function of theta.
         machine: Machine at the expansion point.
-        normal_equations: Products of the linearized residual, summed over runs.
+        by_run: Products of the linearized residual of each run, in the order of the runs.
         projections: Initial-state projection at the expansion point, by run name.
     """
 
     model: ResidualModel
     machine: Machine
-    normal_equations: NormalEquations
+    by_run: tuple[NormalEquations, ...]
     projections: Mapping[str, InitialStateProjection | None]
+
+    @property
+    def normal_equations(self) -> NormalEquations:
+        """Products of the linearized residual, summed over runs."""
+        return NormalEquations.total(self.by_run)
 
     def costs(self, thetas: Array) -> Array:
         """Compute the costs of trial parameters by prediction, not from the linearization.

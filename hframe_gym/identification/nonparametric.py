@@ -19,7 +19,7 @@ from .criteria import SelectionCriteria
 from .dataset import Dataset, PreparedRecording, TypicalScales
 from .estimation import Fit, fit, prediction_cost
 from .forward_selection import Log, SelectedEffect, Selection, describe_gain, fit_with_candidate, typical_scales
-from .prediction import map_runs, predict
+from .prediction import SEARCH_BANDWIDTH, map_runs, predict
 from .residual import missing_force
 from .screening import ScoredCandidate, screen
 
@@ -96,7 +96,7 @@ def table_variables(machine: Machine, data: Dataset) -> dict[str, Array]:
     """
 
     def variables_of_run(run: PreparedRecording) -> dict[str, Array]:
-        motion = predict(machine, run, "one_step", period=data.period, states=True)
+        motion = predict(machine, run, SEARCH_BANDWIDTH, period=data.period, states=True)
         values: dict[str, Array] = {}
         for i, c in enumerate(machine.coordinate_names):
             position = motion.positions[0, :, i]
@@ -168,7 +168,7 @@ def add_tables(
     A table is added only if it also predicts the half of the data that it was not fitted to (cross-validation).
 
     Args:
-        current: Fit of the machine with the effects selected so far; its prediction mode is used throughout.
+        current: Fit of the machine with the effects selected so far; its observer bandwidth is used throughout.
         selected: Effects selected so far.
         data: Prepared recordings to fit.
         criteria: Decision thresholds.
@@ -190,7 +190,7 @@ def add_tables(
         if chosen is None:
             break
         trial = fit_with_candidate(current, chosen, scales, data)
-        best = fit(trial.machine, trial.free, data, current.mode, theta=trial.theta)
+        best = fit(trial.machine, trial.free, data, current.bandwidth, theta=trial.theta)
         effect = best.machine.effects[-1]
         gain = (current.cost - best.cost) / data.count
         log(f"  {effect.label} {describe_gain(current, best)}")
@@ -214,8 +214,8 @@ def _cross_validation(
     with_table = without_table = 0.0
     for fitted, validation in (halves, halves[::-1]):
         trial = fit_with_candidate(current, scored, scales, fitted)
-        with_table += prediction_cost(trial.machine, validation, current.mode)
-        without_table += prediction_cost(current.machine, validation, current.mode)
+        with_table += prediction_cost(trial.machine, validation, current.bandwidth)
+        without_table += prediction_cost(current.machine, validation, current.bandwidth)
     return with_table / without_table
 
 

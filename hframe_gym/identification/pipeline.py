@@ -15,12 +15,13 @@ from ..recordings import Recording
 from ..registry import load_plugins
 from .criteria import SelectionCriteria
 from .dataset import Dataset, prepare, refine_encoder_offsets, with_all_measurements
-from .estimation import Fit, fit, with_uncertainty
+from .estimation import Fit, fit, prediction_cost, with_uncertainty
 from .experiment_design import design_discriminating_experiment
-from .forward_selection import Log, SelectedEffect, Selection, minimum_gain, prune_effects, select_effects
+from .forward_selection import ConsideredEffect, EffectSearch, Log, SelectedEffect, Selection, prune_effects
 from .free_parameters import default_free_parameters
+from .model_error import fit_with_model_error, polish
 from .nonparametric import add_tables
-from .prediction import POLISH_STEP, Mode, has_feedback
+from .prediction import POLISH_STEP, SEARCH_BANDWIDTH
 from .residual import channel_errors, force_error, is_white, rank_dependences
 from .result import IdentificationResult, ModelEvaluation, PredictionErrors, Verdict
 from .sensor_properties import Range, blank_saturated, range_effects, saturation_ranges
@@ -92,13 +93,12 @@ def identify(
     validation = with_all_measurements(everything.with_runs(kept), recordings)
     data = everything.with_runs([r.name for r in recordings if r.name not in kept])
     log(f"fitting {machine.name} to {len(data.runs)} runs, {len(validation.runs)} held out")
-    base = fit(machine, default_free_parameters(machine), data, "one_step")
-    before = _refined(base, data, _mode(base, data, criteria))
-    log(f"refitted machine: chi-squared per sample {base.chi2:.4g} (one-step prediction)")
-    if _simulates(before):
-        log(f"refitted machine: chi-squared per sample {before.chi2:.4g} (simulation)")
+    base = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
+    log(f"refitted machine: {_describe(base)}")
+    before = polish(fit_with_model_error(base, data), data)
+    log(f"refitted machine: {_describe(before)}")
     log("searching for effects")
-    verdict, after, selected = _Search(base, before, data, criteria, log).run()
+    verdict, after, selected, considered = _Search(base, before, data, criteria, log).run()
     result = _result(verdict, machine, before, after, selected, ranges, data, validation, criteria)
     log(f"verdict: {result.verdict}")
     return dataclasses.replace(result, seconds=time.perf_counter() - began)
@@ -150,7 +150,7 @@ def _result(
         before=refitted_evaluation,
         after=corrected_evaluation,
         effects=selected,
-        gains={s.effect.label: _held_out_gain(s, corrected, validation, before.mode) for s in selected},
+        gains={s.effect.label: _held_out_gain(s, corrected, validation) for s in selected},
         dependence=tuple(rank_dependences(before.machine, data)[:_MAX_DEPENDENCES]),
         white=is_white(corrected, validation),
         fitted=data,
@@ -174,34 +174,18 @@ def _corrected(
     return fitted.with_effects(*limits), selected
 
 
-def _simulates(fitted: Fit) -> bool:
-    """Return whether a fit is one of the simulation, not of the one-step prediction."""
-    return not has_feedback(fitted.mode)
-
-
-def _mode(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> Mode:
-    """Return the mode that decides: simulation, or one-step prediction where the simulation drifts away."""
-    errors = channel_errors(fitted.machine, data)
-    outputs = np.concatenate([run.outputs for run in data.runs])
-    largest = 0.0
-    for channel, values in zip(fitted.machine.output_channels, outputs.T, strict=True):
-        rmse = errors[channel].rmse
-        if rmse is not None:
-            largest = max(largest, rmse / max(float(np.nanstd(values)), 1e-12))
-    return "simulation" if largest < criteria.max_drift else "one_step"
-
-
-def _refined(fitted: Fit, data: Dataset, mode: Mode) -> Fit:
-    """Return the fit refined in a mode, at the finer integration step."""
-    return fit(fitted.machine, fitted.free, data, mode, theta=fitted.theta, longest_step=POLISH_STEP)
+def _describe(fitted: Fit) -> str:
+    """Return chi-squared and observer bandwidth of a fit, for the log."""
+    observer = f"observer of {fitted.bandwidth:g} rad/s" if fitted.bandwidth else "simulation"
+    return f"chi-squared per sample {fitted.chi2:.4g} ({observer})"
 
 
 class _Search:
     """The search for effects that explain the residual of the refitted machine.
 
     Args:
-        base: Machine refitted in one-step prediction.
-        before: Machine refitted in the mode that decides.
+        base: Machine refitted at `SEARCH_BANDWIDTH`.
+        before: Machine refitted at the bandwidth that its remaining error requires.
         data: Prepared recordings to fit.
         criteria: Decision thresholds.
         log: Called with a line of text at each stage.
@@ -210,93 +194,72 @@ class _Search:
     def __init__(self, base: Fit, before: Fit, data: Dataset, criteria: SelectionCriteria, log: Log) -> None:
         self._base, self._before, self._data = base, before, data
         self._criteria, self._log = criteria, log
-        self._refined: dict[tuple[str, ...], Fit] = {(): before}  # by labels of the effects
-        self._simulation = _simulates(before)
-        self._close = self._simulation and before.chi2 < criteria.max_simulation_chi2
 
-    def run(self) -> tuple[Verdict, Fit, tuple[SelectedEffect, ...]]:
+    def run(self) -> tuple[Verdict, Fit, tuple[SelectedEffect, ...], tuple[ConsideredEffect, ...]]:
         """Search for effects, then for tables if no known effects explain the residual.
 
         Returns:
             Verdict: "effect_found", "no_effect" or "unexplained".
-            Fit of the machine with the effects, in the mode that decides.
+            Fit of the machine with the effects.
             The selected effects.
+            Effects that reduced the error but failed a test.
         """
-        base, before, criteria = self._base, self._before, self._criteria
-        min_gain = criteria.min_gain_one_step
-        if not self._simulation:
-            min_gain = max(min_gain, criteria.min_gain_fraction_unverified * base.chi2)
-        selected_one_step = select_effects(
-            base, (), self._data, criteria=criteria, min_gain=min_gain, log=self._log, finished=self._finished
-        )
-        after, effects = self._completed(*selected_one_step)
-        if self._close and selected_one_step[1] and not self._explains(after):
-            alternative, others = self._completed(before, ())
-            if alternative.cost < after.cost:
-                after, effects = alternative, others
+        after, effects, considered = self._known_effects()
         if self._explains(after):
-            return ("effect_found", after, effects) if effects else ("no_effect", before, ())
-        tabled = self._with_tables(selected_one_step, after)
+            verdict: Verdict = "effect_found" if effects else "no_effect"
+            return verdict, after if effects else self._before, effects, considered
+        tabled = self._with_tables((after, effects))
         if tabled is not None:
-            return "effect_found", *tabled
-        if effects and after.cost < criteria.max_partial_cost_fraction * before.cost:
-            return "effect_found", after, effects
-        return "unexplained", before, ()
+            return "effect_found", *tabled, considered
+        if effects and self._wide_cost(after) < self._criteria.max_partial_cost_fraction * self._base.cost:
+            return "effect_found", after, effects, considered
+        return "unexplained", self._before, (), considered
 
-    def _completed(self, fitted: Fit, effects: tuple[SelectedEffect, ...]) -> Selection:
-        """Return the fit refined, with effects that only the simulation shows, and without superfluous ones."""
+    def _known_effects(self) -> tuple[Fit, tuple[SelectedEffect, ...], tuple[ConsideredEffect, ...]]:
+        """Return the fit with effects of the library, the effects, and those that failed a test."""
         criteria, data, log = self._criteria, self._data, self._log
-        current = self._refined.get(_labels(fitted)) or _refined(fitted, data, self._before.mode)
-        if self._simulation:
-            refined_data = refine_encoder_offsets(data, current.machine)
-            if refined_data is not data:
-                data = refined_data
-                current = _refined(current, data, self._before.mode)
-            if current.chi2 < criteria.max_simulation_chi2:
-                gain = criteria.min_gain_simulation
-                current, effects = select_effects(current, effects, data, criteria=criteria, min_gain=gain, log=log)
-        return prune_effects(current, effects, data, criteria=criteria, log=log, longest_step=POLISH_STEP)
+        search = EffectSearch(data, criteria, log)
+        current, effects = search.run(self._before)
+        refined = refine_encoder_offsets(data, current.machine)
+        if refined is not data:
+            # The encoders' zeros are known better with the effects, which may reveal further ones.
+            data, search = refined, EffectSearch(refined, criteria, log)
+            current = polish(current, data)
+            current, effects = search.run(fit_with_model_error(current, data), effects)
+        if effects:
+            current = polish(current, data)
+            current, effects = prune_effects(
+                current, effects, data, criteria=criteria, log=log, longest_step=POLISH_STEP
+            )
+        return current, effects, tuple(search.considered.values())
 
-    def _finished(self, fitted: Fit) -> bool:
-        """Return whether the simulation is explained, or shows that the last effect is not real."""
-        if not self._simulation or fitted.chi2 > self._criteria.max_simulation_chi2:
-            return False
-        labels = _labels(fitted)
-        previous = self._refined.get(labels[:-1])
-        current = self._refined[labels] = _refined(fitted, self._data, self._before.mode)
-        if current.chi2 < self._criteria.explained_chi2:
-            return True
-        if not self._close or previous is None:
-            return False
-        gain = (previous.cost - current.cost) / self._data.count
-        return gain < minimum_gain(current, self._criteria.min_gain_simulation, self._criteria)
-
-    def _with_tables(self, selected: Selection, after: Fit) -> Selection | None:
+    def _with_tables(self, selected: Selection) -> Selection | None:
         """Return a model with tables, alone or beside the selected effects, if it explains the residual."""
         criteria, data, log = self._criteria, self._data, self._log
         log("no known effect explains the residual; searching for a table of force or friction")
-        for start, effects, count in ((self._base, (), 1), (*selected, 2)):
-            fitted, more = add_tables(start, effects, data, criteria=criteria, max_tables=count, log=log)
-            if len(more) > len(effects):
+        after, effects = selected
+        wide = self._base if not effects else fit(after.machine, after.free, data, SEARCH_BANDWIDTH, theta=after.theta)
+        for start, known, count in ((self._base, (), 1), (wide, effects, 2)):
+            fitted, more = add_tables(start, known, data, criteria=criteria, max_tables=count, log=log)
+            if len(more) > len(known):
                 # No further search beside a table: what its straight pieces leave looks like many a small effect.
-                refined = _refined(fitted, data, self._before.mode)
+                refined = polish(fit_with_model_error(fitted, data), data)
                 candidate, kept = prune_effects(
                     refined, more, data, criteria=criteria, log=log, longest_step=POLISH_STEP
                 )
-                limit = criteria.max_table_cost_fraction * min(self._before.cost, after.cost)
-                if kept and (self._explains(candidate) or candidate.cost < limit):
+                limit = criteria.max_table_cost_fraction * min(self._base.cost, wide.cost)
+                if kept and (self._explains(candidate) or self._wide_cost(candidate) < limit):
                     return candidate, kept
         return None
+
+    def _wide_cost(self, fitted: Fit) -> float:
+        """Return the cost of a machine at the bandwidth of the search, at which all machines can be compared."""
+        return prediction_cost(fitted.machine, self._data, SEARCH_BANDWIDTH)
 
     def _explains(self, after: Fit) -> bool:
         """Return whether a fit leaves only the sensors' noise, or a negligible part of the initial residual."""
         criteria = self._criteria
-        return after.chi2 < max(criteria.explained_chi2, criteria.explained_fraction * self._before.chi2)
-
-
-def _labels(fitted: Fit) -> tuple[str, ...]:
-    """Return the labels of a fitted machine's effects."""
-    return tuple(e.label for e in fitted.machine.effects)
+        return after.chi2 < max(criteria.explained_chi2, criteria.explained_fraction * self._base.chi2)
 
 
 def _errors(machine: Machine, data: Dataset) -> PredictionErrors:
@@ -304,15 +267,14 @@ def _errors(machine: Machine, data: Dataset) -> PredictionErrors:
     return PredictionErrors(channel_errors(machine, data), force_error(machine, data))
 
 
-def _held_out_gain(selected: SelectedEffect, machine: Machine, validation: Dataset, mode: Mode) -> float:
+def _held_out_gain(selected: SelectedEffect, machine: Machine, validation: Dataset) -> float:
     """Return the fraction of the held-out squared error that this effect alone removes.
 
-    The error is that of the simulation; where the simulation drifts, it is the error of the drives' force, if the
-    machine has one.
+    The error is that of the drives' force if the machine allows inverse dynamics, otherwise that of the simulation.
     """
 
     def squared_error(m: Machine) -> float:
-        force = force_error(m, validation) if has_feedback(mode) else None
+        force = force_error(m, validation)
         if force is not None:
             return force**2
         ratios = [e.noise_ratio for e in channel_errors(m, validation).values() if e.noise_ratio is not None]

@@ -1,11 +1,13 @@
 """Predict a run with a machine, for a batch of parameter values at once, and compare it with the measurements.
 
-Two prediction modes:
+A Luenberger observer feeds the difference of measured and predicted values back into position and velocity at every
+sample, so that the error of a wrong model remains local in time. Its bandwidth is an argument of every prediction:
 
-- `one_step`: a Luenberger observer feeds the difference of measured and predicted values back into position and
-  velocity at every sample.  The error of a wrong model remains local in time.
-- `simulation`: the machine runs from its initial state without feedback.  At the start, static friction holds the
-  belts at an unknown stretch; its effect is projected out of the residual.
+- `SEARCH_BANDWIDTH` (60 rad/s), the widest, suits a model that is still wrong;
+- `SIMULATION` (0) means no feedback: the machine runs from its initial state;
+- between them, `model_error` chooses the bandwidth that the model's remaining error requires.
+
+At the start, static friction holds the belts at an unknown stretch; its effect is projected out of the residual.
 """
 
 from __future__ import annotations
@@ -13,10 +15,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Literal, TypeVar
+from functools import lru_cache
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import ThreadpoolController
 
 from ..dynamics import simulate_batch
 from ..dynamics.simulation import Motion, threads
@@ -26,31 +30,19 @@ from .rest_measurement import sensor_zero_error
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
-Mode = Literal["one_step", "simulation"]
+SEARCH_BANDWIDTH = 60.0  # rad/s; confines the error of a wrong model to a few hundredths of a second
+SIMULATION = 0.0  # rad/s; no feedback
 
 SEARCH_STEP = 0.5e-3  # s; integration step of the search
 POLISH_STEP = 0.125e-3  # s; an input that changes inside a step costs a micrometer at twice this step
 
-# Observer bandwidth, rad/s.  Encoders are quiet; the noise of lasers must not shake the model.
-_ENCODER_BANDWIDTH = 60.0
-_LASER_BANDWIDTH = 25.0
+# Bandwidth of lasers relative to that of encoders beside them, whose noise is smaller.
+_LASER_BANDWIDTH_RATIO = 25.0 / 60.0
 _LONGEST_OBSERVER_PERIOD = 5e-3  # s; limits the observer gains of slowly sampled recordings
 # Fraction of the motors' Coulomb friction that typically remains as belt tension when the stage has come to rest.
 _HELD_FRICTION = 0.1
 _SMALLEST_HELD_ANGLE = 1e-6  # rad; keeps the column of a motor without friction away from zero
 _BLOCK_S = 4e-3  # s; measurements respond more slowly than this to mechanical effects
-
-
-def has_feedback(mode: Mode) -> bool:
-    """Return whether an observer corrects the predicted state with the measurements.
-
-    Args:
-        mode: "one_step" or "simulation".
-
-    Returns:
-        True for "one_step", False for "simulation".
-    """
-    return mode == "one_step"
 
 
 def map_runs(function: Callable[[PreparedRecording], T], data: Dataset) -> Iterator[T]:
@@ -64,22 +56,47 @@ def map_runs(function: Callable[[PreparedRecording], T], data: Dataset) -> Itera
         Result of the function for each run, in the order of the runs.
     """
     count = min(threads(), len(data.runs))
-    if count == 1:
-        yield from map(function, data.runs)
-        return
-    with ThreadPoolExecutor(count) as pool:
-        yield from pool.map(function, data.runs)
+    # The runs occupy all cores; threads of the linear algebra library beside them would only wait for each other.
+    with _linear_algebra().limit(limits=1, user_api="blas"):
+        if count == 1:
+            yield from map(function, data.runs)
+            return
+        with ThreadPoolExecutor(count) as pool:
+            yield from pool.map(function, data.runs)
 
 
-def observer_gains(machine: Machine, period: float) -> Array:
-    """Return the gains of the Luenberger observer of one-step prediction.
+@lru_cache(maxsize=1)
+def _linear_algebra() -> ThreadpoolController:
+    """Return the control of the linear algebra library's threads; finding the library takes milliseconds."""
+    return ThreadpoolController()
 
-    Each sensor corrects its coordinate by a critically damped second-order observer with a bandwidth of 60 rad/s, or
-    25 rad/s for lasers beside encoders.
+
+def sensor_bandwidths(machine: Machine, bandwidth: float) -> Array:
+    """Return the observer bandwidth of every sensor.
+
+    Lasers beside encoders only correct what these cannot measure; their noise must not disturb the prediction.
+
+    Args:
+        machine: Machine with its sensors.
+        bandwidth: Observer bandwidth of encoders, rad/s.
+
+    Returns:
+        Bandwidths, rad/s, shape (sensors,).
+    """
+    incremental = np.array([sensor.incremental for sensor in machine.sensors])
+    ratio = _LASER_BANDWIDTH_RATIO if incremental.any() else 1.0
+    return np.asarray(bandwidth * np.where(incremental, 1.0, ratio))
+
+
+def observer_gains(machine: Machine, period: float, bandwidth: float = SEARCH_BANDWIDTH) -> Array:
+    """Return the gains of the Luenberger observer that feeds measurements back into a prediction.
+
+    Each sensor corrects its coordinate by a critically damped second-order observer.
 
     Args:
         machine: Machine whose sensors are fed back.
         period: Sampling period, s.
+        bandwidth: Observer bandwidth of encoders, rad/s, see `sensor_bandwidths`.
 
     Returns:
         Corrections per sample of positions (first half of the rows) and velocities (second half), in the coordinates'
@@ -87,13 +104,10 @@ def observer_gains(machine: Machine, period: float) -> Array:
     """
     count = len(machine.coordinates)
     gains = np.zeros((2 * count, len(machine.sensors)))
-    has_encoders = any(sensor.incremental for sensor in machine.sensors)
-    for j, sensor in enumerate(machine.sensors):
+    rates = sensor_bandwidths(machine, bandwidth) * min(period, _LONGEST_OBSERVER_PERIOD)  # rad per sample
+    for j, (sensor, rate) in enumerate(zip(machine.sensors, rates, strict=True)):
         name = sensor.coordinate
         i = machine.coordinate_names.index(name)
-        # A laser beside encoders only corrects what these cannot see.
-        bandwidth = _LASER_BANDWIDTH if has_encoders and not sensor.incremental else _ENCODER_BANDWIDTH
-        rate = bandwidth * min(period, _LONGEST_OBSERVER_PERIOD)  # rad per sample
         gains[i, j] = 2 * rate / sensor.row[name]
         gains[count + i, j] = rate**2 / period / sensor.row[name]
     return gains
@@ -102,7 +116,7 @@ def observer_gains(machine: Machine, period: float) -> Array:
 def predict(
     machine: Machine,
     run: PreparedRecording,
-    mode: Mode,
+    bandwidth: float,
     *,
     period: float,
     parameters: Array | None = None,
@@ -117,7 +131,7 @@ def predict(
     Args:
         machine: Machine that predicts; its effects also determine the initial state.
         run: Run to predict, n samples.
-        mode: "one_step" (an observer feeds the measurements back) or "simulation" (no feedback).
+        bandwidth: Bandwidth of the observer that feeds the measurements back, rad/s; `SIMULATION` for none.
         period: Sampling period, s.
         parameters: All machine parameters, SI, in the order of `Machine.parameters`, shape (batch, parameters).
             Default: those of the machine.
@@ -135,7 +149,7 @@ def predict(
     """
     run_state = run.initial_state(machine)
     measured = gains = None
-    if has_feedback(mode):
+    if bandwidth > 0.0:
         start = run.initial.position
         encoders = [sensor.incremental for sensor in machine.sensors]
         # Encoders count from where the run starts, wherever the machine puts that.
@@ -143,7 +157,7 @@ def predict(
         measured = run.outputs + np.where(encoders, displacement, 0.0)
         if extra_measurement is not None:
             measured = measured - extra_measurement
-        gains = observer_gains(machine, period)
+        gains = observer_gains(machine, period, bandwidth)
     motion = simulate_batch(
         machine,
         run.time_s,
@@ -271,7 +285,7 @@ def initial_state_projection(
     machine: Machine,
     run: PreparedRecording,
     data: Dataset,
-    mode: Mode,
+    bandwidth: float,
     *,
     longest_step: float = SEARCH_STEP,
     rows_per_block: int = 1,
@@ -286,24 +300,25 @@ def initial_state_projection(
         machine: Machine that predicts.
         run: Run to predict.
         data: Data set of the run.
-        mode: "one_step" or "simulation".
+        bandwidth: Observer bandwidth, rad/s, see `predict`.
         longest_step: Maximum integration step, s.
         rows_per_block: Number of consecutive rows summed into one, as in `residuals`.
 
     Returns:
-        The projection. None in one-step mode (the effect of the initial state decays), without belts, or if the
-        simulation diverges.
+        The projection. None without belts or if the simulation diverges.
 
     References:
         Golub and Pereyra (1973), variable projection.
     """
-    held_angles = {} if has_feedback(mode) else held_belt_angles(machine)
+    held_angles = held_belt_angles(machine)
     if not held_angles:
         return None
     initial_states = np.tile(run.initial_state(machine), (len(held_angles) + 1, 1))
     for k, (name, angle) in enumerate(held_angles.items(), start=1):
         initial_states[k, machine.coordinate_names.index(name)] += angle
-    motion = predict(machine, run, mode, period=data.period, initial_state=initial_states, longest_step=longest_step)
+    motion = predict(
+        machine, run, bandwidth, period=data.period, initial_state=initial_states, longest_step=longest_step
+    )
     residual = residuals(run, data, motion.readings, rows_per_block)
     columns = (residual[1:] - residual[0]).T  # (rows, motors), in units of the prior's standard deviation
     if not np.all(np.isfinite(columns)):

@@ -16,7 +16,7 @@ from scipy import signal
 from ..dynamics import Equations, net_forces
 from ..machine import Machine
 from .dataset import Dataset, PreparedRecording
-from .prediction import POLISH_STEP, map_runs, observer_gains, predict, prediction_error
+from .prediction import POLISH_STEP, SEARCH_BANDWIDTH, SIMULATION, map_runs, observer_gains, predict, prediction_error
 
 Array = NDArray[np.float64]
 
@@ -70,7 +70,7 @@ def simulation_error(machine: Machine, run: PreparedRecording, data: Dataset) ->
     Returns:
         Errors in the sensors' units, NaN where not measured, shape (n, sensors).
     """
-    motion = predict(machine, run, "simulation", period=data.period, longest_step=POLISH_STEP)
+    motion = predict(machine, run, SIMULATION, period=data.period, longest_step=POLISH_STEP)
     error = prediction_error(run, data, motion.readings)[0]
     return np.where(np.isfinite(run.outputs), error, np.nan)
 
@@ -112,7 +112,7 @@ def force_residual(machine: Machine, run: PreparedRecording, data: Dataset) -> A
     Returns:
         Force on every coordinate, N or Nm, shape (n, coordinates).
     """
-    predicted = predict(machine, run, "one_step", period=data.period).readings[0]
+    predicted = predict(machine, run, SEARCH_BANDWIDTH, period=data.period).readings[0]
     innovation = np.nan_to_num(run.outputs - predicted)  # (n, sensors)
     velocity_gains = observer_gains(machine, data.period)[len(machine.coordinates) :]
     mass = np.array([c.mass for c in machine.coordinates])
@@ -151,7 +151,7 @@ def missing_force(machine: Machine, data: Dataset) -> dict[str, Array]:
     time_constant = 2.0 * data.period / np.maximum(position_gains, 1e-12)  # of each pole, (coordinates,)
 
     def of_run(run: PreparedRecording) -> Array:
-        motion = predict(machine, run, "one_step", period=data.period, states=True)
+        motion = predict(machine, run, SEARCH_BANDWIDTH, period=data.period, states=True)
         force = _low_pass(force_residual(machine, run, data), _MISSING_FORCE_CUTOFF, data.period)
         first_derivative = np.gradient(force, run.time_s, axis=0)
         second_derivative = np.gradient(first_derivative, run.time_s, axis=0)
@@ -180,7 +180,7 @@ def dependence_variables(machine: Machine, run: PreparedRecording, data: Dataset
         By name, shape (n,) each: "position of C" (m or rad) and "velocity of C" (m/s or rad/s) for each coordinate C,
         the input channels (V) and "time" (s).
     """
-    motion = predict(machine, run, "one_step", period=data.period, states=True)
+    motion = predict(machine, run, SEARCH_BANDWIDTH, period=data.period, states=True)
     names = machine.coordinate_names
     variables = {f"position of {name}": motion.positions[0, :, i] for i, name in enumerate(names)}
     variables |= {f"velocity of {name}": motion.velocities[0, :, i] for i, name in enumerate(names)}

@@ -73,7 +73,7 @@ def screen(fit: Fit, candidates: Sequence[Candidate], data: Dataset) -> list[Sco
     """Rank candidates by their linearized reduction of chi-squared.
 
     Args:
-        fit: Fit of the present machine; its prediction mode is used.
+        fit: Fit of the present machine; its observer bandwidth is used.
         candidates: Effects, sites and starting values to compare.
         data: Runs that were fitted.
 
@@ -166,7 +166,7 @@ def _measurement_change(machine: Machine, run: PreparedRecording, motion: Motion
 
 def _screening_model(fit: Fit, data: Dataset) -> ResidualModel:
     """Return the residual of a fit with rows averaged to blocks, which mechanical effects do not notice."""
-    return ResidualModel(fit.machine, fit.free, data, fit.mode, rows_per_block=mechanical_rows_per_block(data))
+    return ResidualModel(fit.machine, fit.free, data, fit.bandwidth, rows_per_block=mechanical_rows_per_block(data))
 
 
 def _perturbation_responses(model: ResidualModel, run: PreparedRecording, perturbation: Perturbation) -> Array:
@@ -176,7 +176,7 @@ def _perturbation_responses(model: ResidualModel, run: PreparedRecording, pertur
         motion = predict(
             model.machine,
             run,
-            model.mode,
+            model.bandwidth,
             period=model.data.period,
             extra_force=force,
             extra_measurement=measurement,
@@ -242,7 +242,7 @@ def screen_structures(current: Fit, data: Dataset, scale: TypicalScales, minimum
     returned, structural effects with their two best starting values.
 
     Args:
-        current: Fit of the present machine; its prediction mode is used.
+        current: Fit of the present machine; its observer bandwidth is used.
         data: Runs that were fitted.
         scale: Typical sizes on this machine, to which the starting values are relative.
         minimum_gain: Smallest linearized reduction of chi-squared per sample of a promising effect.
@@ -293,7 +293,7 @@ def _structure_responses(model: ResidualModel, variant: Machine, table: Array) -
     """Return the function that gives the steps of a run's residual to variants with parameters (variants, P)."""
 
     def responses(run: PreparedRecording, motion: Motion) -> Array:
-        moved = predict(variant, run, model.mode, period=model.data.period, parameters=table)
+        moved = predict(variant, run, model.bandwidth, period=model.data.period, parameters=table)
         return model.residuals(run, moved.readings) - model.residuals(run, motion.readings)
 
     return responses

@@ -40,7 +40,7 @@ def test_covariance_matches_the_closed_form_for_white_noise() -> None:
     outputs[0] = 0.0  # the offset of the run is that of its only row at rest
     machine = machine.replace(sensors=(type(machine.sensors[0])("x_m", {"x": 1.0}, noise=sigma),))
     data = prepare([Recording("run", time_s, inputs, outputs)], machine)
-    fitted = fit(machine, [FreeParameter("x.mass", 2.0, prior=1.0)], data, "simulation")
+    fitted = fit(machine, [FreeParameter("x.mass", 2.0, prior=1.0)], data, SIMULATION)
     uncertainty = with_uncertainty(fitted, data).uncertainty
     assert uncertainty is not None
     std_of_mass = data.noise[0] / np.linalg.norm(position / 2.0)

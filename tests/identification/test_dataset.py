@@ -52,8 +52,8 @@ def test_only_the_rows_that_count_enter_the_cost(hframe: Machine) -> None:
     late = np.arange(300) >= 200
     parts = [data.with_rows([~late] * 2), data.with_rows([late] * 2)]
     assert sum(part.count for part in parts) == data.count
-    costs = [prediction_cost(hframe, part, "simulation") for part in parts]
-    assert sum(costs) == pytest.approx(prediction_cost(hframe, data, "simulation"))
+    costs = [prediction_cost(hframe, part, SIMULATION) for part in parts]
+    assert sum(costs) == pytest.approx(prediction_cost(hframe, data, SIMULATION))
     assert min(costs) > 0.0
 
 

@@ -25,8 +25,8 @@ def data(hframe: Machine) -> Dataset:
 
 @pytest.mark.oracle
 def test_fit_recovers_the_parameters_of_the_reference_simulator(hframe: Machine, data: Dataset) -> None:
-    first_fit = fit(hframe, default_free_parameters(hframe), data, "one_step")
-    fitted = fit(hframe, default_free_parameters(hframe), data, "simulation", theta=first_fit.theta)
+    first_fit = fit(hframe, default_free_parameters(hframe), data, SEARCH_BANDWIDTH)
+    fitted = fit(hframe, default_free_parameters(hframe), data, SIMULATION, theta=first_fit.theta)
     assert fitted.chi2 < 1.1
     # Voltages determine forces only in units of the first motor's gain.
     gains = [k * g for k, g in zip(TRUE_RIG.torque_constant, TRUE_RIG.drive_gain, strict=True)]
@@ -42,16 +42,16 @@ def test_fit_recovers_the_parameters_of_the_reference_simulator(hframe: Machine,
 def test_fit_reports_the_cost_of_its_machine(hframe: Machine, data: Dataset) -> None:
     """In one-step mode no initial state is projected out, so the cost is that of a plain prediction."""
     two_runs = data.with_runs([run.name for run in data.runs[:2]])
-    fitted = fit(hframe, default_free_parameters(hframe), two_runs, "one_step", iterations=3)
-    assert fitted.cost == pytest.approx(prediction_cost(fitted.machine, two_runs, "one_step"), rel=1e-9)
-    assert fitted.cost < prediction_cost(hframe, two_runs, "one_step")
+    fitted = fit(hframe, default_free_parameters(hframe), two_runs, SEARCH_BANDWIDTH, iterations=3)
+    assert fitted.cost == pytest.approx(prediction_cost(fitted.machine, two_runs, SEARCH_BANDWIDTH), rel=1e-9)
+    assert fitted.cost < prediction_cost(hframe, two_runs, SEARCH_BANDWIDTH)
     assert fitted.chi2 == fitted.cost / two_runs.count
 
 
 @pytest.mark.unit
 def test_a_tight_prior_keeps_the_declared_parameters(hframe: Machine, data: Dataset) -> None:
     tight = [dataclasses.replace(f, prior=1e-9) for f in default_free_parameters(hframe)]
-    fitted = fit(hframe, tight, data.with_runs([data.runs[0].name]), "one_step")
+    fitted = fit(hframe, tight, data.with_runs([data.runs[0].name]), SEARCH_BANDWIDTH)
     for parameter in tight:
         assert fitted.values[parameter.name] == pytest.approx(hframe.parameters[parameter.name], rel=1e-6, abs=1e-9)
     np.testing.assert_allclose(fitted.theta, 0.0, atol=1e-8)

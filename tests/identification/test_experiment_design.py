@@ -104,7 +104,7 @@ def test_rival_of_a_fit_is_fitted_and_separated() -> None:
         *default_free_parameters(AXIS),
         FreeParameter("constant_force@x.size", 0.15, prior=10.0, scale=0.1, lower=-9.0),
     )
-    fitted = fit(CONSTANT_FORCE, free, data, "simulation")
+    fitted = fit(CONSTANT_FORCE, free, data, SIMULATION)
     corrected = with_uncertainty(fitted, data)
     design = design_discriminating_experiment(fitted, corrected, LABELS[0], ASYMMETRIC.effects, data)
     assert design is not None

@@ -78,7 +78,7 @@ def test_jacobian_matches_the_closed_form(cart: Machine) -> None:
     position = step_response(cart, time_s, 2.0, 5.0)
     data = prepare([Recording("run", time_s, np.full((1500, 1), 3.0), position[:, None])], cart)
     free = (FreeParameter("x.mass", 2.0, prior=0.3), FreeParameter("x.viscous", 5.0, prior=0.7))
-    model = ResidualModel(cart, free, data, "simulation")
+    model = ResidualModel(cart, free, data, SIMULATION)
     linear = model.linearize_run(data.runs[0], np.zeros(2))
     h = 1e-5
     for row, (dm, db) in zip(linear.jacobian, ((h, 0.0), (0.0, h)), strict=True):
@@ -116,7 +116,7 @@ def test_elimination_equals_a_joint_least_squares_fit() -> None:
 def test_responses_are_summed_beside_the_jacobian(hframe: Machine, hframe_runs: Dataset) -> None:
     """A response that repeats the Jacobian's first column is eliminated entirely."""
     free = default_free_parameters(hframe)[:3]
-    model = ResidualModel(hframe, free, hframe_runs, "one_step", rows_per_block=4)
+    model = ResidualModel(hframe, free, hframe_runs, SEARCH_BANDWIDTH, rows_per_block=4)
     plain = {run.name: model.linearize_run(run, np.zeros(3)) for run in hframe_runs.runs}
 
     def responses(run: PreparedRecording, motion: Motion) -> np.ndarray:
@@ -129,11 +129,11 @@ def test_responses_are_summed_beside_the_jacobian(hframe: Machine, hframe_runs: 
     assert abs(reduced.response_information[0, 0]) < 1e-9 * equations.response_information[0, 0]
 
 
-@pytest.mark.parametrize("mode", ["one_step", "simulation"])
+@pytest.mark.parametrize("mode", [SEARCH_BANDWIDTH, SIMULATION])
 def test_costs_agree_with_the_linearization_at_its_expansion_point(
     hframe: Machine, hframe_runs: Dataset, mode: str
 ) -> None:
-    model = ResidualModel(hframe, default_free_parameters(hframe)[:3], hframe_runs, mode)  # type: ignore[arg-type]
+    model = ResidualModel(hframe, default_free_parameters(hframe)[:3], hframe_runs, bandwidth)  # type: ignore[arg-type]
     linearization = model.linearize(np.zeros(3))
     (cost,) = linearization.costs(np.zeros((1, 3)))
     assert cost == pytest.approx(linearization.normal_equations.cost, rel=1e-9)

@@ -49,26 +49,26 @@ def test_observer_is_critically_damped(axis: Machine) -> None:
     np.testing.assert_allclose(np.abs(np.linalg.eigvals(transition)), 0.94, atol=0.02)
 
 
-@pytest.mark.parametrize("mode", ["one_step", "simulation"])
+@pytest.mark.parametrize("mode", [SEARCH_BANDWIDTH, SIMULATION])
 def test_the_true_machine_leaves_no_residual(axis: Machine, data: Dataset, mode: str) -> None:
-    motion = predict(axis, data.runs[0], mode, period=data.period, longest_step=0.125e-3)  # type: ignore[arg-type]
+    motion = predict(axis, data.runs[0], bandwidth, period=data.period, longest_step=0.125e-3)  # type: ignore[arg-type]
     assert np.abs(residuals(data.runs[0], data, motion.readings)).max() < 0.5
 
 
 def test_one_step_prediction_keeps_the_error_of_a_wrong_model_small(axis: Machine, data: Dataset) -> None:
     wrong = axis.replace({"x.mass": 1.2 * axis.parameters["x.mass"]})
     errors = [
-        np.abs(residuals(data.runs[0], data, predict(wrong, data.runs[0], mode, period=data.period).readings)).max()
-        for mode in ("one_step", "simulation")
+        np.abs(residuals(data.runs[0], data, predict(wrong, data.runs[0], bandwidth, period=data.period).readings)).max()
+        for mode in (SEARCH_BANDWIDTH, SIMULATION)
     ]
     assert errors[0] < 0.05 * errors[1]
 
 
 def test_extra_measurement_is_added_to_the_prediction(axis: Machine, data: Dataset) -> None:
     run = data.runs[0]
-    plain = predict(axis, run, "simulation", period=data.period).readings
+    plain = predict(axis, run, SIMULATION, period=data.period).readings
     extra = np.full((2, *run.outputs.shape), 1e-3) * np.array([1.0, 2.0])[:, None, None]
-    shifted = predict(axis, run, "simulation", period=data.period, extra_measurement=extra).readings
+    shifted = predict(axis, run, SIMULATION, period=data.period, extra_measurement=extra).readings
     np.testing.assert_allclose(shifted - plain, extra, atol=1e-15)
 
 
@@ -113,7 +113,7 @@ def test_results_of_runs_keep_their_order(axis: Machine) -> None:
 def test_initial_stretch_is_projected_out_of_a_simulation(hframe: Machine) -> None:
     """The projection shrinks the directions of the two initial motor angles by their weights."""
     data = prepare([recorded(hframe)], hframe)
-    projection = initial_state_projection(hframe, data.runs[0], data, "simulation")
+    projection = initial_state_projection(hframe, data.runs[0], data, SIMULATION)
     assert projection is not None
     np.testing.assert_allclose(projection.directions.T @ projection.directions, np.eye(2), atol=1e-9)
     assert np.all((projection.weights > 0) & (projection.weights < 1))
@@ -123,5 +123,5 @@ def test_initial_stretch_is_projected_out_of_a_simulation(hframe: Machine) -> No
 
 def test_no_projection_with_feedback_or_without_belts(hframe: Machine, axis: Machine, data: Dataset) -> None:
     hframe_data = prepare([recorded(hframe)], hframe)
-    assert initial_state_projection(hframe, hframe_data.runs[0], hframe_data, "one_step") is None
-    assert initial_state_projection(axis, data.runs[0], data, "simulation") is None
+    assert initial_state_projection(hframe, hframe_data.runs[0], hframe_data, SEARCH_BANDWIDTH) is None
+    assert initial_state_projection(axis, data.runs[0], data, SIMULATION) is None

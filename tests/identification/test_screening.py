@@ -48,7 +48,7 @@ def axis() -> Machine:
 def fit_without_effect(axis: Machine, effect_size: float) -> tuple[Fit, Dataset]:
     """Return a fit of the axis to a recording of the same axis with a constant force, N."""
     data = prepare([recorded(axis.with_effects(EFFECTS["constant_force"].at("x", size=effect_size)))], axis)
-    return fit(axis, default_free_parameters(axis), data, "one_step"), data
+    return fit(axis, default_free_parameters(axis), data, SEARCH_BANDWIDTH), data
 
 
 def test_missing_effect_ranks_first_with_its_size(axis: Machine) -> None:
@@ -57,7 +57,7 @@ def test_missing_effect_ranks_first_with_its_size(axis: Machine) -> None:
     assert best.candidate.label == "constant_force@x"
     assert best.candidate.applied(best.amounts).parameters["size"] == pytest.approx(0.3, rel=0.1)
     machine = fitted.machine.with_effects(best.candidate.applied(best.amounts))
-    with_effect = fit(machine, default_free_parameters(machine), data, "one_step")
+    with_effect = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
     assert best.gain == pytest.approx(fitted.cost - with_effect.cost, rel=0.3)
 
 
@@ -74,7 +74,7 @@ def test_amount_stays_within_the_bounds_of_the_parameter(axis: Machine) -> None:
     gains = []
     for run in (early, late):
         shifted = dataclasses.replace(data, runs=(run,))
-        fitted = fit(axis, default_free_parameters(axis)[:1], shifted, "simulation")
+        fitted = fit(axis, default_free_parameters(axis)[:1], shifted, SIMULATION)
         gains.append(screen(fitted, [candidate("sensor_delay", "x_m", d=1e-3)], shifted)[0].gain)
     assert gains[0] == 0.0
     assert gains[1] > 0.5 * data.count
@@ -93,18 +93,18 @@ def test_response_predicts_the_simulation_with_a_small_effect(
 ) -> None:
     data = prepare([recorded(axis)], axis)
     run, fraction = data.runs[0], 1e-3
-    motion = predict(axis, run, "simulation", period=data.period, states=True)
+    motion = predict(axis, run, SIMULATION, period=data.period, states=True)
     perturbation = candidate_perturbations(axis, [candidate(name, site, **column)], run, motion)
     perturbed = predict(
         axis,
         run,
-        "simulation",
+        SIMULATION,
         period=data.period,
         extra_force=fraction * perturbation.force,
         extra_measurement=fraction * perturbation.measurement,
     )
     machine = axis.with_effects(EFFECTS[name].at(site, **{**column, amplitude: fraction * column[amplitude]}))
-    exact = predict(machine, run, "simulation", period=data.period)
+    exact = predict(machine, run, SIMULATION, period=data.period)
     change = exact.readings - motion.readings
     error = perturbed.readings - exact.readings
     assert np.abs(change).max() > 1e-7
@@ -113,7 +113,7 @@ def test_response_predicts_the_simulation_with_a_small_effect(
 
 def test_columns_of_several_candidates_keep_their_order(axis: Machine) -> None:
     data = prepare([recorded(axis)], axis)
-    motion = predict(axis, data.runs[0], "one_step", period=data.period, states=True)
+    motion = predict(axis, data.runs[0], SEARCH_BANDWIDTH, period=data.period, states=True)
     perturbation = candidate_perturbations(axis, CANDIDATES, data.runs[0], motion)
     np.testing.assert_allclose(perturbation.force[0], 0.1)
     viscous = axis.coordinates[0].viscous

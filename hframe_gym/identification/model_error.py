@@ -1,0 +1,220 @@
+"""The error of a model beyond the sensors' noise: its size, and whether an effect stands out from it.
+
+No model of a real machine is exact. A small force that no effect of the library describes (a residue) accumulates in a
+simulation to many times the sensors' noise, and effects that do not exist imitate parts of it. Three means keep them
+apart:
+
+- The observer of the prediction stands for the residue. Its bandwidth is that of the steady-state Kalman filter for a
+  random force, so the bandwidth that maximizes the likelihood of the innovations estimates the residue's size. A model
+  without residue needs no observer; every effect is judged at the bandwidth that remains once it is part of the model.
+- An effect must be larger than the residue: its force is compared with the force by which the observer corrects the
+  prediction.
+- An effect must be confirmed by runs to which its parameters were not fitted (leave-one-run-out, linearized).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..dynamics import net_forces
+from ..machine import AppliedEffect, Machine
+from .dataset import Dataset, PreparedRecording
+from .estimation import Fit, fit
+from .free_parameters import prior_precision
+from .linearization import NormalEquations, ResidualModel
+from .prediction import (
+    POLISH_STEP,
+    SEARCH_BANDWIDTH,
+    SEARCH_STEP,
+    SIMULATION,
+    map_runs,
+    observer_gains,
+    predict,
+    prediction_error,
+    sensor_bandwidths,
+)
+
+Array = NDArray[np.float64]
+
+# Bandwidths that are compared, rad/s. The likelihood changes little between neighbors.
+BANDWIDTHS = (SEARCH_BANDWIDTH, 30.0, 15.0, 7.0, 3.0, SIMULATION)
+_SEARCH_STEP_NARROW = 0.25e-3  # s; a narrow observer does not forgive the error of longer integration steps
+
+
+def search_step(bandwidth: float) -> float:
+    """Return the integration step of the search for effects.
+
+    Args:
+        bandwidth: Observer bandwidth, rad/s.
+
+    Returns:
+        Maximum integration step, s; shorter for a narrow bandwidth, at which integration errors accumulate.
+    """
+    return SEARCH_STEP if bandwidth >= SEARCH_BANDWIDTH else _SEARCH_STEP_NARROW
+
+
+def information_loss(fitted: Fit, data: Dataset) -> float:
+    """Return minus twice the log-likelihood of the innovations per measured value, without constants.
+
+    The innovations of a steady-state Kalman filter with position gain K have 1 / (1 - K) times the variance of the
+    sensor's noise.
+
+    Args:
+        fitted: Fit at any bandwidth.
+        data: Runs that were fitted.
+
+    Returns:
+        Loss, dimensionless; 1 for an exact model in simulation with white noise of the assumed size. Differences times
+        the number of measured values are likelihood ratios.
+
+    References:
+        Ljung (1999), "System Identification", section 7.4.
+    """
+    gains = 2.0 * sensor_bandwidths(fitted.machine, fitted.bandwidth) * data.period
+    variance = 1.0 / (1.0 - np.minimum(gains, 0.9))  # of the innovations, relative to the noise, (sensors,)
+    measured = np.sum([np.isfinite(run.outputs).sum(axis=0) for run in data.runs], axis=0)  # (sensors,)
+    weights = measured / measured.sum()
+    return float(fitted.chi2 / (weights @ variance) + weights @ np.log(variance))
+
+
+def fit_with_model_error(fitted: Fit, data: Dataset) -> Fit:
+    """Fit again at the observer bandwidth that maximizes the likelihood of the data.
+
+    The simulation is compared with observers from the bandwidth of the given fit downwards while the likelihood
+    increases. It is compared first because the likelihood may have a second maximum there: an observer disturbs phases
+    in which friction holds the stage, a simulation does not.
+
+    Args:
+        fitted: Fit at one of `BANDWIDTHS`.
+        data: Runs that were fitted.
+
+    Returns:
+        The best fit.
+    """
+    if fitted.bandwidth == SIMULATION:
+        return fitted
+    simulated = at_bandwidth(fitted, SIMULATION, data)
+    best, least_loss = fitted, information_loss(fitted, data)
+    for bandwidth in BANDWIDTHS[BANDWIDTHS.index(fitted.bandwidth) + 1 : -1]:
+        narrower = at_bandwidth(best, bandwidth, data)
+        loss = information_loss(narrower, data)
+        if not loss < least_loss:
+            break
+        best, least_loss = narrower, loss
+    return simulated if information_loss(simulated, data) < least_loss else best
+
+
+def polish(fitted: Fit, data: Dataset) -> Fit:
+    """Fit again at the same bandwidth with the shortest integration step.
+
+    Args:
+        fitted: Fit to refine.
+        data: Runs that were fitted.
+
+    Returns:
+        Refined fit.
+    """
+    return fit(fitted.machine, fitted.free, data, fitted.bandwidth, theta=fitted.theta, longest_step=POLISH_STEP)
+
+
+def residue_force(fitted: Fit, data: Dataset) -> float:
+    """Return the force by which the observer corrects the prediction: the size of what the model lacks.
+
+    Args:
+        fitted: Fitted machine with its bandwidth.
+        data: Runs that were fitted.
+
+    Returns:
+        Root mean square over all rows, root sum of squares over the coordinates, as a force at the belt, N.
+    """
+    machine = fitted.machine
+    bandwidth = max(fitted.bandwidth, BANDWIDTHS[-2])  # the narrowest observer measures it where none is needed
+    velocity_gains = observer_gains(machine, data.period, bandwidth)[len(machine.coordinates) :]
+    mass = np.array([c.mass for c in machine.coordinates])
+
+    def of_run(run: PreparedRecording) -> Array:
+        motion = predict(machine, run, bandwidth, period=data.period, longest_step=search_step(bandwidth))
+        innovation = np.nan_to_num(prediction_error(run, data, motion.readings)[0])  # (n, sensors)
+        return innovation @ velocity_gains.T / data.period * mass / machine.travel_per_unit
+
+    return _size(np.concatenate(list(map_runs(of_run, data))))
+
+
+def effect_force(machine: Machine, effect: AppliedEffect, data: Dataset) -> float:
+    """Return the size of the force that an effect adds to its machine during the recordings.
+
+    Args:
+        machine: Machine with the effect.
+        effect: One of its effects.
+        data: Runs over which the machine is predicted.
+
+    Returns:
+        Size as in `residue_force`, N at the belt; infinite for an effect that changes the structure of the machine or a
+        measurement, which no force describes.
+    """
+    if effect.definition.structure or effect.definition.measurement or effect.definition.measurement_delay:
+        return np.inf
+    without = machine.replace(effects=tuple(e for e in machine.effects if e.label != effect.label))
+
+    def of_run(run: PreparedRecording) -> Array:
+        motion = predict(machine, run, SEARCH_BANDWIDTH, period=data.period, states=True)
+        record = (run.time_s, motion.positions[0], motion.velocities[0], run.inputs)
+        change: Array = net_forces(machine, *record) - net_forces(without, *record)
+        return change.reshape(-1, len(machine.coordinates)) / machine.travel_per_unit
+
+    return _size(np.concatenate(list(map_runs(of_run, data))))
+
+
+def _size(force: Array) -> float:
+    """Return the root mean square over rows of the norm over coordinates of forces (n, coordinates)."""
+    return float(np.sqrt(np.mean(np.sum(force**2, axis=1))))
+
+
+def leave_one_out_gain(without: Fit, with_effect: Fit, data: Dataset) -> float:
+    """Return the reduction of the cost of every run with parameters that the other runs determine.
+
+    Both models are linearized around their fit, where leaving out one run moves the parameters by one Newton step.
+
+    Args:
+        without: Fit without the effect.
+        with_effect: Fit with it, at the same bandwidth.
+        data: Runs that were fitted.
+
+    Returns:
+        Reduction of chi-squared, summed over all runs. It is at most about the reduction on the fitted runs; it is
+        negative if the effect describes single runs rather than the machine.
+    """
+    return float(np.sum(_leave_one_out_costs(without, data) - _leave_one_out_costs(with_effect, data)))
+
+
+def _leave_one_out_costs(fitted: Fit, data: Dataset) -> Array:
+    """Return the cost of every run with the parameters that the other runs determine, shape (runs,)."""
+    model = ResidualModel(fitted.machine, fitted.free, data, fitted.bandwidth, search_step(fitted.bandwidth))
+    by_run = model.linearize(fitted.theta).by_run
+    total = NormalEquations.total(by_run)
+    precision = prior_precision(fitted.free) * max(1.0, total.chi2)
+    costs = []
+    for run in by_run:
+        hessian = total.information - run.information + precision
+        gradient = total.gradient - run.gradient + precision @ fitted.theta
+        step = -np.linalg.solve(hessian, gradient)
+        costs.append(run.cost + 2.0 * run.gradient @ step + step @ run.information @ step)
+    return np.array(costs)
+
+
+def at_bandwidth(fitted: Fit, bandwidth: float, data: Dataset) -> Fit:
+    """Fit a machine again at another bandwidth.
+
+    Args:
+        fitted: Fit at any bandwidth.
+        bandwidth: Observer bandwidth, rad/s.
+        data: Runs that were fitted.
+
+    Returns:
+        The fit itself if it has that bandwidth already.
+    """
+    if fitted.bandwidth == bandwidth:
+        return fitted
+    step = search_step(bandwidth)
+    return fit(fitted.machine, fitted.free, data, bandwidth, theta=fitted.theta, longest_step=step)
