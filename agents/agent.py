@@ -58,7 +58,7 @@ def policy_keywords(policy: Mapping[str, Any], features: Mapping[str, Any]) -> d
         ImportError: If the extra `agents` is not installed.
     """
     import_optional("stable_baselines3")
-    from .feature_extractor import LogScaleFeatures
+    from .sb3_adapters import LogScaleFeatures
 
     return {
         **policy,

@@ -8,7 +8,7 @@ for several scales: linear well below a scale, logarithmic above it. Errors ente
 (as belt travel), now and extrapolated one control period ahead. Every v is linear in the observation z, so all
 features are one matrix product followed by one logarithm: gain * sign(z M) * log(1 + |z M|).
 
-This module needs NumPy only; `feature_extractor` evaluates the features in torch.
+This module needs NumPy only; sb3_adapters.py evaluates the features in torch.
 """
 
 from __future__ import annotations

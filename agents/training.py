@@ -24,11 +24,10 @@ from ..recordings import load_machine
 from .agent import SCHEMA, Agent, load_weights, policy_keywords
 from .controller_source import shipped_agent_folder
 from .features import feature_parameters
-from .model_card import versions, write_card
+from .model_card import progress_line, ranking_cost, score_agent, versions, write_card
 from .optional_dependencies import import_optional, require_training_packages, single_threaded_torch
 from .recipe import ALGORITHMS, Recipe, load_recipe
 from .residual_action import residual_action
-from .scoring import progress_line, ranking_cost, score_agent
 
 # Environment i of a run with seed s starts at TRAINING_SEED + s * SEED_STRIDE + i; evaluations use episodes that no
 # training run reaches.
@@ -227,7 +226,7 @@ def _build_task(name: str, settings: dict[str, Any]) -> Task:
 def _build_environment(recipe: Recipe, machine: Machine, task: Task) -> Any:
     """Build the vector environment of a recipe, with its action mapping."""
     from ..envs.sb3_vec_env import HFrameVecEnv
-    from .wrappers import ResidualActionVecEnv
+    from .sb3_adapters import ResidualActionVecEnv
 
     environment = HFrameVecEnv(**recipe.env, machine=machine, task=task)
     mapping = residual_action(machine, recipe.actuation, recipe.period)

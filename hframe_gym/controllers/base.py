@@ -146,6 +146,73 @@ class EpisodeStarts:
         self.mask = np.zeros(len(self.mask), np.bool_)
 
 
+class FullStateController(Controller):
+    """Controller that needs the full state of a machine with two drives; subclasses implement `act_on_state`.
+
+    This class converts observations to states and goals, and records which stages start a new episode.
+
+    Args:
+        machine: Machine model from which the controller is designed.
+        period: Control period, s.
+
+    Attributes:
+        model: Design model of the machine.
+
+    Raises:
+        InputError: If the machine does not have two drives that can move both x and y, or the period is not positive.
+    """
+
+    def __init__(self, machine: Machine, period: float = 0.01) -> None:
+        super().__init__(machine, period)
+        self.model = MotionModel(machine)
+        self._starts = EpisodeStarts()
+
+    def reset(self, mask: Mask | None = None) -> None:
+        """Clear the memory of stages (simulated machines) whose next observation starts a new episode.
+
+        Args:
+            mask: True for the stages to reset, shape (B,). Default: all; the batch size may then change.
+        """
+        self._starts.reset(mask)
+
+    def act(self, observation: Mapping[str, NDArray[Any]]) -> Array:
+        """Compute the actions for the control period that starts now, for B stages (simulated machines).
+
+        Args:
+            observation: Arrays by key. `observation`: positions of x, y and the motors, then their velocities, m, rad,
+                m/s and rad/s, shape (B, 2 n) for n coordinates. `desired_goal`: tool goal (x, y), m, shape (B, 2). For
+                a moving goal also `preview`, m, shape (B, 2 P): goals (x, y) at the ends of the next P periods.
+
+        Returns:
+            Voltages divided by the rated voltages, in [-1, 1], shape (B, 2).
+
+        Raises:
+            InputError: If the observation does not fit the machine, or the preview is too short for the controller.
+        """
+        state = self.model.state(observation)
+        goals = [np.asarray(observation["desired_goal"], np.float64)[:, None]]
+        if "preview" in observation:
+            goals.append(np.asarray(observation["preview"], np.float64).reshape(len(state), -1, 2))
+        return self.act_on_state(state, np.concatenate(goals, axis=1))
+
+    @abstractmethod
+    def act_on_state(self, state: Array, goals: Array) -> Array:
+        """Compute the actions for the control period that starts now from the states and goals of B stages.
+
+        Args:
+            state: Belt travel (radius * angle of a rotary coordinate, position of a linear one) of the n coordinates
+                and its velocity, m and m/s, shape (B, 2 n).
+            goals: Tool goals (x, y), m, shape (B, 1 + P, 2): the present goal, then those at the ends of the next P
+                periods. P = 0 means that the goal does not move.
+
+        Returns:
+            Voltages divided by the rated voltages, in [-1, 1], shape (B, 2).
+
+        Raises:
+            InputError: If the preview is too short for the controller.
+        """
+
+
 class Estimator(Protocol):
     """Interface of a state estimator for a batch of B stages; `StateEstimator` implements it.
 

@@ -1,16 +1,63 @@
-"""Vector environment wrapper that applies a `ResidualAction` during training. Needs the extra `agents`."""
+"""Classes of stable-baselines3 for training and for policies. Importing this module needs the extra `agents`.
+
+LogScaleFeatures      evaluates the features of features.py in torch, as the first layer of a policy
+ResidualActionVecEnv  applies a `ResidualAction` to a vector environment
+"""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
+import torch
 from gymnasium import spaces
 from numpy.typing import NDArray
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.vec_env import VecEnvWrapper
 
 from ..envs.sb3_vec_env import HFrameVecEnv
+from .features import OBSERVATION_KEYS, feature_matrix
 from .residual_action import Observation, ResidualAction
+
+
+class LogScaleFeatures(BaseFeaturesExtractor):
+    """First layer of a policy: convert a dict observation to logarithmically scaled features (see features.py).
+
+    Args:
+        observation_space: Space with `observation` and `desired_goal`; `preview` and the keys that `ResidualAction`
+            adds are used where present.
+        radii: Belt travel per radian of each motor coordinate, m/rad, length drives.
+        rest: Belt travel of each motor coordinate per meter of x and y with unstretched belts, shape (drives, 2).
+    """
+
+    matrix: torch.Tensor  # (entries, features)
+    gain: torch.Tensor  # (features,)
+
+    def __init__(self, observation_space: spaces.Dict, radii: list[float], rest: list[list[float]]) -> None:
+        sizes = {
+            key: int(np.prod(observation_space[key].shape or ()))
+            for key in OBSERVATION_KEYS
+            if key in observation_space.spaces
+        }
+        matrix, gain = feature_matrix(sizes, np.array(radii), np.array(rest))
+        super().__init__(observation_space, features_dim=len(gain))
+        self.keys = tuple(sizes)
+        # Not persistent: they follow from agent.json, so the file of weights does not repeat them.
+        self.register_buffer("matrix", torch.as_tensor(matrix.astype(np.float32)), persistent=False)
+        self.register_buffer("gain", torch.as_tensor(gain.astype(np.float32)), persistent=False)
+
+    def forward(self, observation: dict[str, torch.Tensor]) -> torch.Tensor:
+        """Compute the features g * sign(z M) * log(1 + |z M|) of a batch of observations z.
+
+        Args:
+            observation: Arrays by key, in m, rad, m/s and rad/s, each of shape (batch, entries of the key).
+
+        Returns:
+            Features, dimensionless, about -1 to 1, shape (batch, features).
+        """
+        entries = torch.cat([observation[key] for key in self.keys], dim=1)
+        scaled = entries @ self.matrix
+        return torch.sign(scaled) * torch.log1p(scaled.abs()) * self.gain
 
 
 class ResidualActionVecEnv(VecEnvWrapper):
