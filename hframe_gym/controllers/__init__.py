@@ -1,4 +1,4 @@
-"""Controllers of batches of stages, designed from a machine model; independent of Gymnasium.
+"""Controllers of batches of machines, designed from a machine model; independent of Gymnasium.
 
 base                    interface, registry, full-state and output-feedback controllers
 motion_model            the machine as controllers see it, and the operating points of their gains

@@ -57,7 +57,7 @@ REVERSAL_SPEED = 0.01  # m/s, over which the direction of friction changes: tanh
 class AdaptiveController(FullStateController):
     """Model-based controller that adapts to the belt stiffness, masses and friction it estimates during the episode.
 
-    It commands a batch of B stages (simulated machines) with n coordinates each. The registered name `adaptive-pid`
+    It commands a batch of B simulated machines with n coordinates each. The registered name `adaptive-pid`
     follows that of `ModelBasedController` (`pid`).
 
     Args:
@@ -66,9 +66,10 @@ class AdaptiveController(FullStateController):
 
     Attributes:
         model: Model of the machine.
-        expected_friction: Voltages, divided by the rated voltages, that compensate the difference between estimated and
-            modeled friction along the path: two columns for each of PERIODS_AHEAD periods, the present one first, then
-            two columns with the recent mean; shape (B, 2 PERIODS_AHEAD + 2). Zero for a goal that does not move.
+        expected_friction: Voltages of the two drives, divided by the rated voltages, that compensate the difference
+            between estimated and modeled friction along the path: two columns for each of PERIODS_AHEAD periods, the
+            present one first, then two columns with the recent mean; shape (B, 2 PERIODS_AHEAD + 2). Zero for a goal
+            that does not move.
         feature_sizes: Numbers of columns of `expected_friction` and `estimates`, by name; a learned policy on top of
             this controller may observe both.
 
@@ -90,10 +91,10 @@ class AdaptiveController(FullStateController):
         self._state = self.expected_friction = np.zeros((0, 0))
 
     def reset(self, mask: Mask | None = None) -> None:
-        """Clear the estimates and the controllers of stages whose next observation starts a new episode.
+        """Clear the estimates and the controllers of simulated machines whose next observation starts a new episode.
 
         Args:
-            mask: True for the stages to reset, shape (B,). Default: all; the batch size may then change.
+            mask: True for the machines to reset, shape (B,) for B machines. Default: all; B may then change.
         """
         super().reset(mask)
         for controller in self._controllers():
@@ -101,11 +102,15 @@ class AdaptiveController(FullStateController):
 
     @property
     def estimates(self) -> Array:
-        """Estimated relative errors of Coulomb levels (n), masses (n) and belt stiffness (1), shape (B, 2 n + 1)."""
+        """Estimated relative errors of the model, shape (B, 2 n + 1) for B machines with n coordinates.
+
+        The columns are the Coulomb friction forces of the n coordinates, their n masses, and the belt stiffness; 0.1
+        means that the actual value is 10 % above the model's.
+        """
         return self._filter.estimates
 
     def act_on_state(self, state: Array, goals: Array) -> Array:
-        """Update the estimates and compute the actions for the control period that starts now, for B stages.
+        """Update the estimates and compute the actions for the control period that starts now, for B machines.
 
         Args:
             state: Belt travel (radius * angle of a rotary coordinate, position of a linear one) of the n coordinates
@@ -140,7 +145,7 @@ class AdaptiveController(FullStateController):
         """Record the actions that were applied instead of those that `act` returned last.
 
         Args:
-            actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (B, 2).
+            actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (B, 2) for B machines.
         """
         self._dead_time.replace_last(actions * self.model.rated)
         for controller in self._controllers():
@@ -189,7 +194,7 @@ class AdaptiveController(FullStateController):
 
 
 class MomentumFilter:
-    """Recursive least-squares estimator of friction, masses and belt stiffness of B stages with n coordinates each.
+    """Recursive least-squares estimator of friction, masses and belt stiffness of B machines with n coordinates.
 
     Args:
         model: Model of the machine with its declared parameters.
@@ -199,7 +204,7 @@ class MomentumFilter:
         model: As given.
         period: As given, s.
         estimates: Relative errors of the model (0.1: actual value 10 % above the model's), shape (B, 2 n + 1): n
-            Coulomb levels f_c, n masses d_c, belt stiffness e. Zero at the start of an episode.
+            Coulomb friction forces (f_c), n masses (d_c), belt stiffness (e). Zero at the start of an episode.
     """
 
     def __init__(self, model: MotionModel, period: float) -> None:
@@ -218,29 +223,34 @@ class MomentumFilter:
 
     @property
     def stiffness_ratio(self) -> Array:
-        """Estimated ratio of belt stiffness to nominal stiffness, shape (B,)."""
+        """Estimated ratio of belt stiffness to nominal stiffness, shape (B,) for B machines."""
         return 1.0 + self.estimates[:, -1]
 
     @property
     def mass_ratio(self) -> Array:
-        """Estimated ratio of moving mass to nominal mass along x and y, shape (B, 2)."""
-        n, moving_mass = len(self.model.mass), self.model.mass[:, None] * self.model.rigid**2
+        """Estimated ratio of moving mass to nominal mass along x and y, shape (B, 2) for B machines."""
+        n = len(self.model.mass)
+        # Contribution of each coordinate to the mass that moves along x and y with unstretched belts, kg, (n, 2).
+        moving_mass = self.model.mass[:, None] * self.model.rigid**2
         return 1.0 + self.estimates[:, n:-1] @ (moving_mass / moving_mass.sum(axis=0))
 
     def update(self, before: Array, after: Array, volts: Array, effect_force: Array, starts: NDArray[np.bool_]) -> None:
         """Update the estimates with the momentum balances of the last control period.
 
         Args:
-            before: States at the start of the period: belt travel (radius * angle of a rotary coordinate) and its
-                velocity, m and m/s, shape (B, 2 n).
+            before: States at the start of the period: belt travel (radius * angle of a rotary coordinate) of the n
+                coordinates of B machines and its velocity, m and m/s, shape (B, 2 n).
             after: States at the end of the period, m and m/s, shape (B, 2 n).
             volts: Mean voltages at the motors in the period, V, shape (B, 2).
-            effect_force: Modeled forces of the machine's effects on each coordinate, N, shape (B, n).
-            starts: True for stages whose episode starts with `after`, shape (B,); their estimates are set to zero.
+            effect_force: Modeled forces of the machine's effects (deviations from its nominal model) on each
+                coordinate, N, shape (B, n).
+            starts: True for machines whose episode starts with `after`, shape (B,); their estimates are set to zero.
         """
         size = len(self._prior_std)
         if len(self.estimates) != len(starts):
             self.estimates, self._covariance = np.zeros((len(starts), size)), np.zeros((len(starts), size, size))
+        # Kalman filter for constant parameters: D are measurements with the matrix H, S is the covariance of the
+        # innovation, K the gain.
         D, H, variance = self._balance(before, after, volts, effect_force)
         PH = self._covariance @ H.transpose(0, 2, 1)
         S = H @ PH + variance[:, :, None] * np.eye(4)
@@ -281,13 +291,15 @@ class MomentumFilter:
         """Compute the voltages that compensate the estimated minus the modeled Coulomb friction along a path.
 
         Args:
-            goals: Tool goals at k sample times, the first now, the others one period apart, m, shape (B, k, 2), k > 2.
+            goals: Tool goals (x, y) of B machines at k > 2 sample times, the first now, the others one period apart, m,
+                shape (B, k, 2).
 
         Returns:
             Voltages for the k - 2 periods from now on, V, shape (B, k - 2, 2).
         """
         model, n = self.model, len(self.model.mass)
         mean_velocity = np.diff(goals, axis=1) / self.period
+        # Velocities of x and y at the inner sample times, and by extrapolation at the first; then of all coordinates.
         inner = 0.5 * (mean_velocity[:, 1:] + mean_velocity[:, :-1])
         velocity = np.concatenate([2.0 * mean_velocity[:, :1] - inner[:, :1], inner], axis=1) @ model.rigid.T
         direction = _mean_direction(velocity[:, :-1], velocity[:, 1:])

@@ -58,10 +58,10 @@ HORIZON_S = 0.1  # s; goals farther ahead do not change the first voltage
 
 
 class TransferSelection(NamedTuple):
-    """Transfers to rest selected for a batch of B stages.
+    """Transfers to rest (motions that end at rest at the goal) selected for B simulated machines.
 
     Attributes:
-        periods: Number of control periods until the stage is at rest at its goal, shape (B,).
+        periods: Number of control periods until the machine is at rest at its goal, shape (B,).
         volts: Voltages of the first period of the transfer, V, shape (B, 2).
     """
 
@@ -70,7 +70,10 @@ class TransferSelection(NamedTuple):
 
 
 class MinimumEnergyTransfers:
-    """Feedback gains of minimum-energy transfers to rest, for every operating point and every number of periods.
+    """Feedback gains of minimum-energy transfers, for every operating point and every number of periods.
+
+    A transfer is a motion that brings the machine to rest at its goal. An operating point is a tool position at which
+    the machine is linearized.
 
     Args:
         model: Model of the machine.
@@ -82,7 +85,8 @@ class MinimumEnergyTransfers:
         grid: Operating points of the gains.
         shortest: Number of periods of the shortest transfer.
         longest: Number of periods of the longest transfer.
-        gains: Gains on the state error at the start of the transfer (belt travel and velocity of n coordinates) for the
+        gains: Gains on the state error at the start of the transfer (belt travel, that is, position or radius * angle,
+            of n coordinates and its velocity) for the
             voltages of its first and its last CHECKED_FINAL_PERIODS periods, V/m and Vs/m, shape (points,
             longest - shortest + 1, 1 + CHECKED_FINAL_PERIODS, 2, 2 n).
 
@@ -130,20 +134,22 @@ class MinimumEnergyTransfers:
     def select(
         self, error: Array, goal: Array, limits: tuple[Array, Array], at_least: NDArray[np.intp]
     ) -> TransferSelection:
-        """Select for each of B stages the shortest transfer to rest whose voltages stay within the limits.
+        """Select for each of B machines the shortest motion to rest at its goal whose voltages stay within the limits.
 
         Args:
             error: State minus goal state: belt travel (radius * angle of a rotary coordinate) of the n coordinates and
                 its velocity, m and m/s, shape (B, 2 n).
             goal: Tool position (x, y) of the goal, m, shape (B, 2).
             limits: Lowest and highest voltages, V, each of shape (B, 2).
-            at_least: Minimum number of periods of the transfer, from `shortest` to `longest`, shape (B,).
+            at_least: Minimum number of control periods until rest, from `shortest` to `longest`, shape (B,).
 
         Returns:
-            Numbers of periods and first voltages; those of the longest transfer where none stays within the limits.
+            Numbers of control periods until rest, and voltages of the first period; where no motion stays within the
+            limits, those of the longest one.
         """
         points = self.grid.nearest(goal)
         lowest, highest = limits
+        # Indices of numbers of periods, between which the shortest admissible transfer is.
         low, high = at_least - self.shortest, np.full(len(error), self.gains.shape[1] - 1)
         # Bisection, because a longer transfer needs less voltage. With ringing belts that can fail by a period; the
         # selected transfer is then slightly longer than the shortest admissible one.
@@ -156,7 +162,9 @@ class MinimumEnergyTransfers:
         return TransferSelection(high + self.shortest, volts)
 
     def reference(self, start: Array, goal: Array, limit: Array) -> tuple[Array, Array]:
-        """Compute the shortest admissible minimum-energy transfer from rest to rest, without Coulomb friction.
+        """Compute the minimum-energy motion from rest to rest, in the fewest periods that the voltage limits admit.
+
+        Coulomb friction is left out.
 
         Args:
             start: Tool position (x, y) at the start, m, shape (2,).
@@ -165,7 +173,7 @@ class MinimumEnergyTransfers:
 
         Returns:
             positions: Tool positions at the start and at the end of each of N periods, m, shape (N + 1, 2).
-            volts: Voltages held over each period, V, shape (N, 2).
+            volts: Voltages, constant over each period, V, shape (N, 2).
         """
         start, goal = (np.asarray(point, np.float64)[None] for point in (start, goal))
         error = self.model.goal_state(start) - self.model.goal_state(goal)
@@ -176,17 +184,20 @@ class MinimumEnergyTransfers:
         powers = [np.eye(len(A))]
         for _ in range(N):
             powers.append(A @ powers[-1])
+        # The voltages with the least sum of squares that bring the scaled state error to zero in N periods.
         reachability = np.hstack([powers[j] @ B for j in reversed(range(N))])  # (2 n, 2 N)
         volts = -np.linalg.lstsq(reachability, powers[N] @ (error[0] / scale), rcond=None)[0].reshape(N, -1)
         states = [error[0] / scale]
-        for u in volts:
-            states.append(A @ states[-1] + B @ u)
+        for period_volts in volts:
+            states.append(A @ states[-1] + B @ period_volts)
         axes = [self.model.machine.coordinate_names.index(axis) for axis in AXES]
         return np.array(states)[:, axes] + goal, volts
 
 
 class PreviewGains:
-    """Gains of preview control, which give the first voltage of the least-squares plan, by operating point.
+    """Gains of preview control: they give the first voltage of the least-squares plan at each operating point.
+
+    An operating point is a tool position at which the machine is linearized.
 
     The state holds the belt travel (radius * angle of a rotary coordinate) of n coordinates and its velocity.
 
@@ -243,13 +254,14 @@ class PreviewGains:
 
 
 class PreviewTracker:
-    """Preview control of the tool position of B stages (simulated machines), with a disturbance observer.
+    """Preview control of the tool position of B simulated machines, with a disturbance observer.
 
     Args:
         model: Model of the machine.
-        grid: Operating points of the gains.
+        grid: Operating points (tool positions) for which gains are computed.
         period: Control period, s.
-        goals: Number of previewed goals that `command` receives; those beyond `HORIZON_S` are not used.
+        goals: Number of previewed goals (one per control period) that `command` receives; those more than `HORIZON_S`
+            ahead are not used.
 
     Attributes:
         horizon: Number of previewed goals that are used, H.
@@ -265,28 +277,31 @@ class PreviewTracker:
         self._planned_force = self._disturbance = np.zeros((0, len(model.mass)))  # N
 
     def update_disturbance(self, before: Array, after: Array, volts: Array, starts: NDArray[np.bool_]) -> None:
-        """Update the low-pass filtered disturbance forces with the one-step prediction error of the last period.
+        """Update the low-pass filtered disturbance forces with the prediction error of the last control period.
 
         Args:
             before: States at the start of the period: belt travel (radius * angle of a rotary coordinate) of the n
-                coordinates and its velocity, m and m/s, shape (B, 2 n).
+                coordinates of B machines and its velocity, m and m/s, shape (B, 2 n).
             after: States at the end of the period, m and m/s, shape (B, 2 n).
             volts: Voltages at the motors in the period, V, shape (B, 2).
-            starts: True for stages whose episode starts with `after`, shape (B,); their estimate is set to zero.
+            starts: True for machines whose episode starts with `after`, shape (B,); their estimate is set to zero.
         """
         if len(self._disturbance) != len(after):
             self._planned_force = self._disturbance = np.zeros((len(after), len(self.model.mass)))
         points = self.grid.nearest(self.model.tool_position(before))
         predicted = _matvec(self.gains.A[points], before) + _matvec(self.gains.B[points], volts)
+        # Force that explains the prediction error, beyond the force that the plan assumed for this period, N, (B, n).
         residual = _matvec(self._force_from_residual[points], after - predicted) - self._planned_force
         self._disturbance = np.where(starts[:, None], 0.0, self._disturbance + self._filter_gain * residual)
 
     def command(self, state: Array, goals: Array, last: Array, elapsed_s: Array) -> Array:
-        """Compute the motor voltages that track the previewed goals, for the period that starts now.
+        """Compute the motor voltages that follow the previewed goals, for the control period that starts now.
 
         Args:
-            state: Present states: belt travel of the n coordinates and its velocity, m and m/s, shape (B, 2 n).
-            goals: Tool goals now and at the end of each following period, m, shape (B, 1 + H or more, 2).
+            state: Present states: belt travel (radius * angle of a rotary coordinate) of the n coordinates of B
+                machines and its velocity, m and m/s, shape (B, 2 n).
+            goals: Tool goals (x, y) now and at the end of each following period, m, shape (B, 1 + H or more, 2) for H =
+                `horizon`; further goals are ignored.
             last: Motor voltages of the previous period, V, shape (B, 2).
             elapsed_s: Time since the start of the episode, s, shape (B,).
 
@@ -299,6 +314,7 @@ class PreviewTracker:
         midpoint = 0.5 * (goals[:, 1:] + goals[:, :-1])
         path = np.concatenate([midpoint @ model.rigid.T, velocity @ model.rigid.T], axis=2)  # (B, H, 2 n)
         path = path.reshape(len(state) * H, -1)
+        # Friction and effects are evaluated at the middle of each period on the goal's path with unstretched belts.
         times = (elapsed_s[:, None] + self.period * (0.5 + np.arange(H))).ravel()
         modeled = (model.friction_force(path, times) + model.effect_force(path, times)).reshape(len(state), H, -1)
         force = modeled + self._disturbance[:, None]

@@ -65,7 +65,7 @@ class ModelBasedController(FullStateController):
 
     Attributes:
         model: Model of the machine.
-        transfers: Feedback gains for point-to-point motion.
+        transfers: Feedback gains of the motions to rest at a fixed goal (point-to-point motion).
 
     Raises:
         InputError: If the machine does not have two drives that can move both x and y, x or y has no range, or the
@@ -89,7 +89,7 @@ class ModelBasedController(FullStateController):
         self._settling = self._moving = self._elapsed = np.zeros(0, np.intp)
 
     def act_on_state(self, state: Array, goals: Array) -> Array:
-        """Compute the actions for the control period that starts now from the states and goals of B stages.
+        """Compute the actions for the control period that starts now from the states and goals of B simulated machines.
 
         Args:
             state: Belt travel (radius * angle of a rotary coordinate, position of a linear one) of the n coordinates
@@ -117,12 +117,12 @@ class ModelBasedController(FullStateController):
         """Record the actions that were applied instead of those that `act` returned last.
 
         Args:
-            actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (B, 2).
+            actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (B, 2) for B machines.
         """
         self._dead_time.replace_last(actions * self.model.rated)
 
     def _begin_period(self, state: Array) -> None:
-        """Clear the memory of stages whose episode starts with `state` (B, 2 n)."""
+        """Clear the memory of machines whose episode starts with `state` (B, 2 n)."""
         if self._starts.resize(len(state)):
             self._state = state
             self._stretch = np.zeros((len(state), len(self.model.mass)))

@@ -20,9 +20,9 @@ class TextbookPID(FullStateController):
     """PID control of the tool position along x and y; integration stops while a drive saturates (anti-windup).
 
     Each axis is modeled as a rigid mass m with viscous friction b, m v' = f - b v for velocity v and force f, and the
-    gains put all three closed-loop poles at -w, where w is the frequency of the slowest belt mode (or half the sampling
-    frequency, if that is lower) divided by FREQUENCY_MARGIN. The derivative acts on the measured velocity; for a moving
-    goal, on the difference to the goal's velocity.
+    gains put all three closed-loop poles at -w, where w is the frequency of the slowest vibration mode of the belts (or
+    half the sampling frequency, if that is lower) divided by FREQUENCY_MARGIN. The derivative acts on the measured
+    velocity; for a moving goal, on the difference to the goal's velocity.
 
     Args:
         machine: Machine model from which the gains are computed.
@@ -45,8 +45,10 @@ class TextbookPID(FullStateController):
         super().__init__(machine, period)
         modes = [frequency for frequency in mode_frequencies(machine) if frequency > 0.0]
         bandwidth = 2.0 * np.pi * min([0.5 / period, *modes]) / FREQUENCY_MARGIN  # rad/s
-        rigid = self.model.rigid**2
-        mass, viscous = rigid.T @ self.model.mass, rigid.T @ self.model.viscous
+        # Mass and friction of all coordinates, seen along x and y with unstretched belts, kg and Ns/m, each (2,).
+        travel_squared = self.model.rigid**2
+        mass, viscous = travel_squared.T @ self.model.mass, travel_squared.T @ self.model.viscous
+        # Coefficients of (s + w)^3 = s^3 + 3 w s^2 + 3 w^2 s + w^3 with w = bandwidth.
         self.proportional = 3.0 * mass * bandwidth**2
         # No derivative action where friction damps more than the poles need.
         self.derivative = np.maximum(3.0 * mass * bandwidth - viscous, 0.0)
@@ -55,7 +57,7 @@ class TextbookPID(FullStateController):
         self._axes = np.array([machine.coordinate_names.index(axis) for axis in AXES])
 
     def act_on_state(self, state: Array, goals: Array) -> Array:
-        """Compute the actions for the control period that starts now from the states and goals of B stages.
+        """Compute the actions for the control period that starts now from the states and goals of B simulated machines.
 
         Args:
             state: Belt travel (radius * angle of a rotary coordinate, position of a linear one) of the n coordinates
