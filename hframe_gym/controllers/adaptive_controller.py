@@ -157,7 +157,7 @@ class AdaptiveController(FullStateController):
         actions = [[controller.act_on_state(state, goals) for controller in row] for row in self._bank]
         commands = np.array(actions) * model.rated  # V, (stiffness ratios, mass ratios, B, 2)
         volts = self._inversion.motor_voltage(commands.reshape(-1, 2)).reshape(commands.shape)
-        # k: stiffness, l: mass, b: stage, a: axis.
+        # k: stiffness ratio, l: mass ratio, b: machine of the batch, a: axis.
         by_stiffness = _interpolation_weights(self._filter.stiffness_ratio, STIFFNESS_RATIOS)
         by_mass = _interpolation_weights(self._filter.mass_ratio, MASS_RATIOS)
         return np.asarray(np.einsum("kb,lba,klba->ba", by_stiffness, by_mass, volts @ model.force_per_volt.T))

@@ -222,7 +222,7 @@ class Estimator(Protocol):
     Attributes:
         model: Model of the machine.
         period: Control period, s.
-        channels: Number of measurements per stage.
+        channels: Number of measurements per machine.
     """
 
     model: MotionModel

@@ -86,9 +86,8 @@ class MinimumEnergyTransfers:
         shortest: Number of periods of the shortest transfer.
         longest: Number of periods of the longest transfer.
         gains: Gains on the state error at the start of the transfer (belt travel, that is, position or radius * angle,
-            of n coordinates and its velocity) for the
-            voltages of its first and its last CHECKED_FINAL_PERIODS periods, V/m and Vs/m, shape (points,
-            longest - shortest + 1, 1 + CHECKED_FINAL_PERIODS, 2, 2 n).
+            of n coordinates and its velocity) for the voltages of its first and its last CHECKED_FINAL_PERIODS periods,
+            V/m and Vs/m, shape (points, longest - shortest + 1, 1 + CHECKED_FINAL_PERIODS, 2, 2 n).
 
     Raises:
         InputError: If the period is not positive, or the machine's workspace has no range.
@@ -155,6 +154,7 @@ class MinimumEnergyTransfers:
         # selected transfer is then slightly longer than the shortest admissible one.
         while np.any(low < high):
             middle = (low + high) // 2
+            # Voltages of the k checked periods, (B, k, 2).
             volts = np.einsum("bkij,bj->bki", self.gains[points, middle], error)
             admissible = np.all((volts >= lowest[:, None, :]) & (volts <= highest[:, None, :]), axis=(1, 2))
             low, high = np.where(admissible | (low == high), low, middle + 1), np.where(admissible, middle, high)

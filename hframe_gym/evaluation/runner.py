@@ -67,7 +67,8 @@ def evaluate(
         duration_s: Length of an episode, s.
 
     Returns:
-        Scores and recorded episodes.
+        scores: Contents of scores.json: description of the scenario, and the scores by name of the controller.
+        episodes: Recorded episodes by name of the controller.
 
     Raises:
         InputError: If an option or a controller's name is wrong, a controller cannot run in this scenario, or the
@@ -84,11 +85,11 @@ def evaluate(
         controllers = {name: make_controller(name, scenario) for name in dict.fromkeys(names)}
     recorded = {name: rollout(controller, scenario) for name, controller in controllers.items()}
     bounds = stored_bounds(scenario)
-    cards = {}
-    for name, run in recorded.items():
-        card = score_episodes(run, bounds.times_s, seed=scenario.seed, metrics=scenario.metrics)
-        cards[name] = card | ({"over_bound_reason": bounds.reason} if "over_bound" in card else {})
-    return Evaluation(_describe(scenario) | {"controllers": cards}, recorded)
+    scores = {}
+    for name, controller_episodes in recorded.items():
+        metrics = score_episodes(controller_episodes, bounds.times_s, seed=scenario.seed, metrics=scenario.metrics)
+        scores[name] = metrics | ({"over_bound_reason": bounds.reason} if "over_bound" in metrics else {})
+    return Evaluation(_describe(scenario) | {"controllers": scores}, recorded)
 
 
 def _describe(scenario: Scenario) -> dict[str, Any]:
@@ -110,11 +111,12 @@ def rollout(controller: Controller, scenario: Scenario) -> Episodes:
     """Simulate all episodes of a scenario with one controller, in parallel.
 
     Args:
-        controller: Controller designed for the scenario's control period; it is reset first.
+        controller: Controller designed for the scenario's control period. Its memory is cleared first.
         scenario: Machine, task, randomization, sensors and number of episodes.
 
     Returns:
-        Positions, goals, voltages, energy and belt forces of the episodes, with ten samples per control period.
+        Positions, goals, voltages, energy and belt forces of the episodes. Positions and goals have ten samples per
+        control period.
 
     Raises:
         InputError: If the environment rejects the scenario's options, or the simulated motion diverges.
@@ -215,17 +217,18 @@ def _points(travel: Array, speed: Array) -> MotionPoint:
 
 
 def write_scores(folder: str | Path, scores: Mapping[str, Any]) -> Path:
-    """Write scores.json to a folder; if this fails, an existing file stays unchanged.
+    """Write the scores of an evaluation to scores.json; if this fails, an existing file stays unchanged.
 
     Args:
         folder: Folder, which is created if necessary.
         scores: `scores` of an `Evaluation`.
 
     Returns:
-        Path of scores.json.
+        Path of the written file.
 
     Raises:
         ValueError: If a value is not finite, which JSON cannot hold.
+        OSError: If the file cannot be written.
     """
     path = Path(folder) / "scores.json"
     write_text(path, json.dumps(scores, indent=2, allow_nan=False) + "\n")
@@ -236,12 +239,12 @@ def plot_episode(episodes: Episodes, episode: int = 0, *, title: str = "") -> An
     """Plot one episode in three panels: tool path, distance to the goal (and to the path) over time, and voltages.
 
     Args:
-        episodes: Recorded episodes.
+        episodes: Recorded episodes of one controller, as `rollout` returns them.
         episode: Index of the episode, from 0 to the number of episodes - 1.
         title: Title of the figure; empty for none.
 
     Returns:
-        A matplotlib figure.
+        Figure of matplotlib (`matplotlib.figure.Figure`).
 
     Raises:
         ImportError: If matplotlib is not installed; the message names the extra.
@@ -305,11 +308,11 @@ def _plot_voltages(axes: Any, episodes: Episodes, episode: int) -> None:
 
 
 def save_plot(path: str | Path, episodes: Episodes, episode: int = 0, *, title: str = "") -> None:
-    """Write the plot of one episode to a file; if this fails, an existing file stays unchanged.
+    """Plot one episode (tool path, error, voltages) to a file; if this fails, an existing file stays unchanged.
 
     Args:
         path: File to write; the suffix is .png, .svg or .pdf.
-        episodes: Recorded episodes.
+        episodes: Recorded episodes of one controller, as `rollout` returns them.
         episode: Index of the episode, from 0 to the number of episodes - 1.
         title: Title of the figure; empty for none.
 
