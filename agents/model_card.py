@@ -28,17 +28,21 @@ SECONDS_PER_MM = 0.01
 
 
 def score_agent(controller: Controller, scenario: Scenario) -> dict[str, float]:
-    """Simulate a controller in the episodes of a scenario and compute the scores of a learning curve.
+    """Simulate a controller in the episodes of a scenario and compute its scores, one row of a learning curve.
 
     Args:
-        controller: Controller to score.
+        controller: Controller to score, usually an `Agent` during its training.
         scenario: Machine, task and episodes in which the controller runs.
 
     Returns:
-        For a task with a fixed goal: `success`, the fraction of episodes that settle in the task's band; for each band
-        `success_BAND` and `settling_s_BAND`, the mean settling time, s, where a failed episode counts its full length;
-        `final_error_mm`, the median distance at the end, mm. For a task with a moving goal, means over the episodes:
-        `contour_rms_mm`, `tracking_rms_mm` and `tracking_max_mm`.
+        With a fixed goal (an episode settles in a band if the tool stays within this distance of the goal to the end):
+            `success`: fraction of episodes that settle in the task's band, 0 to 1.
+            `success_BAND`: fraction of episodes that settle, 0 to 1, for the name of each band in `BANDS`.
+            `settling_s_BAND`: mean settling time, s; an episode that does not settle counts with its full length.
+            `final_error_mm`: median distance to the goal at the end, mm.
+        With a moving goal, means over the episodes:
+            `contour_rms_mm`: root mean square distance to the path, mm.
+            `tracking_rms_mm`, `tracking_max_mm`: root mean square and largest distance to the moving goal, mm.
     """
     episodes = rollout(controller, scenario)
     error = episodes.goal_error  # (episodes, samples)
@@ -66,7 +70,7 @@ def _tracking_scores(error: Array, contour: Array) -> dict[str, float]:
 
 
 def ranking_cost(row: Mapping[str, Any]) -> float:
-    """Compute the cost by which rows of a learning curve are ranked; the lowest cost is the best.
+    """Compute the cost of one row of a learning curve; the agent of the row with the lowest cost is kept.
 
     With a fixed goal it is the sum of the mean settling times within 0.2 mm and within 1 mm and of the final error, at
     `SECONDS_PER_MM`. One settling time alone would let a single lucky episode out of 256 decide early in training,
@@ -74,10 +78,10 @@ def ranking_cost(row: Mapping[str, Any]) -> float:
     start has no contour error.
 
     Args:
-        row: Scores as `score_agent` returns them.
+        row: Scores of an agent as `score_agent` returns them.
 
     Returns:
-        Cost: s for a fixed goal, mm for a moving goal.
+        Cost, s for a fixed goal, mm for a moving goal.
     """
     if "contour_rms_mm" in row:
         return float(row["contour_rms_mm"] + row["tracking_rms_mm"])
@@ -105,7 +109,7 @@ def versions() -> dict[str, str]:
     """List the installed versions of Python and of the packages that determine a training run.
 
     Returns:
-        Version strings by "python" and by package name.
+        Version strings by package name, and that of Python by "python".
 
     Raises:
         PackageNotFoundError: If one of the packages is not installed.
@@ -114,10 +118,12 @@ def versions() -> dict[str, str]:
 
 
 def write_card(folder: str | Path, card: Mapping[str, Any]) -> None:
-    """Write card.json and README.md (see `render_card`); a file that cannot be completed stays unchanged.
+    """Write how an agent was trained and how well it performs to card.json, and as a page to README.md.
+
+    Each file is replaced only when its new version is complete.
 
     Args:
-        folder: Folder of the agent.
+        folder: Folder of the agent, which is created if necessary.
         card: Contents of card.json: recipe, versions, learning curve and, if known, scores and failures.
 
     Raises:
@@ -128,13 +134,14 @@ def write_card(folder: str | Path, card: Mapping[str, Any]) -> None:
 
 
 def render_card(card: Mapping[str, Any]) -> str:
-    """Format the card of an agent (its training and its scores) as a Markdown page.
+    """Format the record of an agent's training and scores (its card) as a Markdown page.
 
     Args:
-        card: Contents of card.json; `scores` and `failures` are optional.
+        card: Contents of card.json as `train` returns them: recipe, package versions, learning curve; `scores` and
+            `failures` are optional.
 
     Returns:
-        Text of the page.
+        Text of the page in Markdown.
     """
     last = card["curve"][-1]
     settings = card["settings"]

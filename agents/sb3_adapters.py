@@ -26,8 +26,14 @@ class LogScaleFeatures(BaseFeaturesExtractor):
     Args:
         observation_space: Space with `observation` and `desired_goal`; `preview` and the keys that `ResidualAction`
             adds are used where present.
-        radii: Belt travel per radian of each motor coordinate, m/rad, length drives.
-        rest: Belt travel of each motor coordinate per meter of x and y with unstretched belts, shape (drives, 2).
+        radii: Belt travel (radius * angle) per radian of each motor coordinate, m/rad, one per drive.
+        rest: Belt travel of each motor coordinate per meter of x and of y with unstretched belts, m/m, shape
+            (drives, 2).
+
+    Attributes:
+        keys: Keys of the observation in the order in which their arrays are concatenated.
+        matrix: Matrix M of the features, shape (entries, features).
+        gain: Factors g of the features, shape (features,).
     """
 
     matrix: torch.Tensor  # (entries, features)
@@ -49,6 +55,8 @@ class LogScaleFeatures(BaseFeaturesExtractor):
     def forward(self, observation: dict[str, torch.Tensor]) -> torch.Tensor:
         """Compute the features g * sign(z M) * log(1 + |z M|) of a batch of observations z.
 
+        M (`matrix`) forms position errors and speeds, each divided by several scales; g (`gain`) scales the features.
+
         Args:
             observation: Arrays by key, in m, rad, m/s and rad/s, each of shape (batch, entries of the key).
 
@@ -67,7 +75,8 @@ class ResidualActionVecEnv(VecEnvWrapper):
 
     Args:
         environment: Vector environment to wrap.
-        mapping: Conversion of policy outputs to drive actions, for a batch of all environments.
+        mapping: Conversion of policy outputs to drive actions (base action + authority * output), for all environments
+            together.
     """
 
     def __init__(self, environment: HFrameVecEnv, mapping: ResidualAction) -> None:
@@ -80,7 +89,8 @@ class ResidualActionVecEnv(VecEnvWrapper):
         """Start a new episode in every environment.
 
         Returns:
-            First observations: arrays by key, each of shape (num_envs, entries of the key).
+            First observations with the arrays that `ResidualAction.augment` adds: by key, each of shape (num_envs,
+            entries of the key).
         """
         self.mapping.reset()
         return self.mapping.augment(_as_dict(self.venv.reset()))
@@ -98,8 +108,9 @@ class ResidualActionVecEnv(VecEnvWrapper):
     ) -> tuple[dict[str, NDArray[Any]], NDArray[np.float64], NDArray[np.bool_], list[dict[str, Any]]]:
         """Finish the step that `step_async` started; environments whose episode has ended are reset.
 
-        The base controller must be called once per control period, so an episode's terminal observation contains the
-        base action of the period before; the stage is usually at rest by then.
+        The base controller, whose action the policy corrects, must be called once per control period. The last
+        observation of an episode therefore contains the base action of the period before; the machine is usually at
+        rest by then.
 
         Returns:
             observations: Arrays by key, each of shape (num_envs, entries of the key); the first ones of a new episode

@@ -54,15 +54,15 @@ def train(
     progress: Progress = lambda done, total: None,
     randomize: str | None = None,
 ) -> dict[str, Any]:
-    """Train an agent and write it to a folder.
+    """Train an agent with stable-baselines3 and write it to a folder.
 
     The same seed gives the same agent, bit for bit, with the same package versions on the same processor. A resumed run
     trains on other episodes than an uninterrupted one.
 
     Args:
-        algorithm: Settings of the run, or the first part of a recipe's name: "ppo", "sac", "sac_her", "residual" or
-            "adapt".
-        machine: Machine to train on, a built-in name or the path of a machine.json.
+        algorithm: Settings of the training run (a recipe), or the first part of the name of a recipe in the package:
+            "ppo", "sac", "sac_her", "residual" or "adapt".
+        machine: Machine to train on, a preset name or the path of a machine.json.
         task: Name of the task, "reach" or "track".
         steps: Environment steps in total, including those before a resume. Default: the recipe's.
         seed: Seed of the network, the episodes and the algorithm, not negative.
@@ -74,7 +74,7 @@ def train(
             machine.json with standard deviations.
 
     Returns:
-        Contents of card.json: recipe, package versions and learning curve.
+        Contents of card.json: recipe, package versions and learning curve (`curve`, one row of scores per evaluation).
 
     Raises:
         InputError: If the recipe or task is unknown, or `out` has no checkpoint of this recipe and seed to resume.

@@ -54,7 +54,7 @@ def score_episodes(
         episodes: Recorded episodes.
         bound_s: Shortest possible settling time of each episode, s, shape (B,), NaN where unknown, or None for all.
         seed: Seed of the bootstrap resampling that gives confidence intervals.
-        metrics: Name of a metric set, registered in `METRICS`. Default: "track" if the episodes have a path, else "reach".
+        metrics: Name of a set of metrics (see `METRICS`). Default: "track" if the episodes have a path, else "reach".
 
     Returns:
         The metrics of the metric set by name, and as mean and 95 % confidence interval over the episodes:
