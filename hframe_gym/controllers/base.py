@@ -1,7 +1,7 @@
 """Controller interface and registry.
 
-A controller commands a batch of B simulated machines at once. To add one, subclass `Controller` in a new
-module and register it:
+A controller commands a batch of B simulated machines at once. To add one, subclass `Controller`, or
+`FullStateController` for a controller of states and goals, in a new module and register it:
 
     @CONTROLLERS.register("my-controller")
     class MyController(Controller):
@@ -118,13 +118,13 @@ class EpisodeStarts:
         self.mask: Mask = np.zeros(0, np.bool_)
 
     def reset(self, mask: Mask | None = None) -> None:
-        """Mark machines whose episode starts with the next observation, in addition to those already marked.
+        """Mark simulated machines whose episode starts with the next observation, in addition to those already marked.
 
         Args:
             mask: True for the machines to mark, shape (B,) for B machines. Default: all; B may then change.
         """
         if mask is None:
-            self.mask = np.zeros(0, np.bool_)
+            self.mask = np.zeros(0, np.bool_)  # so that the next `resize` marks all machines
         elif len(self.mask):
             self.mask = self.mask | mask
 
@@ -270,6 +270,10 @@ class OutputFeedbackController(Controller):
         controller: Full-state controller (`feedback` is "state" or "estimated_state").
         estimator: State estimator of the same machine and control period. Its measurements are the first
             `estimator.channels` columns of the array `observation` that the environment returns.
+
+    Attributes:
+        controller: As given.
+        estimator: As given.
 
     Raises:
         InputError: If the estimator's period is not positive.

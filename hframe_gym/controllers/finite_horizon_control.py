@@ -197,9 +197,8 @@ class MinimumEnergyTransfers:
 class PreviewGains:
     """Gains of preview control: they give the first voltage of the least-squares plan at each operating point.
 
-    An operating point is a tool position at which the machine is linearized.
-
-    The state holds the belt travel (radius * angle of a rotary coordinate) of n coordinates and its velocity.
+    An operating point is a tool position at which the machine is linearized. The state holds the belt travel (radius *
+    angle of a rotary coordinate) of n coordinates and its velocity.
 
     Args:
         model: Model of the machine.
@@ -264,6 +263,7 @@ class PreviewTracker:
             ahead are not used.
 
     Attributes:
+        model, grid, period: As given.
         horizon: Number of previewed goals that are used, H.
         gains: Preview gains by operating point.
     """
@@ -319,6 +319,7 @@ class PreviewTracker:
         modeled = (model.friction_force(path, times) + model.effect_force(path, times)).reshape(len(state), H, -1)
         force = modeled + self._disturbance[:, None]
         self._planned_force = force[:, 0]
+        # The plan's first voltages: feedback of the state and the last voltages, feedforward of goals and forces.
         points, gains = self.grid.nearest(goals[:, 0]), self.gains
         volts = _matvec(gains.state[points], state) + _matvec(gains.last[points], last)
         volts += _matvec(gains.goal[points], goals[:, 1:].reshape(len(state), -1))

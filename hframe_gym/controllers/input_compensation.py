@@ -94,6 +94,8 @@ class DeadTime:
             volts: Voltages of B simulated machines from each of these times until the next, V, shape (B, k, drives);
                 the last row is the value at the end of the period.
         """
+        # The delay has k complete periods and a remainder: until the remainder has passed, the drives receive the
+        # voltages sent k + 1 periods ago, then those sent k periods ago.
         volts = self._sent[:, [self._complete_periods + 1, self._complete_periods, self._complete_periods]]
         times = np.array([0.0, self._remainder_s, self.period])
         return (times, volts) if self._remainder_s > 0.0 else (times[1:], volts[:, 1:])

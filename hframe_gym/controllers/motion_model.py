@@ -98,7 +98,7 @@ class MotionModel:
                 f"{', '.join(d.name for d in machine.drives)}"
             )
         n = len(names)
-        units = machine.travel_per_unit
+        units = machine.travel_per_unit  # 1 for linear coordinates, radius for rotary ones, m/rad
         linear = [c.name for c in machine.coordinates if c.kind == "linear"]
         self.rigid = np.stack(
             [rest_state(machine, [float(c == axis) for c in linear])[:n] * units for axis in AXES], axis=1
@@ -117,7 +117,7 @@ class MotionModel:
         if abs(np.linalg.det(self.force_per_volt)) < 1e-9 * np.abs(self.force_per_volt).max() ** 2:
             raise InputError(f"machine {machine.name!r}: its drives cannot push along both x and y")
         self._volts_per_force = np.linalg.inv(self.force_per_volt)
-        order = np.array([self.observed.index(c) for c in names])
+        order = np.array([self.observed.index(c) for c in names])  # columns of an observation's positions
         self._order = np.concatenate([order, n + order])
         self._scale = np.tile(units, 2)
 
@@ -321,9 +321,9 @@ class MotionModel:
             Disturbance forces along x and y, Coulomb friction included, N, shape (B, 2).
         """
         n = len(self.mass)
-        viscous = self.viscous * (after[:, :n] - before[:, :n])
-        momentum = self.mass * (after[:, n:] - before[:, n:])
-        return (viscous + momentum) @ self.rigid / period - volts @ self.force_per_volt.T
+        viscous_impulse = self.viscous * (after[:, :n] - before[:, :n])  # Ns
+        momentum_change = self.mass * (after[:, n:] - before[:, n:])  # Ns
+        return (viscous_impulse + momentum_change) @ self.rigid / period - volts @ self.force_per_volt.T
 
     def top_speed(self) -> Array:
         """Compute the steady speeds along x alone and along y alone with both drives at rated voltage.
