@@ -152,7 +152,7 @@ class StateEstimator:
         travel, valid = self.measurements.to_travel(values), self.measurements.in_range(values)
         self._predict()
         width = len(self._scale)  # of the state, 2 n; the logarithms of parameter ratios follow
-        if starts.any():
+        if starts.any():  # new episodes start at rest, with the declared parameters
             self._mean[starts] = 0.0
             self._mean[starts, :width] = self._state_at_rest(travel, valid)[starts]
             self._covariance[starts] = self._initial_covariance

@@ -179,6 +179,7 @@ class TimeOptimalReach:
         begin, end = np.asarray(start, float), np.asarray(goal, float)
         nominal = list(self.machine.parameters.values())
         values = np.asarray(nominal if parameters is None else parameters, np.float64)
+        # Constants of the nonlinear program: the state at the start (belt travel, speed), the goal and the parameters.
         fixed = np.concatenate([self._rigid @ begin, np.zeros(len(self._rigid)), end, values])
         for factor in guesses:
             guess = self._guess(begin, end, factor * self._rigid_time(end - begin, values))
