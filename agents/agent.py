@@ -48,17 +48,18 @@ def policy_keywords(policy: Mapping[str, Any], features: Mapping[str, Any]) -> d
     """Build the argument `policy_kwargs` of a stable-baselines3 algorithm, with `LogScaleFeatures` as its input layer.
 
     Args:
-        policy: The [policy] table of a recipe, for example the layer sizes.
+        policy: Keyword arguments of the policy class, for example layer sizes: the table [policy] of a recipe (a TOML
+            file with the settings of a training run).
         features: Keyword arguments of `LogScaleFeatures`, as `feature_parameters` returns them.
 
     Returns:
-        Keyword arguments of the policy class.
+        Keyword arguments of the policy class: the given ones and those that set the input layer.
 
     Raises:
         ImportError: If the extra `agents` is not installed.
     """
     import_optional("stable_baselines3")
-    from .feature_extractor import LogScaleFeatures
+    from .sb3_adapters import LogScaleFeatures
 
     return {
         **policy,
@@ -68,13 +69,16 @@ def policy_keywords(policy: Mapping[str, Any], features: Mapping[str, Any]) -> d
 
 
 class Agent(Controller):
-    """Controller of a batch of environments that applies the mean action of a trained policy.
+    """Controller of any number of environments that applies the mean action of a trained policy, without exploration.
 
     Args:
         policy: Policy of stable-baselines3.
-        mapping: Converts policy outputs to actions (`ResidualAction`); None if the outputs are the actions.
+        mapping: Converts outputs of the policy to actions; None if the outputs are the actions.
         machine: Machine on which the policy was trained.
-        card: Contents of agent.json (recipe, task, control period, ...); further entries are not saved.
+        card: Contents of agent.json (`AGENT_KEYS`: recipe, task, control period, ...); further entries are not saved.
+
+    Raises:
+        InputError: If the control period in the card is not positive.
     """
 
     feedback = "observation"
@@ -90,7 +94,8 @@ class Agent(Controller):
 
         Args:
             observation: Arrays by key as the environment returns them (`observation`, `desired_goal` and, for a moving
-                goal, `preview`), each of shape (batch, entries of the key), m, rad, m/s and rad/s.
+                goal, `preview`), each of shape (batch, entries of the key) for a batch of environments, m, rad, m/s and
+                rad/s.
 
         Returns:
             Voltages divided by the rated voltages, in [-1, 1], shape (batch, drives).
@@ -113,7 +118,8 @@ class Agent(Controller):
         """Record the actions that were applied instead of those that `act` returned last.
 
         Args:
-            actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (batch, drives).
+            actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (batch, drives) for a batch of
+                environments.
         """
         if self.mapping:
             self.mapping.replace_last_action(actions)
@@ -122,7 +128,8 @@ class Agent(Controller):
         """Clear the memory of environments whose next observation starts a new episode.
 
         Args:
-            mask: True for the environments to reset, shape (batch,). Default: all; the batch size may then change.
+            mask: True for the environments to reset, shape (batch,) for a batch of environments. Default: all; the
+                number of environments may then change.
         """
         if self.mapping:
             self.mapping.reset(mask)
@@ -149,16 +156,19 @@ class Agent(Controller):
         return f"agent {self.card['name']}: {'; '.join(differences)}. Its scores may be poor."
 
     def save(self, folder: str | Path) -> None:
-        """Write policy.safetensors, agent.json and machine.json; a file that cannot be completed stays unchanged.
+        """Write weights, description and machine to policy.safetensors, agent.json and machine.json.
+
+        Each file is replaced only when its new version is complete.
 
         Args:
-            folder: Folder for the files.
+            folder: Folder for the files, which is created if necessary.
 
         Raises:
             ImportError: If the extra `agents` is not installed.
         """
         safetensors = import_optional("safetensors.torch")
         state = self.policy.state_dict()
+        # The critics estimate returns and are needed for training only.
         weights = {name: value.contiguous() for name, value in state.items() if not name.startswith(CRITIC_PREFIXES)}
         with atomic_file(Path(folder) / "policy.safetensors") as temporary:
             safetensors.save_file(weights, temporary)
@@ -198,7 +208,9 @@ class Agent(Controller):
 
 
 def load_weights(policy: Any, folder: Path) -> None:
-    """Replace the weights of a policy by those in policy.safetensors; the critics' weights stay unchanged.
+    """Replace the weights of a policy by those in policy.safetensors.
+
+    The weights of the critics, which estimate returns in training, are not in the file and stay unchanged.
 
     Args:
         policy: Policy of stable-baselines3, which is modified.

@@ -25,10 +25,11 @@ class AgentSource(ControllerSource):
 
         Args:
             name: Folder of an agent, or name of an agent that comes with the package, for example "ppo".
-            scenario: Machine, task and control period with which the agent will run.
+            scenario: Machine, task and control period with which the agent will run; the task selects among the agents
+                that come with the package.
 
         Returns:
-            The agent, or None if the name is neither a folder nor that of a shipped agent.
+            The agent, or None if the name is neither a folder nor that of an agent that comes with the package.
 
         Raises:
             InputError: If the folder holds no agent or its files are damaged.
@@ -45,7 +46,7 @@ class AgentSource(ControllerSource):
 
     @staticmethod
     def describe(scenario: Scenario) -> str:
-        """Describe the names that this source accepts.
+        """Describe the names by which a user can choose a trained agent.
 
         Args:
             scenario: Scenario in which the agent will run; its task selects the agents that are listed.

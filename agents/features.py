@@ -8,7 +8,7 @@ for several scales: linear well below a scale, logarithmic above it. Errors ente
 (as belt travel), now and extrapolated one control period ahead. Every v is linear in the observation z, so all
 features are one matrix product followed by one logarithm: gain * sign(z M) * log(1 + |z M|).
 
-This module needs NumPy only; `feature_extractor` evaluates the features in torch.
+This module needs NumPy only; sb3_adapters.py evaluates the features in torch.
 """
 
 from __future__ import annotations
@@ -52,15 +52,15 @@ OBSERVATION_KEYS = (
 
 
 def feature_parameters(machine: Machine) -> dict[str, Any]:
-    """Compute the machine's geometry that the features need; the results are keyword arguments of `feature_matrix`.
+    """Compute the geometry of a machine that `feature_matrix` needs, as its keyword arguments.
 
     Args:
         machine: Machine with coordinates x and y and one motor coordinate per drive.
 
     Returns:
-        `radii`: belt travel per radian of each motor coordinate, m/rad, list of length drives.
-        `rest`: belt travel of each motor coordinate per meter of x and y with unstretched belts, list of shape
-        (drives, 2).
+        `radii`: belt travel (radius * angle) per radian of each motor coordinate, m/rad, list of one per drive.
+        `rest`: belt travel of each motor coordinate per meter of x and of y with unstretched belts, m/m, nested list of
+            shape (drives, 2).
     """
     linear_names = [c.name for c in machine.coordinates if c.kind == "linear"]
     driven = [machine.coordinate_names.index(drive.coordinate) for drive in machine.drives]
@@ -73,18 +73,21 @@ def feature_parameters(machine: Machine) -> dict[str, Any]:
 
 
 def feature_matrix(sizes: Mapping[str, int], radii: Array, rest: Array) -> tuple[Array, Array]:
-    """Build the matrix M and the gains g of the features g * sign(z M) * log(1 + |z M|) of an observation z.
+    """Build the matrix M and the factors g of the features g * sign(z M) * log(1 + |z M|) of an observation z.
 
     Args:
-        sizes: Number of entries of each observation key, in the order in which they are concatenated to z.
-        radii: Belt travel per radian of each motor coordinate, m/rad, shape (drives,).
-        rest: Belt travel of each motor coordinate per meter of x and y with unstretched belts, shape (drives, 2).
+        sizes: Number of entries of the observation's array of each key, in the order in which they are concatenated to
+            z. `observation` and `desired_goal` are required; of the other keys, those given are used.
+        radii: Belt travel (radius * angle) per radian of each motor coordinate, m/rad, shape (drives,).
+        rest: Belt travel of each motor coordinate per meter of x and of y with unstretched belts, m/m, shape
+            (drives, 2).
 
     Returns:
         M: Combines entries of z to errors and speeds and divides them by their scales, shape (entries, features).
-        g: Gains that scale the largest usual values to 1, shape (features,).
+        g: Factors that scale the largest usual values to 1, shape (features,).
     """
-    selectors = _selectors(sizes)  # key -> (entries, entries of the key)
+    # Each quantity is a matrix of columns (entries of z, components): the quantity is z times these columns.
+    selectors = _selectors(sizes)
     drives = len(radii)
     tool, motors, tool_speed, motor_speed = _split_state(selectors["observation"], radii)
     goal = selectors["desired_goal"]

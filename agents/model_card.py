@@ -1,4 +1,7 @@
-"""The card of an agent: card.json, how it was trained and how well it performs, and README.md made from it."""
+"""Scores of an agent on fixed episodes (rows of its learning curve), and its card: card.json and README.md.
+
+The card records how the agent was trained and how well it performs; README.md is made from card.json.
+"""
 
 from __future__ import annotations
 
@@ -9,17 +12,104 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from ..atomic_files import write_text
-from ..evaluation import BANDS
+import numpy as np
+from numpy.typing import NDArray
 
+from ..atomic_files import write_text
+from ..controllers import Controller
+from ..envs import as_task
+from ..evaluation import BANDS, Episodes, Scenario, rollout, settling_times
+
+Array = NDArray[np.float64]
 PACKAGES = ("hframe_gym", "stable-baselines3", "torch", "numpy", "numba", "gymnasium")
+# Seconds of settling time that one millimeter of final error counts. Agents that settle in no band differ only by their
+# final error; for agents that settle, 0.01 mm counts as little as 0.1 ms, far below the noise of 256 episodes.
+SECONDS_PER_MM = 0.01
+
+
+def score_agent(controller: Controller, scenario: Scenario) -> dict[str, float]:
+    """Simulate a controller in the episodes of a scenario and compute its scores, one row of a learning curve.
+
+    Args:
+        controller: Controller to score, usually an `Agent` during its training.
+        scenario: Machine, task and episodes in which the controller runs.
+
+    Returns:
+        With a fixed goal (an episode settles in a band if the tool stays within this distance of the goal to the end):
+            `success`: fraction of episodes that settle in the task's band, 0 to 1.
+            `success_BAND`: fraction of episodes that settle, 0 to 1, for the name of each band in `BANDS`.
+            `settling_s_BAND`: mean settling time, s; an episode that does not settle counts with its full length.
+            `final_error_mm`: median distance to the goal at the end, mm.
+        With a moving goal, means over the episodes:
+            `contour_rms_mm`: root mean square distance to the path, mm.
+            `tracking_rms_mm`, `tracking_max_mm`: root mean square and largest distance to the moving goal, mm.
+    """
+    episodes = rollout(controller, scenario)
+    error = episodes.goal_error  # (episodes, samples)
+    if episodes.contour is not None:
+        return _tracking_scores(error, episodes.contour)
+    return _reaching_scores(error, episodes, as_task(scenario.task).band)
+
+
+def _reaching_scores(error: Array, episodes: Episodes, task_band: float) -> dict[str, float]:
+    """Return the scores of a task with a fixed goal from the distance to it, m, shape (episodes, samples)."""
+    row = {"success": float(settling_times(error, episodes.time_s, task_band)[1].mean())}
+    for name, band in BANDS.items():
+        times, success = settling_times(error, episodes.time_s, band)
+        row |= {f"success_{name}": float(success.mean()), f"settling_s_{name}": float(times.mean())}
+    return {**row, "final_error_mm": float(1e3 * np.median(error[:, -1]))}
+
+
+def _tracking_scores(error: Array, contour: Array) -> dict[str, float]:
+    """Return the scores of a task with a moving goal from tracking and contour errors, m, (episodes, samples)."""
+    return {
+        "contour_rms_mm": float(1e3 * np.sqrt(np.mean(contour**2, axis=1)).mean()),
+        "tracking_rms_mm": float(1e3 * np.sqrt(np.mean(error**2, axis=1)).mean()),
+        "tracking_max_mm": float(1e3 * error.max(axis=1).mean()),
+    }
+
+
+def ranking_cost(row: Mapping[str, Any]) -> float:
+    """Compute the cost of one row of a learning curve; the agent of the row with the lowest cost is kept.
+
+    With a fixed goal it is the sum of the mean settling times within 0.2 mm and within 1 mm and of the final error, at
+    `SECONDS_PER_MM`. One settling time alone would let a single lucky episode out of 256 decide early in training,
+    when almost none settles. Along a path it is the sum of contour and tracking error: a tool that never leaves its
+    start has no contour error.
+
+    Args:
+        row: Scores of an agent as `score_agent` returns them.
+
+    Returns:
+        Cost, s for a fixed goal, mm for a moving goal.
+    """
+    if "contour_rms_mm" in row:
+        return float(row["contour_rms_mm"] + row["tracking_rms_mm"])
+    settling_s = row["settling_s_0.2mm"] + row["settling_s_1mm"]
+    return float(settling_s + SECONDS_PER_MM * row["final_error_mm"])
+
+
+def progress_line(row: Mapping[str, Any]) -> str:
+    """Format one row of a learning curve as a line for the terminal.
+
+    Args:
+        row: Scores as `score_agent` returns them, with `steps` (environment steps) and `seconds` (elapsed time).
+
+    Returns:
+        One line of text without a line break.
+    """
+    prefix = f"{row['steps']:>9d} steps  {row['seconds']:6.0f} s"
+    if "contour_rms_mm" in row:
+        return f"{prefix}  contour {row['contour_rms_mm']:.3f} mm rms  tracking {row['tracking_rms_mm']:.3f} mm rms"
+    fractions = ", ".join(f"{100 * row[f'success_{band}']:.1f} % within {band}" for band in BANDS)
+    return f"{prefix}  {fractions}; settles to 0.2mm in {row['settling_s_0.2mm']:.3f} s"
 
 
 def versions() -> dict[str, str]:
     """List the installed versions of Python and of the packages that determine a training run.
 
     Returns:
-        Version strings by "python" and by package name.
+        Version strings by package name, and that of Python by "python".
 
     Raises:
         PackageNotFoundError: If one of the packages is not installed.
@@ -28,10 +118,12 @@ def versions() -> dict[str, str]:
 
 
 def write_card(folder: str | Path, card: Mapping[str, Any]) -> None:
-    """Write card.json and README.md (see `render_card`); a file that cannot be completed stays unchanged.
+    """Write how an agent was trained and how well it performs to card.json, and as a page to README.md.
+
+    Each file is replaced only when its new version is complete.
 
     Args:
-        folder: Folder of the agent.
+        folder: Folder of the agent, which is created if necessary.
         card: Contents of card.json: recipe, versions, learning curve and, if known, scores and failures.
 
     Raises:
@@ -42,13 +134,14 @@ def write_card(folder: str | Path, card: Mapping[str, Any]) -> None:
 
 
 def render_card(card: Mapping[str, Any]) -> str:
-    """Format the card of an agent (its training and its scores) as a Markdown page.
+    """Format the record of an agent's training and scores (its card) as a Markdown page.
 
     Args:
-        card: Contents of card.json; `scores` and `failures` are optional.
+        card: Contents of card.json as `train` returns them: recipe, package versions, learning curve; `scores` and
+            `failures` are optional.
 
     Returns:
-        Text of the page.
+        Text of the page in Markdown.
     """
     last = card["curve"][-1]
     settings = card["settings"]

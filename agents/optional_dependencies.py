@@ -11,7 +11,7 @@ EXTRA_MODULES = ("torch", "stable_baselines3", "safetensors.torch", "tensorboard
 
 
 def import_optional(module: str) -> Any:
-    """Import a module of the extra `agents`.
+    """Import a module of the optional dependencies `hframe_gym[agents]`.
 
     Args:
         module: Full name of the module, for example "stable_baselines3.ppo".
@@ -20,7 +20,7 @@ def import_optional(module: str) -> Any:
         The module.
 
     Raises:
-        ImportError: If the module is not installed; the message names the extra.
+        ImportError: If the module is not installed; the message names the pip command.
     """
     try:
         return importlib.import_module(module)
@@ -33,7 +33,7 @@ def require_training_packages() -> None:
     """Import every package that training needs, so that a missing one is reported before any work starts.
 
     Raises:
-        ImportError: If a package of the extra `agents` is not installed.
+        ImportError: If a package of the optional dependencies `hframe_gym[agents]` is not installed.
     """
     for module in EXTRA_MODULES:
         import_optional(module)
@@ -49,7 +49,7 @@ def single_threaded_torch() -> Iterator[None]:
         Nothing.
 
     Raises:
-        ImportError: If torch is not installed; the message names the extra `agents`.
+        ImportError: If torch is not installed; the message names the pip command.
     """
     torch = import_optional("torch")
     threads_before = torch.get_num_threads()

@@ -15,7 +15,7 @@ ALGORITHMS = ("ppo", "sac")
 
 @dataclass(frozen=True)
 class LinearSchedule:
-    """A rate that changes linearly over a training run, as stable-baselines3 takes it.
+    """Rate, for example a learning rate, that changes linearly over a training run; called by stable-baselines3.
 
     Attributes:
         first: Rate at the first step.
@@ -26,10 +26,11 @@ class LinearSchedule:
     last: float
 
     def __call__(self, remaining: float) -> float:
-        """Interpolate the rate at a point of the run.
+        """Interpolate the rate linearly at a point of the training run.
 
         Args:
-            remaining: Fraction of the run that remains, 1 at the first step and 0 at the last; may be negative.
+            remaining: Fraction of the training run that remains, 1 at the first step and 0 at the last; beyond the last
+                step it is negative and counts as 0.
 
         Returns:
             Rate between `first` and `last`, in their unit.
@@ -39,20 +40,22 @@ class LinearSchedule:
 
 @dataclass(frozen=True)
 class Recipe:
-    """Settings of a training run.
+    """Settings of a training run of stable-baselines3.
 
     Attributes:
-        name: Name of the recipe, ALGORITHM_TASK.
+        name: Name of the recipe, ALGORITHM_TASK, for example "ppo_reach".
         kind: Algorithm, "ppo" or "sac".
         steps: Environment steps of a run.
         env: Keyword arguments of the vector environment `HFrameVecEnv`.
-        algorithm: Keyword arguments of the stable-baselines3 class. A pair is a rate that changes linearly from the
+        algorithm: Keyword arguments of the algorithm's class. A pair is a rate that changes linearly from the
             first value to the second over the run.
         policy: Keyword arguments of its policy class.
         task: Keyword arguments of the task class.
-        actuation: Keyword arguments of `ResidualAction`; if empty, the policy's outputs are the actions.
+        actuation: Keyword arguments of `ResidualAction`, which converts the policy's outputs to actions; if empty, the
+            outputs are the actions.
         hindsight: Keyword arguments of `HerReplayBuffer`; if empty, the replay buffer is the algorithm's default.
-        start: Name of the shipped agent from whose weights training starts; empty to start from random weights.
+        start: Name of an agent that comes with the package and from whose weights training starts; empty to start from
+            random weights.
     """
 
     name: str
@@ -68,35 +71,38 @@ class Recipe:
 
     @property
     def algorithm_keywords(self) -> dict[str, Any]:
-        """Copy of `algorithm` in which every pair of rates is replaced by a `LinearSchedule`."""
+        """Keyword arguments of the stable-baselines3 algorithm.
+
+        They are those of `algorithm`, with a `LinearSchedule` in place of every pair of rates [first, last].
+        """
         return {k: LinearSchedule(*v) if isinstance(v, list) else v for k, v in self.algorithm.items()}
 
     @property
     def period(self) -> float:
-        """Control period, s."""
+        """Control period of the training environment, s: the recipe's, else the environment's default."""
         return float(self.env.get("period", EnvConfig.period))
 
     def as_dict(self) -> dict[str, Any]:
         """Convert the recipe to a dictionary, as stored in card.json.
 
         Returns:
-            Values by attribute name.
+            Values of the attributes by their names.
         """
         return asdict(self)
 
 
 def recipe_names() -> tuple[str, ...]:
-    """List the recipes that come with the package.
+    """List the recipes (settings of training runs) that come with the package.
 
     Returns:
-        Names of the form ALGORITHM_TASK, sorted.
+        Names of the form ALGORITHM_TASK, for example "ppo_reach", sorted.
     """
     files = (resources.files(__package__) / "recipes").iterdir()
     return tuple(sorted(file.name.removesuffix(".toml") for file in files if file.name.endswith(".toml")))
 
 
 def load_recipe(name: str, task: str) -> Recipe:
-    """Load the recipe of an algorithm for a task.
+    """Load the settings of a training run (a recipe) for an algorithm and a task.
 
     Args:
         name: First part of the recipe's name, for example "ppo", "sac", "sac_her", "residual" or "adapt".

@@ -35,8 +35,8 @@ class Authority:
     """Authority of a policy: the fraction of the rated voltage that an output of 1 represents, by distance and speed.
 
     Attributes:
-        least: Fraction at rest at the goal, 0 to 1.
-        most: Upper limit of the fraction.
+        least: Fraction for a tool at rest at its goal, 0 to 1.
+        most: Upper limit of the fraction, 0 to 1.
         full_at_m: Distance to the goal that increases the fraction by 1, m.
         full_at_m_s: Tool speed that increases the fraction by 1, m/s.
     """
@@ -47,11 +47,13 @@ class Authority:
     full_at_m_s: float = 0.2
 
     def __call__(self, observation: Observation, tool_speeds: slice) -> Array:
-        """Compute min(most, least + distance / full_at_m + speed / full_at_m_s) for each environment.
+        """Compute the fraction of the rated voltage that a policy output of 1 represents, for each environment.
+
+        It is min(most, least + distance / full_at_m + speed / full_at_m_s), with distance to the goal and tool speed.
 
         Args:
             observation: Arrays by key. `observation`: full state, the tool position (x, y) in its first two columns, m,
-                shape (batch, entries). `desired_goal`: tool goal, m, shape (batch, 2).
+                shape (batch, entries) for a batch of environments. `desired_goal`: tool goal, m, shape (batch, 2).
             tool_speeds: Slice of the columns of `observation` that hold the tool velocity along x and y, m/s.
 
         Returns:
@@ -66,14 +68,19 @@ class Authority:
 class ResidualAction:
     """Conversion of policy outputs to actions, action = base + authority * output, for a batch of environments.
 
-    It also adds the previous observation, the previous action and the base controller's action to the observations. In
-    every control period, call `augment` first, then `action`.
+    The base is the action of another controller; the authority is a fraction of the rated voltage (see `Authority`).
+    The class also adds the previous observation, the previous action and the base controller's action to the
+    observations. In every control period, call `augment` first, then `action`.
 
     Args:
         machine: Machine for which the base controller is designed.
         period: Control period, s.
         base: Name of a registered controller whose action the policy corrects; None: the policy acts alone.
-        **authority: Keyword arguments of `Authority`.
+        **authority: Keyword arguments of `Authority`, which limits the policy's part of the action.
+
+    Attributes:
+        authority: Fraction of the rated voltage that an output of 1 represents, by distance and speed.
+        base: Controller whose action the policy corrects, or None.
 
     Raises:
         InputError: If no controller is registered under the name of the base. Agents are data: their files cannot name
@@ -100,8 +107,9 @@ class ResidualAction:
             observation_space: Observation space of one environment.
 
         Returns:
-            Observation space of the policy: the given keys and `last_observation`, `last_action`, with a base
-            `base_action`, and with an adaptive base `expected_friction` and `estimates`.
+            Observation space of the policy: the given keys and `last_observation`, `last_action`; with a base
+            controller also `base_action`; with an `AdaptiveController` as base also `expected_friction` and
+            `estimates`.
         """
         action_box = spaces.Box(-1.0, 1.0, (self._drives,), np.float32)
         added: dict[str, spaces.Space[Any]] = {
@@ -119,22 +127,27 @@ class ResidualAction:
         """Clear the history of environments whose next observation starts a new episode.
 
         Args:
-            mask: True for the environments to reset, shape (batch,). Default: all; the batch size may then change.
+            mask: True for the environments to reset, shape (batch,) for a batch of environments. Default: all; the
+                number of environments may then change.
         """
         if self.base:
             self.base.reset(mask)
         self._starts.reset(mask)
 
     def augment(self, observation: Observation) -> dict[str, NDArray[Any]]:
-        """Run the base controller and add its action, the previous observation and the previous action.
+        """Run the base controller; add its action, the previous observation and the previous action to an observation.
 
         Call it once per control period: the base controller advances by one period.
 
         Args:
-            observation: Arrays by key as the environment returns them, each of shape (batch, entries of the key).
+            observation: Arrays by key as the environment returns them, each of shape (batch, entries of the key) for a
+                batch of environments.
 
         Returns:
-            The given arrays and those of `history`, each of shape (batch, entries of the key).
+            Arrays by key, each of shape (batch, entries of the key): the given ones and those that `history` returns.
+
+        Raises:
+            InputError: If the base controller does not accept the observation.
         """
         state = observation["observation"]
         if self._starts.resize(len(state)):
@@ -150,13 +163,15 @@ class ResidualAction:
         return {**observation, **self.history()}
 
     def history(self) -> dict[str, NDArray[np.float32]]:
-        """Return the arrays that `augment` adds, with the most recent action as `last_action`.
+        """Return the arrays that a policy receives beside the observation, with the most recent action.
 
         Returns:
-            `last_observation`: `observation` of the previous period, shape (batch, entries).
-            `last_action`: fractions of the rated voltages, shape (batch, drives).
-            `base_action`, with a base only: fractions of the rated voltages, shape (batch, drives).
-            `expected_friction`, `estimates`, with an adaptive base only: see `AdaptiveController`.
+            `last_observation`: `observation` of the previous period, m, rad, m/s and rad/s, shape (batch, entries) for
+                a batch of environments.
+            `last_action`: voltages divided by the rated voltages, shape (batch, drives).
+            `base_action`: action of the base controller, likewise; only with a base.
+            `expected_friction`, `estimates`: attributes of these names of an `AdaptiveController`; only if it is the
+                base.
         """
         added: dict[str, NDArray[Any]] = {"last_observation": self._last_state, "last_action": self._last_action}
         if self.base:
@@ -166,10 +181,10 @@ class ResidualAction:
         return {key: values.astype(np.float32) for key, values in added.items()}
 
     def action(self, output: NDArray[Any]) -> Array:
-        """Convert policy outputs to actions and record these as applied.
+        """Convert policy outputs to actions, and record the actions as applied.
 
         Args:
-            output: Policy outputs, usually in [-1, 1], shape (batch, drives).
+            output: Policy outputs, usually in [-1, 1], shape (batch, drives) for a batch of environments.
 
         Returns:
             Voltages divided by the rated voltages: base action + authority * output, limited to [-1, 1], shape
@@ -183,7 +198,8 @@ class ResidualAction:
         """Record the actions that were applied, for the next observation and for the base controller.
 
         Args:
-            actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (batch, drives).
+            actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (batch, drives) for a batch of
+                environments.
         """
         self._last_action = actions
         if self.base:
@@ -195,7 +211,7 @@ def residual_action(machine: Machine, settings: Mapping[str, Any], period: float
 
     Args:
         machine: Machine for which the base controller is designed.
-        settings: Keyword arguments of `ResidualAction`: the recipe's table [actuation].
+        settings: Keyword arguments of `ResidualAction` except machine and period: the recipe's table [actuation].
         period: Control period, s.
 
     Returns:

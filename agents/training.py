@@ -24,11 +24,10 @@ from ..recordings import load_machine
 from .agent import SCHEMA, Agent, load_weights, policy_keywords
 from .controller_source import shipped_agent_folder
 from .features import feature_parameters
-from .model_card import versions, write_card
+from .model_card import progress_line, ranking_cost, score_agent, versions, write_card
 from .optional_dependencies import import_optional, require_training_packages, single_threaded_torch
 from .recipe import ALGORITHMS, Recipe, load_recipe
 from .residual_action import residual_action
-from .scoring import progress_line, ranking_cost, score_agent
 
 # Environment i of a run with seed s starts at TRAINING_SEED + s * SEED_STRIDE + i; evaluations use episodes that no
 # training run reaches.
@@ -55,15 +54,15 @@ def train(
     progress: Progress = lambda done, total: None,
     randomize: str | None = None,
 ) -> dict[str, Any]:
-    """Train an agent and write it to a folder.
+    """Train an agent with stable-baselines3 and write it to a folder.
 
     The same seed gives the same agent, bit for bit, with the same package versions on the same processor. A resumed run
     trains on other episodes than an uninterrupted one.
 
     Args:
-        algorithm: Settings of the run, or the first part of a recipe's name: "ppo", "sac", "sac_her", "residual" or
-            "adapt".
-        machine: Machine to train on, a built-in name or the path of a machine.json.
+        algorithm: Settings of the training run (a recipe), or the first part of the name of a recipe in the package:
+            "ppo", "sac", "sac_her", "residual" or "adapt".
+        machine: Machine to train on, a preset name or the path of a machine.json.
         task: Name of the task, "reach" or "track".
         steps: Environment steps in total, including those before a resume. Default: the recipe's.
         seed: Seed of the network, the episodes and the algorithm, not negative.
@@ -75,7 +74,7 @@ def train(
             machine.json with standard deviations.
 
     Returns:
-        Contents of card.json: recipe, package versions and learning curve.
+        Contents of card.json: recipe, package versions and learning curve (`curve`, one row of scores per evaluation).
 
     Raises:
         InputError: If the recipe or task is unknown, or `out` has no checkpoint of this recipe and seed to resume.
@@ -227,7 +226,7 @@ def _build_task(name: str, settings: dict[str, Any]) -> Task:
 def _build_environment(recipe: Recipe, machine: Machine, task: Task) -> Any:
     """Build the vector environment of a recipe, with its action mapping."""
     from ..envs.sb3_vec_env import HFrameVecEnv
-    from .wrappers import ResidualActionVecEnv
+    from .sb3_adapters import ResidualActionVecEnv
 
     environment = HFrameVecEnv(**recipe.env, machine=machine, task=task)
     mapping = residual_action(machine, recipe.actuation, recipe.period)

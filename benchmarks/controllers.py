@@ -54,7 +54,7 @@ def measure(seed: int, episodes: int, pictures: Path | None = None) -> dict[str,
                 line = f"contour error, mm: {', '.join(parts)}; tracking error {card['tracking_mm']['rms']['mean']:.3f}"
             print(f"{task:10s} {label:14s} {line}", flush=True)
             if pictures is not None:
-                from hframe_gym.evaluation.plotting import save_plot
+                from hframe_gym.evaluation import save_plot
 
                 save_plot(
                     pictures / f"{task}_{label.replace(' ', '_').replace(',', '')}.png", run, title=f"{label}: {task}"

@@ -257,7 +257,7 @@ def evaluate(
         _log(reason)
     _log(f"wrote {written}")
     try:
-        from .evaluation.plotting import save_plot
+        from .evaluation import save_plot
 
         for name, episode in recorded.items():
             label = Path(name).name.replace(":", "-")  # of a folder the last part; no colon in a file name

@@ -1,27 +1,32 @@
-"""Controllers of batches of stages, designed from a machine model; independent of Gymnasium.
+"""Controllers of batches of machines, designed from a machine model; independent of Gymnasium.
 
-base                    interface, registry
+base                    interface, registry, full-state and output-feedback controllers
 motion_model            the machine as controllers see it, and the operating points of their gains
-minimum_energy          point-to-point transfers
-preview_control         tracking of a previewed goal
+finite_horizon_control  point-to-point transfers, and tracking of a previewed goal
 input_compensation      dead time and static nonlinearities of the drives
 model_based_controller  all of these as one controller (`pid`)
-momentum_filter         online estimation of friction, masses and belt stiffness
-adaptive_controller     gain scheduling on these estimates (`adaptive-pid`)
-state_estimator         full state and parameters from sensors
+adaptive_controller     gain scheduling on estimates of friction, masses and belt stiffness (`adaptive-pid`)
 textbook_pid            the baseline (`textbook-pid`)
+state_estimator         full state and parameters from sensors
+estimation_model        parameters and measurement equation of the state estimator
 time_optimal            lower bound of the settling time (extra: bound)
 """
 
 from ..registry import import_modules
-from .adaptive_controller import AdaptiveController
-from .base import CONTROLLERS, Controller, EpisodeStarts, Estimator, OutputFeedbackController, check_period
+from .adaptive_controller import AdaptiveController, MomentumFilter
+from .base import (
+    CONTROLLERS,
+    Controller,
+    EpisodeStarts,
+    Estimator,
+    FullStateController,
+    OutputFeedbackController,
+    check_period,
+)
+from .finite_horizon_control import MinimumEnergyTransfers, PreviewGains, PreviewTracker
 from .input_compensation import DeadTime, InputInversion
-from .minimum_energy import MinimumEnergyTransfers
 from .model_based_controller import ModelBasedController
-from .momentum_filter import MomentumFilter
 from .motion_model import MotionModel, OperatingPointGrid
-from .preview_control import PreviewGains, PreviewTracker
 from .state_estimator import StateEstimator
 from .textbook_pid import TextbookPID
 
@@ -32,6 +37,7 @@ __all__ = [
     "DeadTime",
     "EpisodeStarts",
     "Estimator",
+    "FullStateController",
     "InputInversion",
     "MinimumEnergyTransfers",
     "ModelBasedController",

@@ -7,27 +7,35 @@ Friction        Along a previewed path, a feedforward voltage compensates the di
                 friction, minus its recent mean: the disturbance observers already compensate that mean, but they lag
                 behind a force that reverses with the motion.
 
-The estimates come from `MomentumFilter`, which starts from the same prior in every episode; there is no training.
+The estimates come from `MomentumFilter`, which starts from the same prior in every episode; there is no training. In
+every period the momentum balance of the rigid motion (to which belts are internal) and that of the tool leave a
+residual beyond the model's drive, friction, belt and effect forces, along x and y in N,
+
+    rigid motion   D = sum_c r_c (-f_c F_c dir_c - d_c m_c a_c)      r_c: travel of coordinate c per rigid motion
+    tool           D = -f_c F_c dir_c - d_c m_c a_c + e B_c          c = x, y,
+
+which is linear in the relative errors of the model: f_c of the Coulomb level F_c, d_c of the mass m_c, and e of the
+belt force B_c. A Kalman filter with constant parameters (recursive least squares) estimates them from all periods of an
+episode.
 
 References:
     Astrom and Wittenmark (1995), Adaptive Control, 2nd edition.
+    Ljung (1999), System Identification, section 11.2.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from typing import Any
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..machine import Machine
-from .base import CONTROLLERS, Controller, EpisodeStarts, Mask
+from ..machine import Machine, stiffness_matrix
+from .base import CONTROLLERS, FullStateController, Mask
 from .input_compensation import DeadTime, InputInversion
 from .model_based_controller import ModelBasedController
-from .momentum_filter import MomentumFilter
-from .motion_model import MotionModel
+from .motion_model import AXES, MotionModel, OperatingPointGrid
 
 Array = NDArray[np.float64]
 # Design points of the bank, as factors on the declared EA and masses: about the range of the randomization "default".
@@ -36,13 +44,20 @@ MASS_RATIOS = np.array([0.9, 1.2])
 # Weight of the newest period in the recent friction voltage; matches the disturbance observer along a path.
 RECENT_WEIGHT = 0.3
 PERIODS_AHEAD = 3  # periods for which `expected_friction` gives the voltage, the present one included
+# Prior standard deviations of the relative errors, about those of the randomization "default".
+FRICTION_STD, MASS_STD, BELT_STD = 0.5, 0.1, 0.2
+# Standard deviation of the noise of a balance, N, tuned on recorded episodes; beside it a fraction of the friction of
+# coordinates that reverse during the period, and for the tool a fraction of the belt force, because the belts' lengths
+# are inaccurate too.
+BALANCE_NOISE, REVERSAL_NOISE, BELT_FORCE_NOISE = 0.7, 1.0, 0.15
+REVERSAL_SPEED = 0.01  # m/s, over which the direction of friction changes: tanh(v / REVERSAL_SPEED)
 
 
 @CONTROLLERS.register("adaptive-pid")
-class AdaptiveController(Controller):
+class AdaptiveController(FullStateController):
     """Model-based controller that adapts to the belt stiffness, masses and friction it estimates during the episode.
 
-    It commands a batch of B stages (simulated machines) with n coordinates each. The registered name `adaptive-pid`
+    It commands a batch of B simulated machines with n coordinates each. The registered name `adaptive-pid`
     follows that of `ModelBasedController` (`pid`).
 
     Args:
@@ -51,9 +66,10 @@ class AdaptiveController(Controller):
 
     Attributes:
         model: Model of the machine.
-        expected_friction: Voltages, divided by the rated voltages, that compensate the difference between estimated and
-            modeled friction along the path: two columns for each of PERIODS_AHEAD periods, the present one first, then
-            two columns with the recent mean; shape (B, 2 PERIODS_AHEAD + 2). Zero for a goal that does not move.
+        expected_friction: Voltages of the two drives, divided by the rated voltages, that compensate the difference
+            between estimated and modeled friction along the path: two columns for each of PERIODS_AHEAD periods, the
+            present one first, then two columns with the recent mean; shape (B, 2 PERIODS_AHEAD + 2). Zero for a goal
+            that does not move.
         feature_sizes: Numbers of columns of `expected_friction` and `estimates`, by name; a learned policy on top of
             this controller may observe both.
 
@@ -68,53 +84,56 @@ class AdaptiveController(Controller):
             [ModelBasedController(_scaled(machine, stiffness, mass), period) for mass in MASS_RATIOS.tolist()]
             for stiffness in STIFFNESS_RATIOS.tolist()
         ]
-        self.model = MotionModel(machine)
         self._dead_time, self._inversion = DeadTime(machine, period), InputInversion(machine)
         self._filter = MomentumFilter(self.model, period)
         self.feature_sizes = {"expected_friction": 2 * (PERIODS_AHEAD + 1), "estimates": 2 * len(self.model.mass) + 1}
-        self._starts = EpisodeStarts()
         self._elapsed_s = np.zeros(0)
         self._state = self.expected_friction = np.zeros((0, 0))
 
     def reset(self, mask: Mask | None = None) -> None:
-        """Clear the estimates and the controllers of stages whose next observation starts a new episode.
+        """Clear the estimates and the controllers of simulated machines whose next observation starts a new episode.
 
         Args:
-            mask: True for the stages to reset, shape (B,). Default: all; the batch size may then change.
+            mask: True for the machines to reset, shape (B,) for B machines. Default: all; B may then change.
         """
+        super().reset(mask)
         for controller in self._controllers():
             controller.reset(mask)
-        self._starts.reset(mask)
 
     @property
     def estimates(self) -> Array:
-        """Estimated relative errors of Coulomb levels (n), masses (n) and belt stiffness (1), shape (B, 2 n + 1)."""
+        """Estimated relative errors of the model, shape (B, 2 n + 1) for B machines with n coordinates.
+
+        The columns are the Coulomb friction forces of the n coordinates, their n masses, and the belt stiffness; 0.1
+        means that the actual value is 10 % above the model's.
+        """
         return self._filter.estimates
 
-    def act(self, observation: Mapping[str, NDArray[Any]]) -> Array:
-        """Update the estimates and compute the actions for the control period that starts now.
+    def act_on_state(self, state: Array, goals: Array) -> Array:
+        """Update the estimates and compute the actions for the control period that starts now, for B machines.
 
         Args:
-            observation: Arrays by key, for B stages. `observation`: positions of x, y and the motors, then their
-                velocities, m, rad, m/s and rad/s, shape (B, 2 n). `desired_goal`: tool goal, m, shape (B, 2). For a
-                moving goal also `preview`, m, shape (B, 2 P): goals at the ends of the next P periods.
+            state: Belt travel (radius * angle of a rotary coordinate, position of a linear one) of the n coordinates
+                and its velocity, m and m/s, shape (B, 2 n).
+            goals: Tool goals (x, y), m, shape (B, 1 + P, 2): the present goal, then those at the ends of the next P
+                periods. P = 0 means that the goal does not move.
 
         Returns:
             Voltages divided by the rated voltages, in [-1, 1], shape (B, 2).
 
         Raises:
-            InputError: If the observation does not fit the machine, or the preview is too short.
+            InputError: If the preview ends less than PERIODS_AHEAD + 1 periods after the dead time of the drives.
         """
         model = self.model
-        state = model.state(observation)
         if self._starts.resize(len(state)):
             self._state, self._elapsed_s = state, np.zeros(len(state))
             self.expected_friction = np.zeros((len(state), 2 * (PERIODS_AHEAD + 1)))
         self._update_estimates(state)
-        self._update_expected_friction(observation)
+        self._update_expected_friction(goals)
         self._starts.clear()
-        force = self._scheduled_force(observation)
-        friction_change = (self.expected_friction[:, :2] - self.expected_friction[:, -2:]) * model.rated
+        force = self._scheduled_force(state, goals)
+        present, recent_mean = self.expected_friction[:, :2], self.expected_friction[:, -2:]
+        friction_change = (present - recent_mean) * model.rated
         motor_voltage = np.clip(model.voltage(force) + friction_change, -model.rated, model.rated)
         actions = self._inversion.command(motor_voltage) / model.rated
         self._dead_time.send(actions * model.rated)
@@ -126,18 +145,19 @@ class AdaptiveController(Controller):
         """Record the actions that were applied instead of those that `act` returned last.
 
         Args:
-            actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (B, 2).
+            actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (B, 2) for B machines.
         """
         self._dead_time.replace_last(actions * self.model.rated)
         for controller in self._controllers():
             controller.replace_last_action(actions)
 
-    def _scheduled_force(self, observation: Mapping[str, NDArray[Any]]) -> Array:
+    def _scheduled_force(self, state: Array, goals: Array) -> Array:
         """Return the forces along x and y (B, 2), N, interpolated between those of the bank."""
         model = self.model
-        commands = np.array([[controller.act(observation) for controller in row] for row in self._bank]) * model.rated
+        actions = [[controller.act_on_state(state, goals) for controller in row] for row in self._bank]
+        commands = np.array(actions) * model.rated  # V, (stiffness ratios, mass ratios, B, 2)
         volts = self._inversion.motor_voltage(commands.reshape(-1, 2)).reshape(commands.shape)
-        # k: stiffness, l: mass, b: stage, a: axis.
+        # k: stiffness ratio, l: mass ratio, b: machine of the batch, a: axis.
         by_stiffness = _interpolation_weights(self._filter.stiffness_ratio, STIFFNESS_RATIOS)
         by_mass = _interpolation_weights(self._filter.mass_ratio, MASS_RATIOS)
         return np.asarray(np.einsum("kb,lba,klba->ba", by_stiffness, by_mass, volts @ model.force_per_volt.T))
@@ -153,25 +173,138 @@ class AdaptiveController(Controller):
         self._filter.update(self._state, state, volts, effect_force, starts)
         self._state, self._elapsed_s = state, self._elapsed_s + self.period
 
-    def _update_expected_friction(self, observation: Mapping[str, NDArray[Any]]) -> None:
+    def _update_expected_friction(self, goals: Array) -> None:
         """Update `expected_friction` by the previewed goals."""
         starts = self._starts.mask
         previous = self.expected_friction.reshape(len(starts), PERIODS_AHEAD + 1, 2)
         recent = np.where(starts[:, None], 0.0, previous[:, -1] + RECENT_WEIGHT * (previous[:, 0] - previous[:, -1]))
-        if "preview" in observation:
-            path = np.concatenate([observation["desired_goal"], observation["preview"]], axis=1, dtype=np.float64)
-            goals = self._dead_time.delayed_goals(path.reshape(len(path), -1, 2))[:, : PERIODS_AHEAD + 2]
+        if goals.shape[1] > 1:
+            goals = self._dead_time.delayed_goals(goals)[:, : PERIODS_AHEAD + 2]
             if goals.shape[1] < PERIODS_AHEAD + 2:
                 raise InputError(
                     f"the preview ends {goals.shape[1] - 1} periods after the dead time, {PERIODS_AHEAD + 1} are "
                     "needed; increase the task's previews"
                 )
             ahead = self._filter.friction_voltage_ahead(goals) / self.model.rated
-            self.expected_friction = np.concatenate([ahead, recent[:, None]], axis=1).reshape(len(path), -1)
+            self.expected_friction = np.concatenate([ahead, recent[:, None]], axis=1).reshape(len(goals), -1)
 
     def _controllers(self) -> Iterator[ModelBasedController]:
         """Iterate over all controllers of the bank."""
         return (controller for row in self._bank for controller in row)
+
+
+class MomentumFilter:
+    """Recursive least-squares estimator of friction, masses and belt stiffness of B machines with n coordinates.
+
+    Args:
+        model: Model of the machine with its declared parameters.
+        period: Control period, s.
+
+    Attributes:
+        model: As given.
+        period: As given, s.
+        estimates: Relative errors of the model (0.1: actual value 10 % above the model's), shape (B, 2 n + 1): n
+            Coulomb friction forces (f_c), n masses (d_c), belt stiffness (e). Zero at the start of an episode.
+    """
+
+    def __init__(self, model: MotionModel, period: float) -> None:
+        n = len(model.mass)
+        self.model, self.period = model, period
+        self._tool = [model.machine.coordinate_names.index(axis) for axis in AXES]
+        self._grid = OperatingPointGrid(model.machine)
+        units = model.machine.travel_per_unit
+        self._stiffness = np.stack(
+            [stiffness_matrix(model.machine, model.rigid @ p / units)[self._tool] for p in self._grid.points]
+        ) / (units[self._tool, None] * units)  # N/m, (points, 2, n)
+        # Rows: the rigid motion along x and y, then the tool's; columns: the coordinates.
+        self._rows = np.vstack([model.rigid.T, np.eye(n)[self._tool]])
+        self._prior_std = np.concatenate([np.full(n, FRICTION_STD), np.full(n, MASS_STD), [BELT_STD]])
+        self.estimates, self._covariance = np.zeros((0, 2 * n + 1)), np.zeros((0, 2 * n + 1, 2 * n + 1))
+
+    @property
+    def stiffness_ratio(self) -> Array:
+        """Estimated ratio of belt stiffness to nominal stiffness, shape (B,) for B machines."""
+        return 1.0 + self.estimates[:, -1]
+
+    @property
+    def mass_ratio(self) -> Array:
+        """Estimated ratio of moving mass to nominal mass along x and y, shape (B, 2) for B machines."""
+        n = len(self.model.mass)
+        # Contribution of each coordinate to the mass that moves along x and y with unstretched belts, kg, (n, 2).
+        moving_mass = self.model.mass[:, None] * self.model.rigid**2
+        return 1.0 + self.estimates[:, n:-1] @ (moving_mass / moving_mass.sum(axis=0))
+
+    def update(self, before: Array, after: Array, volts: Array, effect_force: Array, starts: NDArray[np.bool_]) -> None:
+        """Update the estimates with the momentum balances of the last control period.
+
+        Args:
+            before: States at the start of the period: belt travel (radius * angle of a rotary coordinate) of the n
+                coordinates of B machines and its velocity, m and m/s, shape (B, 2 n).
+            after: States at the end of the period, m and m/s, shape (B, 2 n).
+            volts: Mean voltages at the motors in the period, V, shape (B, 2).
+            effect_force: Modeled forces of the machine's effects (deviations from its nominal model) on each
+                coordinate, N, shape (B, n).
+            starts: True for machines whose episode starts with `after`, shape (B,); their estimates are set to zero.
+        """
+        size = len(self._prior_std)
+        if len(self.estimates) != len(starts):
+            self.estimates, self._covariance = np.zeros((len(starts), size)), np.zeros((len(starts), size, size))
+        # Kalman filter for constant parameters: D are measurements with the matrix H, S is the covariance of the
+        # innovation, K the gain.
+        D, H, variance = self._balance(before, after, volts, effect_force)
+        PH = self._covariance @ H.transpose(0, 2, 1)
+        S = H @ PH + variance[:, :, None] * np.eye(4)
+        K = np.linalg.solve(S, PH.transpose(0, 2, 1)).transpose(0, 2, 1)
+        innovation = D - np.einsum("bap,bp->ba", H, self.estimates)
+        self.estimates = self.estimates + np.einsum("bpa,ba->bp", K, innovation)
+        self._covariance = self._covariance - K @ PH.transpose(0, 2, 1)
+        self.estimates[starts], self._covariance[starts] = 0.0, np.diag(self._prior_std**2)
+
+    def _balance(self, before: Array, after: Array, volts: Array, effect_force: Array) -> tuple[Array, Array, Array]:
+        """Return the residuals D (B, 4), N, their regressors H (B, 4, 2 n + 1) and noise variances (B, 4)."""
+        model, n = self.model, len(self.model.mass)
+        velocities = before[:, n:], after[:, n:]
+        belt_force = self._mean_belt_force(before, after)
+        friction = _mean_direction(*velocities) * model.coulomb
+        inertial = model.mass * (after[:, n:] - before[:, n:]) / self.period
+        resistance = model.viscous * (after[:, :n] - before[:, :n]) / self.period + friction
+        residual = inertial + resistance - volts @ model.drive.T - effect_force
+        D = residual @ self._rows.T
+        D[:, 2:] -= belt_force
+        H = np.zeros((len(D), 4, len(self._prior_std)))
+        H[:, :, :-1] = -np.concatenate([friction, inertial], axis=1)[:, None] * np.hstack([self._rows] * 2)
+        H[:, 2:, -1] = belt_force
+        reversal = np.tanh(velocities[1] / REVERSAL_SPEED) - np.tanh(velocities[0] / REVERSAL_SPEED)
+        variance = BALANCE_NOISE**2 + REVERSAL_NOISE**2 * (reversal * model.coulomb) ** 2 @ self._rows.T**2
+        variance[:, 2:] += (BELT_FORCE_NOISE * belt_force) ** 2
+        return D, H, variance
+
+    def _mean_belt_force(self, before: Array, after: Array) -> Array:
+        """Return the mean force of the model's belts on the tool over a period, N, shape (B, 2)."""
+        n = len(self.model.mass)
+        # Mean of the cubic through both states, because belt modes oscillate within two or three periods.
+        mean_travel = 0.5 * (before[:, :n] + after[:, :n]) + self.period / 12.0 * (before[:, n:] - after[:, n:])
+        points = self._grid.nearest(self.model.tool_position(after))
+        return -np.einsum("bij,bj->bi", self._stiffness[points], mean_travel)
+
+    def friction_voltage_ahead(self, goals: Array) -> Array:
+        """Compute the voltages that compensate the estimated minus the modeled Coulomb friction along a path.
+
+        Args:
+            goals: Tool goals (x, y) of B machines at k > 2 sample times, the first now, the others one period apart, m,
+                shape (B, k, 2).
+
+        Returns:
+            Voltages for the k - 2 periods from now on, V, shape (B, k - 2, 2).
+        """
+        model, n = self.model, len(self.model.mass)
+        mean_velocity = np.diff(goals, axis=1) / self.period
+        # Velocities of x and y at the inner sample times, and by extrapolation at the first; then of all coordinates.
+        inner = 0.5 * (mean_velocity[:, 1:] + mean_velocity[:, :-1])
+        velocity = np.concatenate([2.0 * mean_velocity[:, :1] - inner[:, :1], inner], axis=1) @ model.rigid.T
+        direction = _mean_direction(velocity[:, :-1], velocity[:, 1:])
+        force = self.estimates[:, None, :n] * model.coulomb * direction
+        return model.voltage(force @ model.rigid)
 
 
 def _scaled(machine: Machine, stiffness_ratio: float, mass_ratio: float) -> Machine:
@@ -189,3 +322,14 @@ def _scaled(machine: Machine, stiffness_ratio: float, mass_ratio: float) -> Mach
 def _interpolation_weights(values: Array, grid: Array) -> Array:
     """Return the weights (len(grid), ...) of linear interpolation between grid points, for values (...)."""
     return np.stack([np.interp(values, grid, row) for row in np.eye(len(grid))])
+
+
+def _mean_direction(before: Array, after: Array) -> Array:
+    """Return the mean of tanh(v / REVERSAL_SPEED) while velocities change linearly from `before` to `after`."""
+    change = (after - before) / REVERSAL_SPEED
+    # The integral of tanh is log cosh.
+    integral = np.logaddexp(after / REVERSAL_SPEED, -after / REVERSAL_SPEED)
+    integral = integral - np.logaddexp(before / REVERSAL_SPEED, -before / REVERSAL_SPEED)
+    constant = np.abs(change) < 1e-4
+    at_middle = np.tanh(0.5 * (before + after) / REVERSAL_SPEED)
+    return np.asarray(np.where(constant, at_middle, integral / np.where(constant, 1.0, change)))

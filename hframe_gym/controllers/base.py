@@ -1,7 +1,7 @@
 """Controller interface and registry.
 
-A controller commands a batch of B stages (simulated machines) at once. To add one, subclass `Controller` in a new
-module and register it:
+A controller commands a batch of B simulated machines at once. To add one, subclass `Controller`, or
+`FullStateController` for a controller of states and goals, in a new module and register it:
 
     @CONTROLLERS.register("my-controller")
     class MyController(Controller):
@@ -48,10 +48,10 @@ def check_period(period: float) -> float:
 
 
 class Controller(ABC):
-    """Discrete-time controller of a batch of B stages: B simulated copies of one machine, one per environment.
+    """Discrete-time controller of a batch of B simulated copies of one machine, one per environment.
 
-    A controller may keep a memory of each stage (integrators, estimates, voltages sent within the dead time); `reset`
-    clears it. The batch size B follows from the observation.
+    A controller may keep a memory of each machine (integrators, estimates, voltages sent within the dead time); `reset`
+    clears it. B is the number of rows of the observation.
 
     Args:
         machine: Machine model from which the controller is designed.
@@ -79,27 +79,28 @@ class Controller(ABC):
         """Compute the actions for the control period that starts now; call it once per period.
 
         Args:
-            observation: Arrays by key, for B stages. `observation`, shape (B, entries): with full state the positions
-                of x, y and of the driven coordinates, then their velocities, in m, rad, m/s and rad/s; otherwise the
-                sensor measurements. `desired_goal`: present tool goal (x, y), m, shape (B, 2). For a moving goal also
-                `preview`, m, shape (B, 2 P): goals (x, y) at the ends of this period and the P - 1 following ones.
+            observation: Arrays by key, for B simulated machines. `observation`, shape (B, entries): with full state the
+                positions of x, y and of the driven coordinates, then their velocities, in m, rad, m/s and rad/s;
+                otherwise the sensor measurements. `desired_goal`: present tool goal (x, y), m, shape (B, 2). For a
+                moving goal also `preview`, m, shape (B, 2 P): goals (x, y) at the ends of this period and the P - 1
+                following ones.
 
         Returns:
             Voltages divided by the rated voltages, in [-1, 1], shape (B, drives).
         """
 
     def reset(self, mask: Mask | None = None) -> None:  # noqa: B027  (optional)
-        """Clear the memory of the stages whose next observation is the first of a new episode.
+        """Clear the memory of the simulated machines whose next observation is the first of a new episode.
 
         Args:
-            mask: True for the stages to reset, shape (B,). Default: all; the batch size may then change.
+            mask: True for the machines to reset, shape (B,) for B machines. Default: all; B may then change.
         """
 
     def replace_last_action(self, actions: Array) -> None:  # noqa: B027  (optional)
         """Record the actions that were applied instead of those that `act` returned last, for example after limiting.
 
         Args:
-            actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (B, drives).
+            actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (B, drives) for B machines.
         """
 
 
@@ -107,34 +108,34 @@ CONTROLLERS: Registry[type[Controller]] = Registry("controller")
 
 
 class EpisodeStarts:
-    """Record of the stages in a batch of B whose episode starts with the next observation.
+    """Record of which of B simulated machines start a new episode with their next observation.
 
     Attributes:
-        mask: True for the stages whose episode starts, shape (B,); empty before the first call of `resize`.
+        mask: True for the machines whose episode starts, shape (B,). Empty before the first call of `resize`.
     """
 
     def __init__(self) -> None:
         self.mask: Mask = np.zeros(0, np.bool_)
 
     def reset(self, mask: Mask | None = None) -> None:
-        """Mark stages whose episode starts with the next observation, in addition to those already marked.
+        """Mark simulated machines whose episode starts with the next observation, in addition to those already marked.
 
         Args:
-            mask: True for the stages to mark, shape (B,). Default: all; the batch size may then change.
+            mask: True for the machines to mark, shape (B,) for B machines. Default: all; B may then change.
         """
         if mask is None:
-            self.mask = np.zeros(0, np.bool_)
+            self.mask = np.zeros(0, np.bool_)  # so that the next `resize` marks all machines
         elif len(self.mask):
             self.mask = self.mask | mask
 
     def resize(self, count: int) -> bool:
-        """Adapt the mask to a batch size; if the size changes, mark all stages.
+        """Adapt `mask` to the number of simulated machines; if that changes, mark all of them.
 
         Args:
-            count: Number of stages, B.
+            count: Number of machines.
 
         Returns:
-            True if the size has changed; the caller must then allocate its memory of the stages anew.
+            True if the number has changed: the caller must then allocate its arrays with one row per machine anew.
         """
         if len(self.mask) == count:
             return False
@@ -142,19 +143,86 @@ class EpisodeStarts:
         return True
 
     def clear(self) -> None:
-        """Unmark all stages; call it once their first observation has been processed."""
+        """Unmark all simulated machines; call it once their first observation has been processed."""
         self.mask = np.zeros(len(self.mask), np.bool_)
 
 
+class FullStateController(Controller):
+    """Controller that needs the full state of a machine with two drives; subclasses implement `act_on_state`.
+
+    This class converts observations to states and goals, and records which machines start a new episode.
+
+    Args:
+        machine: Machine model from which the controller is designed.
+        period: Control period, s.
+
+    Attributes:
+        model: Design model of the machine.
+
+    Raises:
+        InputError: If the machine does not have two drives that can move both x and y, or the period is not positive.
+    """
+
+    def __init__(self, machine: Machine, period: float = 0.01) -> None:
+        super().__init__(machine, period)
+        self.model = MotionModel(machine)
+        self._starts = EpisodeStarts()
+
+    def reset(self, mask: Mask | None = None) -> None:
+        """Clear the memory of simulated machines whose next observation starts a new episode.
+
+        Args:
+            mask: True for the machines to reset, shape (B,) for B machines. Default: all; B may then change.
+        """
+        self._starts.reset(mask)
+
+    def act(self, observation: Mapping[str, NDArray[Any]]) -> Array:
+        """Compute the actions for the control period that starts now, for B simulated machines.
+
+        Args:
+            observation: Arrays by key. `observation`: positions of x, y and the motors, then their velocities, m, rad,
+                m/s and rad/s, shape (B, 2 n) for n coordinates. `desired_goal`: tool goal (x, y), m, shape (B, 2). For
+                a moving goal also `preview`, m, shape (B, 2 P): goals (x, y) at the ends of the next P periods.
+
+        Returns:
+            Voltages divided by the rated voltages, in [-1, 1], shape (B, 2).
+
+        Raises:
+            InputError: If the observation does not fit the machine, or the preview is too short for the controller.
+        """
+        state = self.model.state(observation)
+        goals = [np.asarray(observation["desired_goal"], np.float64)[:, None]]
+        if "preview" in observation:
+            goals.append(np.asarray(observation["preview"], np.float64).reshape(len(state), -1, 2))
+        return self.act_on_state(state, np.concatenate(goals, axis=1))
+
+    @abstractmethod
+    def act_on_state(self, state: Array, goals: Array) -> Array:
+        """Compute the actions for the control period that starts now from the states and goals of B simulated machines.
+
+        Args:
+            state: Belt travel (radius * angle of a rotary coordinate, position of a linear one) of the n coordinates
+                and its velocity, m and m/s, shape (B, 2 n).
+            goals: Tool goals (x, y), m, shape (B, 1 + P, 2): the present goal, then those at the ends of the next P
+                periods. P = 0 means that the goal does not move.
+
+        Returns:
+            Voltages divided by the rated voltages, in [-1, 1], shape (B, 2).
+
+        Raises:
+            InputError: If the preview is too short for the controller.
+        """
+
+
 class Estimator(Protocol):
-    """Interface of a state estimator for a batch of B stages; `StateEstimator` implements it.
+    """Interface of a state estimator for a batch of B simulated machines; `StateEstimator` implements it.
 
     In every control period, call `update` with the measurements, then `send` with the voltages.
 
     Attributes:
         model: Model of the machine.
         period: Control period, s.
-        channels: Number of measurements per stage.
+        channels: Number of measurements per machine.
     """
 
     model: MotionModel
@@ -162,35 +230,36 @@ class Estimator(Protocol):
     channels: int
 
     def reset(self, mask: Mask | None = None) -> None:
-        """Discard the estimates of stages whose next measurements are the first of a new episode.
+        """Discard the estimates of simulated machines whose next measurements are the first of a new episode.
 
         Args:
-            mask: True for the stages to reset, shape (B,). Default: all.
+            mask: True for the machines to reset, shape (B,) for B machines. Default: all.
         """
 
     def update(self, measurements: Array) -> Array:
         """Estimate the state at the time of new measurements.
 
         Args:
-            measurements: Sensor measurements in the units of the machine's output channels, shape (B, channels).
+            measurements: One measurement per sensor, in the sensor's unit, shape (B, channels) for B simulated
+                machines.
 
         Returns:
-            Belt travel (radius * angle of a rotary coordinate) of the n coordinates, m, then its velocity, m/s, shape
-            (B, 2 n).
+            Estimated belt travel (radius * angle of a rotary coordinate, position of a linear one) of the n
+            coordinates, m, then its velocity, m/s, shape (B, 2 n).
         """
 
     def send(self, volts: Array) -> None:
         """Record the commanded voltages of the control period that starts now, for the next prediction.
 
         Args:
-            volts: Commanded voltages, V, shape (B, drives).
+            volts: Commanded voltages, V, shape (B, drives) for B simulated machines.
         """
 
     def replace_last(self, volts: Array) -> None:
         """Record the voltages that were applied instead of those passed to `send` last.
 
         Args:
-            volts: Commanded voltages, V, shape (B, drives).
+            volts: Commanded voltages, V, shape (B, drives) for B simulated machines.
         """
 
 
@@ -199,8 +268,15 @@ class OutputFeedbackController(Controller):
 
     Args:
         controller: Full-state controller (`feedback` is "state" or "estimated_state").
-        estimator: State estimator of the same machine and control period. The first `estimator.channels` columns of
-            `observation` are its measurements.
+        estimator: State estimator of the same machine and control period. Its measurements are the first
+            `estimator.channels` columns of the array `observation` that the environment returns.
+
+    Attributes:
+        controller: As given.
+        estimator: As given.
+
+    Raises:
+        InputError: If the estimator's period is not positive.
     """
 
     feedback: ClassVar[Feedback] = "observation"
@@ -210,10 +286,10 @@ class OutputFeedbackController(Controller):
         self.controller, self.estimator = controller, estimator
 
     def reset(self, mask: Mask | None = None) -> None:
-        """Reset the controller and the estimator of stages whose next observation starts a new episode.
+        """Reset controller and estimator for the simulated machines whose next observation starts a new episode.
 
         Args:
-            mask: True for the stages to reset, shape (B,). Default: all; the batch size may then change.
+            mask: True for the machines to reset, shape (B,) for B machines. Default: all; B may then change.
         """
         self.controller.reset(mask)
         self.estimator.reset(mask)
@@ -222,9 +298,10 @@ class OutputFeedbackController(Controller):
         """Estimate the state from the measurements and compute the actions for the control period that starts now.
 
         Args:
-            observation: Arrays by key, for B stages. `observation`: measurements in the units of their sensors, shape
-                (B, channels or more). `desired_goal`: tool goal (x, y), m, shape (B, 2). For a moving goal also
-                `preview`, m, shape (B, 2 P): goals at the ends of the next P periods.
+            observation: Arrays by key, for B simulated machines. `observation`: one measurement per sensor, in the
+                sensor's unit, shape (B, channels or more); further columns are ignored. `desired_goal`: tool goal (x,
+                y), m, shape (B, 2). For a moving goal also `preview`, m, shape (B, 2 P): goals at the ends of the next
+                P periods.
 
         Returns:
             Voltages divided by the rated voltages, in [-1, 1], shape (B, drives).
@@ -233,7 +310,9 @@ class OutputFeedbackController(Controller):
             InputError: If a measurement is not finite.
         """
         model = self.estimator.model
-        state = self.estimator.update(observation["observation"][:, : self.estimator.channels])
+        measurements = observation["observation"][:, : self.estimator.channels]
+        state = self.estimator.update(measurements)
+        # The controller receives the same arrays, with the estimated full state in place of the measurements.
         actions = self.controller.act({**observation, "observation": model.observation(state)})
         self.estimator.send(np.clip(actions, -1.0, 1.0) * model.rated)
         return actions
@@ -242,7 +321,7 @@ class OutputFeedbackController(Controller):
         """Record the actions that were applied instead of those that `act` returned last.
 
         Args:
-            actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (B, drives).
+            actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (B, drives) for B machines.
         """
         self.controller.replace_last_action(actions)
         self.estimator.replace_last(actions * self.estimator.model.rated)

@@ -53,7 +53,7 @@ class AugmentedParameters:
         """Convert logarithms to ratios of estimated to declared parameter values, limited to 1/4 ... 4.
 
         Args:
-            logarithms: Natural logarithms of the ratios, shape (B, k) for B stages and k parameters.
+            logarithms: Natural logarithms of the ratios, shape (B, k) for B simulated machines and k parameters.
 
         Returns:
             Ratios, limited to 1 / LARGEST_RATIO ... LARGEST_RATIO, shape (B, k).
@@ -64,7 +64,7 @@ class AugmentedParameters:
         """Limit the logarithms of parameter ratios to +- log(LARGEST_RATIO).
 
         Args:
-            logarithms: Natural logarithms of the ratios, shape (B, k) for B stages and k parameters.
+            logarithms: Natural logarithms of the ratios, shape (B, k) for B simulated machines and k parameters.
 
         Returns:
             Limited logarithms, shape (B, k).
@@ -75,28 +75,31 @@ class AugmentedParameters:
         """Compute the parameter values of machines: declared values times the estimated ratios.
 
         Args:
-            logarithms: Natural logarithms of the ratios of the k estimated parameters, shape (B, k) for B stages.
+            logarithms: Natural logarithms of the ratios of the k estimated parameters, shape (B, k) for B simulated
+                machines.
 
         Returns:
             All P parameters in the order and units of `Machine.parameters`, shape (B, P). Parameters that are not
             estimated keep their declared values.
         """
-        rows = np.tile(self._declared, (len(logarithms), 1))
-        rows[:, self._columns] *= self.ratios(logarithms)
-        return rows
+        values = np.tile(self._declared, (len(logarithms), 1))
+        values[:, self._columns] *= self.ratios(logarithms)
+        return values
 
 
 class MeasurementModel:
     """Linear measurement equation z = H s of a machine's declared sensors, scaled to meters of belt travel.
 
-    The state s holds the belt travel (radius * angle of a rotary coordinate) of the n coordinates and its velocity.
+    The state s holds the belt travel (radius * angle of a rotary coordinate) of the n coordinates, m, and its velocity,
+    m/s.
 
     Args:
         model: Model of the machine whose `sensors`, with their ranges and delays, supply the measurements.
 
     Attributes:
         channels: Number of sensors.
-        matrix: H, shape (channels, 2 n); m per m in the first n columns, m per m/s in the others (sensor delays).
+        matrix: H, shape (channels, 2 n); m per m in the first n columns, m per m/s (s) in the others,
+            which a sensor's delay makes nonzero.
         variance: Variances of the measurement noise including quantization, m^2, shape (channels,).
 
     Raises:
@@ -133,7 +136,7 @@ class MeasurementModel:
         """Scale measurements to meters of belt travel.
 
         Args:
-            measurements: Measurements of B stages in the units of their sensors, shape (B, channels).
+            measurements: Measurements of B simulated machines in the units of their sensors, shape (B, channels).
 
         Returns:
             Scaled measurements, m, shape (B, channels).
@@ -144,7 +147,7 @@ class MeasurementModel:
         """Test which measurements lie strictly inside the ranges of their sensors.
 
         Args:
-            measurements: Measurements of B stages in the units of their sensors, shape (B, channels).
+            measurements: Measurements of B simulated machines in the units of their sensors, shape (B, channels).
 
         Returns:
             True for each measurement inside the range, shape (B, channels).

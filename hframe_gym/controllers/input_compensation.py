@@ -20,10 +20,10 @@ MINIMUM_SLOPE = 1e-9
 
 
 class DeadTime:
-    """Delay line of the voltages commanded to B stages, and prediction of the state over the dead time.
+    """Delay line of the voltages commanded to B simulated machines, and prediction of the state over the dead time.
 
     Args:
-        machine: Machine; its effects may delay the voltages of its drives.
+        machine: Machine; its effects (deviations from the nominal model) may delay the voltages of its drives.
         period: Control period, s.
 
     Attributes:
@@ -43,10 +43,11 @@ class DeadTime:
         self._sent = np.zeros((0, 0, 0))  # V, (B, periods, drives), latest first
 
     def reset(self, mask: NDArray[np.bool_]) -> None:
-        """Set the delay lines of stages that start an episode to 0 V.
+        """Fill the delay lines of simulated machines that start an episode with 0 V.
 
         Args:
-            mask: True for the stages that start an episode, shape (B,). If B changes, all delay lines are cleared.
+            mask: True for the machines that start an episode, shape (B,) for B machines. If B changes, all delay lines
+                are filled with 0 V.
         """
         if len(self._sent) != len(mask):
             self._sent = np.zeros((len(mask), self._complete_periods + 2, len(self.machine_without_delay.drives)))
@@ -56,7 +57,7 @@ class DeadTime:
         """Put the voltages of the new period into the delay line and drop the oldest.
 
         Args:
-            volts: Commanded voltages, V, shape (B, drives).
+            volts: Commanded voltages of B simulated machines, V, shape (B, drives).
         """
         self._sent = np.concatenate([volts[:, None], self._sent[:, :-1]], axis=1)
 
@@ -64,21 +65,23 @@ class DeadTime:
         """Record the voltages that were applied instead of those passed to `send` last.
 
         Args:
-            volts: Commanded voltages, V, shape (B, drives).
+            volts: Commanded voltages of B simulated machines, V, shape (B, drives).
         """
         self._sent[:, 0] = volts
 
     @property
     def last_sent(self) -> Array:
-        """Voltages passed to `send` or `replace_last` last, V, shape (B, drives)."""
+        """Voltages passed to `send` or `replace_last` last, V, shape (B, drives) for B simulated machines."""
         return self._sent[:, 0]
 
     def mean_arrived(self) -> Array:
         """Compute the mean of the delayed voltages that reached the drives during the last period.
 
         Returns:
-            Mean voltages, V, shape (B, drives).
+            Mean voltages, V, shape (B, drives) for B simulated machines.
         """
+        # The delay of k complete periods and a remainder lets the voltages sent k + 1 periods ago act during the
+        # remainder, and those sent k periods ago afterwards.
         later, earlier = self._sent[:, self._complete_periods], self._sent[:, self._complete_periods + 1]
         earlier_fraction = self._remainder_s / self.period  # of the period, in which the earlier voltage still acts
         return (1.0 - earlier_fraction) * later + earlier_fraction * earlier
@@ -88,9 +91,11 @@ class DeadTime:
 
         Returns:
             times: k switching times from the start of the period, s, shape (k,); the first is 0, the last the period.
-            volts: Voltages from each of these times until the next, V, shape (B, k, drives); the last row is the value
-                at the end of the period.
+            volts: Voltages of B simulated machines from each of these times until the next, V, shape (B, k, drives);
+                the last row is the value at the end of the period.
         """
+        # The delay has k complete periods and a remainder: until the remainder has passed, the drives receive the
+        # voltages sent k + 1 periods ago, then those sent k periods ago.
         volts = self._sent[:, [self._complete_periods + 1, self._complete_periods, self._complete_periods]]
         times = np.array([0.0, self._remainder_s, self.period])
         return (times, volts) if self._remainder_s > 0.0 else (times[1:], volts[:, 1:])
@@ -99,7 +104,8 @@ class DeadTime:
         """Interpolate previewed goals at times later by the dead time, the earliest that new voltages can affect.
 
         Args:
-            goals: Tool goals at P sample times, the first now, the others one period apart, m, shape (B, P, 2).
+            goals: Tool goals (x, y) of B simulated machines at P sample times, the first now, the others one period
+                apart, m, shape (B, P, 2).
 
         Returns:
             Goals at the same sample times plus the dead time, up to the last given goal, m, shape (B, Q, 2), Q <= P.
@@ -109,6 +115,7 @@ class DeadTime:
         """
         if self.delay_s == 0.0:
             return goals
+        # In periods from now: the dead time, then one period later each, up to the last given goal.
         later = np.arange(self.delay_s / self.period, goals.shape[1] - 1 + 1e-9)
         if len(later) < 2:
             raise InputError(
@@ -122,8 +129,8 @@ class DeadTime:
         """Simulate the machine one dead time ahead under the voltages in the delay line.
 
         Args:
-            state: Belt travel (radius * angle of a rotary coordinate) of the n coordinates and its velocity, m and m/s,
-                shape (B, 2 n).
+            state: Belt travel (radius * angle of a rotary coordinate) of the n coordinates of B machines and its
+                velocity, m and m/s, shape (B, 2 n).
 
         Returns:
             Predicted belt travel and velocity, m and m/s, shape (B, 2 n); `state` itself without a dead time.
@@ -144,7 +151,7 @@ class InputInversion:
     """Tables of the drives' static characteristics (dead band, offset, gain) and of their inverses.
 
     Args:
-        machine: Machine whose effects may change the voltage of its drives.
+        machine: Machine whose effects (deviations from the nominal model) may change the voltage of its drives.
 
     Attributes:
         rated: Rated voltages, V, shape (drives,).
@@ -171,7 +178,8 @@ class InputInversion:
         """Compute the voltages at the motors that result from commanded voltages.
 
         Args:
-            command: Commanded voltages of B stages, at most the rated ones in magnitude, V, shape (B, drives).
+            command: Commanded voltages of B simulated machines, at most the rated ones in magnitude, V, shape (B,
+                drives).
 
         Returns:
             Voltages at the motors, V, shape (B, drives).
@@ -182,7 +190,7 @@ class InputInversion:
         """Compute the commanded voltages that produce given voltages at the motors (inverse of `motor_voltage`).
 
         Args:
-            motor_voltage: Voltages wanted at the motors of B stages, V, shape (B, drives).
+            motor_voltage: Voltages wanted at the motors of B simulated machines, V, shape (B, drives).
 
         Returns:
             Commanded voltages, limited to the rated voltages, V, shape (B, drives).

@@ -3,9 +3,9 @@
 For a fixed goal (point-to-point motion):
 
 State feedback     The first voltage of the shortest minimum-energy transfer to rest that stays near the rated voltage
-                   (minimum_energy.py), planned anew from the measured state every period. Far from the goal it acts as
-                   a nearly time-optimal reference that cannot wind up behind saturated motors; near the goal, where the
-                   shortest transfer is admissible, it is a constant (deadbeat) gain.
+                   (`MinimumEnergyTransfers`), planned anew from the measured state every period. Far from the goal it
+                   acts as a nearly time-optimal reference that cannot wind up behind saturated motors; near the goal,
+                   where the shortest transfer is admissible, it is a constant (deadbeat) gain.
 Feedforward        The voltage against Coulomb friction and the forces of the machine's effects at the present motion.
 Disturbance        Once the shortest transfer is admissible, the feedforward uses the force that the momentum balance of
 observer           the last period measured, within limits. While static friction holds the stage, the measured force
@@ -17,24 +17,21 @@ Motor reference    Motor positions deviate from those of unstretched belts, beca
 Gain reduction     A stage that keeps moving near its goal rings because the model is inaccurate; transfers of more
                    periods, that is, lower gains, end the ringing.
 
-A moving goal, which the observation previews, is tracked by preview_control.py. A dead time of the drives is bridged by
+A moving goal, which the observation previews, is tracked by `PreviewTracker`. A dead time of the drives is bridged by
 a state prediction, and their static nonlinearities are inverted (input_compensation.py).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..machine import Machine
-from .base import CONTROLLERS, Controller, EpisodeStarts, Feedback, Mask
+from .base import CONTROLLERS, Feedback, FullStateController
+from .finite_horizon_control import MinimumEnergyTransfers, PreviewTracker
 from .input_compensation import DeadTime, InputInversion
-from .minimum_energy import MinimumEnergyTransfers
-from .motion_model import MotionModel
-from .preview_control import PreviewTracker
 
 Array = NDArray[np.float64]
 # The following constants are tuned on randomized H-frames ("default").
@@ -56,7 +53,7 @@ STRETCH_FILTER_GAIN = 0.2  # fraction of the measured stretch error by which the
 
 
 @CONTROLLERS.register("pid")
-class ModelBasedController(Controller):
+class ModelBasedController(FullStateController):
     """Finite-horizon state feedback with disturbance observer and preview, designed from the machine model.
 
     The registered name `pid` is historical and serves as its short name: like a PID it needs no training and has
@@ -68,7 +65,7 @@ class ModelBasedController(Controller):
 
     Attributes:
         model: Model of the machine.
-        transfers: Feedback gains for point-to-point motion.
+        transfers: Feedback gains of the motions to rest at a fixed goal (point-to-point motion).
 
     Raises:
         InputError: If the machine does not have two drives that can move both x and y, x or y has no range, or the
@@ -79,50 +76,36 @@ class ModelBasedController(Controller):
 
     def __init__(self, machine: Machine, period: float = 0.01) -> None:
         super().__init__(machine, period)
-        self.model = MotionModel(machine)
         self.transfers = MinimumEnergyTransfers(self.model, period)
         self._dead_time = DeadTime(machine, period)
         self._inversion = InputInversion(machine)
         self._tracker: PreviewTracker | None = None  # created when the length of the preview is known
         self._disturbance_limit = DISTURBANCE_LIMIT * np.abs(self.model.rigid.T) @ self.model.coulomb  # N, (2,)
         self._longest_hold = int(np.ceil(LONGEST_HOLD * self.transfers.shortest))
-        self._starts = EpisodeStarts()
         self._state = np.zeros((0, 0))  # at the last observation
         self._stretch = np.zeros((0, 0))  # m, motor reference minus that of unstretched belts
         # Periods since the shortest transfer became admissible, periods of motion near the goal, and periods of the
         # episode.
         self._settling = self._moving = self._elapsed = np.zeros(0, np.intp)
 
-    def reset(self, mask: Mask | None = None) -> None:
-        """Clear the memory of stages whose next observation starts a new episode.
+    def act_on_state(self, state: Array, goals: Array) -> Array:
+        """Compute the actions for the control period that starts now from the states and goals of B simulated machines.
 
         Args:
-            mask: True for the stages to reset, shape (B,). Default: all; the batch size may then change.
-        """
-        self._starts.reset(mask)
-
-    def act(self, observation: Mapping[str, NDArray[Any]]) -> Array:
-        """Compute the actions for the control period that starts now, for B stages.
-
-        Args:
-            observation: Arrays by key. `observation`: positions of x, y and the motors, then their velocities, m, rad,
-                m/s and rad/s, shape (B, 2 n) for n coordinates. `desired_goal`: tool goal, m, shape (B, 2). For a
-                moving goal also `preview`, m, shape (B, 2 P): goals at the ends of the next P periods.
+            state: Belt travel (radius * angle of a rotary coordinate, position of a linear one) of the n coordinates
+                and its velocity, m and m/s, shape (B, 2 n).
+            goals: Tool goals (x, y), m, shape (B, 1 + P, 2): the present goal, then those at the ends of the next P
+                periods. P = 0 means that the goal does not move.
 
         Returns:
             Voltages divided by the rated voltages, in [-1, 1], shape (B, 2).
 
         Raises:
-            InputError: If the observation does not fit the machine, or the preview ends within the dead time.
+            InputError: If the preview ends within the dead time of the drives.
         """
-        state = self.model.state(observation)
-        goal = np.asarray(observation["desired_goal"], np.float64)
         self._begin_period(state)
-        if "preview" in observation:
-            preview = np.asarray(observation["preview"], np.float64).reshape(len(state), -1, 2)
-            motor_voltage = self._track(state, np.concatenate([goal[:, None], preview], axis=1))
-        else:
-            motor_voltage = self._reach(state, goal)
+        goal_moves = goals.shape[1] > 1
+        motor_voltage = self._track(state, goals) if goal_moves else self._reach(state, goals[:, 0])
         volts = self._inversion.command(motor_voltage)
         self._dead_time.send(volts)
         self._elapsed = self._elapsed + 1
@@ -134,12 +117,12 @@ class ModelBasedController(Controller):
         """Record the actions that were applied instead of those that `act` returned last.
 
         Args:
-            actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (B, 2).
+            actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (B, 2) for B machines.
         """
         self._dead_time.replace_last(actions * self.model.rated)
 
     def _begin_period(self, state: Array) -> None:
-        """Clear the memory of stages whose episode starts with `state` (B, 2 n)."""
+        """Clear the memory of machines whose episode starts with `state` (B, 2 n)."""
         if self._starts.resize(len(state)):
             self._state = state
             self._stretch = np.zeros((len(state), len(self.model.mass)))

@@ -57,12 +57,16 @@ class OperatingPointGrid:
         Returns:
             Indices into `points`, shape (B,).
         """
+        # Indices of the nearest grid lines along x and along y, each of shape (B,).
         i, j = (np.abs(position[:, k : k + 1] - line).argmin(axis=1) for k, line in enumerate(self._lines))
         return i * GRID[1] + j
 
 
 class MotionModel:
-    """Design model of a machine with n coordinates and two drives, in belt travel; methods take batches of B states.
+    """Model for the design of controllers: a machine with n coordinates and two drives, in belt travel.
+
+    Belt travel is radius * angle of a rotary coordinate and the position of a linear one. Methods take batches of B
+    states.
 
     Args:
         machine: Machine with the coordinates x, y and those of two drives.
@@ -76,7 +80,7 @@ class MotionModel:
         coulomb: Magnitudes of the Coulomb friction forces, N, shape (n,).
         drive: Force on every coordinate per volt of each drive at zero speed, N/V, shape (n, 2).
         rated: Rated voltages, V, shape (2,).
-        force_per_volt: Forces along x and y (with unstretched belts) per volt of each drive, N/V, shape (2, 2).
+        force_per_volt: Forces along x and y per volt of each drive, with belts that do not stretch, N/V, shape (2, 2).
 
     Raises:
         InputError: If the machine has other coordinates than x, y and those of two drives, or its drives cannot push
@@ -94,7 +98,7 @@ class MotionModel:
                 f"{', '.join(d.name for d in machine.drives)}"
             )
         n = len(names)
-        units = machine.travel_per_unit
+        units = machine.travel_per_unit  # 1 for linear coordinates, radius for rotary ones, m/rad
         linear = [c.name for c in machine.coordinates if c.kind == "linear"]
         self.rigid = np.stack(
             [rest_state(machine, [float(c == axis) for c in linear])[:n] * units for axis in AXES], axis=1
@@ -113,7 +117,7 @@ class MotionModel:
         if abs(np.linalg.det(self.force_per_volt)) < 1e-9 * np.abs(self.force_per_volt).max() ** 2:
             raise InputError(f"machine {machine.name!r}: its drives cannot push along both x and y")
         self._volts_per_force = np.linalg.inv(self.force_per_volt)
-        order = np.array([self.observed.index(c) for c in names])
+        order = np.array([self.observed.index(c) for c in names])  # columns of an observation's positions
         self._order = np.concatenate([order, n + order])
         self._scale = np.tile(units, 2)
 
@@ -122,7 +126,7 @@ class MotionModel:
 
         Args:
             observation: Arrays by key. `observation`: positions in the order of `observed`, then their velocities, m,
-                rad, m/s and rad/s, shape (B, 2 n). Other keys are ignored.
+                rad, m/s and rad/s, shape (B, 2 n) for B machines with n coordinates. Other keys are ignored.
 
         Returns:
             States: belt travel in the machine's order of coordinates and its velocity, m and m/s, shape (B, 2 n).
@@ -139,7 +143,7 @@ class MotionModel:
         """Convert states in belt travel to full-state observations; the inverse of `state`.
 
         Args:
-            state: Belt travel (radius * angle) and its velocity, m and m/s, shape (B, 2 n).
+            state: Belt travel (radius * angle) of n coordinates, m, and its rate, m/s, for B machines, shape (B, 2 n).
 
         Returns:
             Positions in the order of `observed`, then their velocities, m, rad, m/s and rad/s, shape (B, 2 n).
@@ -150,10 +154,11 @@ class MotionModel:
         """Compute the states at rest with unstretched belts at given tool positions.
 
         Args:
-            goal: Tool positions (x, y), m, shape (B, 2).
+            goal: B tool positions (x, y), m, shape (B, 2).
 
         Returns:
-            States: belt travel (radius * angle), m, and zero velocity, m/s, shape (B, 2 n).
+            States: belt travel (radius * angle of a rotary coordinate) of the n coordinates, m, and zero velocity, m/s,
+            shape (B, 2 n).
         """
         travel = np.asarray(goal, np.float64) @ self.rigid.T
         return np.concatenate([travel, np.zeros_like(travel)], axis=1)
@@ -162,7 +167,8 @@ class MotionModel:
         """Select the tool position (x, y) from belt travel or states.
 
         Args:
-            travel: Belt travel of the n coordinates, m; further columns are ignored; shape (B, n or more).
+            travel: Belt travel (radius * angle) of the n coordinates of B machines, m, shape (B, n); velocities in
+                further columns are ignored.
 
         Returns:
             Tool positions, m, shape (B, 2).
@@ -173,7 +179,8 @@ class MotionModel:
         """Subtract from belt travel its value with unstretched belts at the same tool position.
 
         Args:
-            travel: Belt travel of the n coordinates, m; further columns are ignored; shape (B, n or more).
+            travel: Belt travel (radius * angle) of the n coordinates of B machines, m, shape (B, n); velocities in
+                further columns are ignored.
 
         Returns:
             Belt travel due to belt stretch, m, shape (B, n); zero at x and y.
@@ -181,14 +188,15 @@ class MotionModel:
         return travel[:, : len(self.mass)] - self.tool_position(travel) @ self.rigid.T
 
     def discretize(self, goal: Array, period: float) -> tuple[Array, Array, Array]:
-        """Linearize the machine, without Coulomb friction, and discretize it with zero-order hold of its inputs.
+        """Linearize the machine with n coordinates, without Coulomb friction, and discretize it with zero-order hold.
 
         Args:
             goal: Tool position (x, y) of the linearization, m, shape (2,).
             period: Control period, s.
 
         Returns:
-            A: System matrix of the state (belt travel, m, and its velocity, m/s), shape (2 n, 2 n).
+            A: System matrix of the state (belt travel, that is, radius * angle of a rotary coordinate, m, and its
+                velocity, m/s), shape (2 n, 2 n).
             B: Input matrix of the voltages, m/V and m/(Vs), shape (2 n, 2).
             E: Input matrix of a force on each coordinate, m/N and m/(Ns), shape (2 n, n).
         """
@@ -197,17 +205,18 @@ class MotionModel:
         E = np.vstack([np.zeros((len(self.mass),) * 2), np.diag(1.0 / self.mass)])
         block = np.zeros((len(A) + B.shape[1] + E.shape[1],) * 2)
         block[: len(A)] = np.hstack([A, B, E])
-        held = expm(block * period)[: len(A)]
+        # The exponential of [[A, B, E], [0, 0, 0]] * period holds the three discrete-time matrices in its first rows.
+        discrete = expm(block * period)[: len(A)]
         first, second = len(A), len(A) + B.shape[1]
-        return held[:, :first], held[:, first:second], held[:, second:]
+        return discrete[:, :first], discrete[:, first:second], discrete[:, second:]
 
     def effect_force(self, state: Array, elapsed_s: Array) -> Array:
-        """Compute the forces of the machine's effects other than friction.
+        """Compute the forces of the machine's effects (deviations from the nominal model) other than friction.
 
         Effects with a memory or a lookup table, or that depend on voltage or current, are left out.
 
         Args:
-            state: Belt travel (radius * angle) and its velocity, m and m/s, shape (B, 2 n).
+            state: Belt travel (radius * angle) of n coordinates, m, and its rate, m/s, for B machines, shape (B, 2 n).
             elapsed_s: Time since the start of the episode, s, shape (B,).
 
         Returns:
@@ -218,10 +227,10 @@ class MotionModel:
         return _stack(self._balance(state, elapsed_s).held, state)
 
     def friction_force(self, state: Array, elapsed_s: Array) -> Array:
-        """Compute the friction forces apart from declared viscous friction: Coulomb friction and effects on friction.
+        """Compute Coulomb friction and the friction of the machine's effects; declared viscous friction is left out.
 
         Args:
-            state: Belt travel (radius * angle) and its velocity, m and m/s, shape (B, 2 n).
+            state: Belt travel (radius * angle) of n coordinates, m, and its rate, m/s, for B machines, shape (B, 2 n).
             elapsed_s: Time since the start of the episode, s, shape (B,).
 
         Returns:
@@ -233,10 +242,10 @@ class MotionModel:
         return self._effect_viscous_force(state) - level * self._direction(state)
 
     def effect_friction(self, state: Array, elapsed_s: Array) -> Array:
-        """Compute the change of the friction forces by effects, relative to declared Coulomb and viscous friction.
+        """Compute how much the machine's effects (deviations from its nominal model) change the friction forces.
 
         Args:
-            state: Belt travel (radius * angle) and its velocity, m and m/s, shape (B, 2 n).
+            state: Belt travel (radius * angle) of n coordinates, m, and its rate, m/s, for B machines, shape (B, 2 n).
             elapsed_s: Time since the start of the episode, s, shape (B,).
 
         Returns:
@@ -265,18 +274,18 @@ class MotionModel:
         """Compute the motor travel, due to belt stretch, at which the belts balance a force on the tool.
 
         Args:
-            force: Force on each coordinate, N, shape (B, n); only its x and y components are used.
+            force: Force on each of the n coordinates of B machines, N, shape (B, n); only x and y are used.
             goal: Tool positions (x, y), m, shape (B, 2).
 
         Returns:
-            Belt travel minus that of unstretched belts, m, shape (B, n); zero at x and y.
+            Belt travel (radius * angle) minus that of unstretched belts, m, shape (B, n); zero at x and y.
         """
         names = self.machine.coordinate_names
         tool = [names.index(axis) for axis in AXES]
         motors = [i for i in range(len(names)) if i not in tool]
         travel = goal @ self.rigid.T
         belts = self._declared.belt_states(MotionPoint(list(travel.T), list(np.zeros_like(travel).T)))
-        coupling = np.zeros((len(goal), len(tool), len(motors)))  # N/m
+        coupling = np.zeros((len(goal), len(tool), len(motors)))  # force on the tool per motor travel, N/m
         for belt, state in zip(self.machine.belts, belts, strict=True):
             row = self.machine.coefficients(belt.extension)
             coupling += np.reshape(state.stiffness, (-1, 1, 1)) * np.outer(row[tool], row[motors])
@@ -289,7 +298,7 @@ class MotionModel:
         """Convert forces along x and y (with unstretched belts) to the voltages that produce them at zero speed.
 
         Args:
-            force: Forces along x and y, N, shape (B, 2).
+            force: Forces along x and y on each of B machines, N, shape (B, 2).
 
         Returns:
             Voltages of the two drives, V, not limited, shape (B, 2).
@@ -302,7 +311,8 @@ class MotionModel:
         Belt forces are internal and cancel in the momentum balance along x and y.
 
         Args:
-            before: States (belt travel and velocity) at the start of the period, m and m/s, shape (B, 2 n).
+            before: States at the start of the period: belt travel (radius * angle of a rotary coordinate) of the n
+                coordinates of B machines and its velocity, m and m/s, shape (B, 2 n).
             after: States at the end of the period, m and m/s, shape (B, 2 n).
             volts: Voltages at the motors in the period, V, shape (B, 2).
             period: Control period, s.
@@ -311,9 +321,9 @@ class MotionModel:
             Disturbance forces along x and y, Coulomb friction included, N, shape (B, 2).
         """
         n = len(self.mass)
-        viscous = self.viscous * (after[:, :n] - before[:, :n])
-        momentum = self.mass * (after[:, n:] - before[:, n:])
-        return (viscous + momentum) @ self.rigid / period - volts @ self.force_per_volt.T
+        viscous_impulse = self.viscous * (after[:, :n] - before[:, :n])  # Ns
+        momentum_change = self.mass * (after[:, n:] - before[:, n:])  # Ns
+        return (viscous_impulse + momentum_change) @ self.rigid / period - volts @ self.force_per_volt.T
 
     def top_speed(self) -> Array:
         """Compute the steady speeds along x alone and along y alone with both drives at rated voltage.
@@ -321,9 +331,9 @@ class MotionModel:
         Returns:
             Speeds along x and y, m/s, shape (2,); zero where Coulomb friction exceeds the drive force.
         """
-        push = np.abs(self.force_per_volt) @ self.rated
+        drive_force = np.abs(self.force_per_volt) @ self.rated
         friction = np.abs(self.rigid.T) @ self.coulomb
-        return np.maximum(push - friction, 0.0) / np.maximum((self.rigid**2).T @ self.viscous, 1e-9)
+        return np.maximum(drive_force - friction, 0.0) / np.maximum((self.rigid**2).T @ self.viscous, 1e-9)
 
 
 def _memoryless(effect: AppliedEffect) -> bool:

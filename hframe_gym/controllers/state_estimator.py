@@ -37,7 +37,7 @@ ROUNDING = 1e-9  # relative growth of variances that keeps a covariance positive
 
 INITIAL_STRETCH_STD = 1e-4  # m, of the travel at the start of an episode
 # Process noise: an unmodeled force on each coordinate, constant over a period, as a fraction of its Coulomb level (at
-# least a tenth of the largest level); and m/s per square root of a second for stages without friction.
+# least a tenth of the largest level); and m/s per square root of a second for machines without friction.
 FORCE_NOISE, VELOCITY_NOISE = 0.1, 1e-2
 PARAMETER_MEMORY_S = 8.0  # s, time constant of forgetting: motors warm up, and friction varies along the path
 INNOVATION_LIMIT = 4.0  # squared innovation over its expectation, above which the covariance is inflated
@@ -50,7 +50,7 @@ LONGEST_STEP_S = 0.5e-3  # s, of the simulator, as in the environment: short aga
 
 
 class StateEstimator:
-    """Kalman filter that estimates the states and parameters of B stages from the machine's declared sensors.
+    """Kalman filter that estimates the states and parameters of B machines from their declared sensors.
 
     In every control period, call `update` with the measurements, then `send` with the voltages.
 
@@ -99,14 +99,14 @@ class StateEstimator:
 
     @property
     def parameter_ratios(self) -> Array:
-        """Estimated ratios of the k parameters `augmented.names` to their declared values, shape (B, k)."""
+        """Estimated ratios of k parameters (`augmented.names`) to the declared values, shape (B, k) for B machines."""
         return self.augmented.ratios(self._mean[:, len(self._scale) :])
 
     def reset(self, mask: Mask | None = None) -> None:
-        """Discard the estimates of stages whose next measurements start a new episode; they must then be at rest.
+        """Discard the estimates of simulated machines whose next measurements start an episode, which starts at rest.
 
         Args:
-            mask: True for the stages to reset, shape (B,). Default: all; the batch size may then change.
+            mask: True for the machines to reset, shape (B,) for B machines. Default: all; B may then change.
         """
         self._starts.reset(mask)
 
@@ -114,7 +114,7 @@ class StateEstimator:
         """Record the commanded voltages of the control period that starts now, for the next prediction.
 
         Args:
-            volts: Commanded voltages, V, shape (B, 2).
+            volts: Commanded voltages of the two drives, V, shape (B, 2) for B simulated machines.
         """
         self._dead_time.send(volts)
 
@@ -122,7 +122,7 @@ class StateEstimator:
         """Record the voltages that were applied instead of those passed to `send` last.
 
         Args:
-            volts: Commanded voltages, V, shape (B, 2).
+            volts: Commanded voltages of the two drives, V, shape (B, 2) for B simulated machines.
         """
         self._dead_time.replace_last(volts)
 
@@ -130,7 +130,8 @@ class StateEstimator:
         """Predict the state over the last control period and correct it with new measurements.
 
         Args:
-            measurements: One measurement per sensor, in the sensor's unit, shape (B, channels).
+            measurements: One measurement per sensor, in the sensor's unit, shape (B, channels) for B simulated
+                machines.
 
         Returns:
             Estimated belt travel (radius * angle of a rotary coordinate) of the n coordinates and its velocity, m and
@@ -150,8 +151,8 @@ class StateEstimator:
         self._dead_time.reset(starts)
         travel, valid = self.measurements.to_travel(values), self.measurements.in_range(values)
         self._predict()
-        width = len(self._scale)
-        if starts.any():
+        width = len(self._scale)  # of the state, 2 n; the logarithms of parameter ratios follow
+        if starts.any():  # new episodes start at rest, with the declared parameters
             self._mean[starts] = 0.0
             self._mean[starts, :width] = self._state_at_rest(travel, valid)[starts]
             self._covariance[starts] = self._initial_covariance
@@ -227,7 +228,7 @@ def sigma_points(mean: Array, covariance: Array, smallest_std: Array) -> Array:
     """Compute the sigma points of B normal distributions of N variables for the DD2 filter.
 
     These are the mean and, for each column c of the covariance's Cholesky factor, mean + sqrt(3) c and mean - sqrt(3) c
-    (`SIGMA_SQUARED` = 3).
+    (`SIGMA_SQUARED` = 3). DD2 is the filter with second-order divided differences of Norgaard, Poulsen and Ravn (2000).
 
     Args:
         mean: Means, shape (B, N).
@@ -241,6 +242,7 @@ def sigma_points(mean: Array, covariance: Array, smallest_std: Array) -> Array:
     diagonal = np.arange(mean.shape[1])
     widened = covariance.copy()
     widened[:, diagonal, diagonal] = (1.0 + ROUNDING) * widened[:, diagonal, diagonal] + smallest_std**2
+    # Rows: columns of the Cholesky factor times sqrt(3), shape (B, N, N).
     steps = np.sqrt(SIGMA_SQUARED) * np.linalg.cholesky(widened).transpose(0, 2, 1)
     center = mean[:, None]
     return np.concatenate([center, center + steps, center - steps], axis=1)
@@ -252,17 +254,20 @@ def transformed_moments(mapped: Array) -> tuple[Array, Array]:
     Divided differences need no derivatives, which friction does not have, and the covariance is a sum of squares.
 
     Args:
-        mapped: Values of f, with M components, at the `sigma_points` of x, shape (B, 2 N + 1, M).
+        mapped: Values of f, with M components, at the `sigma_points` of B distributions of N variables x, shape
+            (B, 2 N + 1, M).
 
     Returns:
         mean: Means of y, shape (B, M).
         covariance: Covariances of y, shape (B, M, M).
 
     References:
-        Norgaard, Poulsen and Ravn (2000), DD2 filter.
+        Norgaard, Poulsen and Ravn (2000), New developments in state estimation for nonlinear systems, Automatica
+        36(11): the DD2 filter.
     """
     count = mapped.shape[1] // 2
     center, above, below = mapped[:, :1], mapped[:, 1 : count + 1], mapped[:, count + 1 :]
+    # Each of shape (B, N, M); the covariance is the sum of the squares of `first` and `second` over the N variables.
     curvature = above + below - 2.0 * center
     mean = center[:, 0] + curvature.sum(axis=1) / (2.0 * SIGMA_SQUARED)
     first = (above - below) / (2.0 * np.sqrt(SIGMA_SQUARED))

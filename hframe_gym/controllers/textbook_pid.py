@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from ..machine import Machine, mode_frequencies
-from .base import CONTROLLERS, Controller, Mask
-from .motion_model import AXES, MotionModel
+from .base import CONTROLLERS, FullStateController
+from .motion_model import AXES
 
 Array = NDArray[np.float64]
 # Slowest belt mode, or half the sampling frequency where that is lower, over the bandwidth of the closed loop: the
@@ -19,13 +16,13 @@ FREQUENCY_MARGIN = 5.0
 
 
 @CONTROLLERS.register("textbook-pid")
-class TextbookPID(Controller):
+class TextbookPID(FullStateController):
     """PID control of the tool position along x and y; integration stops while a drive saturates (anti-windup).
 
     Each axis is modeled as a rigid mass m with viscous friction b, m v' = f - b v for velocity v and force f, and the
-    gains put all three closed-loop poles at -w, where w is the frequency of the slowest belt mode (or half the sampling
-    frequency, if that is lower) divided by FREQUENCY_MARGIN. The derivative acts on the measured velocity; for a moving
-    goal, on the difference to the goal's velocity.
+    gains put all three closed-loop poles at -w, where w is the frequency of the slowest vibration mode of the belts (or
+    half the sampling frequency, if that is lower) divided by FREQUENCY_MARGIN. The derivative acts on the measured
+    velocity; for a moving goal, on the difference to the goal's velocity.
 
     Args:
         machine: Machine model from which the gains are computed.
@@ -46,11 +43,12 @@ class TextbookPID(Controller):
 
     def __init__(self, machine: Machine, period: float = 0.01) -> None:
         super().__init__(machine, period)
-        self.model = MotionModel(machine)
         modes = [frequency for frequency in mode_frequencies(machine) if frequency > 0.0]
         bandwidth = 2.0 * np.pi * min([0.5 / period, *modes]) / FREQUENCY_MARGIN  # rad/s
-        rigid = self.model.rigid**2
-        mass, viscous = rigid.T @ self.model.mass, rigid.T @ self.model.viscous
+        # Mass and friction of all coordinates, seen along x and y with unstretched belts, kg and Ns/m, each (2,).
+        travel_squared = self.model.rigid**2
+        mass, viscous = travel_squared.T @ self.model.mass, travel_squared.T @ self.model.viscous
+        # Coefficients of (s + w)^3 = s^3 + 3 w s^2 + 3 w^2 s + w^3 with w = bandwidth.
         self.proportional = 3.0 * mass * bandwidth**2
         # No derivative action where friction damps more than the poles need.
         self.derivative = np.maximum(3.0 * mass * bandwidth - viscous, 0.0)
@@ -58,41 +56,30 @@ class TextbookPID(Controller):
         self._integral_force = np.zeros((0, 2))  # N
         self._axes = np.array([machine.coordinate_names.index(axis) for axis in AXES])
 
-    def reset(self, mask: Mask | None = None) -> None:
-        """Set the integrators of stages whose next observation starts a new episode to zero.
+    def act_on_state(self, state: Array, goals: Array) -> Array:
+        """Compute the actions for the control period that starts now from the states and goals of B simulated machines.
 
         Args:
-            mask: True for the stages to reset, shape (B,). Default: all; the batch size may then change.
-        """
-        if mask is None or not len(self._integral_force):
-            self._integral_force = np.zeros((0, 2))
-        else:
-            self._integral_force = np.where(mask[:, None], 0.0, self._integral_force)
-
-    def act(self, observation: Mapping[str, NDArray[Any]]) -> Array:
-        """Compute the actions for the control period that starts now, for B stages.
-
-        Args:
-            observation: Arrays by key. `observation`: positions of x, y and the motors, then their velocities, m, rad,
-                m/s and rad/s, shape (B, 2 n) for n coordinates. `desired_goal`: tool goal, m, shape (B, 2). For a
-                moving goal also `preview`, m, shape (B, 2 P): goals at the ends of the next P periods.
+            state: Belt travel (radius * angle of a rotary coordinate, position of a linear one) of the n coordinates
+                and its velocity, m and m/s, shape (B, 2 n).
+            goals: Tool goals (x, y), m, shape (B, 1 + P, 2): the present goal, then those at the ends of the next P
+                periods, of which the first gives the goal's velocity. P = 0 means that the goal does not move.
 
         Returns:
             Voltages divided by the rated voltages, in [-1, 1], shape (B, 2).
-
-        Raises:
-            InputError: If the observation does not fit the machine.
         """
-        state = self.model.state(observation)
-        if len(self._integral_force) != len(state):
+        if self._starts.resize(len(state)):
             self._integral_force = np.zeros((len(state), 2))
+        self._integral_force = np.where(self._starts.mask[:, None], 0.0, self._integral_force)
+        self._starts.clear()
+        error = goals[:, 0] - state[:, self._axes]
         velocity = state[:, len(self.model.mass) + self._axes]
-        goal = np.asarray(observation["desired_goal"], np.float64)
-        if "preview" in observation:
-            velocity = velocity - (np.asarray(observation["preview"], np.float64)[:, :2] - goal) / self.period
-        error = goal - state[:, self._axes]
+        if goals.shape[1] > 1:
+            velocity = velocity - (goals[:, 1] - goals[:, 0]) / self.period
         integral_force = self._integral_force + self.integral * self.period * error
-        volts = self.model.voltage(self.proportional * error - self.derivative * velocity + integral_force)
+        force = self.proportional * error - self.derivative * velocity + integral_force  # N, along x and y, (B, 2)
+        volts = self.model.voltage(force)
+        # Anti-windup: the integrators keep their values while a drive saturates.
         saturated = np.any(np.abs(volts) > self.model.rated, axis=1, keepdims=True)
         self._integral_force = np.where(saturated, self._integral_force, integral_force)
         return np.clip(volts / self.model.rated, -1.0, 1.0)

@@ -79,16 +79,18 @@ class TimeOptimalMotion:
 class TimeOptimalReach:
     """Solver of the time-optimal control problem of one machine for any start, goal and parameter values.
 
-    Effects are part of the motion, except those at sensors. The problem's controls are the voltages at the motors: an
-    effect on a drive's voltage (dead band, offset, gain) changes their limits, and a current limit is a constraint. Not
-    supported (see `check_supported`) are effects with a memory, because their states are not part of the problem;
-    effects whose formula is not differentiable; and a dead time of the drives.
+    The machine's effects (deviations from its nominal model) are part of the motion, except those at sensors. The
+    problem's controls are the voltages at the motors: an effect on a drive's voltage (dead band, offset, gain) changes
+    their limits, and a current limit is a constraint. Not supported (see `check_supported`) are effects with a memory,
+    because their states are not part of the problem; effects whose formula is not differentiable; and a dead time of
+    the drives.
 
     Args:
-        machine: Machine.
+        machine: Machine whose motion is optimized, with its effects.
         band: Radius of the band around the goal, m.
-        intervals: Numbers of intervals of the motion (T) and of the following time within the band (HOLD_S).
-        reversal_speed: Speed v0 of the smoothed friction, m/s.
+        intervals: Numbers of collocation intervals of the motion until the tool enters the band for the last time
+            (duration T), and of the following HOLD_S within the band.
+        reversal_speed: Speed v0 of the smoothed Coulomb friction F tanh(v / v0), m/s.
 
     Raises:
         InputError: If the machine has an effect that is not supported.
@@ -165,15 +167,19 @@ class TimeOptimalReach:
         Args:
             start: Positions of the linear coordinates (usually x, y) at the start, m, shape (axes,).
             goal: Positions of the linear coordinates at the goal, m, shape (axes,).
-            parameters: Parameters in the order and units of `Machine.parameters`, shape (P,). Default: the machine's.
-            guesses: Initial guesses of T as multiples of the estimated time with rigid belts, tried in this order.
+            parameters: All P parameters in the order and units of `Machine.parameters`, shape (P,). Default: the
+                machine's.
+            guesses: Initial guesses of the duration T of the motion, as multiples of the estimated time with rigid
+                belts, tried in this order; at least one.
 
         Returns:
-            The motion of the first guess that converges; if none does, that of the last guess with `solved` False.
+            Duration and commanded voltages of the motion, from the first guess with which IPOPT converges; if it
+            converges with none, those of the last guess with `solved` False.
         """
         begin, end = np.asarray(start, float), np.asarray(goal, float)
         nominal = list(self.machine.parameters.values())
         values = np.asarray(nominal if parameters is None else parameters, np.float64)
+        # Constants of the nonlinear program: the state at the start (belt travel, speed), the goal and the parameters.
         fixed = np.concatenate([self._rigid @ begin, np.zeros(len(self._rigid)), end, values])
         for factor in guesses:
             guess = self._guess(begin, end, factor * self._rigid_time(end - begin, values))
@@ -181,11 +187,12 @@ class TimeOptimalReach:
             statistics = self._solver.stats()
             if statistics["success"]:
                 break
+        # The unknowns are T, then for each interval the actions and the states at its collocation points.
         solution = np.array(result["x"]).ravel()
-        T, rest = float(solution[0]), solution[1:].reshape(sum(self.intervals), -1)
+        T, by_interval = float(solution[0]), solution[1:].reshape(sum(self.intervals), -1)
         moving, holding = self.intervals
         edges = np.concatenate([np.linspace(0.0, T, moving + 1), T + np.linspace(0.0, HOLD_S, holding + 1)[1:]])
-        volts = self._commands(rest[:, : len(self.machine.drives)], values)
+        volts = self._commands(by_interval[:, : len(self.machine.drives)], values)
         return TimeOptimalMotion(T, statistics["success"], statistics["return_status"], edges, volts)
 
     def _commands(self, actions: Array, values: Array) -> Array:
@@ -296,7 +303,7 @@ def check_supported(machine: Machine) -> None:
     """Check that time-optimal motions of a machine can be computed.
 
     Args:
-        machine: Machine with its effects.
+        machine: Machine with its effects (deviations from the nominal model).
 
     Raises:
         InputError: If an effect delays the drives, has a memory or is not differentiable, or the machine's bridge yaws

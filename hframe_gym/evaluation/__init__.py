@@ -13,7 +13,7 @@ from .metrics import (
     settling_times,
     stored_bounds,
 )
-from .runner import Evaluation, evaluate, rollout, write_scores
+from .runner import Evaluation, evaluate, plot_episode, rollout, save_plot, write_scores
 from .scenario import (
     CONTROLLER_SOURCES,
     ControllerSource,
@@ -41,8 +41,10 @@ __all__ = [
     "evaluate",
     "make_controller",
     "mean_with_interval",
+    "plot_episode",
     "ratio_of_means",
     "rollout",
+    "save_plot",
     "score_episodes",
     "settling_times",
     "stored_bounds",

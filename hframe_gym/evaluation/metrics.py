@@ -34,9 +34,8 @@ class MetricSet(Protocol):
 
         Args:
             episodes: Recorded episodes.
-            bound_s: Shortest possible settling time of each episode, s, shape (B,), NaN where unknown; None if no
-                bound is known.
-            seed: Seed of the bootstrap.
+            bound_s: Shortest possible settling time of each episode, s, shape (B,), NaN where unknown, or None for all.
+            seed: Seed of the bootstrap resampling.
 
         Returns:
             Metrics by name, as data that JSON can hold.
@@ -53,17 +52,21 @@ def score_episodes(
 
     Args:
         episodes: Recorded episodes.
-        bound_s: Shortest possible settling time of each episode, s, shape (B,), NaN where it is unknown. Default: none.
-        seed: Seed of the bootstrap.
-        metrics: Name of the task's metric set. Default: "track" for episodes with a path, else "reach".
+        bound_s: Shortest possible settling time of each episode, s, shape (B,), NaN where unknown, or None for all.
+        seed: Seed of the bootstrap resampling that gives confidence intervals.
+        metrics: Name of a set of metrics (see `METRICS`). Default: "track" if the episodes have a path, else "reach".
 
     Returns:
-        The task's metrics by name, and `energy_J`; `voltage_variation`, the sum over drives and control periods of the
-        absolute change of voltage, V, from 0 V at the start; `saturation_share`, the fraction of drives and periods at
-        rated voltage, 0 to 1; and `peak_belt_force_N`; the last four as mean and 95 % interval over the episodes.
+        The metrics of the metric set by name, and as mean and 95 % confidence interval over the episodes:
+        `energy_J`: electrical energy drawn minus energy fed back, J.
+        `voltage_variation`: sum over drives and periods of the absolute voltage change, from 0 V at the start, V.
+        `saturation_share`: fraction of drives and control periods at rated voltage, 0 to 1.
+        `peak_belt_force_N`: largest belt tension beyond pretension, N.
 
     Raises:
-        ValueError: If `bound_s` has another length, or holds a time that is not positive and finite.
+        InputError: If no metric set has this name.
+        ValueError: If `bound_s` has another length or holds a time that is not positive and finite, or the metric set
+            "track" is used for episodes without a path.
     """
     previous = np.concatenate([np.zeros_like(episodes.volts[:, :1]), episodes.volts[:, :-1]], axis=1)
     variation = np.abs(episodes.volts - previous).sum(axis=(1, 2))
@@ -79,17 +82,21 @@ def score_episodes(
 
 @METRICS.register("reach")
 def reach_metrics(episodes: Episodes, bound_s: Array | None, seed: int) -> dict[str, Any]:
-    """Compute success and settling time in each band, overshoot, and the error at the end.
+    """Compute the metrics of moves to a fixed goal: success and settling time, overshoot, and the error at the end.
+
+    An episode settles in a band when the tool stays closer to the goal than the band's radius until the end.
 
     Args:
-        episodes: Recorded episodes.
-        bound_s: Shortest possible settling time of each episode, s, shape (B,), NaN where it is unknown, or None.
-        seed: Seed of the bootstrap.
+        episodes: B recorded episodes with fixed goals.
+        bound_s: Shortest possible settling time of each episode in the band `BOUND_BAND`, s, shape (B,), NaN where
+            unknown; None if it is unknown for all.
+        seed: Seed of the bootstrap resampling that gives confidence intervals.
 
     Returns:
-        `success`: fraction of episodes that settle, 0 to 1, by band of `BANDS`.
-        `settling_s`: mean, median, 95 % quantile and interval of the mean of the settling times, s, by band.
-        `over_bound`: result of `ratio_to_bound`; None without bounds.
+        `success`: fraction of episodes that settle, 0 to 1, by name of the band in `BANDS`.
+        `settling_s`: `mean`, `median`, `p95` (95 % quantile) and `ci95` (confidence interval of the mean) of the
+        settling times, s, by band.
+        `over_bound`: ratio of settling times to bounds as `ratio_to_bound` returns it; None without bounds.
         `overshoot_mm`, `final_error_mm`: mean and 95 % interval over the episodes, mm.
 
     Raises:
@@ -116,16 +123,18 @@ def reach_metrics(episodes: Episodes, bound_s: Array | None, seed: int) -> dict[
 
 @METRICS.register("track")
 def track_metrics(episodes: Episodes, bound_s: Array | None, seed: int) -> dict[str, Any]:
-    """Compute contour error (distance to the path), tracking error (distance to the moving goal), delay and success.
+    """Compute the metrics of motion along a path: contour error, tracking error, delay and success.
+
+    The contour error is the distance of the tool to the path, the tracking error its distance to the moving goal.
 
     Args:
         episodes: Recorded episodes of a task with a path.
-        bound_s: Not used; there are no bounds for paths.
-        seed: Seed of the bootstrap.
+        bound_s: Not used, because there are no time-optimal bounds for paths.
+        seed: Seed of the bootstrap resampling that gives confidence intervals.
 
     Returns:
-        `success`: fraction of episodes whose contour error never exceeds a band of `BANDS`, 0 to 1, by band.
-        `contour_mm`, `tracking_mm`: `rms` and `max` over an episode, each as mean and 95 % interval over the episodes.
+        `success`: fraction of episodes whose contour error never exceeds a limit, 0 to 1, by limit (`BANDS`).
+        `contour_mm`, `tracking_mm`: `rms` and `max` over an episode, mm, as mean and 95 % interval over the episodes.
         `delay_ms`: delay of the tool behind its goal, ms, mean and 95 % interval over the episodes.
 
     Raises:
@@ -161,6 +170,7 @@ def settling_times(error: Array, time_s: Array, band: float) -> tuple[Array, NDA
         success: True for episodes that end within the band, shape (B,).
     """
     outside = error > band
+    # Index of the first sample after the last one outside the band, (B,); n if the episode ends outside.
     after_last = np.where(outside.any(axis=1), error.shape[1] - np.argmax(outside[:, ::-1], axis=1), 0)
     success = after_last < error.shape[1]
     return time_s[np.minimum(after_last, error.shape[1] - 1)] - time_s[0], success
@@ -176,7 +186,7 @@ def overshoot(position: Array, goal: Array) -> Array:
     Returns:
         Overshoot, m, shape (B,); at least zero. Where start and goal coincide, the largest distance from them.
     """
-    way = goal - position[:, 0]
+    way = goal - position[:, 0]  # from start to goal, m, (B, 2)
     length = np.linalg.norm(way, axis=1)
     direction = way / np.where(length > 0.0, length, 1.0)[:, None]
     beyond = np.einsum("bni,bi->bn", position - goal[:, None], direction).max(axis=1)
@@ -185,9 +195,9 @@ def overshoot(position: Array, goal: Array) -> Array:
 
 
 def tracking_delay(episodes: Episodes) -> Array:
-    """Compute the mean delay of the tool behind its moving goal g.
+    """Compute the mean delay of the tool behind its moving goal in each of B episodes.
 
-    The delay T minimizes the sum of |g - T g' - p|^2 over the samples of the tool position p (least squares).
+    The delay T minimizes the sum of |g - T g' - p|^2 over the samples of goal g and tool position p (least squares).
 
     Args:
         episodes: B recorded episodes.
@@ -196,6 +206,7 @@ def tracking_delay(episodes: Episodes) -> Array:
         Delay, s, negative if the tool leads, shape (B,); zero for a goal that does not move.
     """
     velocity = np.gradient(episodes.goal, episodes.time_s, axis=1)
+    # The least-squares solution: T = sum (g - p) g' / sum |g'|^2.
     lag = np.sum((episodes.goal - episodes.position) * velocity, axis=(1, 2))
     return np.asarray(lag / np.maximum(np.sum(velocity**2, axis=(1, 2)), 1e-12))
 
@@ -205,7 +216,7 @@ def mean_with_interval(values: Array, seed: int) -> dict[str, Any]:
 
     Args:
         values: One value per episode, any unit, shape (B,).
-        seed: Seed of the bootstrap.
+        seed: Seed of the bootstrap resampling.
 
     Returns:
         `mean`, and `ci95`: [lower limit, upper limit], in the unit of the values. Both limits are the mean if all
@@ -216,14 +227,9 @@ def mean_with_interval(values: Array, seed: int) -> dict[str, Any]:
     mean = float(np.mean(values))
     if len(values) < 2 or np.all(values == values[0]):
         return {"mean": mean, "ci95": [mean, mean]}
-    interval = bootstrap(
-        (values,),
-        np.mean,
-        n_resamples=BOOTSTRAP_RESAMPLES,
-        batch=100,
-        method="percentile",
-        rng=np.random.default_rng(seed),
-    ).confidence_interval
+    rng = np.random.default_rng(seed)
+    result = bootstrap((values,), np.mean, n_resamples=BOOTSTRAP_RESAMPLES, batch=100, method="percentile", rng=rng)
+    interval = result.confidence_interval
     return {"mean": mean, "ci95": [float(interval.low), float(interval.high)]}
 
 
@@ -232,12 +238,14 @@ def ratio_to_bound(times: Array, bound_s: Array, seed: int) -> dict[str, Any] | 
 
     Args:
         times: Settling times of B episodes, s, shape (B,).
-        bound_s: Shortest possible settling times, s, shape (B,), NaN where unknown.
-        seed: Seed of the bootstrap.
+        bound_s: Shortest possible settling times (time-optimal bounds), s, shape (B,), NaN where unknown.
+        seed: Seed of the bootstrap resampling.
 
     Returns:
-        For the band `BOUND_BAND`: `mean` and `ci95` of the ratios time / bound; `ratio_of_means`, mean time / mean
-        bound, which weights episodes by their bounds; and the number of `episodes` with a bound. None if there is none.
+        None if no bound is known; else a dictionary with the key `BOUND_BAND` (the settling band of the bounds) and:
+        `mean`, `ci95`: mean of the ratios time / bound over the episodes, and its 95 % confidence interval.
+        `ratio_of_means`: mean time / mean bound as `ratio_of_means` returns it; weights episodes by their bounds.
+        `episodes`: number of episodes with a bound.
 
     Raises:
         ValueError: If `bound_s` has another length, or holds a time that is not positive and finite.
@@ -259,7 +267,7 @@ def ratio_of_means(times: Array, bound: Array, seed: int) -> dict[str, Any]:
     Args:
         times: Settling times of B episodes, s, shape (B,).
         bound: Shortest possible settling times of the same episodes, s, shape (B,), all known.
-        seed: Seed of the bootstrap.
+        seed: Seed of the bootstrap resampling.
 
     Returns:
         `mean`: the ratio; `ci95`: [lower limit, upper limit] of its 95 % interval (percentile bootstrap over episodes).
@@ -273,7 +281,8 @@ class StoredBounds(NamedTuple):
     """Time-optimal bounds of B episodes, from the file of bounds in the package.
 
     Attributes:
-        times_s: Shortest possible settling time of each episode, s, shape (B,), NaN where unknown; None if all are.
+        times_s: Shortest possible time to settle within 0.2 mm of the goal in each episode, s, shape (B,), NaN where
+            unknown; None if unknown for all.
         reason: Why some or all episodes have no bound; None if all have one.
     """
 
@@ -282,9 +291,9 @@ class StoredBounds(NamedTuple):
 
 
 def condition_digests(conditions: EpisodeConditions) -> list[str]:
-    """Compute a hash of each episode's machine parameters, start and goal, by which stored bounds are looked up.
+    """Compute a hash of each episode's conditions, by which stored time-optimal bounds are looked up.
 
-    Episodes with equal conditions have equal digests, whatever their seed, control period and sensors.
+    It covers the machine's structure and parameters, start and goal, but not seed, control period and sensors.
 
     Args:
         conditions: Conditions of B episodes; values enter with nine significant digits.
@@ -293,19 +302,12 @@ def condition_digests(conditions: EpisodeConditions) -> list[str]:
         B digests of 16 hexadecimal digits (the start of SHA-256).
     """
     machine = conditions.machine
-    shape = json.dumps(
-        [
-            list(machine.parameters),
-            [(c.name, c.kind) for c in machine.coordinates],
-            [
-                (machine.coefficients(b.extension).tolist(), machine.coefficients(b.length).tolist())
-                for b in machine.belts
-            ],
-            [(d.coordinate, d.rated_voltage) for d in machine.drives],
-        ]
-    )
+    coordinates = [(c.name, c.kind) for c in machine.coordinates]
+    belts = [[machine.coefficients(row).tolist() for row in (b.extension, b.length)] for b in machine.belts]
+    drives = [(d.coordinate, d.rated_voltage) for d in machine.drives]
+    structure = json.dumps([list(machine.parameters), coordinates, belts, drives])
     rows = np.concatenate([conditions.parameters, conditions.start, conditions.goal], axis=1).tolist()
-    texts = (shape + " ".join(f"{value:.9g}" for value in row) for row in rows)
+    texts = (structure + " ".join(f"{value:.9g}" for value in row) for row in rows)
     return [hashlib.sha256(text.encode()).hexdigest()[:16] for text in texts]
 
 
@@ -317,24 +319,25 @@ def _bounds_by_digest() -> dict[str, float]:
 
 
 def stored_bounds(scenario: Scenario) -> StoredBounds:
-    """Look up the time-optimal bounds of a scenario's episodes.
+    """Look up the time-optimal bounds (shortest possible settling times) of a scenario's episodes.
 
     Args:
         scenario: Machine, task, randomization and seeds of the episodes.
 
     Returns:
-        Shortest possible settling time of each episode to 0.2 mm, s, and the reason where bounds are missing.
+        times_s: Shortest possible settling time of each of B episodes to 0.2 mm, s, shape (B,), NaN where no bound is
+            stored; None if none is.
+        reason: Why bounds are missing, one sentence; None if none is missing.
 
     Raises:
         ValueError: If the environment rejects the scenario's options.
     """
-    if scenario.controller_task.ahead_s:
+    if scenario.controller_task.ahead_s:  # the task previews goals, so that its goal moves
         return StoredBounds(None, "bounds exist for goals that do not move only")
     conditions = episode_conditions(scenario)
     if conditions.machine.effects:
-        return StoredBounds(
-            None, f"machine {conditions.machine.name!r} has effects; bounds are stored for machines without effects"
-        )
+        name = conditions.machine.name
+        return StoredBounds(None, f"machine {name!r} has effects; bounds are stored for machines without effects")
     times = np.array([_bounds_by_digest().get(digest, np.nan) for digest in condition_digests(conditions)])
     missing = int(np.isnan(times).sum())
     if not missing:

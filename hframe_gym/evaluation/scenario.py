@@ -41,7 +41,7 @@ class Scenario:
     Attributes:
         machine: Machine, preset name or path of a machine.json; `randomize` varies its parameters.
         task: "reach", "track", the name of another registered task, or a task object.
-        randomize: Preset name or list of randomization rules for the machine's parameters.
+        randomize: Preset name ("none", "default", ...) or list of randomization rules for the machine's parameters.
         sensors: What controllers observe: "state" (true full state), "rig" (encoders and lasers), or a sensor suite.
             Scores always use the true position of the tool.
         episodes: Number of episodes, B.
@@ -92,12 +92,15 @@ class Scenario:
 
     @property
     def metrics(self) -> str:
-        """Name of the task's metric set in the registry `METRICS` (see metrics.py), for example "reach"."""
+        """Name of the task's metric set, a function registered in `METRICS` of metrics.py, for example "reach"."""
         return as_task(self.task).metrics
 
     @property
     def controller_task(self) -> Task:
-        """Copy of the task whose previewed goals are one control period apart and cover the same preview time."""
+        """Copy of the task that previews a goal at the end of every control period, as controllers expect.
+
+        The time that the preview covers stays the same. A task without a preview is returned unchanged.
+        """
         task = as_task(self.task)
         if not (dataclasses.is_dataclass(task) and hasattr(task, "previews") and hasattr(task, "preview_s")):
             return task
@@ -113,7 +116,7 @@ class Episodes:
         time_s: Sample times, s, shape (n,).
         position: True tool position, m, shape (B, n, 2).
         goal: Goal, m, shape (B, n, 2).
-        contour: Distance of the tool to the path, m, shape (B, n); None for a task without a path.
+        contour: Distance of the tool to the path (contour error), m, shape (B, n); None for a task without a path.
         volts: Applied voltages, V, shape (B, m, drives).
         rated: Rated voltages, V, shape (drives,).
         energy_J: Energy from the supply minus energy fed back, J, shape (B,).
@@ -131,7 +134,7 @@ class Episodes:
 
     @property
     def goal_error(self) -> Array:
-        """Distance of the tool to its goal, m, shape (B, n)."""
+        """Distance of the tool to its goal at n samples of B episodes, m, shape (B, n)."""
         return np.linalg.norm(self.position - self.goal, axis=2)
 
 
@@ -139,7 +142,7 @@ class EpisodeConditions(NamedTuple):
     """Machine parameters, starts and goals of the B episodes of a scenario; they do not depend on the controller.
 
     Attributes:
-        machine: Machine that is simulated, with nominal parameters.
+        machine: Simulated machine with its nominal parameters.
         parameters: Sampled values of the P parameters in the order of `Machine.parameters`, shape (B, P).
         start: Tool position (x, y) at the start, m, shape (B, 2).
         goal: Tool goal (x, y) at the start, m, shape (B, 2).
@@ -158,10 +161,10 @@ def episode_conditions(scenario: Scenario) -> EpisodeConditions:
         scenario: Machine, task, randomization, number of episodes and seed.
 
     Returns:
-        Machine, sampled parameters, starts and goals.
+        Machine, sampled parameters, tool positions at the start and goals of the B episodes.
 
     Raises:
-        ValueError: If the environment rejects the scenario's options.
+        ValueError: If the environment rejects the scenario's options, for example an unknown task.
     """
     envs = HFrameVectorEnv(
         scenario.episodes,
@@ -206,7 +209,8 @@ class ControllerSource(ABC):
             scenario: Scenario in which the controller will run; the accepted names may depend on its task.
 
         Returns:
-            A phrase that completes the error message "controller 'x' is unknown; choose ...".
+            A phrase that completes the error message "controller 'x' is unknown; choose ...", for example "the folder
+            of a trained agent".
         """
 
 
@@ -224,19 +228,20 @@ def make_controller(
     """Create a controller by its name.
 
     Controllers are designed from the machine's nominal parameters. If the environment observes sensors, a controller
-    with `feedback = "estimated_state"` (such as `pid`) is combined with a `StateEstimator`.
+    whose class attribute `feedback` is "estimated_state" (such as `pid`) is combined with a `StateEstimator`.
 
     Args:
         name: A registered name (`pid`, `adaptive-pid`, `textbook-pid`), `module:name` of one that a module registers
-            when it is imported, or what a controller source accepts, such as an agent's folder or a shipped agent.
+            when it is imported, or what a registered `ControllerSource` accepts, such as an agent's folder or a shipped
+            agent.
         machine: Machine, preset name or path of a machine.json; or a `Scenario`, which replaces all further arguments.
-        task: Task (name or object) for which the controller is needed; selects among shipped agents.
+        task: Task (name or object) for which the controller is needed; selects among the agents in the package.
         sensors: What the controller observes: "state" (true full state), "rig" (encoders and lasers), or a sensor
             suite.
         period: Control period, s.
 
     Returns:
-        The controller, for a batch of any size.
+        The controller, for any number of simulated machines at once.
 
     Raises:
         InputError: If the name is unknown, or the controller cannot run on this machine or from these sensors.

@@ -4,8 +4,8 @@ import gymnasium as gym
 import numpy as np
 import torch
 
-from hframe_gym.agents.feature_extractor import LogScaleFeatures
 from hframe_gym.agents.features import feature_parameters
+from hframe_gym.agents.sb3_adapters import LogScaleFeatures
 from hframe_gym.envs import HFrameVectorEnv, observation_space
 from hframe_gym.machine import BUILTIN_MACHINES
 from tests.agents.observations import rest_observation

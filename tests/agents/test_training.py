@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from hframe_gym.agents import Agent, train
-from hframe_gym.agents.scoring import ranking_cost, score_agent
+from hframe_gym.agents.model_card import ranking_cost, score_agent
 from hframe_gym.controllers import CONTROLLERS
 from hframe_gym.envs import HFrameVectorEnv
 from hframe_gym.errors import InputError

@@ -10,6 +10,7 @@ from hframe_gym.controllers import (
     AdaptiveController,
     Controller,
     EpisodeStarts,
+    FullStateController,
     ModelBasedController,
     OutputFeedbackController,
     StateEstimator,
@@ -49,6 +50,26 @@ def test_episode_starts_of_a_batch() -> None:
     np.testing.assert_array_equal(starts.mask, [False, True, False])
     starts.reset()
     assert starts.resize(2)
+
+
+class _Recording(FullStateController):
+    """Zero voltage; keeps its inputs."""
+
+    def act_on_state(self, state: np.ndarray, goals: np.ndarray) -> np.ndarray:
+        self.state, self.goals = state, goals
+        return np.zeros((len(state), 2))
+
+
+def test_full_state_controller_receives_belt_travel_and_the_goals_of_the_preview(hframe: Machine) -> None:
+    controller = _Recording(hframe)
+    state = np.arange(16.0).reshape(2, 8)
+    goal, preview = np.array([[0.1, 0.2], [0.3, 0.4]]), np.arange(12.0).reshape(2, 6)
+    observation = {"observation": controller.model.observation(state), "desired_goal": goal}
+    controller.act(observation)
+    np.testing.assert_allclose(controller.state, state, rtol=1e-14)
+    np.testing.assert_array_equal(controller.goals, goal[:, None])
+    controller.act(observation | {"preview": preview})
+    np.testing.assert_array_equal(controller.goals[1], [[0.3, 0.4], [6.0, 7.0], [8.0, 9.0], [10.0, 11.0]])
 
 
 class _Estimator:

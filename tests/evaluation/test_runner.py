@@ -1,8 +1,9 @@
-"""Tests of rollouts and evaluations."""
+"""Tests of rollouts, evaluations and the plot of an episode."""
 
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,16 @@ from hframe_gym.controllers import Controller, ModelBasedController, TextbookPID
 from hframe_gym.effects import EFFECTS
 from hframe_gym.envs import Track
 from hframe_gym.errors import InputError
-from hframe_gym.evaluation import Scenario, evaluate, rollout, score_episodes, write_scores
+from hframe_gym.evaluation import (
+    Episodes,
+    Scenario,
+    evaluate,
+    plot_episode,
+    rollout,
+    save_plot,
+    score_episodes,
+    write_scores,
+)
 from hframe_gym.machine import BUILTIN_MACHINES
 
 pytestmark = pytest.mark.integration
@@ -156,3 +166,46 @@ def test_a_diverging_machine_is_reported_with_its_name() -> None:
     machine = HFRAME.with_effects(soft).replace(name="diverging")
     with pytest.raises(InputError, match="machine 'diverging': the simulated motion diverges"):
         rollout(Push(machine), Scenario(machine, randomize="none", episodes=2, duration_s=1.0))
+
+
+def recorded(contour: bool = False) -> Episodes:
+    """Return two recorded episodes of 31 samples and three control periods."""
+    rng = np.random.default_rng(0)
+    return Episodes(
+        time_s=1e-3 * np.arange(31),
+        position=rng.normal(0.0, 0.01, (2, 31, 2)),
+        goal=np.zeros((2, 31, 2)),
+        contour=np.abs(rng.normal(0.0, 1e-4, (2, 31))) if contour else None,
+        volts=rng.uniform(-12.0, 12.0, (2, 3, 2)),
+        rated=np.full(2, 12.0),
+        energy_J=np.zeros(2),
+        peak_belt_force_N=np.zeros(2),
+    )
+
+
+@pytest.mark.parametrize("contour", [False, True])
+def test_plot_is_written_completely(tmp_path: Path, contour: bool) -> None:
+    pytest.importorskip("matplotlib")
+    save_plot(tmp_path / "run.png", recorded(contour), 1, title="idle")
+    assert (tmp_path / "run.png").stat().st_size > 1000
+    assert [p.name for p in tmp_path.iterdir()] == ["run.png"]
+
+
+def test_curves_are_those_of_the_episode() -> None:
+    pytest.importorskip("matplotlib")
+    episodes = recorded(contour=True)
+    path, error, _ = plot_episode(episodes, 1).axes
+    np.testing.assert_allclose(path.lines[1].get_xydata(), 1e3 * episodes.position[1])
+    np.testing.assert_allclose(error.lines[0].get_ydata(), 1e3 * episodes.goal_error[1])
+
+
+def test_an_episode_that_does_not_exist_is_rejected() -> None:
+    pytest.importorskip("matplotlib")
+    with pytest.raises(IndexError, match="episode 2 of 2"):
+        plot_episode(recorded(), 2)
+
+
+def test_a_missing_matplotlib_is_reported_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    with pytest.raises(ImportError, match=r"hframe_gym\[report\]"):
+        plot_episode(recorded())

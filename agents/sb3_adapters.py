@@ -1,0 +1,134 @@
+"""Classes of stable-baselines3 for training and for policies. Importing this module needs the extra `agents`.
+
+LogScaleFeatures      evaluates the features of features.py in torch, as the first layer of a policy
+ResidualActionVecEnv  applies a `ResidualAction` to a vector environment
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from gymnasium import spaces
+from numpy.typing import NDArray
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from stable_baselines3.common.vec_env import VecEnvWrapper
+
+from ..envs.sb3_vec_env import HFrameVecEnv
+from .features import OBSERVATION_KEYS, feature_matrix
+from .residual_action import Observation, ResidualAction
+
+
+class LogScaleFeatures(BaseFeaturesExtractor):
+    """First layer of a policy: convert a dict observation to logarithmically scaled features (see features.py).
+
+    Args:
+        observation_space: Space with `observation` and `desired_goal`; `preview` and the keys that `ResidualAction`
+            adds are used where present.
+        radii: Belt travel (radius * angle) per radian of each motor coordinate, m/rad, one per drive.
+        rest: Belt travel of each motor coordinate per meter of x and of y with unstretched belts, m/m, shape
+            (drives, 2).
+
+    Attributes:
+        keys: Keys of the observation in the order in which their arrays are concatenated.
+        matrix: Matrix M of the features, shape (entries, features).
+        gain: Factors g of the features, shape (features,).
+    """
+
+    matrix: torch.Tensor  # (entries, features)
+    gain: torch.Tensor  # (features,)
+
+    def __init__(self, observation_space: spaces.Dict, radii: list[float], rest: list[list[float]]) -> None:
+        sizes = {
+            key: int(np.prod(observation_space[key].shape or ()))
+            for key in OBSERVATION_KEYS
+            if key in observation_space.spaces
+        }
+        matrix, gain = feature_matrix(sizes, np.array(radii), np.array(rest))
+        super().__init__(observation_space, features_dim=len(gain))
+        self.keys = tuple(sizes)
+        # Not persistent: they follow from agent.json, so the file of weights does not repeat them.
+        self.register_buffer("matrix", torch.as_tensor(matrix.astype(np.float32)), persistent=False)
+        self.register_buffer("gain", torch.as_tensor(gain.astype(np.float32)), persistent=False)
+
+    def forward(self, observation: dict[str, torch.Tensor]) -> torch.Tensor:
+        """Compute the features g * sign(z M) * log(1 + |z M|) of a batch of observations z.
+
+        M (`matrix`) forms position errors and speeds, each divided by several scales; g (`gain`) scales the features.
+
+        Args:
+            observation: Arrays by key, in m, rad, m/s and rad/s, each of shape (batch, entries of the key).
+
+        Returns:
+            Features, dimensionless, about -1 to 1, shape (batch, features).
+        """
+        entries = torch.cat([observation[key] for key in self.keys], dim=1)
+        scaled = entries @ self.matrix
+        return torch.sign(scaled) * torch.log1p(scaled.abs()) * self.gain
+
+
+class ResidualActionVecEnv(VecEnvWrapper):
+    """Vector environment whose actions are policy outputs, which a `ResidualAction` converts to drive actions.
+
+    Observations also contain the arrays that `ResidualAction.augment` adds.
+
+    Args:
+        environment: Vector environment to wrap.
+        mapping: Conversion of policy outputs to drive actions (base action + authority * output), for all environments
+            together.
+    """
+
+    def __init__(self, environment: HFrameVecEnv, mapping: ResidualAction) -> None:
+        inner_space = environment.observation_space
+        assert isinstance(inner_space, spaces.Dict)
+        super().__init__(environment, observation_space=mapping.observation_space(inner_space))
+        self.mapping = mapping
+
+    def reset(self) -> dict[str, NDArray[Any]]:
+        """Start a new episode in every environment.
+
+        Returns:
+            First observations with the arrays that `ResidualAction.augment` adds: by key, each of shape (num_envs,
+            entries of the key).
+        """
+        self.mapping.reset()
+        return self.mapping.augment(_as_dict(self.venv.reset()))
+
+    def step_async(self, actions: NDArray[Any]) -> None:
+        """Convert policy outputs to drive actions and send them to the environments; `step_wait` returns the result.
+
+        Args:
+            actions: Policy outputs, usually in [-1, 1], shape (num_envs, drives).
+        """
+        self.venv.step_async(self.mapping.action(actions))
+
+    def step_wait(
+        self,
+    ) -> tuple[dict[str, NDArray[Any]], NDArray[np.float64], NDArray[np.bool_], list[dict[str, Any]]]:
+        """Finish the step that `step_async` started; environments whose episode has ended are reset.
+
+        The base controller, whose action the policy corrects, must be called once per control period. The last
+        observation of an episode therefore contains the base action of the period before; the machine is usually at
+        rest by then.
+
+        Returns:
+            observations: Arrays by key, each of shape (num_envs, entries of the key); the first ones of a new episode
+                where `dones` is True.
+            rewards: Rewards of the step, shape (num_envs,).
+            dones: True where an episode has ended, shape (num_envs,).
+            infos: One dictionary per environment; `terminal_observation` holds an ended episode's last observation.
+        """
+        observation, reward, done, infos = self.venv.step_wait()
+        history = self.mapping.history()
+        for b in np.flatnonzero(done).tolist():
+            infos[b]["terminal_observation"].update({key: values[b] for key, values in history.items()})
+        if done.any():
+            self.mapping.reset(done)
+        return self.mapping.augment(_as_dict(observation)), reward, done, infos
+
+
+def _as_dict(observation: Any) -> Observation:
+    """Narrow the observation type of stable-baselines3 to a dict, which `HFrameVecEnv` always returns."""
+    assert isinstance(observation, dict)
+    return observation

@@ -1,0 +1,337 @@
+"""Finite-horizon optimal control: minimum-energy transfers to a fixed goal, and preview control of a moving goal.
+
+Minimum-energy transfers (point-to-point references and their feedback gains)
+    A transfer of N periods is a motion that brings the state to rest at the goal within N control periods. With
+    voltages constant over each period, the state error after N periods is A^N e + sum_j A^(N-1-j) B u_j. Of all
+    voltages that bring the error to zero in N periods, those with the least sum of squares are
+
+        u_j = -B' A'^(N-1-j) W_N^-1 A^N e,      W_N = sum_j A^j B B' A'^j,
+
+    and for each number of periods to go the first of them is a feedback gain on the full state. The shortest transfer
+    whose voltages stay within the limits comes close to the time optimum because back-EMF makes the stage viscous:
+    minimum energy then means constant voltage during the cruise and an exponential brake that ends at the same voltage
+    with opposite sign. The belt modes are part of A, so that they are at rest at the end of a transfer.
+
+Preview control (a least-squares plan over the previewed goals, renewed every period)
+    With a force f on each coordinate the state follows z+ = A z + B u + E f. Of all voltages over the H previewed
+    periods the plan takes those that minimize
+
+        sum_j |C z_j - g_j|^2 + w^2 sum_j |u_j - u_(j-1)|^2,        C z: tool position, g: goal,
+
+    and applies the first. Solved once for each operating point, this is a constant gain on the state, on the goals
+    (feedforward of velocity, acceleration, back-EMF and belt stretch, which are all part of A and B), on the last
+    voltage and on the forces: the modeled friction along the path and, in place of an integrator, the estimated
+    disturbance.
+
+References:
+    Kleinman (1970), An easy way to stabilize a linear constant system, IEEE Transactions on Automatic Control 15(6).
+    Tomizuka (1975), Optimal continuous finite preview problem, IEEE Transactions on Automatic Control 20(3).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..machine import mode_frequencies
+from .base import check_period
+from .motion_model import AXES, MotionModel, OperatingPointGrid
+
+Array = NDArray[np.float64]
+# Shortest transfer in periods of the slowest belt mode; a shorter one needs the mode's frequency more accurately than a
+# model has it.
+SHORTEST_MODE_PERIODS = 0.6
+LONGEST_MARGIN = 1.3  # longest transfer over the time that the longest way takes at top speed
+MAX_TRANSFER_S = 10.0  # s, longest transfer of a stage that friction leaves without a top speed
+# Periods at the end of a transfer whose voltages are checked against the limits, beside the first; the voltage of the
+# cruise is largest in the first period.
+CHECKED_FINAL_PERIODS = 7
+VELOCITY_SCALE_S = 0.01  # s, typical position error over velocity error, for the condition of W_N
+# m/V, the weight w: tool error that is as costly as a voltage change of 1 V. Tuned: a smaller weight makes the voltages
+# more active and the tool no more accurate.
+VOLTAGE_CHANGE_WEIGHT = 3e-5
+# s, time constant of the disturbance estimate. Tuned: smaller values ring where belts are 40 % softer than the model's.
+DISTURBANCE_TIME_CONSTANT_S = 0.028
+HORIZON_S = 0.1  # s; goals farther ahead do not change the first voltage
+
+
+class TransferSelection(NamedTuple):
+    """Transfers to rest (motions that end at rest at the goal) selected for B simulated machines.
+
+    Attributes:
+        periods: Number of control periods until the machine is at rest at its goal, shape (B,).
+        volts: Voltages of the first period of the transfer, V, shape (B, 2).
+    """
+
+    periods: NDArray[np.intp]
+    volts: Array
+
+
+class MinimumEnergyTransfers:
+    """Feedback gains of minimum-energy transfers, for every operating point and every number of periods.
+
+    A transfer is a motion that brings the machine to rest at its goal. An operating point is a tool position at which
+    the machine is linearized.
+
+    Args:
+        model: Model of the machine.
+        period: Control period, s.
+
+    Attributes:
+        model: As given.
+        period: As given, s.
+        grid: Operating points of the gains.
+        shortest: Number of periods of the shortest transfer.
+        longest: Number of periods of the longest transfer.
+        gains: Gains on the state error at the start of the transfer (belt travel, that is, position or radius * angle,
+            of n coordinates and its velocity) for the voltages of its first and its last CHECKED_FINAL_PERIODS periods,
+            V/m and Vs/m, shape (points, longest - shortest + 1, 1 + CHECKED_FINAL_PERIODS, 2, 2 n).
+
+    Raises:
+        InputError: If the period is not positive, or the machine's workspace has no range.
+    """
+
+    def __init__(self, model: MotionModel, period: float) -> None:
+        self.model = model
+        self.period = check_period(period)
+        self.grid = OperatingPointGrid(model.machine)
+        states, inputs = 2 * len(model.mass), model.drive.shape[1]
+        modes = [frequency for frequency in mode_frequencies(model.machine) if frequency > 0.0]
+        mode_period = 1.0 / min(modes) if modes else 0.0
+        # Fewer than states / inputs periods cannot bring every state to zero.
+        self.shortest = max(-(-states // inputs), round(SHORTEST_MODE_PERIODS * mode_period / period))
+        top_speed = model.top_speed()
+        longest_s = LONGEST_MARGIN * np.sum(self.grid.span / top_speed) if top_speed.min() > 0.0 else MAX_TRANSFER_S
+        self.longest = max(self.shortest + 1, int(np.ceil(min(longest_s, MAX_TRANSFER_S) / period)))
+        self._matrices = [model.discretize(point, period)[:2] for point in self.grid.points]
+        self.gains = self._design(*(np.stack(matrices) for matrices in zip(*self._matrices, strict=True)))
+
+    def _design(self, A: Array, B: Array) -> Array:
+        """Compute `gains` from A (points, 2 n, 2 n) and B (points, 2 n, inputs)."""
+        states = A.shape[1]
+        scale = _state_scale(states)
+        A = A / scale[:, None] * scale
+        scaled_B = B / scale[:, None]
+        W = np.zeros_like(A)
+        power = np.broadcast_to(np.eye(states), A.shape)  # A^(N-1)
+        back: list[Array] = []  # B' A'^j
+        gains = []
+        for N in range(1, self.longest + 1):
+            back.append((power @ scaled_B).transpose(0, 2, 1))
+            W = W + (power @ scaled_B) @ back[-1]
+            power = power @ A
+            if self.shortest > N:
+                continue
+            error_to_costate = np.linalg.pinv(W, rcond=1e-15, hermitian=True) @ power / scale
+            # Transfers shorter than CHECKED_FINAL_PERIODS repeat their first period.
+            rows = [back[-1]] + [back[min(j, N - 1)] for j in reversed(range(CHECKED_FINAL_PERIODS))]
+            gains.append(np.stack([-row @ error_to_costate for row in rows], axis=1))
+        return np.stack(gains, axis=1)
+
+    def select(
+        self, error: Array, goal: Array, limits: tuple[Array, Array], at_least: NDArray[np.intp]
+    ) -> TransferSelection:
+        """Select for each of B machines the shortest motion to rest at its goal whose voltages stay within the limits.
+
+        Args:
+            error: State minus goal state: belt travel (radius * angle of a rotary coordinate) of the n coordinates and
+                its velocity, m and m/s, shape (B, 2 n).
+            goal: Tool position (x, y) of the goal, m, shape (B, 2).
+            limits: Lowest and highest voltages, V, each of shape (B, 2).
+            at_least: Minimum number of control periods until rest, from `shortest` to `longest`, shape (B,).
+
+        Returns:
+            Numbers of control periods until rest, and voltages of the first period; where no motion stays within the
+            limits, those of the longest one.
+        """
+        points = self.grid.nearest(goal)
+        lowest, highest = limits
+        # Indices of numbers of periods, between which the shortest admissible transfer is.
+        low, high = at_least - self.shortest, np.full(len(error), self.gains.shape[1] - 1)
+        # Bisection, because a longer transfer needs less voltage. With ringing belts that can fail by a period; the
+        # selected transfer is then slightly longer than the shortest admissible one.
+        while np.any(low < high):
+            middle = (low + high) // 2
+            # Voltages of the k checked periods, (B, k, 2).
+            volts = np.einsum("bkij,bj->bki", self.gains[points, middle], error)
+            admissible = np.all((volts >= lowest[:, None, :]) & (volts <= highest[:, None, :]), axis=(1, 2))
+            low, high = np.where(admissible | (low == high), low, middle + 1), np.where(admissible, middle, high)
+        volts = np.einsum("bij,bj->bi", self.gains[points, high, 0], error)
+        return TransferSelection(high + self.shortest, volts)
+
+    def reference(self, start: Array, goal: Array, limit: Array) -> tuple[Array, Array]:
+        """Compute the minimum-energy motion from rest to rest, in the fewest periods that the voltage limits admit.
+
+        Coulomb friction is left out.
+
+        Args:
+            start: Tool position (x, y) at the start, m, shape (2,).
+            goal: Tool position (x, y) at the end, m, shape (2,).
+            limit: Largest voltage magnitude of each drive, V, shape (2,).
+
+        Returns:
+            positions: Tool positions at the start and at the end of each of N periods, m, shape (N + 1, 2).
+            volts: Voltages, constant over each period, V, shape (N, 2).
+        """
+        start, goal = (np.asarray(point, np.float64)[None] for point in (start, goal))
+        error = self.model.goal_state(start) - self.model.goal_state(goal)
+        N = int(self.select(error, goal, (-limit[None], limit[None]), np.array([self.shortest])).periods[0])
+        A, B = self._matrices[int(self.grid.nearest(goal)[0])]
+        scale = _state_scale(len(A))
+        A, B = A / scale[:, None] * scale, B / scale[:, None]
+        powers = [np.eye(len(A))]
+        for _ in range(N):
+            powers.append(A @ powers[-1])
+        # The voltages with the least sum of squares that bring the scaled state error to zero in N periods.
+        reachability = np.hstack([powers[j] @ B for j in reversed(range(N))])  # (2 n, 2 N)
+        volts = -np.linalg.lstsq(reachability, powers[N] @ (error[0] / scale), rcond=None)[0].reshape(N, -1)
+        states = [error[0] / scale]
+        for period_volts in volts:
+            states.append(A @ states[-1] + B @ period_volts)
+        axes = [self.model.machine.coordinate_names.index(axis) for axis in AXES]
+        return np.array(states)[:, axes] + goal, volts
+
+
+class PreviewGains:
+    """Gains of preview control: they give the first voltage of the least-squares plan at each operating point.
+
+    An operating point is a tool position at which the machine is linearized. The state holds the belt travel (radius *
+    angle of a rotary coordinate) of n coordinates and its velocity.
+
+    Args:
+        model: Model of the machine.
+        grid: Operating points (tool positions) for which gains are computed.
+        period: Control period, s.
+        horizon: Number of previewed goals, H.
+        change_weight: Weight w of voltage changes, m/V.
+
+    Attributes:
+        state: Gains on the present state, V/m and Vs/m, shape (points, 2, 2 n).
+        last: Gains on the voltages of the previous period, V/V, shape (points, 2, 2).
+        goal: Gains on the previewed goals (x, y), V/m, shape (points, 2, 2 H).
+        force: Gains on the force on each coordinate in each period, V/N, shape (points, 2, n H).
+        A: Discrete-time system matrices, shape (points, 2 n, 2 n).
+        B: Discrete-time input matrices of the voltages, m/V and m/(Vs), shape (points, 2 n, 2).
+        E: Discrete-time input matrices of the forces on the coordinates, m/N and m/(Ns), shape (points, 2 n, n).
+    """
+
+    def __init__(
+        self, model: MotionModel, grid: OperatingPointGrid, period: float, horizon: int, change_weight: float
+    ) -> None:
+        matrices = [model.discretize(point, period) for point in grid.points]
+        self.A, self.B, self.E = (np.stack(by_point) for by_point in zip(*matrices, strict=True))
+        gains = [self._solve(model, *ABE, horizon, change_weight) for ABE in matrices]
+        self.state, self.last, self.goal, self.force = (np.stack(g) for g in zip(*gains, strict=True))
+
+    @staticmethod
+    def _solve(
+        model: MotionModel, A: Array, B: Array, E: Array, horizon: int, change_weight: float
+    ) -> tuple[Array, Array, Array, Array]:
+        """Return the gains on state, last voltage, goals and forces at one operating point."""
+        C = np.zeros((len(AXES), len(A)))
+        for row, axis in enumerate(AXES):
+            C[row, model.machine.coordinate_names.index(axis)] = 1.0
+        powers = [C]  # C A^j
+        for _ in range(horizon):
+            powers.append(powers[-1] @ A)
+
+        def impulse_response(G: Array) -> Array:
+            """Response of the tool at each period's end to inputs by G (2 n, m) in each period, (2 H, m H)."""
+            pulses = [power @ G for power in powers[:horizon]]
+            zero = np.zeros_like(pulses[0])
+            return np.block([[pulses[j - i] if i <= j else zero for i in range(horizon)] for j in range(horizon)])
+
+        volts_response = impulse_response(B)
+        inputs = B.shape[1]
+        difference = np.eye(inputs * horizon) - np.eye(inputs * horizon, k=-inputs)
+        normal = volts_response.T @ volts_response + change_weight**2 * difference.T @ difference
+        first = np.asarray(np.linalg.inv(normal)[:inputs], np.float64)
+        goal = first @ volts_response.T
+        return -goal @ np.vstack(powers[1:]), change_weight**2 * first[:, :inputs], goal, -goal @ impulse_response(E)
+
+
+class PreviewTracker:
+    """Preview control of the tool position of B simulated machines, with a disturbance observer.
+
+    Args:
+        model: Model of the machine.
+        grid: Operating points (tool positions) for which gains are computed.
+        period: Control period, s.
+        goals: Number of previewed goals (one per control period) that `command` receives; those more than `HORIZON_S`
+            ahead are not used.
+
+    Attributes:
+        model, grid, period: As given.
+        horizon: Number of previewed goals that are used, H.
+        gains: Preview gains by operating point.
+    """
+
+    def __init__(self, model: MotionModel, grid: OperatingPointGrid, period: float, goals: int) -> None:
+        self.model, self.grid, self.period = model, grid, period
+        self.horizon = min(goals, max(1, round(HORIZON_S / period)))
+        self.gains = PreviewGains(model, grid, period, self.horizon, VOLTAGE_CHANGE_WEIGHT)
+        self._filter_gain = 1.0 - np.exp(-period / DISTURBANCE_TIME_CONSTANT_S)
+        self._force_from_residual = np.linalg.pinv(self.gains.E)
+        self._planned_force = self._disturbance = np.zeros((0, len(model.mass)))  # N
+
+    def update_disturbance(self, before: Array, after: Array, volts: Array, starts: NDArray[np.bool_]) -> None:
+        """Update the low-pass filtered disturbance forces with the prediction error of the last control period.
+
+        Args:
+            before: States at the start of the period: belt travel (radius * angle of a rotary coordinate) of the n
+                coordinates of B machines and its velocity, m and m/s, shape (B, 2 n).
+            after: States at the end of the period, m and m/s, shape (B, 2 n).
+            volts: Voltages at the motors in the period, V, shape (B, 2).
+            starts: True for machines whose episode starts with `after`, shape (B,); their estimate is set to zero.
+        """
+        if len(self._disturbance) != len(after):
+            self._planned_force = self._disturbance = np.zeros((len(after), len(self.model.mass)))
+        points = self.grid.nearest(self.model.tool_position(before))
+        predicted = _matvec(self.gains.A[points], before) + _matvec(self.gains.B[points], volts)
+        # Force that explains the prediction error, beyond the force that the plan assumed for this period, N, (B, n).
+        residual = _matvec(self._force_from_residual[points], after - predicted) - self._planned_force
+        self._disturbance = np.where(starts[:, None], 0.0, self._disturbance + self._filter_gain * residual)
+
+    def command(self, state: Array, goals: Array, last: Array, elapsed_s: Array) -> Array:
+        """Compute the motor voltages that follow the previewed goals, for the control period that starts now.
+
+        Args:
+            state: Present states: belt travel (radius * angle of a rotary coordinate) of the n coordinates of B
+                machines and its velocity, m and m/s, shape (B, 2 n).
+            goals: Tool goals (x, y) now and at the end of each following period, m, shape (B, 1 + H or more, 2) for H =
+                `horizon`; further goals are ignored.
+            last: Motor voltages of the previous period, V, shape (B, 2).
+            elapsed_s: Time since the start of the episode, s, shape (B,).
+
+        Returns:
+            Motor voltages, limited to the rated voltages, V, shape (B, 2).
+        """
+        model, H = self.model, self.horizon
+        goals = goals[:, : H + 1]
+        velocity = np.diff(goals, axis=1) / self.period
+        midpoint = 0.5 * (goals[:, 1:] + goals[:, :-1])
+        path = np.concatenate([midpoint @ model.rigid.T, velocity @ model.rigid.T], axis=2)  # (B, H, 2 n)
+        path = path.reshape(len(state) * H, -1)
+        # Friction and effects are evaluated at the middle of each period on the goal's path with unstretched belts.
+        times = (elapsed_s[:, None] + self.period * (0.5 + np.arange(H))).ravel()
+        modeled = (model.friction_force(path, times) + model.effect_force(path, times)).reshape(len(state), H, -1)
+        force = modeled + self._disturbance[:, None]
+        self._planned_force = force[:, 0]
+        # The plan's first voltages: feedback of the state and the last voltages, feedforward of goals and forces.
+        points, gains = self.grid.nearest(goals[:, 0]), self.gains
+        volts = _matvec(gains.state[points], state) + _matvec(gains.last[points], last)
+        volts += _matvec(gains.goal[points], goals[:, 1:].reshape(len(state), -1))
+        volts += _matvec(gains.force[points], force.reshape(len(state), -1))
+        return np.clip(volts, -model.rated, model.rated)
+
+
+def _matvec(matrices: Array, vectors: Array) -> Array:
+    """Multiply matrices (B, i, j) by vectors (B, j)."""
+    return np.asarray(np.einsum("bij,bj->bi", matrices, vectors))
+
+
+def _state_scale(states: int) -> Array:
+    """Return units (2 n,) in which positions and velocities have similar size, so that W_N is well conditioned."""
+    return np.repeat([1.0, 1.0 / VELOCITY_SCALE_S], states // 2)
