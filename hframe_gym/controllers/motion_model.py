@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from ..dynamics import Equations, ForceBalance, MotionPoint
+from ..dynamics import Equations, ForceBalance, MotionPoint, linearize
 from ..errors import InputError
-from ..machine import AppliedEffect, Machine, argument_names, linearize, rest_state
+from ..machine import AppliedEffect, Machine, argument_names, rest_state
 
 Array = NDArray[np.float64]
 AXES = ("x", "y")

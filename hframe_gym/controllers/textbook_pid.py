@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..machine import Machine, mode_frequencies
+from ..dynamics import mode_frequencies
+from ..machine import Machine
 from .base import CONTROLLERS, Controller, Mask
 from .motion_model import AXES, MotionModel
 

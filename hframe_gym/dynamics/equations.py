@@ -106,7 +106,8 @@ class Equations(BeltEquations):
             Current, A.
         """
         speed = self.speed(point, self.drive_coordinates[j])
-        return (motor_voltage - self._emf_constant(j) * speed) * (1.0 / self._of_drive(j, "resistance"))
+        drive = self.drives[j]
+        return (motor_voltage - drive.emf_constant * speed) * (1.0 / drive.resistance)
 
     def _current_change(
         self, j: int, point: MotionPoint, motor_voltage: Value, arguments: dict[int, dict[str, Value]]
@@ -118,7 +119,7 @@ class Equations(BeltEquations):
             arguments[k] = {"i": current}
             state = self.effect_state(k, point, i=current)
             current = named("current", k, self.evaluate(e, "current", {"i": current, "z": state}))
-        return self._of_drive(j, "gear_ratio") * self._of_drive(j, "Kt") * (current - ohmic)
+        return self.drives[j].gear_ratio * self.drives[j].Kt * (current - ohmic)
 
     # -- forces ----------------------------------------------------------------------------------------------------
 
@@ -317,8 +318,8 @@ class Equations(BeltEquations):
         Returns:
             The point, with belt travel, m, and its rate, m/s, as arrays of shape (...) for every coordinate.
         """
-        q = np.asarray(positions, float)
-        v = np.zeros_like(q) if velocities is None else np.asarray(velocities, float)
+        q = 1.0 * np.asarray(positions)  # real or complex
+        v = np.zeros_like(q) if velocities is None else 1.0 * np.asarray(velocities)
         radii = [self.radius(i) for i in range(q.shape[-1])]
         return MotionPoint(
             [q[..., i] * radius for i, radius in enumerate(radii)],

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
-from ..machine import AppliedEffect, Machine, argument_names
+from ..machine import AppliedEffect, Coordinate, Drive, Machine, argument_names
 from .elementwise import named
 
 Value = Any
@@ -83,12 +85,20 @@ class ParameterizedMachine:
             return factor * self.parameter(other)
         return self._values[name]
 
-    def _is_rotary(self, i: int) -> bool:
-        """Return whether a coordinate is the angle of a pulley."""
-        return self.machine.coordinates[i].kind == "rotary"
+    @cached_property
+    def _coordinates(self) -> list[Any]:
+        """Coordinates of the machine with the parameter values of this object."""
+        return [self._with_values(c) for c in self.machine.coordinates]
 
-    def _of_coordinate(self, i: int, key: str) -> Value:
-        return self.parameter(f"{self.machine.coordinates[i].name}.{key}")
+    @cached_property
+    def drives(self) -> list[Any]:
+        """Drives of the machine, in its order, with the parameter values of this object (see `machine.Drive`)."""
+        return [self._with_values(d) for d in self.machine.drives]
+
+    def _with_values(self, component: Coordinate | Drive) -> Any:
+        """Return a component whose parameters may be arrays or expressions; its formulas work on them, too."""
+        values = {key: self.parameter(f"{component.name}.{key}") for key in component.PARAMETERS}
+        return dataclasses.replace(component, **values)
 
     def radius(self, i: int) -> Value:
         """Return the belt travel per unit of a coordinate.
@@ -99,7 +109,7 @@ class ParameterizedMachine:
         Returns:
             Radius of the pulley, m (m of belt per rad), or 1 for a linear coordinate.
         """
-        return self._of_coordinate(i, "radius") if self._is_rotary(i) else 1.0
+        return self._coordinates[i].travel_per_unit
 
     def per_radius(self, i: int) -> Value:
         """Return the reciprocal of `radius`.
@@ -110,7 +120,7 @@ class ParameterizedMachine:
         Returns:
             1/radius, 1/m, or 1 for a linear coordinate.
         """
-        return 1.0 / self.radius(i) if self._is_rotary(i) else 1.0
+        return 1.0 / self.radius(i)
 
     def mass(self, i: int) -> Value:
         """Return the mass of a coordinate referred to its belt travel.
@@ -121,7 +131,7 @@ class ParameterizedMachine:
         Returns:
             Mass of a carriage, or inertia / radius^2 of a pulley, kg.
         """
-        return self._of_coordinate(i, "mass") / (self.radius(i) * self.radius(i))
+        return self._coordinates[i].mass / (self.radius(i) * self.radius(i))
 
     def coulomb(self, i: int) -> Value:
         """Return the Coulomb friction force of a coordinate referred to its belt travel, without effects.
@@ -132,7 +142,7 @@ class ParameterizedMachine:
         Returns:
             Coulomb friction force F, N (torque / radius for a pulley).
         """
-        return self._of_coordinate(i, "coulomb") / self.radius(i)
+        return self._coordinates[i].coulomb / self.radius(i)
 
     def viscous(self, i: int, direction: Value) -> Value:
         """Return the viscous coefficient of a coordinate referred to its belt travel, with back-EMF and effects.
@@ -144,24 +154,13 @@ class ParameterizedMachine:
         Returns:
             Viscous coefficient b, Ns/m (that of a pulley divided by radius^2).
         """
-        coefficient = self._of_coordinate(i, "viscous")
+        coefficient = self._coordinates[i].viscous
         for _, e in self.effects_on("viscous", i):
             coefficient = self.evaluate(e, "viscous", {"b": coefficient, "direction": direction})
         for j, of_drive in enumerate(self.drive_coordinates):
             if of_drive == i:
-                coefficient = coefficient + self._torque_per_volt(j) * self._emf_constant(j)
+                coefficient = coefficient + self.drives[j].back_emf
         return coefficient / (self.radius(i) * self.radius(i))
-
-    def _of_drive(self, j: int, key: str) -> Value:
-        return self.parameter(f"{self.machine.drives[j].name}.{key}")
-
-    def _torque_per_volt(self, j: int) -> Value:
-        """Return N Kt / R of drive j, N/V or Nm/V."""
-        return self._of_drive(j, "gear_ratio") * self._of_drive(j, "Kt") / self._of_drive(j, "resistance")
-
-    def _emf_constant(self, j: int) -> Value:
-        """Return N Ke of drive j, V per unit of speed."""
-        return self._of_drive(j, "gear_ratio") * self._of_drive(j, "Ke")
 
     def force_per_volt(self, j: int) -> Value:
         """Return the force of a drive per volt at standstill, along the belt travel of its coordinate.
@@ -172,7 +171,7 @@ class ParameterizedMachine:
         Returns:
             Force per volt N Kt / (R r) with gear ratio N and pulley radius r (1 for a linear coordinate), N/V.
         """
-        return self._torque_per_volt(j) / self.radius(self.drive_coordinates[j])
+        return self.drives[j].gain / self.radius(self.drive_coordinates[j])
 
     # -- effects ---------------------------------------------------------------------------------------------------
 

@@ -1,4 +1,4 @@
-"""The machine model: components, parameters, kinematics, linearization and presets.
+"""The machine model: components, parameters, kinematics and presets.
 
 This package holds no integrator and reads no files.
 """
@@ -17,7 +17,7 @@ from .components import (
     Uncertainty,
 )
 from .effect import HOOKS, AppliedEffect, Effect, EffectParameter, Hook, argument_names
-from .linearization import StateSpace, linearize, mode_frequencies, rest_state, rigid_motions, stiffness_matrix
+from .kinematics import rest_state, rigid_motions
 from .machine import SIMULATORS, Machine, Simulator, Trajectory
 from .presets import BUILTIN_MACHINES, with_constant_stiffness
 
@@ -41,14 +41,10 @@ __all__ = [
     "Sensor",
     "SensorKind",
     "Simulator",
-    "StateSpace",
     "Trajectory",
     "Uncertainty",
     "argument_names",
-    "linearize",
-    "mode_frequencies",
     "rest_state",
     "rigid_motions",
-    "stiffness_matrix",
     "with_constant_stiffness",
 ]

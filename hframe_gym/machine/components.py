@@ -166,9 +166,14 @@ class Drive:
         return self.gear_ratio * self.Kt / self.resistance
 
     @property
+    def emf_constant(self) -> float:
+        """Back-EMF per speed of the coordinate (not of the motor shaft), gear_ratio * Ke, Vs/m or Vs/rad."""
+        return self.gear_ratio * self.Ke
+
+    @property
     def back_emf(self) -> float:
         """Viscous coefficient that the back-EMF adds to the coordinate, gear_ratio^2 * Kt * Ke / R, Ns/m or Nms."""
-        return self.gear_ratio**2 * self.Kt * self.Ke / self.resistance
+        return self.gain * self.emf_constant
 
     @property
     def device_parameters(self) -> dict[str, float]:
