@@ -215,7 +215,7 @@ class MotionModel:
         """
         if not self._with_effects.machine.effects:
             return np.zeros((len(state), len(self.mass)))
-        return _stack(self._balance(state, elapsed_s).held, state)
+        return _stack(self._balance(state, elapsed_s).forces, state)
 
     def friction_force(self, state: Array, elapsed_s: Array) -> Array:
         """Compute the friction forces apart from declared viscous friction: Coulomb friction and effects on friction.

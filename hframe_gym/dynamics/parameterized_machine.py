@@ -23,8 +23,9 @@ class MotionPoint:
         travel: Belt travel of each coordinate, m (radius * angle of a rotary one).
         speed: Rate of the belt travel, m/s.
         time: Time since the machine was switched on, s.
-        effect_states: State of each effect that has one, by the effect's index in the machine.
-        elapsed: Time that has passed since `effect_states`, s; None if they are those of this point.
+        effect_states: State of each effect that has one (bristle deflection, motor current, ...), in its unit, by the
+            effect's index in the machine.
+        elapsed: Time that has passed since `effect_states` were valid, s; None if they are those of this point.
     """
 
     travel: Sequence[Value]
@@ -40,6 +41,14 @@ class ParameterizedMachine:
     Args:
         machine: Machine with its effects.
         values: Parameter values by full name, SI; other parameters keep the machine's values.
+
+    Attributes:
+        machine: As given.
+        extension_rows: For each belt, extension per belt travel, m/m, by index of the coordinate.
+        length_rows: For each belt, change of length per belt travel, m/m, by index of the coordinate.
+        drive_coordinates: For each drive, index of the coordinate that it moves.
+        states: Indices of the effects that have a state.
+        state_coordinates: For each effect, index of the coordinate whose motion changes its state; -1 for none.
     """
 
     def __init__(self, machine: Machine, values: Mapping[str, Value] | None = None) -> None:
@@ -75,10 +84,13 @@ class ParameterizedMachine:
         """Return the value of a parameter.
 
         Args:
-            name: Full name, for example "x.mass"; an unknown name raises KeyError.
+            name: Full name, for example "x.mass".
 
         Returns:
-            Value, SI; for a tied parameter the factor times the value of the other parameter.
+            Value, SI; for a tied parameter (`Machine.ties`) the factor times the value of the other parameter.
+
+        Raises:
+            KeyError: If the machine has no such parameter.
         """
         if name in self.machine.ties:
             other, factor = self.machine.ties[name]
@@ -149,7 +161,7 @@ class ParameterizedMachine:
 
         Args:
             i: Index of the coordinate.
-            direction: Sign of the motion, +1 or -1; matters only with an effect that depends on it.
+            direction: Direction of the motion in [-1, 1]; matters only with an effect that depends on it.
 
         Returns:
             Viscous coefficient b, Ns/m (that of a pulley divided by radius^2).
@@ -179,11 +191,11 @@ class ParameterizedMachine:
         """Iterate over the effects that have a certain hook (formula) and act at one of the sites.
 
         Args:
-            hook: Name of the hook, for example "voltage"; see `hframe_gym.machine.effect`.
+            hook: Name of the hook, for example "voltage"; see `hframe_gym.machine.Effect`.
             *sites: Names of the sites, for example "motor1" or "belts".
 
-        Returns:
-            Pairs (index of the effect in the machine, effect).
+        Yields:
+            Index of the effect in the machine, and the effect.
         """
         for k, e in enumerate(self.machine.effects):
             if getattr(e.definition, hook) and e.site in sites:
@@ -193,11 +205,11 @@ class ParameterizedMachine:
         """Iterate over the effects that have a certain hook (formula) and act on a coordinate.
 
         Args:
-            hook: Name of the hook, for example "force"; see `hframe_gym.machine.effect`.
+            hook: Name of the hook, for example "force"; see `hframe_gym.machine.Effect`.
             i: Index of the coordinate.
 
-        Returns:
-            Pairs (index of the effect in the machine, effect).
+        Yields:
+            Index of the effect in the machine, and the effect.
         """
         for k, e in enumerate(self.machine.effects):
             if getattr(e.definition, hook) and self._effect_coordinates[k] == i:
@@ -212,7 +224,7 @@ class ParameterizedMachine:
             quantities: Arguments of the hook that are not parameters of the effect, by symbol, for example q and v.
 
         Returns:
-            Value of the hook in the unit of the table in `hframe_gym.machine.effect`.
+            Value of the hook in the unit that `hframe_gym.machine.Effect` states, for example N or Nm for "force".
         """
         function = getattr(effect.definition, hook)
         return function(
@@ -226,7 +238,7 @@ class ParameterizedMachine:
         """Return the position of a coordinate.
 
         Args:
-            point: Point of the motion.
+            point: Belt travel and speed of every coordinate.
             i: Index of the coordinate.
 
         Returns:
@@ -238,7 +250,7 @@ class ParameterizedMachine:
         """Return the speed of a coordinate.
 
         Args:
-            point: Point of the motion.
+            point: Belt travel and speed of every coordinate.
             i: Index of the coordinate.
 
         Returns:
@@ -251,8 +263,8 @@ class ParameterizedMachine:
 
         Args:
             k: Index of the effect in the machine.
-            point: Point of the motion.
-            **arguments: Coulomb friction `level`, N or Nm, and current `i`, A, if its `next_state` takes them.
+            point: Belt travel and speed of every coordinate, and states of the effects.
+            **arguments: Coulomb friction force `level`, N or Nm, and current `i`, A, if its `next_state` takes them.
 
         Returns:
             State in the unit of the effect; 0 for an effect without state.
@@ -300,7 +312,7 @@ class ParameterizedMachine:
         Args:
             k: Index of the effect in the machine.
             state: State before the step, in the unit of the effect.
-            arguments: Coulomb friction `level` or current `i` of the step, from `ForceBalance.arguments[k]`.
+            arguments: Coulomb friction force `level` (N or Nm) or current `i` (A), from `ForceBalance.arguments[k]`.
             traveled: Change of the belt travel of each coordinate over the step, m.
             speed: Mean rate of the belt travel of each coordinate in the step, m/s.
             dt: Length of the step, s.
@@ -312,38 +324,3 @@ class ParameterizedMachine:
         if (i := self.state_coordinates[k]) >= 0:
             quantities |= {"dq": traveled[i] * self.per_radius(i), "v": speed[i] * self.per_radius(i)}
         return self.evaluate(self.machine.effects[k], "next_state", quantities)
-
-
-def combination(row: IndexRow, values: Sequence[Value]) -> Value:
-    """Return the sum of row[i] * values[i]; positive terms come first, because a leading minus costs an instruction.
-
-    Args:
-        row: Factors by index; absent indices count as 0.
-        values: Floats, arrays or expressions, indexed by the keys of `row`.
-
-    Returns:
-        The sum; 0.0 for an empty row.
-    """
-    terms = sorted(((i, factor) for i, factor in row.items() if factor), key=lambda term: term[1] < 0)
-    if not terms:
-        return 0.0
-    i, factor = terms[0]
-    first = values[i] if factor == 1.0 else -values[i] if factor == -1.0 else factor * values[i]
-    return add_combination(first, dict(terms[1:]), values)
-
-
-def add_combination(total: Value, row: IndexRow, values: Sequence[Value]) -> Value:
-    """Return total + the sum of row[i] * values[i].
-
-    Args:
-        total: First summand.
-        row: Factors by index; absent indices count as 0.
-        values: Floats, arrays or expressions, indexed by the keys of `row`.
-
-    Returns:
-        The sum.
-    """
-    for i, factor in sorted(row.items(), key=lambda term: term[1] < 0):
-        size = values[i] if abs(factor) == 1.0 else abs(factor) * values[i]
-        total = total - size if factor < 0 else total + size
-    return total
