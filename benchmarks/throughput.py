@@ -32,11 +32,11 @@ from scipy.integrate import solve_ivp
 from benchmarks.kernel_batch import HOLD, PERIODS, REPEATS, SEED, STEP, VOLTS, KernelBatch, interleaved, random_voltages
 from benchmarks.mujoco_stage import Choice, MujocoStage, constant_at_center
 from benchmarks.results_file import write_results
-from hframe_gym.dynamics import LANES, friction, simulate
+from hframe_gym.dynamics import LANES, friction, linearize, simulate
 from hframe_gym.dynamics.kernel import generate
 from hframe_gym.dynamics.simd import fma, load, store
 from hframe_gym.dynamics.simulation import threads
-from hframe_gym.machine import BUILTIN_MACHINES, Machine, linearize
+from hframe_gym.machine import BUILTIN_MACHINES, Machine
 
 Array = NDArray[np.float64]
 

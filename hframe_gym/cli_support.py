@@ -12,9 +12,10 @@ from rich.markup import escape
 from rich.table import Table
 from typer.core import TyperCommand
 
+from .dynamics import mode_frequencies
 from .effects import EFFECTS
 from .errors import InputError
-from .machine import BUILTIN_MACHINES, mode_frequencies
+from .machine import BUILTIN_MACHINES
 from .registry import load_plugins
 
 INPUT_AT_FAULT, INTERNAL_ERROR = 2, 1

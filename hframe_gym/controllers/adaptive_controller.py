@@ -31,7 +31,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..machine import Machine, stiffness_matrix
+from ..dynamics import stiffness_matrix
+from ..machine import Machine
 from .base import CONTROLLERS, FullStateController, Mask
 from .input_compensation import DeadTime, InputInversion
 from .model_based_controller import ModelBasedController
@@ -213,9 +214,8 @@ class MomentumFilter:
         self._tool = [model.machine.coordinate_names.index(axis) for axis in AXES]
         self._grid = OperatingPointGrid(model.machine)
         units = model.machine.travel_per_unit
-        self._stiffness = np.stack(
-            [stiffness_matrix(model.machine, model.rigid @ p / units)[self._tool] for p in self._grid.points]
-        ) / (units[self._tool, None] * units)  # N/m, (points, 2, n)
+        on_grid = stiffness_matrix(model.machine, self._grid.points @ model.rigid.T / units)  # (points, n, n)
+        self._stiffness = on_grid[:, self._tool] / (units[self._tool, None] * units)  # N/m, (points, 2, n)
         # Rows: the rigid motion along x and y, then the tool's; columns: the coordinates.
         self._rows = np.vstack([model.rigid.T, np.eye(n)[self._tool]])
         self._prior_std = np.concatenate([np.full(n, FRICTION_STD), np.full(n, MASS_STD), [BELT_STD]])

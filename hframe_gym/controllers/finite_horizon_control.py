@@ -35,7 +35,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..machine import mode_frequencies
+from ..dynamics import mode_frequencies
 from .base import check_period
 from .motion_model import AXES, MotionModel, OperatingPointGrid
 

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from ..dynamics import Equations, ForceBalance, MotionPoint
+from ..dynamics import Equations, ForceBalance, MotionPoint, linearize
 from ..errors import InputError
-from ..machine import AppliedEffect, Machine, argument_names, linearize, rest_state
+from ..machine import AppliedEffect, Machine, argument_names, rest_state
 
 Array = NDArray[np.float64]
 AXES = ("x", "y")
@@ -224,7 +224,7 @@ class MotionModel:
         """
         if not self._with_effects.machine.effects:
             return np.zeros((len(state), len(self.mass)))
-        return _stack(self._balance(state, elapsed_s).held, state)
+        return _stack(self._balance(state, elapsed_s).forces, state)
 
     def friction_force(self, state: Array, elapsed_s: Array) -> Array:
         """Compute Coulomb friction and the friction of the machine's effects; declared viscous friction is left out.

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..machine import Machine, mode_frequencies
+from ..dynamics import mode_frequencies
+from ..machine import Machine
 from .base import CONTROLLERS, FullStateController
 from .motion_model import AXES
 

@@ -278,7 +278,7 @@ class _SymbolicModel:
         excess = []
         for i, coordinate in enumerate(equations.machine.coordinates):
             if coordinate.kind == "linear" and i not in equations.drive_coordinates:
-                excess += [balance.held[i] - balance.coulomb[i], -balance.held[i] - balance.coulomb[i]]
+                excess += [balance.forces[i] - balance.coulomb[i], -balance.forces[i] - balance.coulomb[i]]
         return excess
 
     def _point(self, state: Any, time: Any) -> MotionPoint:

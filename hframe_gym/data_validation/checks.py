@@ -8,8 +8,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from ..dynamics import stiffness_matrix
 from ..identification import Dataset, estimate_initial_state, prepare
-from ..machine import Machine, stiffness_matrix
+from ..machine import Machine
 from ..recordings import GAP_PERIODS, Recording
 from .excitation import check_excitation, check_parameters, constant_inputs
 from .findings import Finding, Severity

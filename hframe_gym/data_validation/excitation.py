@@ -13,10 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..dynamics import mode_frequencies
 from ..identification import Dataset, FreeParameter, PreparedRecording, default_free_parameters
 from ..identification.linearization import NormalEquations, ResidualModel
 from ..identification.prediction import SIMULATION, map_runs
-from ..machine import Machine, mode_frequencies, rigid_motions
+from ..machine import Machine, rigid_motions
 from ..recordings import Recording
 from .findings import Finding, Severity
 from .wiring import sensor_motions

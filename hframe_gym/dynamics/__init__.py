@@ -1,8 +1,9 @@
-"""Equations of motion, the integrator, its compiled simulation kernel (generated code) and simulation."""
+"""Equations of motion, their linearization, and simulation: the integrator and its compiled kernel (generated code)."""
 
 from .belts import BeltState
 from .equations import Equations, ForceBalance
 from .kernel import Kernel, in_blocks, kernel_for, kernel_source_text
+from .linearization import StateSpace, linearize, mode_frequencies, stiffness_matrix
 from .motion_forces import (
     belt_forces,
     belt_states,
@@ -24,6 +25,7 @@ __all__ = [
     "Kernel",
     "MotionPoint",
     "NotFiniteError",
+    "StateSpace",
     "belt_forces",
     "belt_states",
     "delayed_voltages",
@@ -33,9 +35,12 @@ __all__ = [
     "in_parallel",
     "kernel_for",
     "kernel_source_text",
+    "linearize",
+    "mode_frequencies",
     "net_forces",
     "rollout",
     "sensor_readings",
     "simulate",
     "simulate_batch",
+    "stiffness_matrix",
 ]

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from .elementwise import fma, named, reciprocals
-from .parameterized_machine import MotionPoint, ParameterizedMachine, Value, add_combination, combination
+from .parameterized_machine import IndexRow, MotionPoint, ParameterizedMachine, Value
 
 
 class BeltState(NamedTuple):
@@ -42,12 +42,12 @@ class BeltEquations(ParameterizedMachine):
         """Return extension, stiffness and tension of each belt (eq. 38-44 of Sollmann et al. 2010), with effects.
 
         Args:
-            point: Belt travel, m, and speed, m/s, of the coordinates, with the states of the effects.
+            point: Belt travel, m, and speed, m/s, of every coordinate, with the states of the effects.
 
         Returns:
             One `BeltState` per belt, in the machine's order.
         """
-        travel = [self._belt_travel(i, point) for i in range(len(point.travel))]
+        travel = [self._belt_travel(i, point) for i in range(len(point.travel))]  # with eccentric pulleys
         speed = [v * arm for v, arm in zip(point.speed, self._lever_arms(point), strict=True)]
         extensions, lengths = [], {}
         for b, (row, length_row) in enumerate(zip(self.extension_rows, self.length_rows, strict=True)):
@@ -62,7 +62,7 @@ class BeltEquations(ParameterizedMachine):
             extensions.append(named("extension", b, extension))
             rest_length = self.parameter(f"{self.machine.belts[b].name}.rest_length")
             lengths[b] = named("length", b, rest_length + displacement)
-        per_length = {
+        per_length = {  # 1/l; `reciprocals` saves divisions in the generated code
             b: named("per_length", b, value)
             for b, value in zip(lengths, reciprocals(list(lengths.values())), strict=True)
         }
@@ -73,7 +73,7 @@ class BeltEquations(ParameterizedMachine):
         """Return the stiffness of a belt whose length does not depend on the carriage's position.
 
         Args:
-            b: Index of the belt.
+            b: Index of the belt in the machine.
 
         Returns:
             EA / rest length, N/m.
@@ -130,7 +130,7 @@ class BeltEquations(ParameterizedMachine):
         G is the extension per belt travel p, T the tension, s the extension and k the stiffness of the belts.
 
         Args:
-            point: Point of the motion.
+            point: Belt travel, m, and speed, m/s, of every coordinate, with the states of the effects.
             belts: State of each belt at this point, from `belt_states(point)`.
 
         Returns:
@@ -138,11 +138,11 @@ class BeltEquations(ParameterizedMachine):
         """
         forces = []
         for i, arm in enumerate(self._lever_arms(point)):
-            row: dict[int, float] = {}
+            row: dict[int, float] = {}  # factor of each of the terms
             terms: list[Value] = []
             for b, belt in enumerate(belts):
                 stretch, lengthen = (rows[b].get(i, 0.0) for rows in (self.extension_rows, self.length_rows))
-                if lengthen and lengthen == stretch:
+                if lengthen and lengthen == stretch:  # `net_tension` combines both terms
                     parts = [(-stretch, belt.net_tension)]
                 else:
                     parts = [(-stretch, belt.tension), (lengthen, belt.stiffness_force)]
@@ -152,3 +152,38 @@ class BeltEquations(ParameterizedMachine):
                         terms.append(value)
             forces.append(combination(row, terms) * arm)
         return forces
+
+
+def combination(row: IndexRow, values: Sequence[Value]) -> Value:
+    """Return the sum of row[i] * values[i]; positive terms come first, because a leading minus costs an instruction.
+
+    Args:
+        row: Factors by index, such as the extension of a belt per travel of each coordinate; absent ones count as 0.
+        values: Floats, arrays or expressions, indexed by the keys of `row`.
+
+    Returns:
+        The sum; 0.0 for an empty row.
+    """
+    terms = sorted(((i, factor) for i, factor in row.items() if factor), key=lambda term: term[1] < 0)
+    if not terms:
+        return 0.0
+    i, factor = terms[0]
+    first = values[i] if factor == 1.0 else -values[i] if factor == -1.0 else factor * values[i]
+    return add_combination(first, dict(terms[1:]), values)
+
+
+def add_combination(total: Value, row: IndexRow, values: Sequence[Value]) -> Value:
+    """Return total + the sum of row[i] * values[i].
+
+    Args:
+        total: First summand.
+        row: Factors by index; absent indices count as 0.
+        values: Floats, arrays or expressions, indexed by the keys of `row`.
+
+    Returns:
+        The sum.
+    """
+    for i, factor in sorted(row.items(), key=lambda term: term[1] < 0):
+        size = values[i] if abs(factor) == 1.0 else abs(factor) * values[i]
+        total = total - size if factor < 0 else total + size
+    return total

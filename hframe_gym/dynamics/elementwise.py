@@ -23,10 +23,10 @@ _PLAIN = (float, int, np.ndarray, np.generic)
 
 
 def exp(x: Any) -> Any:
-    """Return e**x; in a compiled simulation kernel x < -700 gives zero, and x is limited to 700.
+    """Return e**x; in a compiled simulation kernel (generated code) x < -700 gives zero, and x is limited to 700.
 
     Args:
-        x: Exponent: number, array, traced or CasADi expression, or SIMD register.
+        x: Exponent: number, array, SIMD register, or expression (CasADi, or traced to generate a kernel).
 
     Returns:
         e**x, with the type and shape of the operand.
@@ -35,37 +35,37 @@ def exp(x: Any) -> Any:
 
 
 def sin(x: Any) -> Any:
-    """Return the sine of an angle; in a compiled simulation kernel accurate for |x| up to 1e6 rad.
+    """Return the sine of an angle; in a compiled simulation kernel (generated code) accurate for |x| up to 1e6 rad.
 
     Args:
-        x: Angle, rad.
+        x: Angle, rad (number, array or expression).
 
     Returns:
-        Sine, in [-1, 1].
+        Sine, in [-1, 1], element by element.
     """
     return _apply("sin", x)
 
 
 def cos(x: Any) -> Any:
-    """Return the cosine of an angle; in a compiled simulation kernel accurate for |x| up to 1e6 rad.
+    """Return the cosine of an angle; in a compiled simulation kernel (generated code) accurate for |x| up to 1e6 rad.
 
     Args:
-        x: Angle, rad.
+        x: Angle, rad (number, array or expression).
 
     Returns:
-        Cosine, in [-1, 1].
+        Cosine, in [-1, 1], element by element.
     """
     return _apply("cos", x)
 
 
 def tanh(x: Any) -> Any:
-    """Return the hyperbolic tangent (not available in a compiled simulation kernel).
+    """Return the hyperbolic tangent (not available in a compiled simulation kernel, the generated code).
 
     Args:
-        x: Operand.
+        x: Operand (number, array or expression).
 
     Returns:
-        Hyperbolic tangent, in [-1, 1].
+        Hyperbolic tangent, in [-1, 1], element by element.
     """
     return _apply("tanh", x)
 
@@ -74,10 +74,10 @@ def sqrt(x: Any) -> Any:
     """Return the square root.
 
     Args:
-        x: Operand, not negative.
+        x: Operand, not negative (number, array or expression).
 
     Returns:
-        Square root.
+        Square root, element by element.
     """
     return _apply("sqrt", x)
 
@@ -86,19 +86,19 @@ def absolute(x: Any) -> Any:
     """Return |x|.
 
     Args:
-        x: Operand.
+        x: Operand (number, array or expression).
 
     Returns:
-        Absolute value.
+        Absolute value, element by element.
     """
     return _apply("absolute", x)
 
 
 def sign(x: Any) -> Any:
-    """Return the sign of a value (not available in a compiled simulation kernel; use `copysign` there).
+    """Return the sign of a value; generated simulation code does not have this function and uses `copysign`.
 
     Args:
-        x: Operand.
+        x: Operand (number, array or expression).
 
     Returns:
         -1 for x < 0, 0 for x = 0, 1 for x > 0, element by element.
@@ -110,7 +110,7 @@ def minimum(a: Any, b: Any) -> Any:
     """Return the smaller of two values.
 
     Args:
-        a: First operand.
+        a: First operand (number, array or expression).
         b: Second operand.
 
     Returns:
@@ -123,7 +123,7 @@ def maximum(a: Any, b: Any) -> Any:
     """Return the larger of two values.
 
     Args:
-        a: First operand.
+        a: First operand (number, array or expression).
         b: Second operand.
 
     Returns:
@@ -160,7 +160,7 @@ def where(condition: Any, yes: Any, no: Any) -> Any:
 
 
 def fma(a: Any, b: Any, c: Any) -> Any:
-    """Return a * b + c (fused multiply-add: rounded once in a compiled simulation kernel, twice elsewhere).
+    """Return a * b + c: rounded once in a compiled simulation kernel (fused multiply-add), twice elsewhere.
 
     Args:
         a: First factor.
@@ -177,7 +177,7 @@ def rint(x: Any) -> Any:
     """Return the nearest integer, ties to even.
 
     Args:
-        x: Operand.
+        x: Operand (number, array or expression).
 
     Returns:
         Nearest integer, as a floating-point value.
@@ -189,7 +189,7 @@ def floor(x: Any) -> Any:
     """Return the largest integer that does not exceed x.
 
     Args:
-        x: Operand.
+        x: Operand (number, array or expression).
 
     Returns:
         Largest integer that does not exceed x, as a floating-point value.
@@ -238,10 +238,11 @@ def named(role: str, index: int, value: Any) -> Any:
 def reciprocals(values: Sequence[Any]) -> list[Any]:
     """Return the reciprocal of each value.
 
-    Traced expressions take one division per group of three, because a division costs as much as ten products.
+    For traced expressions, from which simulation code is generated, three values share one division: with the product
+    P = a b c, 1/a = b c / P and so on. A division costs as much as ten products.
 
     Args:
-        values: Values, none of them zero.
+        values: Numbers, arrays or expressions, none of them zero.
 
     Returns:
         1/value of each value.
@@ -268,7 +269,7 @@ def reciprocals(values: Sequence[Any]) -> list[Any]:
 def update_if_any(
     condition: Callable[[], Any], values: Sequence[Any], update: Callable[[Sequence[Any]], Sequence[Any]]
 ) -> list[Any]:
-    """Return `update(values)`, which the generated simulation code evaluates only if a condition holds for a machine.
+    """Return `update(values)`, which the generated simulation code skips if the condition holds for no machine.
 
     Args:
         condition: Function without arguments that returns the condition. Called for traced expressions only.
@@ -278,6 +279,7 @@ def update_if_any(
     Returns:
         The updated values, in the order of `values`.
     """
+    # Only traced expressions (from which code is generated) can write the `if`; other algebras update in any case.
     traced = next((v for v in values if hasattr(v, "trace")), None)
     if traced is not None:
         return list(traced.trace.update_if_any(condition(), values, update))

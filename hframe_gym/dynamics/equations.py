@@ -9,7 +9,7 @@ For the belt travel p of each coordinate (p = radius * angle for a pulley), in N
     drive j:  f_drive = N Kt i / r,  i = (V - Ke N w) / R            (eq. 17, with the gear ratio that it omits)
 
 At v = 0 Coulomb friction is a set: any force up to F. The back electromotive force Ke N w is part of the viscous
-coefficient b. Effects enter at the places that `hframe_gym.machine.effect` lists.
+coefficient b. Effects enter at the places that `hframe_gym.machine.Effect` lists.
 
 Values are floats, NumPy arrays (one entry per machine, per sample, or (variants, 1) against (samples,)), traced
 expressions from which `kernel_source` generates the simulation kernel (compiled code), or CasADi expressions.
@@ -25,21 +25,23 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .belts import BeltEquations
+from .belts import BeltEquations, combination
 from .elementwise import fma, maximum, named, sign, update_if_any
-from .parameterized_machine import MotionPoint, Value, combination
+from .parameterized_machine import MotionPoint, Value
 
 
 class ForceBalance(NamedTuple):
     """Forces along the belt travel of each coordinate (torque / radius for a pulley), N.
 
     Attributes:
-        held: Sum of all forces except viscous and Coulomb friction, which the integrator holds constant over a step.
-        coulomb: Coulomb friction force F (magnitude); zero where an effect replaces Coulomb friction.
-        arguments: By effect index, arguments of its `next_state` at this point: level (N or Nm) or current i (A).
+        forces: Sum of all forces on each coordinate except viscous and Coulomb friction. The integrator keeps it
+            constant over a step.
+        coulomb: Coulomb friction force F (magnitude) of each coordinate; zero where an effect replaces it.
+        arguments: By index of the effect in the machine, the arguments that its formula `next_state` takes at this
+            point: "level", the Coulomb friction force, N or Nm, or "i", the current of the drive, A.
     """
 
-    held: list[Value]
+    forces: list[Value]
     coulomb: list[Value]
     arguments: dict[int, dict[str, Value]]
 
@@ -64,11 +66,11 @@ class Equations(BeltEquations):
             voltages: Commanded voltage of each drive, V, after its delay.
 
         Returns:
-            Voltage at the terminals of each motor, V.
+            Voltage at the terminals of each motor, V, in the machine's order.
         """
         result = []
         for j, (drive, voltage) in enumerate(zip(self.machine.drives, voltages, strict=True)):
-            for _, e in self.effects_at("voltage", drive.name, "drives"):
+            for _, e in self.effects_at("voltage", drive.name, "drives"):  # "drives": the effect acts on all of them
                 voltage = self.evaluate(e, "voltage", {"V": voltage})
             result.append(named("voltage", j, voltage))
         return result
@@ -80,14 +82,14 @@ class Equations(BeltEquations):
 
         Args:
             forces: Force along the belt travel of each coordinate, N.
-            motor_voltages: Voltage at each motor, V.
+            motor_voltages: Voltage at the terminals of each motor, V, from `motor_voltages`.
 
         Returns:
-            Forces of all coordinates, N, increased by those of their drives.
+            Forces along the belt travel of all coordinates, N, with those of the drives added.
         """
         result = list(forces)
         for j, voltage in enumerate(motor_voltages):
-            i = self.drive_coordinates[j]
+            i = self.drive_coordinates[j]  # the drive moves this coordinate
             result[i] = fma(self.force_per_volt(j), voltage, result[i])
         return result
 
@@ -106,7 +108,8 @@ class Equations(BeltEquations):
             Current, A.
         """
         speed = self.speed(point, self.drive_coordinates[j])
-        return (motor_voltage - self._emf_constant(j) * speed) * (1.0 / self._of_drive(j, "resistance"))
+        drive = self.drives[j]
+        return (motor_voltage - drive.emf_constant * speed) * (1.0 / drive.resistance)
 
     def _current_change(
         self, j: int, point: MotionPoint, motor_voltage: Value, arguments: dict[int, dict[str, Value]]
@@ -118,14 +121,14 @@ class Equations(BeltEquations):
             arguments[k] = {"i": current}
             state = self.effect_state(k, point, i=current)
             current = named("current", k, self.evaluate(e, "current", {"i": current, "z": state}))
-        return self._of_drive(j, "gear_ratio") * self._of_drive(j, "Kt") * (current - ohmic)
+        return self.drives[j].gear_ratio * self.drives[j].Kt * (current - ohmic)
 
     # -- forces ----------------------------------------------------------------------------------------------------
 
     def force_balance(
         self, point: MotionPoint, motor_voltages: Sequence[Value], forces: Sequence[Value]
     ) -> ForceBalance:
-        """Add the forces of the effects to those of belts and drives, and determine the Coulomb friction.
+        """Add the forces of the effects to those of belts and drives, and determine the Coulomb friction force.
 
         Args:
             point: Belt travel and speed of every coordinate, at which to evaluate.
@@ -133,10 +136,12 @@ class Equations(BeltEquations):
             forces: Forces of belts and drives (without back-EMF) along the belt travel of each coordinate, N.
 
         Returns:
-            Sum of all forces except friction, N, and Coulomb friction force F, N, of each coordinate.
+            forces: Sum of all forces on each coordinate except viscous and Coulomb friction, along its belt travel, N.
+            coulomb: Coulomb friction force (magnitude) of each coordinate, N.
+            arguments: Friction forces and currents that `next_state` takes, by index of the effect.
         """
         arguments: dict[int, dict[str, Value]] = {}
-        held, levels = [], []
+        totals, levels = [], []
         for i, force in enumerate(forces):
             level = self._coulomb_level(i, point)
             for k, e in self.effects_on("friction", i):  # dry friction by the effect, not by Coulomb's law
@@ -152,9 +157,9 @@ class Equations(BeltEquations):
                 if self.drive_coordinates[j] == i and any(self.effects_at("current", drive.name)):
                     change = self._current_change(j, point, motor_voltages[j], arguments)
                     force = force + change * self.per_radius(i)
-            held.append(force)
+            totals.append(force)
             levels.append(level)
-        return ForceBalance(self._with_guarded_forces(held, point), levels, arguments)
+        return ForceBalance(self._with_guarded_forces(totals, point), levels, arguments)
 
     def _coulomb_level(self, i: int, point: MotionPoint) -> Value:
         """Return the Coulomb friction force of coordinate i with its effects, N; never negative."""
@@ -197,14 +202,16 @@ class Equations(BeltEquations):
         return [updated.get(i, force) for i, force in enumerate(forces)]
 
     def balance(self, point: MotionPoint, voltages: Sequence[Value]) -> ForceBalance:
-        """Return the sum of belt, drive and effect forces at a point, and the Coulomb friction separately.
+        """Return the sum of belt, drive and effect forces at a point, and the Coulomb friction force separately.
 
         Args:
             point: Belt travel and speed of every coordinate, at which to evaluate.
             voltages: Commanded voltage of each drive, V, after its delay.
 
         Returns:
-            Sum of all forces except friction, N, and Coulomb friction force F, N, of each coordinate.
+            forces: Sum of all forces on each coordinate except viscous and Coulomb friction, along its belt travel, N.
+            coulomb: Coulomb friction force (magnitude) of each coordinate, N.
+            arguments: Friction forces and currents that `next_state` takes, by index of the effect.
         """
         motor_voltages = self.motor_voltages(voltages)
         forces = self.belt_forces(point, self.belt_states(point))
@@ -213,7 +220,7 @@ class Equations(BeltEquations):
     def net_forces(
         self, point: MotionPoint, voltages: Sequence[Value], direction: Callable[[Value], Value] = sign
     ) -> list[Value]:
-        """Return the sum of all forces on each coordinate, with friction.
+        """Return the sum of all forces on each coordinate, with viscous and Coulomb friction.
 
         Args:
             point: Belt travel and speed of every coordinate, at which to evaluate.
@@ -224,12 +231,12 @@ class Equations(BeltEquations):
         Returns:
             Net force along the belt travel of each coordinate, N.
         """
-        held, coulomb, _ = self.balance(point, voltages)
-        sides = [direction(v) for v in point.speed]
-        return [
-            force - self.viscous(i, side) * v - level * side
-            for i, (force, level, v, side) in enumerate(zip(held, coulomb, point.speed, sides, strict=True))
-        ]
+        forces, coulomb, _ = self.balance(point, voltages)
+        result = []
+        for i, (force, level, v) in enumerate(zip(forces, coulomb, point.speed, strict=True)):
+            sign_of_motion = direction(v)
+            result.append(force - self.viscous(i, sign_of_motion) * v - level * sign_of_motion)
+        return result
 
     def accelerations(
         self, point: MotionPoint, voltages: Sequence[Value], direction: Callable[[Value], Value] = sign
@@ -239,7 +246,8 @@ class Equations(BeltEquations):
         Args:
             point: Belt travel and speed of every coordinate, at which to evaluate.
             voltages: Commanded voltage of each drive, V, after its delay.
-            direction: Function of the speed, m/s, that gives the direction of the motion in [-1, 1]; see `net_forces`.
+            direction: Function of the speed, m/s, that gives the direction of the motion in [-1, 1]: `sign`, or for
+                optimization a smooth function such as tanh(v / v0) with a small speed v0.
 
         Returns:
             Second derivative of the belt travel of each coordinate, m/s^2 (radius * angular acceleration of a pulley).
@@ -255,20 +263,20 @@ class Equations(BeltEquations):
             positions: Position of each coordinate, m or rad.
 
         Returns:
-            Reading of every sensor with its effects on the measurement, m or rad (unit of its channel).
+            Reading of every sensor with the effects on it (scale, skew, ...), m or rad (unit of its channel).
         """
         names = self.machine.coordinate_names
         readings = []
         for j, sensor in enumerate(self.machine.sensors):
             terms = []
-            for key in sensor.row:  # a key is a coordinate, or a product of two
+            for key in sensor.row:  # a key is a coordinate, or a product of two such as "y*yaw"
                 factors = [key] if key in names else key.split("*")
                 value = positions[names.index(factors[0])]
                 for factor in factors[1:]:
                     value = value * positions[names.index(factor)]
                 terms.append(value)
             reading = combination(dict(enumerate(sensor.row.values())), terms)
-            across = self.machine.other_axis(sensor.coordinate)
+            across = self.machine.other_axis(sensor.coordinate)  # skew depends on the other carriage's position
             quantities = {"across": positions[names.index(across)] if across else 0.0}
             for _, e in self.effects_at("measurement", sensor.channel):
                 reading = self.evaluate(e, "measurement", {"r": reading, **quantities})
@@ -309,16 +317,17 @@ class Equations(BeltEquations):
         """Convert positions and velocities in arrays to the belt travel that the equations use.
 
         Args:
-            positions: Positions, m or rad, shape (..., coordinates).
+            positions: Positions, m or rad, real or complex, shape (..., coordinates).
             velocities: Velocities, m/s or rad/s, of the same shape; None: at rest.
             time_s: Time since the machine was switched on, s, shape (...).
-            effect_states: State of each effect that has one, by the index of the effect in the machine.
+            effect_states: State of each effect that has one (bristle deflection, motor current, ...), in its unit, by
+                the index of the effect in the machine; None: all zero.
 
         Returns:
-            The point, with belt travel, m, and its rate, m/s, as arrays of shape (...) for every coordinate.
+            The point: lists of belt travel, m, and its rate, m/s, with one array of shape (...) per coordinate.
         """
-        q = np.asarray(positions, float)
-        v = np.zeros_like(q) if velocities is None else np.asarray(velocities, float)
+        q = 1.0 * np.asarray(positions)  # real or complex
+        v = np.zeros_like(q) if velocities is None else 1.0 * np.asarray(velocities)
         radii = [self.radius(i) for i in range(q.shape[-1])]
         return MotionPoint(
             [q[..., i] * radius for i, radius in enumerate(radii)],

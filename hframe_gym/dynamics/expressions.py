@@ -26,7 +26,7 @@ class Expression:
 
     Attributes:
         trace: Trace to which the node belongs.
-        operation: "number", "variable", "load", an operator, or the name of a function.
+        operation: "number", "variable", "load" (row of an array), an operator such as "+", or the name of a function.
         operands: Operands; of a number its text, of a load its text, of a variable its name and its version. Every
             assignment to a variable makes a new version.
         invariant: Whether the value is the same in all steps of the loop.
@@ -49,7 +49,7 @@ class Expression:
 
     @property
     def is_leaf(self) -> bool:
-        """Whether the node is a number or a variable."""
+        """Whether the node is a number or a variable, which needs no computation."""
         return self.operation in ("number", "variable")
 
     def traced_function(self, name: str, operands: Sequence[Any]) -> Expression:
@@ -57,10 +57,10 @@ class Expression:
 
         Args:
             name: Name of the function in `elementwise`, for example "sin".
-            operands: Its operands: expressions and numbers.
+            operands: Operands of the function: expressions and numbers.
 
         Returns:
-            The expression, simplified where that is exact.
+            Expression of the function's value.
         """
         return self.trace.node(name, *operands)
 
@@ -145,9 +145,9 @@ class Statement:
     Attributes:
         text: Template of the line; "{}" marks the places of the values.
         values: Values in the line.
-        sets: Variables that the line sets.
-        body: Lines of a block.
-        loop: Whether the block repeats.
+        sets: Variables to which the line assigns.
+        body: Statements of the indented block below the line; empty for a simple statement.
+        loop: Whether the block is the body of a loop.
     """
 
     text: str
@@ -167,6 +167,7 @@ def simplified(operation: str, values: tuple[Expression, ...]) -> Expression | N
     Returns:
         The simplified expression, or None if the operation cannot be simplified.
     """
+    # The value of each operand that is a number, else None.
     numbers = [float(v.operands[0]) if v.operation == "number" else None for v in values]
     trace = values[0].trace
     if operation == "neg":
@@ -200,6 +201,9 @@ def function_source(trace: Trace) -> str:
 
     Returns:
         Source text of the function, from `def` to its last line.
+
+    Raises:
+        RuntimeError: If an expression uses a variable after a new value has been assigned to the variable.
     """
     return "\n".join([f"def {trace.signature}:", *_Writer(trace.statements, trace.names).lines]) + "\n"
 

@@ -33,6 +33,7 @@ def decay_integral(z):  # type: ignore[no-untyped-def]
     Returns:
         Factor in (0, 1]; 1 without damping.
     """
+    # Taylor series to z**10 in Horner's form, because the closed form cancels for small z.
     p = fma(z, -1.0 / 39916800.0, 1.0 / 3628800.0)
     p = fma(z, -p, 1.0 / 362880.0)
     p = fma(z, -p, 1.0 / 40320.0)
@@ -43,7 +44,7 @@ def decay_integral(z):  # type: ignore[no-untyped-def]
     p = fma(z, -p, 1.0 / 6.0)
     p = fma(z, -p, 0.5)
     p = fma(z, -p, 1.0)
-    if any_of(z > _SMALL):
+    if any_of(z > _SMALL):  # a strongly damped machine; the branch is skipped if no machine of the register needs it
         large = where(z > _SMALL, z, 1.0)
         p = where(z > _SMALL, (1.0 - exp(-large)) / large, p)
     return p
@@ -62,6 +63,7 @@ def end_weight(z):  # type: ignore[no-untyped-def]
         Weight in [1/2, 1).
     """
     square = z * z
+    # Bernoulli series 1/2 + z/12 - z**3/720 + ..., because the closed form cancels for small z.
     p = fma(square, 1.0 / 47900160.0, -1.0 / 1209600.0)
     p = fma(square, p, 1.0 / 30240.0)
     p = fma(square, p, -1.0 / 720.0)
@@ -121,7 +123,7 @@ def static_friction(f, coulomb):  # type: ignore[no-untyped-def]
     Returns:
         Friction force, N, to be subtracted from f.
     """
-    below = where(f < coulomb, f, coulomb)
+    below = where(f < coulomb, f, coulomb)  # min(f, F)
     return where(below > -coulomb, below, -coulomb)
 
 
@@ -142,9 +144,10 @@ def friction_force(v, f, coulomb):  # type: ignore[no-untyped-def]
 
 @inlined
 def update_speed(v, f, coulomb, decay, gain):  # type: ignore[no-untyped-def]
-    """Advance the speed by one step of length h, and detect lanes whose coordinate comes to rest within the step.
+    """Advance the speed by one step of length h, and detect where the coordinate comes to rest within the step.
 
-    In lanes that come to rest, the speed is invalid; `stop_or_reverse` gives it.
+    Operands are SIMD registers with one machine per lane. In lanes that come to rest, the returned speed is invalid;
+    `stop_or_reverse` gives it.
 
     Args:
         v: Speed before the step, m/s.
@@ -166,7 +169,8 @@ def stop_or_reverse(v, f, coulomb, viscous, viscous_after, mass, per_mass, h):  
     """Return the speed after, and the distance of, a step of length h in which the coordinate comes to rest.
 
     The coordinate decelerates to rest in the time `stop`. Then it stays at rest if |f| <= F, or reverses for the
-    remaining time. The result is valid only in lanes where `update_speed` reports a stop.
+    remaining time. Operands are SIMD registers with one machine per lane; the result is valid only in lanes where
+    `update_speed` reports a stop.
 
     Args:
         v: Speed before the step, m/s.

@@ -70,16 +70,19 @@ _LOOPS = (
 
 @dataclass(frozen=True)
 class Kernel:
-    """Compiled simulation functions of a machine's shape; `time_loops` describes their arguments.
+    """Compiled simulation functions (generated code) for all machines of one shape (`Machine.shape`).
+
+    The module `time_loops` describes the arguments of the functions. A block is a group of `LANES` machines that are
+    simulated side by side.
 
     Attributes:
-        layout: Rows of the parameters, and of the step constants that are derived from them, in the arrays.
-        rollout: Simulates over a recording.
-        prepare_blocks: Computes the derived constants.
-        advance_blocks: Advances machines by some steps.
-        read_blocks: Evaluates the sensors.
-        sensor_delay_blocks: Evaluates the delays of the sensors.
-        drive_delay_blocks: Evaluates the delays of the drives.
+        layout: Row of each parameter, and of each step constant that is derived from them, in the functions' arrays.
+        rollout: Simulates machines over a recording.
+        prepare_blocks: Computes the derived step constants of blocks of machines.
+        advance_blocks: Advances blocks of machines by some steps of the integrator.
+        read_blocks: Evaluates the sensors of blocks of machines.
+        sensor_delay_blocks: Evaluates the delays of the sensors, s.
+        drive_delay_blocks: Evaluates the delays of the drives, s.
         delayed: Whether the voltage of a drive has a delay.
         lagged: Whether a sensor has a delay.
         states: Number of rows of a state: travel and speed of each coordinate, time, effect states.
@@ -100,7 +103,7 @@ class Kernel:
 
 
 def cache_folder() -> Path:
-    """Return the folder of the generated and compiled simulation kernels; create it if necessary.
+    """Return the folder in which generated simulation code and its compiled form are cached; create it if necessary.
 
     Returns:
         The first of these that can be written: `$HFRAME_CACHE`, `hframe_gym` in the user's cache folder, a temporary
@@ -124,11 +127,11 @@ def generate(machine: Machine, *, forced: bool = False) -> tuple[str, KernelSour
 
     Args:
         machine: Any machine of the shape; its parameter values do not matter.
-        forced: Whether the kernel takes an external force on every coordinate.
+        forced: Whether the generated functions take an external force on every coordinate.
 
     Returns:
-        text: Complete text of the Python module.
-        source: Its generated functions with the layout of the parameter arrays.
+        text: Complete source text of the Python module.
+        source: `KernelSource` of its generated functions, with the layout of their arrays.
     """
     source = KernelSource(machine, forced=forced)
     components = {
@@ -204,7 +207,7 @@ def kernel_for(machine: Machine, *, forced: bool = False) -> Kernel:
         forced: Whether `rollout` takes an external force on every coordinate.
 
     Returns:
-        The functions, with the layout of their arrays.
+        Compiled functions, with the layout of their arrays.
     """
     key = (machine.shape, forced)
     if key not in _KERNELS:
@@ -225,7 +228,7 @@ def in_blocks(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Arrange the values of many machines in blocks of `LANES` machines, one machine per SIMD lane.
 
     Args:
-        values: n values of each of B machines, any unit, shape (B, n), B >= 1.
+        values: n values (parameters or states, any unit) of each of B machines, shape (B, n), B >= 1.
 
     Returns:
         Blocks, shape (ceil(B / LANES), n, LANES). Spare lanes of the last block repeat the last machine.

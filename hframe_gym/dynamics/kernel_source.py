@@ -1,16 +1,14 @@
 """Generates the source of a machine's simulation kernel by evaluating the equations of motion on traced expressions.
 
-What is the same for all machines of one shape (which coordinates, rows of the belts, where drives and effects act)
-becomes source text: zeros vanish, ones become additions, an effect that is absent costs nothing. What differs between
-them (every value of `Machine.parameters`) is data: one SIMD lane per machine.
+What is the same for all machines of one shape (coordinates, rows of the belts, places of drives and effects) becomes
+source text: zeros vanish, ones become additions. What differs between them (every value of `Machine.parameters`) is
+data: one SIMD lane per machine.
 
-One step of length h, from travel q and speed v (see `reference_step` for the same algorithm in plain Python):
+One step of length h, from travel q and speed v (`reference_step` is the same algorithm in plain Python):
 
     1. Forces at the half-way point q + h/2 v, and from them the acceleration a (zero where static friction holds).
-    2. Forces again at the corrected point q + h/2 v + h^2/12 a. This cancels the frequency error (omega h)^2/24 of the
-       position Verlet scheme (Takahashi and Imada 1984; Chin 1997). Speed-dependent friction is evaluated at v + h/2 a.
-    3. Exact flow of m dv/dt = f - b v - F sign v with these forces (`friction`), and its exact travel: the weights of
-       the first and the last speed replace the halves of the Verlet scheme, so that strong damping costs no accuracy.
+    2. Forces again at the corrected point q + h/2 v + h^2/12 a; speed-dependent friction is evaluated at v + h/2 a.
+    3. Exact flow of m dv/dt = f - b v - F sign v with these forces (`friction`), and its exact travel.
     4. Machines with a coordinate that stops within the step: exact time of the stop, then rest or reversal.
     5. States of the effects.
 
@@ -23,10 +21,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from ..machine import HOOKS, Machine, argument_names
+from .belts import combination
 from .elementwise import exp, fma, named, where
 from .equations import Equations, ForceBalance
 from .expressions import Expression, function_source
-from .parameterized_machine import MotionPoint, combination
+from .parameterized_machine import MotionPoint
 from .tracing import Trace
 
 # Constants of a step that `prepare` derives from the parameters, for each coordinate; those of PER_DIRECTION for both
@@ -39,9 +38,12 @@ PER_DIRECTION = ("viscous", "correction_damping", "decay", "speed_gain", "first_
 class Layout:
     """Row of each quantity in the arrays `parameters` and `derived` of a compiled simulation kernel.
 
+    Both arrays have one column per machine.
+
     Attributes:
         parameters: Row of each machine parameter by full name, for example "x.mass".
-        derived: Row of each step constant that `prepare` derives from the parameters, for example "coordinate_0.decay".
+        derived: Row of each constant that the generated function `prepare` derives from parameters and step length h,
+            for example "coordinate_0.decay", the factor exp(-b h / m) of the first coordinate.
     """
 
     parameters: Mapping[str, int]
@@ -56,11 +58,12 @@ class KernelSource:
         forced: Whether an external force acts on every coordinate.
 
     Attributes:
-        layout: Rows of the arrays.
+        layout: Row of each quantity in the arrays `parameters` and `derived` of the generated functions.
         states: Number of rows of a state: travel and speed of each coordinate, time, effect states.
         delayed: Whether a drive has a delay.
         lagged: Whether a sensor has a delay.
-        text: The functions prepare, voltage_delays, advance, read_sensors and measurement_delays.
+        text: Source of the functions prepare (constants of a step), voltage_delays, advance (the integrator),
+            read_sensors and measurement_delays.
     """
 
     def __init__(self, machine: Machine, *, forced: bool = False) -> None:
@@ -278,10 +281,10 @@ class _StepTrace:
         self, point: MotionPoint, motor_voltages: Sequence[Expression], forces: Sequence[Expression]
     ) -> ForceBalance:
         """Return the force balance with named results."""
-        held, coulomb, arguments = self.equations.force_balance(point, motor_voltages, forces)
-        held = [named("force", i, f) for i, f in enumerate(held)]
-        coulomb = [named("coulomb", i, level) for i, level in enumerate(coulomb)]
-        return ForceBalance(held, coulomb, arguments)
+        balance = self.equations.force_balance(point, motor_voltages, forces)
+        total = [named("force", i, f) for i, f in enumerate(balance.forces)]
+        coulomb = [named("coulomb", i, level) for i, level in enumerate(balance.coulomb)]
+        return ForceBalance(total, coulomb, balance.arguments)
 
     def _shifted_forces(
         self, forces: Sequence[Expression], stiffness: Sequence[Expression], shift: Sequence[Expression]
@@ -300,14 +303,14 @@ class _StepTrace:
         suffixes = self.source._directions(i)
         if len(suffixes) == 1:
             return self.equations.derived("coordinate", i, key)
-        direction = self.trace.node("direction", self.speed[i], balance.held[i])
+        direction = self.trace.node("direction", self.speed[i], balance.forces[i])
         ahead, behind = (self.equations.derived("coordinate", i, key + suffix) for suffix in suffixes)
         choice: Expression = where(direction >= 0.0, *((behind, ahead) if reversed_motion else (ahead, behind)))
         return choice
 
     def _correction(self, i: int, balance: ForceBalance) -> Expression:
         """Return h^2/12 times the acceleration of coordinate i, m."""
-        speed, force = self.speed[i], balance.held[i]
+        speed, force = self.speed[i], balance.forces[i]
         gain = self.equations.derived("coordinate", i, "correction_gain")
         net = force - self.trace.node("friction_force", speed, force, balance.coulomb[i])
         value: Expression = fma(gain, net, self._by_direction(i, "correction_damping", balance) * speed)
@@ -319,7 +322,7 @@ class _StepTrace:
             self._by_direction(i, key, balance) for key in ("decay", "speed_gain", "first_weight", "last_weight")
         )
         results = (("next_speed", i), ("stopped", i))
-        arguments = (self.speed[i], balance.held[i], balance.coulomb[i], decay, gain)
+        arguments = (self.speed[i], balance.forces[i], balance.coulomb[i], decay, gain)
         next_speed, stopped = self.trace.call("update_speed", *arguments, results=results)
         travel = fma(last, next_speed, fma(first, self.speed[i], self.travel[i]))
         return next_speed, stopped, self.trace.variable("next_travel", i, travel)
@@ -331,7 +334,8 @@ class _StepTrace:
         mass, per_mass = (self.equations.derived("coordinate", i, key) for key in ("mass", "per_mass"))
         viscous = self._by_direction(i, "viscous", balance)
         viscous_after = self._by_direction(i, "viscous", balance, reversed_motion=True)
-        arguments = (self.speed[i], balance.held[i], balance.coulomb[i], viscous, viscous_after, mass, per_mass, self.h)
+        before_stop = (self.speed[i], balance.forces[i], balance.coulomb[i], viscous)
+        arguments = (*before_stop, viscous_after, mass, per_mass, self.h)
         results = (("speed_after_stop", i), ("traveled", i))
         with self.trace.block("if any_of({}):", stopped):
             speed, traveled = self.trace.call("stop_or_reverse", *arguments, results=results)

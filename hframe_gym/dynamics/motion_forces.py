@@ -24,7 +24,7 @@ _FRICTION_STATE_STRIDE = 5
 
 
 def belt_states(machine: Machine, positions: ArrayLike, velocities: ArrayLike | None = None) -> list[BeltState]:
-    """Return extension, stiffness and tension of each belt along a motion, effects on belts included.
+    """Return extension, stiffness and tension of each belt along a motion, with the machine's effects on belts.
 
     Args:
         machine: Machine.
@@ -42,7 +42,7 @@ def belt_forces(machine: Machine, positions: ArrayLike, velocities: ArrayLike | 
     """Return the force of the belts on each coordinate along a motion.
 
     Args:
-        machine: Machine.
+        machine: Machine; its effects on belts count.
         positions: Positions, m or rad, shape (..., coordinates).
         velocities: Velocities, m/s or rad/s, of the same shape. Default: at rest.
 
@@ -115,6 +115,7 @@ def effect_forces(
         effects, machine = machine.effects, dataclasses.replace(machine, effects=())
         # The coordinate of a structural effect stays; its parameters are those of the effect, which no longer exists.
         machine = dataclasses.replace(machine, ties={})
+    # An effect can change any term of the equations, so the difference of two evaluations is its force.
     complete = dataclasses.replace(machine, effects=(*machine.effects, *effects))
     return net_forces(complete, *motion) - net_forces(machine, *motion)
 
@@ -143,8 +144,10 @@ def delayed_voltages(equations: Equations, time_s: Array, inputs: Array) -> list
         inputs: Commanded voltages, V, held from each sample until the next, shape (n, drives).
 
     Returns:
-        Mean voltages, V, one array per drive, shape (n,), or (variants, n) if the delay is an array (variants, 1).
+        Mean voltages, V, one array per drive, shape (n,), or (variants, n) if the delay is an array of shape
+        (variants, 1) with one value per variant of the machine.
     """
+    # Length of the interval after each sample, s; the last one is as long as the one before it.
     steps = np.diff(time_s, append=2.0 * time_s[-1] - time_s[-2] if len(time_s) > 1 else time_s[-1] + 1.0)
     ends = np.append(time_s, time_s[-1] + steps[-1])
     voltages = []
@@ -152,6 +155,7 @@ def delayed_voltages(equations: Equations, time_s: Array, inputs: Array) -> list
         if np.all(np.asarray(delay) == 0.0):
             voltages.append(inputs[:, j])
             continue
+        # The mean of a held voltage is the difference of its integral over time, Vs, divided by the interval.
         integral = np.concatenate([[0.0], np.cumsum(inputs[:, j] * steps)])
         sent_at = ends - np.asarray(delay)  # s, when the voltage was commanded that acts at `ends`
         # Before the first sample, the voltage of the first sample acts.
@@ -170,12 +174,13 @@ def effect_states(
         time_s: Sample times, s, strictly increasing, shape (n,).
         positions: Positions, m or rad, shape (n, coordinates).
         velocities: Velocities, m/s or rad/s, shape (n, coordinates).
-        voltages: Voltage of each drive after its delay, V, arrays of shape (n,) or (variants, n).
+        voltages: Voltage of each drive after its delay, V, arrays of shape (n,), or (variants, n) for several variants
+            of the parameters.
 
     Returns:
-        States by effect index in the machine, in the effect's unit, arrays of shape (n,) or (variants, n) for variants
-        of the parameters. The state of an effect on a current is its mean between a sample and the next, because the
-        voltage is held that long.
+        States by index of the effect in the machine, in the effect's unit, arrays of shape (n,), or (variants, n) for
+        several variants of the parameters. The state of an effect on a current is its mean between a sample and the
+        next, because the voltage is held that long.
     """
     states: dict[int, Array] = {}
     for k in equations.states:
@@ -184,7 +189,7 @@ def effect_states(
         motor_voltages = equations.motor_voltages(voltages)
         arguments = equations.force_balance(point, motor_voltages, [0.0] * len(point.travel)).arguments.get(k, {})
         rows = np.arange(len(time_s))
-        if effect.definition.friction:
+        if effect.definition.friction:  # a bristle; `_FRICTION_STATE_STRIDE` gives the reason
             rows = np.unique(np.append(rows[::_FRICTION_STATE_STRIDE], rows[-1]))
         states[k] = _integrated(equations, k, point, arguments, time_s, rows)
     return states

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
-from ..machine import AppliedEffect, Machine, argument_names
+from ..machine import AppliedEffect, Coordinate, Drive, Machine, argument_names
 from .elementwise import named
 
 Value = Any
@@ -21,8 +23,9 @@ class MotionPoint:
         travel: Belt travel of each coordinate, m (radius * angle of a rotary one).
         speed: Rate of the belt travel, m/s.
         time: Time since the machine was switched on, s.
-        effect_states: State of each effect that has one, by the effect's index in the machine.
-        elapsed: Time that has passed since `effect_states`, s; None if they are those of this point.
+        effect_states: State of each effect that has one (bristle deflection, motor current, ...), in its unit, by the
+            effect's index in the machine.
+        elapsed: Time that has passed since `effect_states` were valid, s; None if they are those of this point.
     """
 
     travel: Sequence[Value]
@@ -38,6 +41,14 @@ class ParameterizedMachine:
     Args:
         machine: Machine with its effects.
         values: Parameter values by full name, SI; other parameters keep the machine's values.
+
+    Attributes:
+        machine: As given.
+        extension_rows: For each belt, extension per belt travel, m/m, by index of the coordinate.
+        length_rows: For each belt, change of length per belt travel, m/m, by index of the coordinate.
+        drive_coordinates: For each drive, index of the coordinate that it moves.
+        states: Indices of the effects that have a state.
+        state_coordinates: For each effect, index of the coordinate whose motion changes its state; -1 for none.
     """
 
     def __init__(self, machine: Machine, values: Mapping[str, Value] | None = None) -> None:
@@ -73,22 +84,33 @@ class ParameterizedMachine:
         """Return the value of a parameter.
 
         Args:
-            name: Full name, for example "x.mass"; an unknown name raises KeyError.
+            name: Full name, for example "x.mass".
 
         Returns:
-            Value, SI; for a tied parameter the factor times the value of the other parameter.
+            Value, SI; for a tied parameter (`Machine.ties`) the factor times the value of the other parameter.
+
+        Raises:
+            KeyError: If the machine has no such parameter.
         """
         if name in self.machine.ties:
             other, factor = self.machine.ties[name]
             return factor * self.parameter(other)
         return self._values[name]
 
-    def _is_rotary(self, i: int) -> bool:
-        """Return whether a coordinate is the angle of a pulley."""
-        return self.machine.coordinates[i].kind == "rotary"
+    @cached_property
+    def _coordinates(self) -> list[Any]:
+        """Coordinates of the machine with the parameter values of this object."""
+        return [self._with_values(c) for c in self.machine.coordinates]
 
-    def _of_coordinate(self, i: int, key: str) -> Value:
-        return self.parameter(f"{self.machine.coordinates[i].name}.{key}")
+    @cached_property
+    def drives(self) -> list[Any]:
+        """Drives of the machine, in its order, with the parameter values of this object (see `machine.Drive`)."""
+        return [self._with_values(d) for d in self.machine.drives]
+
+    def _with_values(self, component: Coordinate | Drive) -> Any:
+        """Return a component whose parameters may be arrays or expressions; its formulas work on them, too."""
+        values = {key: self.parameter(f"{component.name}.{key}") for key in component.PARAMETERS}
+        return dataclasses.replace(component, **values)
 
     def radius(self, i: int) -> Value:
         """Return the belt travel per unit of a coordinate.
@@ -99,7 +121,7 @@ class ParameterizedMachine:
         Returns:
             Radius of the pulley, m (m of belt per rad), or 1 for a linear coordinate.
         """
-        return self._of_coordinate(i, "radius") if self._is_rotary(i) else 1.0
+        return self._coordinates[i].travel_per_unit
 
     def per_radius(self, i: int) -> Value:
         """Return the reciprocal of `radius`.
@@ -110,7 +132,7 @@ class ParameterizedMachine:
         Returns:
             1/radius, 1/m, or 1 for a linear coordinate.
         """
-        return 1.0 / self.radius(i) if self._is_rotary(i) else 1.0
+        return 1.0 / self.radius(i)
 
     def mass(self, i: int) -> Value:
         """Return the mass of a coordinate referred to its belt travel.
@@ -121,7 +143,7 @@ class ParameterizedMachine:
         Returns:
             Mass of a carriage, or inertia / radius^2 of a pulley, kg.
         """
-        return self._of_coordinate(i, "mass") / (self.radius(i) * self.radius(i))
+        return self._coordinates[i].mass / (self.radius(i) * self.radius(i))
 
     def coulomb(self, i: int) -> Value:
         """Return the Coulomb friction force of a coordinate referred to its belt travel, without effects.
@@ -132,36 +154,25 @@ class ParameterizedMachine:
         Returns:
             Coulomb friction force F, N (torque / radius for a pulley).
         """
-        return self._of_coordinate(i, "coulomb") / self.radius(i)
+        return self._coordinates[i].coulomb / self.radius(i)
 
     def viscous(self, i: int, direction: Value) -> Value:
         """Return the viscous coefficient of a coordinate referred to its belt travel, with back-EMF and effects.
 
         Args:
             i: Index of the coordinate.
-            direction: Sign of the motion, +1 or -1; matters only with an effect that depends on it.
+            direction: Direction of the motion in [-1, 1]; matters only with an effect that depends on it.
 
         Returns:
             Viscous coefficient b, Ns/m (that of a pulley divided by radius^2).
         """
-        coefficient = self._of_coordinate(i, "viscous")
+        coefficient = self._coordinates[i].viscous
         for _, e in self.effects_on("viscous", i):
             coefficient = self.evaluate(e, "viscous", {"b": coefficient, "direction": direction})
         for j, of_drive in enumerate(self.drive_coordinates):
             if of_drive == i:
-                coefficient = coefficient + self._torque_per_volt(j) * self._emf_constant(j)
+                coefficient = coefficient + self.drives[j].back_emf
         return coefficient / (self.radius(i) * self.radius(i))
-
-    def _of_drive(self, j: int, key: str) -> Value:
-        return self.parameter(f"{self.machine.drives[j].name}.{key}")
-
-    def _torque_per_volt(self, j: int) -> Value:
-        """Return N Kt / R of drive j, N/V or Nm/V."""
-        return self._of_drive(j, "gear_ratio") * self._of_drive(j, "Kt") / self._of_drive(j, "resistance")
-
-    def _emf_constant(self, j: int) -> Value:
-        """Return N Ke of drive j, V per unit of speed."""
-        return self._of_drive(j, "gear_ratio") * self._of_drive(j, "Ke")
 
     def force_per_volt(self, j: int) -> Value:
         """Return the force of a drive per volt at standstill, along the belt travel of its coordinate.
@@ -172,7 +183,7 @@ class ParameterizedMachine:
         Returns:
             Force per volt N Kt / (R r) with gear ratio N and pulley radius r (1 for a linear coordinate), N/V.
         """
-        return self._torque_per_volt(j) / self.radius(self.drive_coordinates[j])
+        return self.drives[j].gain / self.radius(self.drive_coordinates[j])
 
     # -- effects ---------------------------------------------------------------------------------------------------
 
@@ -180,11 +191,11 @@ class ParameterizedMachine:
         """Iterate over the effects that have a certain hook (formula) and act at one of the sites.
 
         Args:
-            hook: Name of the hook, for example "voltage"; see `hframe_gym.machine.effect`.
+            hook: Name of the hook, for example "voltage"; see `hframe_gym.machine.Effect`.
             *sites: Names of the sites, for example "motor1" or "belts".
 
-        Returns:
-            Pairs (index of the effect in the machine, effect).
+        Yields:
+            Index of the effect in the machine, and the effect.
         """
         for k, e in enumerate(self.machine.effects):
             if getattr(e.definition, hook) and e.site in sites:
@@ -194,11 +205,11 @@ class ParameterizedMachine:
         """Iterate over the effects that have a certain hook (formula) and act on a coordinate.
 
         Args:
-            hook: Name of the hook, for example "force"; see `hframe_gym.machine.effect`.
+            hook: Name of the hook, for example "force"; see `hframe_gym.machine.Effect`.
             i: Index of the coordinate.
 
-        Returns:
-            Pairs (index of the effect in the machine, effect).
+        Yields:
+            Index of the effect in the machine, and the effect.
         """
         for k, e in enumerate(self.machine.effects):
             if getattr(e.definition, hook) and self._effect_coordinates[k] == i:
@@ -213,7 +224,7 @@ class ParameterizedMachine:
             quantities: Arguments of the hook that are not parameters of the effect, by symbol, for example q and v.
 
         Returns:
-            Value of the hook in the unit of the table in `hframe_gym.machine.effect`.
+            Value of the hook in the unit that `hframe_gym.machine.Effect` states, for example N or Nm for "force".
         """
         function = getattr(effect.definition, hook)
         return function(
@@ -227,7 +238,7 @@ class ParameterizedMachine:
         """Return the position of a coordinate.
 
         Args:
-            point: Point of the motion.
+            point: Belt travel and speed of every coordinate.
             i: Index of the coordinate.
 
         Returns:
@@ -239,7 +250,7 @@ class ParameterizedMachine:
         """Return the speed of a coordinate.
 
         Args:
-            point: Point of the motion.
+            point: Belt travel and speed of every coordinate.
             i: Index of the coordinate.
 
         Returns:
@@ -252,8 +263,8 @@ class ParameterizedMachine:
 
         Args:
             k: Index of the effect in the machine.
-            point: Point of the motion.
-            **arguments: Coulomb friction `level`, N or Nm, and current `i`, A, if its `next_state` takes them.
+            point: Belt travel and speed of every coordinate, and states of the effects.
+            **arguments: Coulomb friction force `level`, N or Nm, and current `i`, A, if its `next_state` takes them.
 
         Returns:
             State in the unit of the effect; 0 for an effect without state.
@@ -301,7 +312,7 @@ class ParameterizedMachine:
         Args:
             k: Index of the effect in the machine.
             state: State before the step, in the unit of the effect.
-            arguments: Coulomb friction `level` or current `i` of the step, from `ForceBalance.arguments[k]`.
+            arguments: Coulomb friction force `level` (N or Nm) or current `i` (A), from `ForceBalance.arguments[k]`.
             traveled: Change of the belt travel of each coordinate over the step, m.
             speed: Mean rate of the belt travel of each coordinate in the step, m/s.
             dt: Length of the step, s.
@@ -313,38 +324,3 @@ class ParameterizedMachine:
         if (i := self.state_coordinates[k]) >= 0:
             quantities |= {"dq": traveled[i] * self.per_radius(i), "v": speed[i] * self.per_radius(i)}
         return self.evaluate(self.machine.effects[k], "next_state", quantities)
-
-
-def combination(row: IndexRow, values: Sequence[Value]) -> Value:
-    """Return the sum of row[i] * values[i]; positive terms come first, because a leading minus costs an instruction.
-
-    Args:
-        row: Factors by index; absent indices count as 0.
-        values: Floats, arrays or expressions, indexed by the keys of `row`.
-
-    Returns:
-        The sum; 0.0 for an empty row.
-    """
-    terms = sorted(((i, factor) for i, factor in row.items() if factor), key=lambda term: term[1] < 0)
-    if not terms:
-        return 0.0
-    i, factor = terms[0]
-    first = values[i] if factor == 1.0 else -values[i] if factor == -1.0 else factor * values[i]
-    return add_combination(first, dict(terms[1:]), values)
-
-
-def add_combination(total: Value, row: IndexRow, values: Sequence[Value]) -> Value:
-    """Return total + the sum of row[i] * values[i].
-
-    Args:
-        total: First summand.
-        row: Factors by index; absent indices count as 0.
-        values: Floats, arrays or expressions, indexed by the keys of `row`.
-
-    Returns:
-        The sum.
-    """
-    for i, factor in sorted(row.items(), key=lambda term: term[1] < 0):
-        size = values[i] if abs(factor) == 1.0 else abs(factor) * values[i]
-        total = total - size if factor < 0 else total + size
-    return total

@@ -11,7 +11,8 @@ symmetric splitting around the exact flow of each coordinate with friction:
     3. exact flow          m dv/dt = f2 - b v - F2 sign v over h, through a stop, gives v and p
     4. effect states       z after h
 
-Step 2 cancels the frequency error of the position Verlet scheme (Takahashi and Imada 1984; Chin 1997).
+Step 2 cancels the frequency error (omega h)^2/24 of the position Verlet scheme (Takahashi and Imada 1984; Chin 1997).
+The exact flow replaces the scheme's half steps, so that strong damping costs no accuracy.
 """
 
 from __future__ import annotations
@@ -26,13 +27,14 @@ from .parameterized_machine import MotionPoint
 
 @dataclass(frozen=True)
 class StepState:
-    """State of one machine.
+    """State of one machine between two steps of the integrator.
 
     Attributes:
         travel: Belt travel of each coordinate, m (radius * angle of a rotary one).
         speed: Rate of the belt travel, m/s.
         time: Time since the machine was switched on, s.
-        effect_states: State of each effect that has one, by the effect's index.
+        effect_states: State of each effect that has one (bristle deflection, motor current, ...), in its unit, by the
+            effect's index in the machine.
     """
 
     travel: Sequence[float]
@@ -43,6 +45,9 @@ class StepState:
 
 def reference_step(equations: Equations, state: StepState, voltages: Sequence[float], h: float) -> StepState:
     """Advance a machine by one step of the integrator, in plain Python.
+
+    The step is a symmetric splitting: forces at a half-way point and again at a corrected point (Takahashi and Imada
+    1984; Chin 1997), then the exact motion of each coordinate with viscous and Coulomb friction under this force.
 
     Args:
         equations: Equations of motion of the machine, with floats as parameters.
@@ -83,11 +88,11 @@ def reference_step(equations: Equations, state: StepState, voltages: Sequence[fl
     # 3. Exact flow with friction.
     speed, travel = [], []
     for i in coordinates:
-        ahead = _direction(v[i], balance.held[i])
+        ahead = _direction(v[i], balance.forces[i])
         viscous = [equations.viscous(i, side) for side in (ahead, -ahead)]
-        flow = _flow(v[i], balance.held[i], balance.coulomb[i], viscous, equations.mass(i), h)
+        flow = _flow(v[i], balance.forces[i], balance.coulomb[i], viscous, equations.mass(i), h)
         speed.append(flow[0])
-        travel.append(p[i] + flow[1])
+        travel.append(p[i] + flow[1])  # the flow gives the distance traveled
 
     # 4. States of the effects.
     traveled = [travel[i] - p[i] for i in coordinates]
@@ -110,7 +115,7 @@ def _friction(v: float, f: float, level: float) -> float:
 
 def _acceleration(equations: Equations, i: int, v: float, balance: ForceBalance) -> float:
     """Return the acceleration of coordinate i, m/s^2."""
-    f = balance.held[i]
+    f = balance.forces[i]
     viscous = equations.viscous(i, _direction(v, f))
     return (f - viscous * v - _friction(v, f, balance.coulomb[i])) / equations.mass(i)
 

@@ -52,7 +52,7 @@ _ALIGN = 8
 
 
 class SimdVector(types.Type):
-    """Numba type of a SIMD register with `LANES` float64 numbers, one per machine."""
+    """Numba type of a SIMD register: `LANES` float64 numbers side by side, one per machine."""
 
     def __init__(self) -> None:
         super().__init__(name=f"lane{LANES}")
@@ -88,7 +88,7 @@ def load(rows: Any, k: Any) -> Any:
     """Load a row of an array into one SIMD register; callable in Numba-compiled code only.
 
     Args:
-        rows: Contiguous array of float64, shape (n, LANES), one machine per column.
+        rows: Contiguous array of float64, shape (n, LANES): n quantities, one machine per column.
         k: Index of the row, 0 <= k < n (not checked).
 
     Returns:
@@ -104,7 +104,7 @@ def store(rows: Any, k: Any, value: Any) -> None:
     """Write a SIMD register to a row of an array; callable in Numba-compiled code only.
 
     Args:
-        rows: Contiguous array of float64, shape (n, LANES), one machine per column; changed in place.
+        rows: Contiguous array of float64, shape (n, LANES): n quantities, one machine per column; changed in place.
         k: Index of the row, 0 <= k < n (not checked).
         value: `SimdVector` to write, or a number for all lanes.
 
@@ -117,7 +117,8 @@ def store(rows: Any, k: Any, value: Any) -> None:
 def align_stack() -> None:
     """Align the stack frame of the calling compiled function to 64 bytes, the size of a SIMD register.
 
-    Registers that the compiler saves on the stack then do not straddle two cache lines. No effect in the interpreter.
+    Registers that the compiler saves on the stack then do not straddle two cache lines, which would slow down every
+    access. In the Python interpreter the call has no effect.
     """
 
 

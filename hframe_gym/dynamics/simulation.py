@@ -54,7 +54,7 @@ def in_parallel(run: Callable[[int, int], None], blocks: int) -> None:
     Args:
         run: Function (first, end) that processes the blocks first..end-1. It must release the interpreter lock to run
             in parallel, and blocks must not depend on each other. Its exceptions are raised here.
-        blocks: Number of blocks.
+        blocks: Number of blocks. A block is `LANES` machines that one SIMD register holds side by side.
     """
     count = min(threads(), blocks)
     if count <= 1:
@@ -79,7 +79,8 @@ def parameter_batch(machine: Machine, changes: dict[str, Array] | None = None) -
 
     Args:
         machine: Machine with the nominal parameters.
-        changes: Values by full name, SI, each of shape (B,), that replace the nominal ones. Default: none, B = 1.
+        changes: Values by full name ("x.mass"), SI, each of shape (B,), that replace the nominal ones. Default: none,
+            and B = 1.
 
     Returns:
         SI values of the P parameters in the order of `Machine.parameters`, shape (B, P).
@@ -137,20 +138,22 @@ def simulate_batch(
         start: Positions, then velocities, at the first sample, in the coordinates' units, shape (2 * coordinates,) or
             (B, 2 * coordinates). Default: at rest.
         extra_force: External force, N or Nm, held like `inputs`, shape (n, coordinates) or (B, n, coordinates).
-        measured: Measurements for output injection, shape (n, sensors) or (B, n, sensors), NaN where not measured.
-        gains: Gains of the output injection in the coordinates' units, shape (2 * coordinates, sensors): at every
-            sample state += gains @ (measured - reading).
+            Default: none.
+        measured: Measurements for output injection in the channels' units, shape (n, sensors) or (B, n, sensors), NaN
+            where not measured. Default: none.
+        gains: Gains of the output injection (observer feedback) in the coordinates' units per unit of the channel,
+            shape (2 * coordinates, sensors): at every sample state += gains @ (measured - reading). None: no injection.
         longest_step: Largest step of the integrator, s.
         states: Whether to return positions and velocities.
         readings: Whether to return sensor readings.
         parallel: Whether to distribute the batch over threads; not where the caller runs several batches in parallel.
 
     Returns:
-        Positions, velocities and readings with the batch axis first; diverged motions contain NaN or large values.
+        Positions, velocities and readings with the batch axis first. Motions that diverged contain NaN or large values.
     """
     kernel = kernel_for(machine, forced=extra_force is not None)
     count = len(machine.coordinates)
-    radii = machine.travel_per_unit
+    radii = machine.travel_per_unit  # the compiled functions work in belt travel: position * radius
 
     inputs, force, observed = _series(inputs), _series(extra_force), _series(measured)
     parameters = parameter_batch(machine) if parameters is None else parameters
@@ -231,11 +234,11 @@ def simulate(
 
     Args:
         machine: Machine to simulate.
-        time_s: Sample times, s, strictly increasing, shape (n,).
+        time_s: Times of n samples, s, strictly increasing, shape (n,).
         inputs: Drive voltages, V, shape (n, drives).
-        initial: Positions, then velocities, at the first sample, in the coordinates' units, shape
-            (2 * coordinates,). Default: at rest at the origin with unstretched belts.
-        offset: Zero offset of the sensors, in the channels' units, shape (sensors,) or one number, added to outputs.
+        initial: Positions (m, rad), then velocities (m/s, rad/s), at the first sample, shape (2 * coordinates,).
+            Default: at rest at the origin with unstretched belts.
+        offset: Zero offset that is added to the outputs, in the channels' units, shape (sensors,) or one number.
         longest_step: Largest step of the integrator, s.
 
     Returns:

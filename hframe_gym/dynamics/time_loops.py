@@ -26,7 +26,10 @@ def held_mean(time, values, start, end, hint):
         values: Input at the samples, shape (n,); before the first sample its value acts.
         start: Start of the interval, s.
         end: End of the interval, s.
-        hint: Index of a sample that is not before the interval.
+        hint: Index of a sample that is not before the start of the interval, where the search begins.
+
+    Returns:
+        Mean value, in the unit of `values`.
     """
     i = hint
     while i > 0 and time[i] > start:
@@ -44,14 +47,17 @@ def held_mean(time, values, start, end, hint):
 
 
 def interpolated(rows, i, lane, j, back):
-    """Return an entry of past rows, interpolated quadratically.
+    """Return an earlier reading of a sensor of one machine, interpolated quadratically between samples.
 
     Args:
-        rows: Past rows, shape (n, SENSORS, LANES).
-        i: Index of the last row.
-        lane: Lane of the entry.
-        j: Sensor of the entry.
-        back: Distance from the last row, in rows.
+        rows: Ideal readings of n samples for LANES machines, shape (n, SENSORS, LANES).
+        i: Index of the present sample; later rows are not used.
+        lane: Index of the machine in the last axis of `rows`.
+        j: Index of the sensor.
+        back: Time before the present sample, as a number of sample periods.
+
+    Returns:
+        Reading, in the sensor's unit; before the first sample that of the first.
     """
     position = max(0.0, i - back)
     k = min(max(1, int(position + 0.5)), i - 1)
@@ -68,6 +74,9 @@ def most_steps(time, longest_step):
     Args:
         time: Sample times, s, shape (n,).
         longest_step: Largest step of the integrator, s.
+
+    Returns:
+        Number of steps, at least 1.
     """
     steps = 1
     for i in range(time.shape[0] - 1):
@@ -76,15 +85,17 @@ def most_steps(time, longest_step):
 
 
 def start_block(block, start_time, parameters, start, state, block_parameters):
-    """Copy parameters and initial states to the lanes of a block; spare lanes repeat its first machine.
+    """Copy parameters and initial states of up to LANES of B machines to the arrays of a block, one column (lane) each.
+
+    Columns without a machine repeat the first machine of the block.
 
     Args:
-        block: Index of the block.
+        block: Index of the block; it simulates the machines block * LANES to block * LANES + LANES - 1.
         start_time: Time of the first sample, s.
-        parameters: Machine parameters, shape (B, PARAMETERS).
-        start: Travel, m, and speed, m/s, shape (B, 2 * COORDINATES).
-        state: Output, shape (STATES, LANES).
-        block_parameters: Output, shape (PARAMETERS, LANES).
+        parameters: Parameters of all machines, SI, shape (B, PARAMETERS).
+        start: Belt travel, m, and speed, m/s, of all machines, shape (B, 2 * COORDINATES).
+        state: Output: travel, speed, time and effect states (zero), shape (STATES, LANES).
+        block_parameters: Output: parameters, shape (PARAMETERS, LANES).
     """
     for lane in range(LANES):
         b = block * LANES + lane
@@ -99,13 +110,13 @@ def start_block(block, start_time, parameters, start, state, block_parameters):
 
 
 def copy_lanes(block, i, rows, table):
-    """Copy the first rows of a block to one sample of a table, unless the table is empty.
+    """Copy the first k rows of a block to one sample of a table, unless the table is empty.
 
     Args:
-        block: Index of the block.
+        block: Index of the block; its columns (lanes) are the machines from block * LANES on.
         i: Index of the sample.
-        rows: Values of the block, shape (at least k, LANES).
-        table: Output, shape (B, n, k), or empty.
+        rows: Values of the block (state or readings), shape (k or more, LANES), one machine per column.
+        table: Output for B machines and n samples, shape (B, n, k), or empty.
     """
     for lane in range(min(LANES, table.shape[0] - block * LANES)):
         for k in range(table.shape[2]):
@@ -113,12 +124,12 @@ def copy_lanes(block, i, rows, table):
 
 
 def delay_readings(time, i, sensor_delays, past_readings, reading):
-    """Store the readings of a sample, and replace those of sensors with a delay by earlier ones.
+    """Store the readings of a sample for LANES machines, and replace those of sensors with a delay by earlier ones.
 
     Args:
         time: Sample times, s, shape (n,).
         i: Index of the sample.
-        sensor_delays: Delays, s, shape (SENSORS, LANES).
+        sensor_delays: Delay of each sensor, s, shape (SENSORS, LANES), one machine per column.
         past_readings: Ideal readings of all samples, shape (n, SENSORS, LANES); row i is set.
         reading: Ideal readings of sample i on entry, delayed ones on return, shape (SENSORS, LANES).
     """
@@ -131,16 +142,16 @@ def delay_readings(time, i, sensor_delays, past_readings, reading):
 
 
 def inject_outputs(block, i, machines, measured, gains, reading, state):
-    """Correct the states by the measurements of a sample: state += gains @ (measured - reading).
+    """Correct the states by the measurements of a sample (output injection): state += gains @ (measured - reading).
 
     Args:
-        block: Index of the block.
+        block: Index of the block; its columns (lanes) are the machines from block * LANES on.
         i: Index of the sample.
         machines: Number of machines B.
-        measured: Measurements, shape (1 or B, n, SENSORS), NaN where not measured.
-        gains: Gains, shape (2 * COORDINATES, SENSORS).
-        reading: Simulated readings, shape (SENSORS, LANES).
-        state: State to correct, shape (STATES, LANES).
+        measured: Measurements, in the channels' units, shape (1 or B, n, SENSORS), NaN where not measured.
+        gains: Gains, change of travel (m) and speed (m/s) per unit of the channel, shape (2 * COORDINATES, SENSORS).
+        reading: Simulated readings, in the channels' units, shape (SENSORS, LANES).
+        state: Travel, speed, time and effect states, corrected in place, shape (STATES, LANES).
     """
     for lane in range(min(LANES, machines - block * LANES)):
         for j in range(SENSORS):
@@ -152,19 +163,20 @@ def inject_outputs(block, i, machines, measured, gains, reading, state):
 
 
 def hold_inputs(block, parameters, time, i, steps, h, inputs, extra, drive_delays, voltages, external_forces):
-    """Set the voltages and external forces from a sample until the next; with a delay every step has its voltages.
+    """Set the voltages and external forces of a block from a sample until the next.
 
     Args:
-        block: Index of the block.
-        parameters: Machine parameters, shape (B, PARAMETERS).
+        block: Index of the block; its columns (lanes) are the machines from block * LANES on.
+        parameters: Parameters of all B machines, shape (B, PARAMETERS).
         time: Sample times, s, shape (n,).
         i: Index of the sample.
         steps: Number of steps until the next sample.
         h: Length of a step, s.
         inputs: Voltages, V, shape (1 or B, n, INPUTS).
         extra: External forces, N, shape (1 or B, n, COORDINATES).
-        drive_delays: Delays, s, shape (INPUTS, LANES).
-        voltages: Output, V, shape (INPUTS, LANES); with a delay (steps * INPUTS, LANES).
+        drive_delays: Delay of each drive, s, shape (INPUTS, LANES).
+        voltages: Output, V, shape (INPUTS, LANES); if a drive has a delay, the mean voltages of every step, shape
+            (steps * INPUTS, LANES).
         external_forces: Output, N, shape (COORDINATES, LANES).
     """
     for lane in range(LANES):
@@ -186,22 +198,22 @@ def hold_inputs(block, parameters, time, i, steps, h, inputs, extra, drive_delay
 
 
 def rollout(time, inputs, parameters, start, measured, gains, extra, longest_step, first, last, out, readings):
-    """Simulate the machines of blocks first..last-1 over a recording.
+    """Simulate the machines of blocks first..last-1 over a recording; a block has LANES of the B machines.
 
     Args:
         time: Sample times, s, shape (n,).
         inputs: Voltages, V, shape (1 or B, n, INPUTS), held until the next sample.
-        parameters: Machine parameters, shape (B, PARAMETERS).
-        start: Travel, m, and speed, m/s, at the first sample, shape (B, 2 * COORDINATES).
-        measured: Measurements for output injection, shape (1 or B, n, SENSORS), NaN where not measured; empty for a
-            free run.
-        gains: Gains of the output injection, shape (2 * COORDINATES, SENSORS).
+        parameters: Machine parameters, SI, shape (B, PARAMETERS).
+        start: Belt travel, m, and speed, m/s, at the first sample, shape (B, 2 * COORDINATES).
+        measured: Measurements for output injection, in the channels' units, shape (1 or B, n, SENSORS), NaN where not
+            measured; empty for a simulation without injection.
+        gains: Gains of the output injection (m and m/s per unit of the channel), shape (2 * COORDINATES, SENSORS).
         extra: External forces, N, shape (1 or B, n, COORDINATES), held, if the kernel is `FORCED`.
         longest_step: Largest step of the integrator, s.
         first: First block.
         last: Block after the last one.
         out: Output, the first rows of the state at every sample, shape (B, n, k); empty if not needed.
-        readings: Output, sensor readings, shape (B, n, SENSORS); empty if not needed.
+        readings: Output, sensor readings in the channels' units, shape (B, n, SENSORS); empty if not needed.
     """
     state = np.zeros((STATES, LANES))
     block_parameters = np.zeros((PARAMETERS, LANES))
@@ -243,26 +255,26 @@ def rollout(time, inputs, parameters, start, measured, gains, extra, longest_ste
 
 
 def prepare_blocks(parameters, h, first, last, derived):
-    """Compute the derived constants of blocks first..last-1.
+    """Compute the constants of a step (decay factors, reciprocals, ...) for blocks first..last-1 of LANES machines.
 
     Args:
-        parameters: Machine parameters, shape (blocks, PARAMETERS, LANES).
+        parameters: Machine parameters, SI, shape (blocks, PARAMETERS, LANES).
         h: Step of the integrator, s.
         first: First block.
         last: Block after the last one.
-        derived: Output, shape (blocks, DERIVED, LANES).
+        derived: Output: derived constants, SI, shape (blocks, DERIVED, LANES).
     """
     for block in range(first, last):
         prepare(parameters[block], derived[block], h)
 
 
 def advance_blocks(state, parameters, derived, inputs, h, steps, first, last):
-    """Advance blocks first..last-1 in place with constant inputs.
+    """Advance blocks first..last-1 of LANES machines in place, with constant inputs.
 
     Args:
-        state: Travel, speed, time and effect states, shape (blocks, STATES, LANES).
-        parameters: Machine parameters, shape (blocks, PARAMETERS, LANES).
-        derived: Derived constants, shape (blocks, DERIVED, LANES).
+        state: Belt travel (m), speed (m/s), time and effect states, shape (blocks, STATES, LANES).
+        parameters: Machine parameters, SI, shape (blocks, PARAMETERS, LANES).
+        derived: Constants of a step of length h, from `prepare_blocks`, shape (blocks, DERIVED, LANES).
         inputs: Voltages, V, shape (blocks, INPUTS, LANES); if a drive is delayed, one set per step, shape
             (blocks, steps * INPUTS, LANES).
         h: Step of the integrator, s.
@@ -276,11 +288,11 @@ def advance_blocks(state, parameters, derived, inputs, h, steps, first, last):
 
 
 def read_blocks(state, parameters, first, last, readings):
-    """Evaluate every sensor of blocks first..last-1 at the present state, without its delay.
+    """Evaluate every sensor of blocks first..last-1 of LANES machines at the present state, without its delay.
 
     Args:
-        state: Travel, speed, time and effect states, shape (blocks, STATES, LANES).
-        parameters: Machine parameters, shape (blocks, PARAMETERS, LANES).
+        state: Belt travel (m), speed (m/s), time and effect states, shape (blocks, STATES, LANES).
+        parameters: Machine parameters, SI, shape (blocks, PARAMETERS, LANES).
         first: First block.
         last: Block after the last one.
         readings: Output, ideal readings in the channels' units, shape (blocks, SENSORS, LANES).
@@ -290,10 +302,10 @@ def read_blocks(state, parameters, first, last, readings):
 
 
 def sensor_delay_blocks(parameters, first, last, sensor_delays):
-    """Evaluate the delay of every sensor of blocks first..last-1.
+    """Evaluate the delay of every sensor of blocks first..last-1 of LANES machines.
 
     Args:
-        parameters: Machine parameters, shape (blocks, PARAMETERS, LANES).
+        parameters: Machine parameters, SI, shape (blocks, PARAMETERS, LANES).
         first: First block.
         last: Block after the last one.
         sensor_delays: Output, s, shape (blocks, SENSORS, LANES).
@@ -303,10 +315,10 @@ def sensor_delay_blocks(parameters, first, last, sensor_delays):
 
 
 def drive_delay_blocks(parameters, first, last, drive_delays):
-    """Evaluate the delay of every drive of blocks first..last-1.
+    """Evaluate the delay of every drive of blocks first..last-1 of LANES machines.
 
     Args:
-        parameters: Machine parameters, shape (blocks, PARAMETERS, LANES).
+        parameters: Machine parameters, SI, shape (blocks, PARAMETERS, LANES).
         first: First block.
         last: Block after the last one.
         drive_delays: Output, s, shape (blocks, INPUTS, LANES).

@@ -48,6 +48,9 @@ class Trace:
 
         Returns:
             The expression; equal operations on the same operands give the same object.
+
+        Raises:
+            ValueError: If a number is not finite.
         """
         values = tuple(map(self.expression, operands))
         simple = simplified(operation, values)
@@ -93,10 +96,10 @@ class Trace:
         return self._unique("variable", (name, 0), invariant=True)
 
     def load(self, array: str, row: int | str, name: str, *, invariant: bool = True) -> Expression:
-        """Return the expression of one row of an array argument (one value per machine).
+        """Return the expression of one row of an array argument of the traced function (one value per machine).
 
         Args:
-            array: Name of the argument in the signature, shape (rows, LANES).
+            array: Name of the argument in the signature; array of shape (rows, LANES), one machine per column.
             row: Index of the row, as a number or as source text such as "step * 2 + 0".
             name: Identifier of the value in the source text; empty to write the load where the value is used.
             invariant: Whether the row is the same in all steps of the loop.
@@ -115,7 +118,7 @@ class Trace:
         Args:
             role: First part of the identifier, for example "tension". The prefix of the section precedes it.
             index: Second part: index of the coordinate, belt, drive, sensor or effect; None for no second part.
-            value: Expression. Numbers, variables and expressions that have an identifier remain as they are.
+            value: Expression to name. Numbers, variables and expressions that have an identifier remain as they are.
 
         Returns:
             The same expression.
@@ -152,8 +155,8 @@ class Trace:
 
         Args:
             function: Name of the function in the generated module.
-            *arguments: Expressions and numbers.
-            results: Name of the variable of each returned value: role and index, as in `variable`.
+            *arguments: Arguments of the call: expressions of this trace, and finite numbers.
+            results: Name of the variable for each returned value, as two parts: role ("speed") and index, or None.
 
         Returns:
             One variable per returned value.
@@ -183,9 +186,12 @@ class Trace:
         """Append a statement that writes a value to a row of an array argument.
 
         Args:
-            array: Name of the argument in the signature, shape (rows, LANES).
+            array: Name of the argument in the signature; array of shape (rows, LANES), one machine per column.
             row: Index of the row.
-            value: Expression, or a number for all lanes.
+            value: Expression, or a finite number for all machines.
+
+        Raises:
+            ValueError: If the number is not finite.
         """
         value = self.expression(value)
         self._block.append(Statement(f"store({array}, {row}, {{}})", (value,)))

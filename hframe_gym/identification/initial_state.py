@@ -15,8 +15,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..dynamics import effect_forces, simulate_batch
-from ..machine import Machine, rest_state, stiffness_matrix
+from ..dynamics import effect_forces, simulate_batch, stiffness_matrix
+from ..machine import Machine, rest_state
 from ..recordings import Recording
 from .criteria import SelectionCriteria
 from .rest_measurement import (

@@ -1,4 +1,4 @@
-"""The machine model: components, parameters, kinematics, linearization and presets.
+"""The machine model: components, parameters, rest states, rigid motions and presets.
 
 This package holds no integrator and reads no files.
 """
@@ -17,8 +17,8 @@ from .components import (
     Uncertainty,
 )
 from .effect import HOOKS, AppliedEffect, Effect, EffectParameter, Hook, argument_names
-from .linearization import StateSpace, linearize, mode_frequencies, rest_state, rigid_motions, stiffness_matrix
-from .machine import SIMULATORS, Machine, Simulator, Trajectory
+from .machine import Machine
+from .motion import SIMULATORS, Simulator, Trajectory, rest_state, rigid_motions
 from .presets import BUILTIN_MACHINES, with_constant_stiffness
 
 __all__ = [
@@ -41,14 +41,10 @@ __all__ = [
     "Sensor",
     "SensorKind",
     "Simulator",
-    "StateSpace",
     "Trajectory",
     "Uncertainty",
     "argument_names",
-    "linearize",
-    "mode_frequencies",
     "rest_state",
     "rigid_motions",
-    "stiffness_matrix",
     "with_constant_stiffness",
 ]

@@ -166,19 +166,24 @@ class Drive:
         return self.gear_ratio * self.Kt / self.resistance
 
     @property
+    def emf_constant(self) -> float:
+        """Back-EMF per speed of the coordinate (not of the motor shaft), gear_ratio * Ke, Vs/m or Vs/rad."""
+        return self.gear_ratio * self.Ke
+
+    @property
     def back_emf(self) -> float:
         """Viscous coefficient that the back-EMF adds to the coordinate, gear_ratio^2 * Kt * Ke / R, Ns/m or Nms."""
-        return self.gear_ratio**2 * self.Kt * self.Ke / self.resistance
+        return self.gain * self.emf_constant
 
     @property
     def device_parameters(self) -> dict[str, float]:
-        """`converter_bits` (bits) and `voltage_range` (V; the rated voltage if none is declared) by name."""
+        """Data of the converter by name: `converter_bits` and `voltage_range` (V; default: the rated voltage)."""
         limit = self.rated_voltage if self.voltage_range is None else self.voltage_range
         return {"converter_bits": self.converter_bits, "voltage_range": limit}
 
 
 class SensorKind:
-    """Base class of sensor kinds: how a sensor converts its ideal (noise-free, continuous) reading to an output.
+    """Base class of sensor kinds. A kind converts the ideal (noise-free, continuous) reading to the sensor's output.
 
     A kind is a subclass that registers itself with `@SENSOR_KINDS.register("name")`. Kinds are never instantiated.
 
@@ -196,7 +201,7 @@ class SensorKind:
         All arguments broadcast against each other; the unit is the channel's.
 
         Args:
-            reading: Ideal readings, m or rad, any shape.
+            reading: Ideal (noise-free, continuous) readings, m or rad, any shape.
             noise: Standard deviation of the noise, m or rad.
             resolution: Quantum of the sensor, m or rad; 0 for a continuous sensor.
             normal: Samples of the standard normal distribution, without unit.
@@ -221,7 +226,7 @@ class Encoder(SensorKind):
 
 @SENSOR_KINDS.register("laser")
 class Laser(SensorKind):
-    """A distance sensor with a known zero."""
+    """A laser distance sensor; it measures the absolute position, so its zero is known."""
 
 
 @dataclass(frozen=True)
@@ -254,7 +259,7 @@ class Sensor:
 
     @property
     def device_parameters(self) -> dict[str, float]:
-        """`noise` (standard deviation) and `resolution` (quantum) by name, in the channel's unit."""
+        """Accuracy by name: `noise` (standard deviation) and `resolution` (quantum), in the channel's unit."""
         return {"noise": self.noise, "resolution": self.resolution}
 
 
@@ -263,8 +268,8 @@ class Uncertainty:
     """Covariance of the identified parameters of a machine.
 
     Attributes:
-        names: Full names of the parameters, for example x.mass.
-        covariance: Covariance matrix, shape (k, k) for k names, in the products of the parameters' units.
+        names: Full names of the k parameters, for example x.mass.
+        covariance: Covariance matrix, shape (k, k), in the products of the parameters' units.
     """
 
     names: tuple[str, ...]

@@ -1,36 +1,7 @@
 """Effects: formulas at a site of a machine that the declared model may lack.
 
 An `Effect` is a definition (one file of `hframe_gym.effects`). An `AppliedEffect` is a definition at a site with
-parameter values. A definition gives one or more *hooks*: plain functions that name what they need as arguments. The
-arguments are the effect's parameters and the quantities of the table's last column:
-
-    hook                returns                                                      arguments
-    force               force added to the coordinate, N or Nm                       q, v, t, z, u
-    active_region       where the force may differ from zero (default: everywhere)   q, v, t
-    coulomb             change of the Coulomb friction force, N or Nm (sum >= 0)     q, v, t, z, u
-    friction            dry friction force that replaces Coulomb friction, N or Nm   q, v, t, z, level
-    viscous             viscous coefficient of the coordinate, Ns/m or Nms           b, direction (+1 or -1)
-    voltage             voltage that reaches the drive, V                            V
-    delay               delay of the drive's voltage, s
-    current             current of the drive, A                                      i, z
-    tension             tension of a belt, N                                         s, rate, k
-    energy_slope        derivative of the belt's energy by its stiffness, m^2        s, k
-                        (default: s^2/2)
-    belt_travel         belt travel that a pulley adds, m                            q, z, per_radius
-    lever_arm           derivative of that travel by the angle, m/rad                q, z, per_radius
-    rest_angle_offset   angle by which a pulley at rest lags a round one, rad        q, per_radius
-    measurement         measured value of a sensor, in its unit                      r, across
-    measurement_delay   delay of a sensor, s
-    next_state          state of the effect after the time dt                        z, dq, dt, v, level, i
-
-Symbols: q, v: position and speed of the coordinate in its unit; t: time since the machine was switched on, s; u: the
-variable that `against` names; z: the effect's state, zero at the start of a run; level: Coulomb friction force of the
-coordinate; i: current by Ohm's law, A; s, rate, k: extension (m), its rate (m/s) and the stiffness (N/m) of a belt; r:
-ideal measurement; across: position of the other linear coordinate, m; dq: distance traveled in dt; per_radius: 1/radius
-of the pulley, 1/m.
-
-`structure` changes the machine itself: it adds coordinates, belts and sensor rows whose parameters are tied to the
-effect's parameters.
+parameter values. The docstring of `Effect` lists the formulas (hooks) that a definition may give.
 
 Formulas use the elementary functions of `hframe_gym.dynamics.elementwise`, so that one definition serves NumPy arrays,
 the compiled simulation kernel (generated code) and CasADi. They may call helper functions and use constants of their
@@ -104,7 +75,36 @@ class EffectParameter:
 
 @dataclass(frozen=True)
 class Effect:
-    """Definition of an effect; the hooks are described at the top of the module.
+    """Definition of an effect: physics (friction, delay, ...) that may act at some site of a machine.
+
+    A definition gives one or more hooks: functions, each a formula, that name what they need as arguments. Arguments
+    are the effect's parameters and the quantities of the table's last column:
+
+    hook                returns                                                      arguments
+    force               force added to the coordinate, N or Nm                       q, v, t, z, u
+    active_region       where the force may differ from zero (default: everywhere)   q, v, t
+    coulomb             change of the Coulomb friction force, N or Nm (sum >= 0)     q, v, t, z, u
+    friction            dry friction force that replaces Coulomb friction, N or Nm   q, v, t, z, level
+    viscous             viscous coefficient of the coordinate, Ns/m or Nms           b, direction (+1 or -1)
+    voltage             voltage that reaches the drive, V                            V
+    delay               delay of the drive's voltage, s
+    current             current of the drive, A                                      i, z
+    tension             tension of a belt, N                                         s, rate, k
+    energy_slope        derivative of the belt's energy by its stiffness, m^2        s, k
+                        (default: s^2/2)
+    belt_travel         belt travel that a pulley adds, m                            q, z, per_radius
+    lever_arm           derivative of that travel by the angle, m/rad                q, z, per_radius
+    rest_angle_offset   angle by which a pulley at rest lags a round one, rad        q, per_radius
+    measurement         measured value of a sensor, in its unit                      r, across
+    measurement_delay   delay of a sensor, s
+    next_state          state of the effect after the time dt                        z, dq, dt, v, level, i
+
+    Symbols: q, v: position and speed of the coordinate in its unit; t: time since the machine was switched on, s; u:
+    the variable that `against` names; z: the effect's state, zero when the simulation starts; b: viscous coefficient
+    without the effect, Ns/m or Nms; direction: sign of the motion; V: voltage, V; level: Coulomb friction force of the
+    coordinate, N or Nm; i: current by Ohm's law, A; s, rate, k: extension (m), its rate (m/s) and stiffness (N/m) of a
+    belt; r: ideal measurement; across: position of the other linear coordinate, m; dt: length of a step, s; dq:
+    distance that the coordinate moves in dt; per_radius: 1/radius of the pulley, 1/m.
 
     Attributes:
         name: Unique name.
@@ -113,7 +113,8 @@ class Effect:
         parameters: Parameters, in the order of the full parameter vector.
         formula: The equation, for tables and reports.
         source: Reference of the formula.
-        structure: Function (machine, applied effect) -> machine that changes the components of the machine.
+        structure: Function (machine, applied effect) -> machine that changes the machine itself: it adds coordinates,
+            belts and sensor rows whose parameters are tied to the effect's parameters.
         fits: Predicate (machine) -> bool: whether the machine has the components that the effect needs.
         fits_site: Predicate (machine, site) -> bool: whether the effect can act at that site.
         equivalent: Causes that no recording can distinguish from the effect, in words.
@@ -162,7 +163,7 @@ class Effect:
             The declaration.
 
         Raises:
-            StopIteration: If the effect has no parameter of this name.
+            StopIteration: If the effect has no parameter with this name.
         """
         return next(p for p in self.parameters if p.name == name)
 
@@ -214,12 +215,12 @@ class AppliedEffect:
 
     @property
     def name(self) -> str:
-        """Name of the definition."""
+        """Name of the effect without its site, for example "stribeck"."""
         return self.definition.name
 
     @property
     def label(self) -> str:
-        """`name@site`, the prefix of the parameters' full names."""
+        """Name and site, "name@site": the prefix of the parameters' full names in `Machine.parameters`."""
         return f"{self.definition.name}@{self.site}"
 
     def with_parameters(self, parameters: Mapping[str, float]) -> AppliedEffect:
@@ -260,12 +261,12 @@ class AppliedEffect:
         """Evaluate one hook (a formula of the effect) with the effect's parameter values.
 
         Args:
-            hook: Name of a hook that the effect has, for example "force"; see the table at the top of the module.
-            **quantities: Quantities that the hook takes as arguments by the symbols of that table, for example q and v.
-                Surplus quantities are ignored.
+            hook: Name of a hook that the effect has, for example "force"; `Effect` lists all hooks.
+            **quantities: Quantities that the hook takes as arguments by their symbols, for example q (position) and v
+                (speed): floats, arrays or symbolic expressions. Surplus quantities are ignored.
 
         Returns:
-            Value of the hook in the unit of that table, for example N for "force" at a linear coordinate.
+            Value of the hook in the unit that `Effect` states, for example N for "force" at a linear coordinate.
 
         Raises:
             KeyError: If an argument of the hook is neither a parameter nor given; the message names it.

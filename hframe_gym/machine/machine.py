@@ -11,61 +11,14 @@ import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..registry import Registry
-from .components import FIXED_UNITS as FIXED_UNITS
-from .components import UNITS as UNITS
-from .components import Array, Drive, Sensor, Uncertainty
-from .components import Belt as Belt
-from .components import Coordinate as Coordinate
-from .components import Row as Row
+from .components import FIXED_UNITS, UNITS, Array, Belt, Coordinate, Drive, Row, Sensor, Uncertainty
 from .effect import AppliedEffect
-
-
-@dataclass(frozen=True)
-class Trajectory:
-    """The simulated motion of a machine.
-
-    Attributes:
-        time_s: Sample times, s, shape (n,).
-        positions: Positions of the coordinates, m or rad, shape (n, coordinates).
-        velocities: Velocities of the coordinates, m/s or rad/s, shape (n, coordinates).
-        outputs: Noise-free sensor readings, in the channels' units, shape (n, sensors).
-        channels: Names of the output channels.
-    """
-
-    time_s: Array
-    positions: Array
-    velocities: Array
-    outputs: Array
-    channels: tuple[str, ...]
-
-
-class Simulator(Protocol):
-    """A function that simulates a machine; importing `hframe_gym.dynamics` registers one."""
-
-    def __call__(
-        self, machine: Machine, time_s: ArrayLike, inputs: ArrayLike, initial: ArrayLike | None = None
-    ) -> Trajectory:
-        """Simulate a machine over a voltage history.
-
-        Args:
-            machine: Machine to simulate.
-            time_s: Sample times, s, strictly increasing, shape (n,).
-            inputs: Drive voltages, V, each held from its sample until the next, shape (n, drives).
-            initial: Positions, then velocities, in the coordinates' units, shape (2 * coordinates,). Default: at rest.
-
-        Returns:
-            Positions, velocities and sensor readings at every sample.
-        """
-
-
-# This package does not depend on the integrator. Whoever provides one registers it under the name "default".
-SIMULATORS: Registry[Simulator] = Registry("simulator")
+from .motion import SIMULATORS, Trajectory
 
 
 @dataclass(frozen=True)
@@ -112,7 +65,7 @@ class Machine:
 
     @cached_property
     def shape(self) -> tuple[object, ...]:
-        """Structure without parameter values, hashable. Machines of one shape use the same compiled simulation code."""
+        """Structure without parameter values, hashable; machines of equal shape share the compiled simulation code."""
         return (
             tuple((c.name, c.kind) for c in self.coordinates),
             tuple((b.name, tuple(b.extension.items()), tuple(b.length.items())) for b in self.belts),
@@ -126,10 +79,13 @@ class Machine:
         """Return the coordinate with a name.
 
         Args:
-            name: Name of a coordinate of this machine; any other name raises ValueError.
+            name: Name of a coordinate of this machine, for example "x".
 
         Returns:
             The coordinate.
+
+        Raises:
+            ValueError: If the machine has no such coordinate.
         """
         return self.coordinates[self.coordinate_names.index(name)]
 
@@ -137,10 +93,13 @@ class Machine:
         """Return the drive with a name.
 
         Args:
-            name: Name of a drive of this machine; any other name raises StopIteration.
+            name: Name of a drive of this machine, for example "motor1".
 
         Returns:
             The drive.
+
+        Raises:
+            StopIteration: If the machine has no such drive.
         """
         return next(d for d in self.drives if d.name == name)
 
@@ -148,10 +107,13 @@ class Machine:
         """Return the sensor of a channel.
 
         Args:
-            channel: Output channel of this machine, for example x_m; any other name raises StopIteration.
+            channel: Output channel of this machine, for example "x_m".
 
         Returns:
             The sensor.
+
+        Raises:
+            StopIteration: If the machine has no such channel.
         """
         return next(s for s in self.sensors if s.channel == channel)
 
@@ -159,7 +121,8 @@ class Machine:
         """Convert coefficients by coordinate name to an array over all coordinates.
 
         Args:
-            row: Coefficients by coordinate name, of a belt or sensor. Products ("y*yaw") are ignored.
+            row: Coefficients by coordinate name: `extension` or `length` of a belt, or `row` of a sensor. Keys that are
+                products ("y*yaw") are ignored.
 
         Returns:
             Coefficients, shape (coordinates,); zero where the row does not name the coordinate.
@@ -186,10 +149,11 @@ class Machine:
         """Return the coordinate on which an effect at a site acts.
 
         Args:
-            site: Site of an effect: the name of a coordinate, drive or channel, or "drives", "belts", "machine".
+            site: Site of an effect: name of a coordinate, drive or output channel, or "drives", "belts", "machine".
 
         Returns:
-            Name of the coordinate, or of the coordinate of the drive or sensor; None for "drives", "belts", "machine".
+            Name of the coordinate: the site itself, or the coordinate of the drive or sensor. None for "drives",
+            "belts" and "machine", which concern several coordinates.
         """
         by_drive = {d.name: d.coordinate for d in self.drives}
         by_sensor = {s.channel: s.coordinate for s in self.sensors}
@@ -214,7 +178,10 @@ class Machine:
 
     @cached_property
     def parameters(self) -> dict[str, float]:
-        """Parameters that can be identified or randomized, SI, by full name, for example `x.coulomb`, `left.EA`."""
+        """Parameters that can be identified or randomized, SI, by full name, for example `x.coulomb`, `left.EA`.
+
+        Tied parameters (`ties`) are absent; they follow from the parameters to which they are tied.
+        """
         values: dict[str, float] = {}
         components: tuple[Coordinate | Belt | Drive, ...] = (*self.coordinates, *self.belts, *self.drives)
         for component in components:
@@ -239,10 +206,14 @@ class Machine:
         """Return the unit of a parameter.
 
         Args:
-            parameter: Full name in `parameters` or `device_parameters`; an unknown name raises KeyError.
+            parameter: Full name in `parameters` or `device_parameters`, for example "x.viscous".
 
         Returns:
-            The unit, for example "Ns/m" of x.viscous, m or rad of a sensor's noise, "1" if dimensionless.
+            The unit, for example "Ns/m" of x.viscous, "m" or "rad" of a sensor's noise, "1" if dimensionless.
+
+        Raises:
+            KeyError: If the machine has no parameter of this kind.
+            StopIteration: If an effect of the machine has no such parameter.
         """
         owner, _, key = parameter.rpartition(".")
         if owner in self.output_channels and key in self.sensor(owner).device_parameters:
@@ -259,10 +230,13 @@ class Machine:
 
         Args:
             effect: Effect at a site of this machine; the machine need not have it.
-            parameter: Name of the effect's parameter; an unknown name raises StopIteration.
+            parameter: Name of the effect's parameter, for example "A".
 
         Returns:
-            The unit, for example N for a Coulomb friction force at a carriage and Nm at a motor.
+            The unit, for example "N" for a Coulomb friction force at a carriage and "Nm" at a motor.
+
+        Raises:
+            StopIteration: If the effect has no such parameter.
         """
         unit = effect.definition.parameter(parameter).unit
         coordinate = self.coordinate_of_site(effect.site)
@@ -272,7 +246,8 @@ class Machine:
         """Return a copy with other parameter values and other fields.
 
         Args:
-            values: New values by full name in `parameters` or `device_parameters`, SI. Rounds `converter_bits`.
+            values: New values by full name in `parameters` or `device_parameters`, SI; parameters that are tied to them
+                follow, and `converter_bits` are rounded to integers. None: no new values.
             **fields: New values of dataclass fields, for example `name` or `drives`.
 
         Returns:
@@ -280,6 +255,7 @@ class Machine:
 
         Raises:
             KeyError: If this machine has no parameter of a name.
+            TypeError: If a machine has no field of a name.
         """
         values = dict(values or {})
         unknown = sorted(set(values) - set(self.parameters) - set(self.device_parameters))
@@ -304,7 +280,8 @@ class Machine:
         """Return a copy with additional effects.
 
         Args:
-            *effects: Effects at sites of this machine. An effect with a `structure` also changes the components.
+            *effects: Effects at sites of this machine. An effect whose definition has a `structure` (bridge yaw, for
+                example) also adds coordinates, belts or sensor rows.
 
         Returns:
             The extended machine.
@@ -324,20 +301,21 @@ class Machine:
         """Simulate the machine over a voltage history.
 
         Args:
-            time_s: Sample times, s, strictly increasing, shape (n,).
+            time_s: Times of n samples, s, strictly increasing, shape (n,).
             inputs: Drive voltages, V, each held from its sample until the next, shape (n, drives).
-            initial: Positions, then velocities, at the first sample, in the coordinates' units, shape
-                (2 * coordinates,). Default: at rest at the origin with unstretched belts.
+            initial: Positions (m, rad), then velocities (m/s, rad/s), at the first sample, shape (2 * coordinates,).
+                Default: at rest at the origin with unstretched belts.
 
         Returns:
-            Positions, velocities and sensor readings at every sample.
+            Positions, velocities and noise-free sensor readings at every sample.
 
         Raises:
             ValueError: If the shapes do not fit the machine, times do not increase, or a value is not finite.
-            RuntimeError: If no simulator is registered; importing `hframe_gym.dynamics` registers one.
+            ArithmeticError: If the simulated motion diverges (`dynamics.NotFiniteError`).
+            RuntimeError: If no simulator is registered; `import hframe_gym` registers one.
         """
         if "default" not in SIMULATORS:
-            raise RuntimeError("no simulator is registered; import hframe_gym.dynamics before Machine.simulate")
+            raise RuntimeError("no simulator is registered; import hframe_gym before Machine.simulate")
         return SIMULATORS.get("default")(self, time_s, inputs, initial)
 
 

@@ -61,7 +61,7 @@ def hframe() -> Machine:
         The preset `hframe`: 4 coordinates x, y (m), phi1, phi2 (rad, pulley side of the gears), 3 belts, 2 drives, 4
         sensors.
     """
-    l1, l2, l3, l4, l5, l6, l7, l8, l9 = SECTIONS
+    l1, l2, l3, l4, l5, l6, l7, l8, l9 = SECTIONS  # m, with both carriages at the center
     return Machine(
         name="hframe",
         description="The paper's rig: 8th order, nonlinear friction, position-dependent belt stiffness.",
@@ -72,6 +72,7 @@ def hframe() -> Machine:
             Coordinate("phi2", mass=1.12e-4, viscous=0.0036, coulomb=0.05, kind="rotary", radius=RADIUS),
         ),
         belts=(
+            # Rest length; extension and change of length per belt travel (eq. 38-42 of Sollmann et al. 2010).
             Belt("left", EA, l1 + l5 + l7, {"x": 1, "y": 1, "phi1": 1}, {"x": 1, "y": 1}),
             Belt("right", EA, l2 + l6 + l8, {"x": 1, "y": -1, "phi2": -1}, {"x": 1, "y": -1}),
             Belt("bottom", EA, l3 + l4 + l9, {"x": -2, "phi1": -1, "phi2": 1}, {"x": -2}),
@@ -150,6 +151,7 @@ def hframe_order20() -> Machine:
     bridge, cart = linear.coordinate("x"), linear.coordinate("y")
     pulleys = tuple(Coordinate(f"phi{i}", inertia, viscous, kind="rotary", radius=RADIUS) for i in range(1, 9))
     cart = dataclasses.replace(cart, mass=cart.mass - lump * inertia, viscous=cart.viscous - lump * viscous)
+    # Extension of each section per belt travel of each coordinate.
     rows: tuple[dict[str, float], ...] = (
         {"phi1": 1, "phi3": -1},
         {"phi2": 1, "phi4": -1},

@@ -19,7 +19,7 @@ from hframe_gym.dynamics import (
 )
 from hframe_gym.dynamics.elementwise import tanh
 from hframe_gym.effects import EFFECTS
-from hframe_gym.machine import AppliedEffect, Machine, linearize, rest_state
+from hframe_gym.machine import AppliedEffect, Machine, rest_state
 from tests.effects.one_of_each import CASES, START, Case, history
 
 pytestmark = pytest.mark.unit
@@ -77,24 +77,6 @@ def unexplained_force(machine: Machine, model: Machine) -> np.ndarray:
 def test_net_force_is_mass_times_simulated_acceleration(hframe: Machine) -> None:
     """Forces are up to 100 N."""
     assert np.abs(unexplained_force(hframe, hframe)).max() < 0.3
-
-
-def test_linearization_is_the_derivative_of_the_net_force(hframe: Machine) -> None:
-    """`machine.linearize` repeats stiffness, damping and gains, because it lies below this package."""
-    machine = hframe.replace({f"{c}.coulomb": 0.0 for c in hframe.coordinate_names})
-    n, drives = len(machine.coordinates), len(machine.drives)
-    space, step = linearize(machine), 1e-6
-    zero = np.zeros(2 * n + drives)
-
-    def acceleration(values: np.ndarray) -> np.ndarray:
-        rows = np.tile(values, (2, 1))
-        time_s = np.array([0.0, 1e-3])
-        force = net_forces(machine, time_s, rows[:, :n], rows[:, n : 2 * n], rows[:, 2 * n :])[0]
-        return force / np.array([c.mass for c in machine.coordinates])
-
-    columns = [(acceleration(zero + row) - acceleration(zero - row)) / (2 * step) for row in step * np.eye(len(zero))]
-    expected = np.hstack([space.A[n:], space.B[n:]])
-    np.testing.assert_allclose(np.array(columns).T, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)

@@ -58,7 +58,9 @@ def test_the_true_machine_leaves_no_residual(axis: Machine, data: Dataset, mode:
 def test_one_step_prediction_keeps_the_error_of_a_wrong_model_small(axis: Machine, data: Dataset) -> None:
     wrong = axis.replace({"x.mass": 1.2 * axis.parameters["x.mass"]})
     errors = [
-        np.abs(residuals(data.runs[0], data, predict(wrong, data.runs[0], bandwidth, period=data.period).readings)).max()
+        np.abs(
+            residuals(data.runs[0], data, predict(wrong, data.runs[0], bandwidth, period=data.period).readings)
+        ).max()
         for mode in (SEARCH_BANDWIDTH, SIMULATION)
     ]
     assert errors[0] < 0.05 * errors[1]

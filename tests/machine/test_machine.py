@@ -88,5 +88,5 @@ def test_machine_simulate_calls_the_registered_simulator(hframe: Machine) -> Non
 def test_without_a_simulator_the_error_names_what_to_import(monkeypatch: pytest.MonkeyPatch, hframe: Machine) -> None:
     assert "default" in SIMULATORS
     monkeypatch.setattr("hframe_gym.machine.machine.SIMULATORS", Registry("simulator"))
-    with pytest.raises(RuntimeError, match=r"import hframe_gym\.dynamics"):
+    with pytest.raises(RuntimeError, match="import hframe_gym"):
         hframe.simulate(np.zeros(1), np.zeros((1, 2)))

@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from hframe_gym.dynamics import simulate
-from hframe_gym.machine import BUILTIN_MACHINES, Machine, mode_frequencies, stiffness_matrix, with_constant_stiffness
+from hframe_gym.dynamics import mode_frequencies, simulate, stiffness_matrix
+from hframe_gym.machine import BUILTIN_MACHINES, Machine, with_constant_stiffness
 from hframe_gym.machine.presets import STIFFNESS
 
 pytestmark = pytest.mark.oracle

@@ -1,0 +1,125 @@
+"""Linearization of the equations of motion about rest: stiffness, state space and natural frequencies.
+
+The derivatives are exact to rounding. A complex step differentiates the equations: for an analytic function f,
+f'(x) = Im f(x + i h) / h up to an error of order h^2, without cancellation, so that h can be tiny.
+
+References:
+    Squire and Trapp (1998), Using Complex Variables to Estimate Derivatives of Real Functions.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..machine import Machine
+from .equations import Equations
+
+Array = NDArray[np.float64]
+_STEP = 1e-40  # complex step; its square vanishes beside every number of interest, and its products do not underflow
+_RIGID_EIGENVALUE = 1e-9  # eigenvalues below this fraction of the largest one belong to rigid-body modes
+
+
+class StateSpace(NamedTuple):
+    """Linear model x' = A x + B u, y = C x + D u.
+
+    Attributes:
+        A: System matrix, shape (states, states). States are all positions (m, rad), then all velocities (m/s, rad/s).
+        B: Input matrix, shape (states, drives); inputs are voltages, V.
+        C: Output matrix, shape (sensors, states).
+        D: Feedthrough matrix, shape (sensors, drives); zero.
+    """
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+
+
+def stiffness_matrix(machine: Machine, position: ArrayLike | None = None) -> Array:
+    """Return the stiffness matrix of the belts without effects: the negative derivative of force by position.
+
+    It equals G' diag(k) G with the extension G of each belt per unit of each coordinate, and the stiffness k of each
+    belt at its length in the operating point.
+
+    Args:
+        machine: Machine.
+        position: One or several operating points with unstretched belts: position of every coordinate, m or rad, shape
+            (..., coordinates). Default: one, at zeros.
+
+    Returns:
+        Stiffness, shape (..., coordinates, coordinates): N/m between linear coordinates, Nm/rad between rotary ones,
+        N/rad (equal to N) between both kinds.
+    """
+    equations, q = _operating_point(machine, position)
+    stepped = q[..., None, :] + 1j * _STEP * np.eye(q.shape[-1])  # (..., coordinate that is stepped, coordinates)
+    point = equations.point(stepped)
+    forces = equations.in_units(equations.belt_forces(point, equations.belt_states(point)))
+    forces = np.broadcast_to(forces, stepped.shape)  # without belts they are scalars
+    return -np.swapaxes(forces.imag, -1, -2) / _STEP  # row: force on a coordinate, column: displaced coordinate
+
+
+def linearize(machine: Machine, position: ArrayLike | None = None) -> StateSpace:
+    """Linearize the equations of motion about rest, without Coulomb friction and effects.
+
+    The back-EMF of a drive acts as viscous friction of its coordinate.
+
+    Args:
+        machine: Machine.
+        position: Operating point with unstretched belts: position of every coordinate, m or rad, shape (coordinates,).
+            Default: zeros.
+
+    Returns:
+        State-space matrices. States: positions, then velocities, in the coordinates' units; inputs: drive voltages, V;
+        outputs: sensor readings in the channels' units.
+
+    References:
+        Sollmann, Jouaneh and Lavender (2010), eq. 20-24.
+    """
+    equations, q = _operating_point(machine, position)
+    count, drives = len(q), len(machine.drives)
+    # One row per argument of the equations of motion: a step of each position, velocity and voltage in turn.
+    steps = 1j * _STEP * np.eye(2 * count + drives)
+    point = equations.point(q + steps[:, :count], steps[:, count : 2 * count])
+    voltages = list(steps[:, 2 * count :].T)
+    accelerations = equations.accelerations(point, voltages, lambda speed: 0.0)  # direction 0: no Coulomb friction
+    per_step = [a * equations.per_radius(i) for i, a in enumerate(accelerations)]  # m/s^2 or rad/s^2
+    derivatives = np.array(per_step).imag / _STEP  # (coordinates, 2 * coordinates + drives)
+    rates = np.hstack([np.zeros((count, count)), np.eye(count)])  # the derivatives of the positions are the velocities
+    A = np.vstack([rates, derivatives[:, : 2 * count]])
+    B = np.vstack([np.zeros((count, drives)), derivatives[:, 2 * count :]])
+    readings = equations.sensor_readings(list((q + steps[:, :count]).T))
+    C = np.array(readings).imag[:, : 2 * count] / _STEP
+    return StateSpace(A, B, C, np.zeros((len(machine.sensors), drives)))
+
+
+def mode_frequencies(machine: Machine, position: ArrayLike | None = None) -> Array:
+    """Return the undamped natural frequencies: the square roots of the eigenvalues of M^-1 K over 2 pi.
+
+    M is the diagonal mass matrix, and K the stiffness of the belts without effects.
+
+    Args:
+        machine: Machine.
+        position: Operating point with unstretched belts: position of every coordinate, m or rad, shape (coordinates,).
+            Default: zeros.
+
+    Returns:
+        Frequencies, Hz, ascending, shape (coordinates,); exactly zero for rigid-body modes, which stretch no belt.
+    """
+    from scipy.linalg import eigh  # SciPy takes most of the time of `import hframe_gym`
+
+    mass_matrix = np.diag([c.mass for c in machine.coordinates])
+    squared = eigh(stiffness_matrix(machine, position), mass_matrix, eigvals_only=True)
+    scale = max(squared.max(), 1.0)
+    return np.sqrt(np.where(squared < _RIGID_EIGENVALUE * scale, 0.0, squared)) / (2 * np.pi)
+
+
+def _operating_point(machine: Machine, position: ArrayLike | None) -> tuple[Equations, Array]:
+    """Return the equations of a machine without its effects, and the operating point as an array of floats."""
+    # The coordinate of a structural effect stays; its parameters are tied to those of the effect, which is removed.
+    equations = Equations(dataclasses.replace(machine, effects=(), ties={}))
+    count = len(machine.coordinates)
+    return equations, np.zeros(count) if position is None else np.asarray(position, float)

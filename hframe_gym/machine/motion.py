@@ -1,0 +1,117 @@
+"""Motion of a machine: states at rest, motions that stretch no belt, and the interface of simulators."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..registry import Registry
+from .components import Array
+
+if TYPE_CHECKING:
+    from .machine import Machine
+
+_RIGID_EXTENSION = 1e-9  # m per unit of the leading coordinate; a motion that extends a belt by more is not rigid
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """The simulated motion of a machine at n samples.
+
+    Attributes:
+        time_s: Sample times, s, shape (n,).
+        positions: Positions of the coordinates, m or rad, shape (n, coordinates).
+        velocities: Velocities of the coordinates, m/s or rad/s, shape (n, coordinates).
+        outputs: Noise-free sensor readings, in the channels' units, shape (n, sensors).
+        channels: Names of the output channels.
+    """
+
+    time_s: Array
+    positions: Array
+    velocities: Array
+    outputs: Array
+    channels: tuple[str, ...]
+
+
+class Simulator(Protocol):
+    """Type of a function that simulates a machine; `import hframe_gym` registers one in `SIMULATORS`."""
+
+    def __call__(
+        self, machine: Machine, time_s: ArrayLike, inputs: ArrayLike, initial: ArrayLike | None = None
+    ) -> Trajectory:
+        """Simulate a machine over a voltage history.
+
+        Args:
+            machine: Machine to simulate.
+            time_s: Times of n samples, s, strictly increasing, shape (n,).
+            inputs: Drive voltages, V, each held from its sample until the next, shape (n, drives).
+            initial: Positions (m, rad), then velocities (m/s, rad/s), at the first sample, shape (2 * coordinates,).
+                Default: at rest at the origin.
+
+        Returns:
+            Positions, velocities and noise-free sensor readings at every sample.
+        """
+
+
+# This package does not depend on the integrator. Whoever provides one registers it under the name "default".
+SIMULATORS: Registry[Simulator] = Registry("simulator")
+
+
+def rest_state(machine: Machine, position: ArrayLike | None = None) -> Array:
+    """Return the state at rest with unstretched belts for given positions of the carriages.
+
+    Args:
+        machine: Machine.
+        position: Positions of the linear coordinates in the machine's order, m, shape (linear coordinates,); a single
+            value applies to all of them. Default: zeros. The pulley angles follow from zero extension of every belt
+            (least squares); coordinates that a spring holds, such as the yaw of a bridge, are at zero.
+
+    Returns:
+        Positions, m or rad, then zero velocities, shape (2 * coordinates,).
+
+    Raises:
+        ValueError: If there are several positions, but not one per linear coordinate.
+    """
+    count = len(machine.coordinates)
+    q = np.zeros(count)  # positions of all coordinates
+    linear = [i for i, c in enumerate(machine.coordinates) if c.kind == "linear"]
+    if position is not None:
+        q[linear] = np.asarray(position, float)
+    pulleys = [i for i in range(count) if i not in linear and machine.coordinate_names[i] not in machine.spring_loaded]
+    if pulleys and machine.belts:
+        G = (
+            machine.belt_matrix
+        )  # (belts, coordinates); zero extension: G[:, pulleys] @ angles = -G[:, linear] @ positions
+        q[pulleys] = np.linalg.lstsq(G[:, pulleys], -G[:, linear] @ q[linear], rcond=None)[0]
+    return np.concatenate([q, np.zeros(count)])
+
+
+def rigid_motions(machine: Machine) -> dict[str, Array]:
+    """Return the rigid-body motions of a machine: independent motions that stretch no belt.
+
+    With belts there is one motion per linear coordinate, and the pulleys follow it without stretching the belts.
+    Without belts each coordinate moves independently.
+
+    Args:
+        machine: Machine.
+
+    Returns:
+        By name of the leading coordinate: motion of every coordinate per unit of the leading one (m or rad per m or
+        rad), shape (coordinates,). A linear coordinate that cannot move without stretching a belt has no entry.
+    """
+    count = len(machine.coordinates)
+    if not machine.belts:
+        return {name: np.eye(count)[i] for i, name in enumerate(machine.coordinate_names)}
+    G = machine.belt_matrix  # extension of each belt per unit of each coordinate, (belts, coordinates)
+    rotary = [i for i, c in enumerate(machine.coordinates) if c.kind == "rotary"]
+    motions = {}
+    for index, coordinate in enumerate(machine.coordinates):
+        if coordinate.kind == "linear":
+            motion = np.eye(count)[index]  # 1 for the leading coordinate, 0 for the other carriages
+            motion[rotary] = np.linalg.lstsq(G[:, rotary], -G[:, index], rcond=None)[0]
+            if np.max(np.abs(G @ motion)) < _RIGID_EXTENSION:
+                motions[coordinate.name] = motion
+    return motions
