@@ -30,8 +30,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
 from ..dynamics import stiffness_matrix
+from ..errors import InputError
 from ..machine import Machine
 from .base import CONTROLLERS, FullStateController, Mask
 from .input_compensation import DeadTime, InputInversion

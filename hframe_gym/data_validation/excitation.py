@@ -1,6 +1,6 @@
 """Check excitation and identifiability: motion and spectra of the runs, and Cramer-Rao bounds of the parameters.
 
-The Cramer-Rao bound is evaluated for the declared machine in simulation bandwidth, with white residuals of the size of the
+The Cramer-Rao bound is evaluated for simulations of the declared machine, with white residuals of the size of the
 sensors' noise. A fit of real data has larger errors, because no model is exact.
 """
 

@@ -19,7 +19,7 @@ from ..machine import Machine, Uncertainty
 from .dataset import Dataset, PreparedRecording
 from .free_parameters import FreeParameter, default_free_parameters, prior_precision, values_at
 from .linearization import NormalEquations, ResidualModel
-from .prediction import SEARCH_STEP, map_runs, predict, residuals
+from .prediction import SEARCH_STEP, initial_state_projection, map_runs, predict, residuals
 
 Array = NDArray[np.float64]
 
@@ -119,6 +119,8 @@ def fit(
 def prediction_cost(machine: Machine, data: Dataset, bandwidth: float, *, longest_step: float = SEARCH_STEP) -> float:
     """Return the sum of a machine's squared prediction errors, each divided by the sensor's noise.
 
+    The unknown initial stretch of the belts is projected out, as in a fit.
+
     Args:
         machine: Machine that predicts.
         data: Runs to predict.
@@ -131,7 +133,9 @@ def prediction_cost(machine: Machine, data: Dataset, bandwidth: float, *, longes
 
     def of_run(run: PreparedRecording) -> float:
         motion = predict(machine, run, bandwidth, period=data.period, longest_step=longest_step)
-        return float(np.sum(residuals(run, data, motion.readings) ** 2))
+        residual = residuals(run, data, motion.readings)
+        projection = initial_state_projection(machine, run, data, bandwidth, longest_step=longest_step)
+        return float(np.sum((residual if projection is None else projection(residual)) ** 2))
 
     total = sum(map_runs(of_run, data))
     return total if math.isfinite(total) else math.inf

@@ -28,9 +28,10 @@ from ..machine import AppliedEffect, Machine
 from .candidates import effect_parameters
 from .dataset import Dataset, TypicalScales
 from .estimation import Fit, fit, with_uncertainty
-from .forward_selection import typical_scales
 from .linearization import NormalEquations, forward_differences
+from .model_error import search_step
 from .prediction import POLISH_STEP, SEARCH_STEP
+from .trial_fits import typical_scales
 
 Array = NDArray[np.float64]
 
@@ -140,7 +141,8 @@ def fit_rival(current: Fit, label: str, rival: AppliedEffect, data: Dataset, sca
     names = {f.name for f in kept}
     added = [f for f in effect_parameters(rival, machine, scale) if f.name not in names]
     theta = np.concatenate([kept_theta, np.zeros(len(added))])
-    rival_fit = fit(machine, kept + added, data, current.bandwidth, theta=theta, longest_step=POLISH_STEP)
+    step = search_step(current.bandwidth)
+    rival_fit = fit(machine, kept + added, data, current.bandwidth, theta=theta, longest_step=step)
     return with_uncertainty(rival_fit, data)
 
 

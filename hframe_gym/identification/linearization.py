@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -155,12 +156,27 @@ class RunLinearization:
         jacobian: J transposed, shape (k, rows).
         responses: E transposed, shape (m, rows), or None.
         residual: r, shape (rows,).
+        initial_state: Positions, then velocities, from which the run is predicted, in the coordinates' units, shape
+            (2 * coordinates,).
         projection: Projection that was applied; None where the initial state does not matter.
     """
 
     jacobian: Array
     responses: Array | None
     residual: Array
+    initial_state: Array
+    projection: InitialStateProjection | None
+
+
+class Start(NamedTuple):
+    """Where the prediction of a run starts.
+
+    Attributes:
+        state: Positions, then velocities, in the coordinates' units, shape (2 * coordinates,).
+        projection: Projection of what the state leaves unknown; None where it does not matter.
+    """
+
+    state: Array
     projection: InitialStateProjection | None
 
 
@@ -228,17 +244,24 @@ class ResidualModel:
         """
         machine = self.machine_at(theta)
         thetas = np.vstack([theta, theta + DIFFERENCE_STEP * np.eye(len(self.free))])
-        motion = self._predict(machine, run, thetas, states=responses is not None)
+        initial_state = run.initial_state(machine)
+        motion = self._predict(machine, run, thetas, initial_state, states=responses is not None)
         residual = self.residuals(run, motion.readings)  # (k + 1, rows)
         expansion_motion = Motion(*(part[:1] for part in motion))
         extra = None if responses is None else responses(run, expansion_motion)
         projection = initial_state_projection(
-            machine, run, self.data, self.bandwidth, longest_step=self.longest_step, rows_per_block=self.rows_per_block
+            machine,
+            run,
+            self.data,
+            self.bandwidth,
+            initial_state=initial_state,
+            longest_step=self.longest_step,
+            rows_per_block=self.rows_per_block,
         )
         if projection is not None:
             residual = projection(residual)
             extra = None if extra is None else projection(extra)
-        return RunLinearization(forward_differences(residual), extra, residual[0], projection)
+        return RunLinearization(forward_differences(residual), extra, residual[0], initial_state, projection)
 
     def linearize(self, theta: Array, responses: Responses | None = None) -> Linearization:
         """Linearize the residual of all runs and sum their normal equations.
@@ -251,18 +274,20 @@ class ResidualModel:
             Linearization with the normal equations summed over runs.
         """
 
-        def of_run(run: PreparedRecording) -> tuple[NormalEquations, InitialStateProjection | None]:
+        def of_run(run: PreparedRecording) -> tuple[NormalEquations, Start]:
             rows = self.linearize_run(run, theta, responses)
             equations = NormalEquations.from_rows(rows.jacobian, rows.residual, rows.responses, count=run.count)
-            return equations, rows.projection
+            return equations, Start(rows.initial_state, rows.projection)
 
         parts = list(map_runs(of_run, self.data))
-        projections = {run.name: projection for run, (_, projection) in zip(self.data.runs, parts, strict=True)}
+        starts = {run.name: start for run, (_, start) in zip(self.data.runs, parts, strict=True)}
         by_run = tuple(equations for equations, _ in parts)
-        return Linearization(self, self.machine_at(theta), by_run, projections)
+        return Linearization(self, self.machine_at(theta), by_run, starts)
 
-    def _predict(self, machine: Machine, run: PreparedRecording, thetas: Array, *, states: bool = False) -> Motion:
-        """Predict a run for a batch of theta; `machine` determines where the run starts."""
+    def _predict(
+        self, machine: Machine, run: PreparedRecording, thetas: Array, initial_state: Array, *, states: bool = False
+    ) -> Motion:
+        """Predict a run for a batch of theta; `machine` determines where encoders count from."""
         table = parameter_table(self.machine, self.free, thetas)
         return predict(
             machine,
@@ -270,6 +295,7 @@ class ResidualModel:
             self.bandwidth,
             period=self.data.period,
             parameters=table,
+            initial_state=initial_state,
             longest_step=self.longest_step,
             states=states,
         )
@@ -283,13 +309,13 @@ class Linearization:
         model: Residual as a function of theta.
         machine: Machine at the expansion point.
         by_run: Products of the linearized residual of each run, in the order of the runs.
-        projections: Initial-state projection at the expansion point, by run name.
+        starts: Initial state of each run at the expansion point, by run name.
     """
 
     model: ResidualModel
     machine: Machine
     by_run: tuple[NormalEquations, ...]
-    projections: Mapping[str, InitialStateProjection | None]
+    starts: Mapping[str, Start]
 
     @property
     def normal_equations(self) -> NormalEquations:
@@ -310,10 +336,10 @@ class Linearization:
         """
 
         def of_run(run: PreparedRecording) -> Array:
-            motion = self.model._predict(self.machine, run, thetas)
+            start = self.starts[run.name]
+            motion = self.model._predict(self.machine, run, thetas, start.state)
             residual = self.model.residuals(run, motion.readings)
-            projection = self.projections[run.name]
-            residual = residual if projection is None else projection(residual)
+            residual = residual if start.projection is None else start.projection(residual)
             squares: Array = np.einsum("bi,bi->b", residual, residual)
             return squares
 

@@ -166,6 +166,20 @@ def effect_force(machine: Machine, effect: AppliedEffect, data: Dataset) -> floa
     return _size(np.concatenate(list(map_runs(of_run, data))))
 
 
+def drive_force(machine: Machine, data: Dataset) -> float:
+    """Return the size of the force that the drives apply during the recordings, without back-EMF.
+
+    Args:
+        machine: Machine with its drives.
+        data: Runs with the voltages.
+
+    Returns:
+        Size as in `residue_force`, N at the belt.
+    """
+    gains = [drive.gain / machine.coordinate(drive.coordinate).travel_per_unit for drive in machine.drives]
+    return _size(np.concatenate([run.inputs for run in data.runs]) * gains)
+
+
 def _size(force: Array) -> float:
     """Return the root mean square over rows of the norm over coordinates of forces (n, coordinates)."""
     return float(np.sqrt(np.mean(np.sum(force**2, axis=1))))

@@ -18,10 +18,11 @@ from .candidates import Candidate
 from .criteria import SelectionCriteria
 from .dataset import Dataset, PreparedRecording, TypicalScales
 from .estimation import Fit, fit, prediction_cost
-from .forward_selection import Log, SelectedEffect, Selection, describe_gain, fit_with_candidate, typical_scales
+from .forward_selection import Log, SelectedEffect, Selection, describe_gain
 from .prediction import SEARCH_BANDWIDTH, map_runs, predict
 from .residual import missing_force
 from .screening import ScoredCandidate, screen
+from .trial_fits import fit_with_candidate, typical_scales
 
 Array = NDArray[np.float64]
 _BINS = 96  # Bins of the variable over which a force is averaged.

@@ -6,8 +6,7 @@ import dataclasses
 import time
 from collections.abc import Sequence
 from pathlib import Path
-
-import numpy as np
+from typing import NamedTuple
 
 from ..errors import InputError
 from ..machine import Machine
@@ -17,14 +16,21 @@ from .criteria import SelectionCriteria
 from .dataset import Dataset, prepare, refine_encoder_offsets, with_all_measurements
 from .estimation import Fit, fit, prediction_cost, with_uncertainty
 from .experiment_design import design_discriminating_experiment
-from .forward_selection import ConsideredEffect, EffectSearch, Log, SelectedEffect, Selection, prune_effects
+from .forward_selection import (
+    ConsideredEffect,
+    EffectSearch,
+    Log,
+    SelectedEffect,
+    Selection,
+)
 from .free_parameters import default_free_parameters
-from .model_error import fit_with_model_error, polish
+from .model_error import drive_force, effect_force, fit_with_model_error, polish
 from .nonparametric import add_tables
 from .prediction import POLISH_STEP, SEARCH_BANDWIDTH
 from .residual import channel_errors, force_error, is_white, rank_dependences
-from .result import IdentificationResult, ModelEvaluation, PredictionErrors, Verdict
+from .result import IdentificationResult, ModelEvaluation, PredictionErrors, RejectedEffect, Verdict
 from .sensor_properties import Range, blank_saturated, range_effects, saturation_ranges
+from .trial_fits import without_effect
 
 _HOLD_OUT_EVERY = 4  # Every fourth run is held out.
 _MAX_DEPENDENCES = 6  # Variables that the report lists for the residual force.
@@ -98,8 +104,9 @@ def identify(
     before = polish(fit_with_model_error(base, data), data)
     log(f"refitted machine: {_describe(before)}")
     log("searching for effects")
-    verdict, after, selected, considered = _Search(base, before, data, criteria, log).run()
-    result = _result(verdict, machine, before, after, selected, ranges, data, validation, criteria)
+    outcome = _Search(base, before, data, criteria, log).run()
+    outcome = _without_unconfirmed(outcome, before, data, validation, log)
+    result = _result(outcome, machine, before, ranges, data, validation, criteria)
     log(f"verdict: {result.verdict}")
     return dataclasses.replace(result, seconds=time.perf_counter() - began)
 
@@ -121,18 +128,57 @@ def _prepare(
     return everything, ranges
 
 
+class _Outcome(NamedTuple):
+    """Outcome of a search.
+
+    Attributes:
+        verdict: "effect_found", "no_effect" or "unexplained".
+        after: Fit of the machine with the effects.
+        selected: The selected effects.
+        considered: Effects that reduced the error of the fitted runs but failed a test.
+    """
+
+    verdict: Verdict
+    after: Fit
+    selected: tuple[SelectedEffect, ...]
+    considered: tuple[ConsideredEffect, ...]
+
+
+def _without_unconfirmed(outcome: _Outcome, before: Fit, data: Dataset, validation: Dataset, log: Log) -> _Outcome:
+    """Remove effects that do not reduce the error of the held-out runs, weakest first.
+
+    The held-out runs can only remove an effect here, never add or change one.
+    """
+    verdict, after, selected, considered = outcome
+    while selected:
+        runs = refine_encoder_offsets(validation, after.machine, data)
+        gains = [_held_out_gain(s, after.machine, runs, after.bandwidth) for s in selected]
+        weakest = selected[gains.index(min(gains))]
+        if min(gains) > 0.0 or weakest.effect.definition.structure:
+            break
+        reason = "does not reduce the error of the held-out runs"
+        log(f"  {weakest.effect.label} is removed: it {reason}")
+        reduced = polish(without_effect(after, weakest.effect.label, data), data)
+        entry = ConsideredEffect(weakest.effect, after.machine, reduced.machine, weakest.gain, reason)
+        selected = tuple(s for s in selected if s is not weakest)
+        after, considered = reduced if selected else before, (*considered, entry)
+        selected = tuple(s.with_values(after.machine) for s in selected)
+        if not selected:
+            verdict = "no_effect" if verdict == "effect_found" else verdict
+    return _Outcome(verdict, after, selected, considered)
+
+
 def _result(
-    verdict: Verdict,
+    outcome: _Outcome,
     machine: Machine,
     before: Fit,
-    after: Fit,
-    selected: tuple[SelectedEffect, ...],
     ranges: dict[str, Range],
     data: Dataset,
     validation: Dataset,
     criteria: SelectionCriteria,
 ) -> IdentificationResult:
     """Evaluate declared, refitted and corrected machine on the held-out runs, and propose an experiment."""
+    verdict, after, selected, considered = outcome
     refined = refine_encoder_offsets(data, after.machine)
     corrected, selected = _corrected(after, selected, ranges, refined, f"{machine.name}-identified")
     refitted = before.machine.replace(name=f"{machine.name}-refitted")
@@ -144,13 +190,16 @@ def _result(
         design_discriminating_experiment(after, corrected, s.effect.label, s.rival_effects, refined) for s in selected
     )
     validation = refine_encoder_offsets(validation, corrected, data)
+    drives = drive_force(corrected, data)
     return IdentificationResult(
         verdict="effect_found" if selected and verdict == "no_effect" else verdict,
         declared=declared_evaluation,
         before=refitted_evaluation,
         after=corrected_evaluation,
         effects=selected,
-        gains={s.effect.label: _held_out_gain(s, corrected, validation) for s in selected},
+        gains={s.effect.label: _held_out_gain(s, corrected, validation, after.bandwidth) for s in selected},
+        considered=tuple(_rejected(c, data, validation, after.bandwidth) for c in considered),
+        sizes={s.effect.label: effect_force(corrected, s.effect, data) / drives for s in selected},
         dependence=tuple(rank_dependences(before.machine, data)[:_MAX_DEPENDENCES]),
         white=is_white(corrected, validation),
         fitted=data,
@@ -195,25 +244,18 @@ class _Search:
         self._base, self._before, self._data = base, before, data
         self._criteria, self._log = criteria, log
 
-    def run(self) -> tuple[Verdict, Fit, tuple[SelectedEffect, ...], tuple[ConsideredEffect, ...]]:
-        """Search for effects, then for tables if no known effects explain the residual.
-
-        Returns:
-            Verdict: "effect_found", "no_effect" or "unexplained".
-            Fit of the machine with the effects.
-            The selected effects.
-            Effects that reduced the error but failed a test.
-        """
+    def run(self) -> _Outcome:
+        """Search for effects, then for tables if no known effects explain the residual."""
         after, effects, considered = self._known_effects()
         if self._explains(after):
             verdict: Verdict = "effect_found" if effects else "no_effect"
-            return verdict, after if effects else self._before, effects, considered
+            return _Outcome(verdict, after if effects else self._before, effects, considered)
         tabled = self._with_tables((after, effects))
         if tabled is not None:
-            return "effect_found", *tabled, considered
+            return _Outcome("effect_found", *tabled, considered)
         if effects and self._wide_cost(after) < self._criteria.max_partial_cost_fraction * self._base.cost:
-            return "effect_found", after, effects, considered
-        return "unexplained", self._before, (), considered
+            return _Outcome("effect_found", after, effects, considered)
+        return _Outcome("unexplained", self._before, (), considered)
 
     def _known_effects(self) -> tuple[Fit, tuple[SelectedEffect, ...], tuple[ConsideredEffect, ...]]:
         """Return the fit with effects of the library, the effects, and those that failed a test."""
@@ -228,9 +270,7 @@ class _Search:
             current, effects = search.run(fit_with_model_error(current, data), effects)
         if effects:
             current = polish(current, data)
-            current, effects = prune_effects(
-                current, effects, data, criteria=criteria, log=log, longest_step=POLISH_STEP
-            )
+            current, effects = search.prune(current, effects)
         return current, effects, tuple(search.considered.values())
 
     def _with_tables(self, selected: Selection) -> Selection | None:
@@ -244,9 +284,7 @@ class _Search:
             if len(more) > len(known):
                 # No further search beside a table: what its straight pieces leave looks like many a small effect.
                 refined = polish(fit_with_model_error(fitted, data), data)
-                candidate, kept = prune_effects(
-                    refined, more, data, criteria=criteria, log=log, longest_step=POLISH_STEP
-                )
+                candidate, kept = EffectSearch(data, criteria, log).prune(refined, more)
                 limit = criteria.max_table_cost_fraction * min(self._base.cost, wide.cost)
                 if kept and (self._explains(candidate) or self._wide_cost(candidate) < limit):
                     return candidate, kept
@@ -267,20 +305,31 @@ def _errors(machine: Machine, data: Dataset) -> PredictionErrors:
     return PredictionErrors(channel_errors(machine, data), force_error(machine, data))
 
 
-def _held_out_gain(selected: SelectedEffect, machine: Machine, validation: Dataset) -> float:
-    """Return the fraction of the held-out squared error that this effect alone removes.
-
-    The error is that of the drives' force if the machine allows inverse dynamics, otherwise that of the simulation.
-    """
-
-    def squared_error(m: Machine) -> float:
-        force = force_error(m, validation)
-        if force is not None:
-            return force**2
-        ratios = [e.noise_ratio for e in channel_errors(m, validation).values() if e.noise_ratio is not None]
-        return float(np.mean(np.square(ratios)))
-
+def _held_out_gain(selected: SelectedEffect, machine: Machine, validation: Dataset, bandwidth: float) -> float:
+    """Return the fraction of the held-out squared error that this effect alone removes."""
     others = tuple(e for e in machine.effects if e.label != selected.effect.label)
     structural = selected.effect.definition.structure
     without = selected.machine_without if structural else machine.replace(effects=others)
-    return 1.0 - squared_error(machine) / squared_error(without)
+    return _error_reduction(without, machine, validation, bandwidth)
+
+
+def _error_reduction(without: Machine, machine: Machine, validation: Dataset, bandwidth: float) -> float:
+    """Return the fraction of the squared prediction error on some runs that a machine does not have.
+
+    With an observer, it is the error of the drives' force if the machines allow inverse dynamics.
+    """
+    forces = [force_error(m, validation) if bandwidth else None for m in (without, machine)]
+    if forces[0] is not None and forces[1] is not None:
+        return 1.0 - (forces[1] / forces[0]) ** 2
+    costs = [prediction_cost(m, validation, bandwidth, longest_step=POLISH_STEP) for m in (without, machine)]
+    return 1.0 - costs[1] / costs[0]
+
+
+def _rejected(entry: ConsideredEffect, data: Dataset, validation: Dataset, bandwidth: float) -> RejectedEffect:
+    """Return a rejected effect with its size and its gain on the held-out runs."""
+    return RejectedEffect(
+        entry.effect,
+        effect_force(entry.machine, entry.effect, data) / drive_force(entry.machine, data),
+        _error_reduction(entry.machine_without, entry.machine, validation, bandwidth),
+        entry.reason,
+    )

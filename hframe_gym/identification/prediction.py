@@ -138,8 +138,8 @@ def predict(
         extra_force: Additional force on every coordinate, N or Nm, constant from each sample to the next, shape
             (batch, n, coordinates). Default: none.
         extra_measurement: Value added to the sensors' output, in their units, shape (batch, n, sensors). Default: none.
-        initial_state: Positions, then velocities, in the coordinates' units, shape (batch, 2 * coordinates). Default:
-            `run.initial_state(machine)`.
+        initial_state: Positions, then velocities, in the coordinates' units, shape (batch, 2 * coordinates) or
+            (2 * coordinates,); encoders count from the first. Default: `run.initial_state(machine)`.
         longest_step: Maximum integration step, s.
         states: Whether to return positions and velocities too.
 
@@ -147,7 +147,8 @@ def predict(
         Motion with the predicted measurements `readings`, in the sensors' units, shape (batch, n, sensors), and if
         `states`, `positions` and `velocities`, in the coordinates' units, shape (batch, n, coordinates).
     """
-    run_state = run.initial_state(machine)
+    states_given = run.initial_state(machine) if initial_state is None else initial_state
+    run_state = np.atleast_2d(states_given)[0]
     measured = gains = None
     if bandwidth > 0.0:
         start = run.initial.position
@@ -163,7 +164,7 @@ def predict(
         run.time_s,
         run.inputs,
         parameters=parameters,
-        start=run_state if initial_state is None else initial_state,
+        start=states_given,
         extra_force=extra_force,
         measured=measured,
         gains=gains,
@@ -287,6 +288,7 @@ def initial_state_projection(
     data: Dataset,
     bandwidth: float,
     *,
+    initial_state: Array | None = None,
     longest_step: float = SEARCH_STEP,
     rows_per_block: int = 1,
 ) -> InitialStateProjection | None:
@@ -301,6 +303,8 @@ def initial_state_projection(
         run: Run to predict.
         data: Data set of the run.
         bandwidth: Observer bandwidth, rad/s, see `predict`.
+        initial_state: Positions, then velocities, in the coordinates' units, shape (2 * coordinates,). Default:
+            `run.initial_state(machine)`.
         longest_step: Maximum integration step, s.
         rows_per_block: Number of consecutive rows summed into one, as in `residuals`.
 
@@ -313,7 +317,8 @@ def initial_state_projection(
     held_angles = held_belt_angles(machine)
     if not held_angles:
         return None
-    initial_states = np.tile(run.initial_state(machine), (len(held_angles) + 1, 1))
+    state = run.initial_state(machine) if initial_state is None else initial_state
+    initial_states = np.tile(state, (len(held_angles) + 1, 1))
     for k, (name, angle) in enumerate(held_angles.items(), start=1):
         initial_states[k, machine.coordinate_names.index(name)] += angle
     motion = predict(

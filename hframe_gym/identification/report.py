@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 _COLORS = {"effect_found": "#2a7f62", "no_effect": "#4a6fa5", "unexplained": "#c77d0a"}
 _SCALES = {"m": ((1e6, "µm"), (1e3, "mm")), "rad": ((1e3, "mrad"),)}
 _STAGES = ("declared", "before", "after")
+_NOTICEABLE_ERROR = 1.3  # Remaining error over noise from which the report says that something is unexplained.
 _SLOW = 0.05  # Fraction of a coordinate's top speed below which friction shows its behavior at low speed.
 _MAX_NOISE_RATIO = 50.0  # Simulation error over noise beyond which the simulation drifted, if a force error exists.
 
@@ -78,7 +79,7 @@ def verdict_sentence(report: Mapping[str, Any], channels: Sequence[str]) -> str:
         channels: Names of the machine's output channels.
 
     Returns:
-        One or two English sentences.
+        English sentences.
     """
 
     def noise_ratio(stage: str) -> float:
@@ -98,16 +99,27 @@ def verdict_sentence(report: Mapping[str, Any], channels: Sequence[str]) -> str:
         subject, pronoun = ("an effect", "it") if single else (f"{len(report['effects'])} effects", "them")
         return (
             f"The machine has {subject} that its model lacks: {names}. With {pronoun}, the error on the held-out runs "
-            f"falls from {error('before')} to {error('after')} {unit}."
+            f"falls from {error('before')} to {error('after')} {unit}." + ("" if by_force else _remainder(report))
         )
     if report["verdict"] == "no_effect":
         return (
             "No effect is missing: with refitted parameters, the error of the declared model on the held-out runs is "
-            f"{error('before')} {unit}."
+            f"{error('before')} {unit}." + ("" if by_force else _remainder(report))
         )
     return (
         f"The error of the refitted model on the held-out runs is {error('before')} {unit}, and no known effect "
         "explains it. The variables that the residual depends on are listed below."
+    )
+
+
+def _remainder(report: Mapping[str, Any]) -> str:
+    """Return a sentence about the error that the machine of the verdict leaves, "" if it is the sensors' noise."""
+    left = report["left"]
+    if left is None or left < _NOTICEABLE_ERROR:
+        return ""
+    return (
+        f" An error of {left:.3g} times the sensors' noise is left (root mean square over all channels), which no effect "
+        "of the library explains."
     )
 
 

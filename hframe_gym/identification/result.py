@@ -8,6 +8,7 @@ plots and report.html.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..atomic_files import atomic_file, write_text
-from ..machine import Machine
+from ..machine import AppliedEffect, Machine
 from ..recordings import save_machine
 from .criteria import SelectionCriteria
 from .dataset import Dataset
@@ -43,6 +44,12 @@ class PredictionErrors:
     channels: dict[str, ChannelError]
     force: float | None
 
+    @property
+    def noise_ratio(self) -> float:
+        """Root mean square over the channels of the simulation error in multiples of the sensors' noise."""
+        ratios = [error.noise_ratio for error in self.channels.values() if error.noise_ratio is not None]
+        return float(np.sqrt(np.mean(np.square(ratios)))) if ratios else float("nan")
+
     def as_json(self) -> dict[str, Any]:
         """Return the errors in the format of report.json.
 
@@ -67,6 +74,45 @@ class ModelEvaluation:
 
 
 @dataclass(frozen=True)
+class RejectedEffect:
+    """An effect that reduces the error of the fitted runs but failed a test.
+
+    Attributes:
+        effect: The effect with the parameters of its trial fit.
+        size: Force of the effect relative to that of the drives, root mean squares over the fitted runs; infinite if no
+            force describes it.
+        held_out_gain: Fraction of the squared prediction error on the held-out runs that it removes; negative if it
+            increases the error.
+        reason: Why it was rejected; a clause that follows "it ".
+    """
+
+    effect: AppliedEffect
+    size: float
+    held_out_gain: float
+    reason: str
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the entry of `considered` in report.json.
+
+        Returns:
+            name, site, parameters, size (None if no force describes the effect), held_out_gain and reason.
+        """
+        return {
+            "name": self.effect.name,
+            "site": self.effect.site,
+            "parameters": {name: float(value) for name, value in self.effect.parameters.items()},
+            "size": _finite_or_none(self.size),
+            "held_out_gain": _finite_or_none(self.held_out_gain),
+            "reason": self.reason,
+        }
+
+
+def _finite_or_none(value: float) -> float | None:
+    """Return None for a value that JSON cannot hold."""
+    return value if math.isfinite(value) else None
+
+
+@dataclass(frozen=True)
 class IdentificationResult:
     """Result of `identify`.
 
@@ -78,6 +124,9 @@ class IdentificationResult:
         effects: Selected effects.
         gains: Fraction of the squared error on the held-out runs that each effect removes, by label (name@site);
             negative if the effect increases the error.
+        sizes: Force of each effect relative to that of the drives, root mean squares, by label; infinite if no force
+            describes the effect.
+        considered: Effects that reduced the error of the fitted runs but failed a test.
         dependence: Variables that the residual force of the refitted machine depends on, strongest first.
         white: Whether the corrected machine leaves only the sensors' noise.
         fitted: Runs that were fitted.
@@ -93,6 +142,8 @@ class IdentificationResult:
     after: ModelEvaluation
     effects: tuple[SelectedEffect, ...]
     gains: dict[str, float]
+    sizes: dict[str, float]
+    considered: tuple[RejectedEffect, ...]
     dependence: tuple[Dependence, ...]
     white: bool
     fitted: Dataset
@@ -100,6 +151,17 @@ class IdentificationResult:
     seconds: float
     experiment: ExperimentDesign | None = None
     criteria: SelectionCriteria = field(default_factory=SelectionCriteria)
+
+    @property
+    def explained(self) -> float:
+        """Fraction of the error beyond the sensors' noise on the held-out runs that the effects removed (power)."""
+        before, after = (max(e.held_out.noise_ratio**2 - 1.0, 0.0) for e in (self.before, self.after))
+        return 1.0 - after / before if self.effects and before > 0.0 else 0.0
+
+    @property
+    def left(self) -> float:
+        """Simulation error of the corrected machine on the held-out runs, in multiples of the sensors' noise."""
+        return self.after.held_out.noise_ratio
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of report.json, schema 1.
@@ -122,6 +184,9 @@ class IdentificationResult:
                 ],
                 "white": self.white,
             },
+            "explained": _finite_or_none(self.explained),
+            "left": _finite_or_none(self.left),
+            "considered": [entry.as_json() for entry in self.considered],
             "next_experiment": self.experiment.as_json() if self.experiment else None,
             "seconds": round(self.seconds, 2),
             "criteria": self.criteria.as_json(),
@@ -139,6 +204,7 @@ class IdentificationResult:
             "family": effect.definition.family,
             "site": effect.site,
             "parameters": parameters,
+            "size": _finite_or_none(self.sizes[effect.label]),
             "held_out_gain": self.gains[effect.label],
             "rivals": list(selected.rivals),
         }

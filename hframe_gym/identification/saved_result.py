@@ -86,6 +86,16 @@ class _Experiment(_Entry):
     file: str
 
 
+class _ConsideredEntry(_Entry):
+    """An effect that was tried and rejected."""
+
+    name: str
+    site: str
+    size: FiniteFloat | None
+    held_out_gain: FiniteFloat | None
+    reason: str
+
+
 class _Report(_Entry):
     """Content of report.json that the report uses."""
 
@@ -97,6 +107,9 @@ class _Report(_Entry):
     after: _Evaluation
     effects: list[_EffectEntry]
     residual: _Residual
+    explained: FiniteFloat | None = None
+    left: FiniteFloat | None = None
+    considered: list[_ConsideredEntry] = []
     next_experiment: _Experiment | None
     seconds: FiniteFloat
     warnings: list[str] = []

@@ -8,6 +8,7 @@ import pytest
 from hframe_gym.identification import prepare
 from hframe_gym.identification.dataset import scales_of_motion, with_all_measurements
 from hframe_gym.identification.estimation import prediction_cost
+from hframe_gym.identification.prediction import SIMULATION
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording
 

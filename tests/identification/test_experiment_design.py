@@ -19,6 +19,7 @@ from hframe_gym.identification.experiment_design import (
     design_discriminating_experiment,
     separate_machines,
 )
+from hframe_gym.identification.prediction import SIMULATION
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, Uncertainty
 from hframe_gym.recordings import Recording, load_recording
 

@@ -11,6 +11,7 @@ from hframe_gym.dynamics.simulation import Motion
 from hframe_gym.identification import Dataset, FreeParameter, PreparedRecording, default_free_parameters, prepare
 from hframe_gym.identification.free_parameters import parameter_table, prior_precision, values_at
 from hframe_gym.identification.linearization import NormalEquations, ResidualModel, forward_differences
+from hframe_gym.identification.prediction import SEARCH_BANDWIDTH, SIMULATION
 from hframe_gym.machine import BUILTIN_MACHINES, Coordinate, Machine
 from hframe_gym.recordings import Recording, load_recordings
 
@@ -129,11 +130,11 @@ def test_responses_are_summed_beside_the_jacobian(hframe: Machine, hframe_runs: 
     assert abs(reduced.response_information[0, 0]) < 1e-9 * equations.response_information[0, 0]
 
 
-@pytest.mark.parametrize("mode", [SEARCH_BANDWIDTH, SIMULATION])
+@pytest.mark.parametrize("bandwidth", [SEARCH_BANDWIDTH, SIMULATION])
 def test_costs_agree_with_the_linearization_at_its_expansion_point(
-    hframe: Machine, hframe_runs: Dataset, mode: str
+    hframe: Machine, hframe_runs: Dataset, bandwidth: float
 ) -> None:
-    model = ResidualModel(hframe, default_free_parameters(hframe)[:3], hframe_runs, bandwidth)  # type: ignore[arg-type]
+    model = ResidualModel(hframe, default_free_parameters(hframe)[:3], hframe_runs, bandwidth)
     linearization = model.linearize(np.zeros(3))
     (cost,) = linearization.costs(np.zeros((1, 3)))
     assert cost == pytest.approx(linearization.normal_equations.cost, rel=1e-9)

@@ -1,0 +1,171 @@
+"""Fit candidate effects together with the machine's parameters, with few iterations, so that they can be ranked."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..machine import Machine
+from .candidates import candidates, effect_parameters
+from .criteria import SelectionCriteria
+from .dataset import Dataset, TypicalScales, scales_of_motion
+from .estimation import Fit, fit
+from .free_parameters import FreeParameter, default_free_parameters
+from .model_error import search_step
+from .prediction import POLISH_STEP, SEARCH_BANDWIDTH, map_runs, predict
+from .residual import missing_force
+from .screening import ScoredCandidate, screen, screen_structures
+
+Array = NDArray[np.float64]
+_TRIAL_ITERATIONS, _TRIAL_TOLERANCE = 8, 1e-3  # A trial need not converge fully to be ranked.
+
+
+def trial_fits(current: Fit, data: Dataset, enough: float, criteria: SelectionCriteria) -> list[Fit]:
+    """Fit the most promising candidates; structural ones are tried where no other explains the data.
+
+    Args:
+        current: Fit without the candidates; its observer bandwidth is used.
+        data: Prepared recordings to fit.
+        enough: Smallest useful reduction of chi-squared per sample.
+        criteria: Decision thresholds.
+
+    Returns:
+        One fit per candidate with few iterations, in no particular order.
+    """
+    scales = typical_scales(current, data)
+    proposed = candidates(
+        current.machine,
+        data,
+        scales,
+        missing_force(current.machine, data),
+        slow_friction=current.bandwidth < SEARCH_BANDWIDTH,
+    )
+    promising = _promising(screen(current, proposed, data), enough * data.count, criteria)
+    trials = [fit_with_candidate(current, scored, scales, data) for scored in promising]
+    floor = criteria.one_step_floor if current.bandwidth >= SEARCH_BANDWIDTH else 1.0
+    if not any(t.chi2 - floor < criteria.structural_remainder * (current.chi2 - floor) for t in trials):
+        any_useful = max((current.cost - t.cost for t in trials), default=0.0) >= enough * data.count
+        machines = screen_structures(current, data, scales, enough if any_useful else 0.0)
+        trials += [_replace(current, machine, scales, data) for machine in machines]
+    return trials
+
+
+def _promising(ranked: list[ScoredCandidate], enough: float, criteria: SelectionCriteria) -> list[ScoredCandidate]:
+    """Return the few best candidates, one shape of each effect and site, that may reduce the cost by enough."""
+    best: dict[str, ScoredCandidate] = {}
+    least = max(criteria.linear_gain_ratio * enough, criteria.min_promise * ranked[0].gain if ranked else 0.0)
+    for scored in ranked:
+        if scored.gain > least:
+            best.setdefault(scored.candidate.label, scored)
+    return list(best.values())[: criteria.max_full_fits]
+
+
+def fit_with_candidate(current: Fit, scored: ScoredCandidate, scales: TypicalScales, data: Dataset) -> Fit:
+    """Add a candidate effect to the machine and fit the parameters of both together, with few iterations.
+
+    Args:
+        current: Fit without the effect; its observer bandwidth is used.
+        scored: Screened candidate with the weights of its basis functions.
+        scales: Typical sizes on this machine.
+        data: Prepared recordings to fit.
+
+    Returns:
+        Fit that suffices to rank the candidate, not fully converged.
+    """
+    machine = current.machine.with_effects(scored.candidate.applied(scored.amounts))
+    added = effect_parameters(machine.effects[-1], machine, scales)
+    values = machine.parameters
+    theta = np.concatenate([current.theta, [f.theta(values[f.name]) for f in added]])
+    return _trial_fit(machine, (*current.free, *added), theta, current, data)
+
+
+def _replace(current: Fit, machine: Machine, scales: TypicalScales, data: Dataset) -> Fit:
+    """Fit a machine in which an effect replaces a part of the model, with default free parameters.
+
+    Where the structure is new, the search starts from the declared parameters: those fitted without the effect
+    compensate for it.
+    """
+    effect = machine.effects[-1]
+    if effect.definition.structure:
+        declared = {f.name: f.center for f in current.free if "@" not in f.name}
+        machine = current.machine.replace(declared).with_effects(effect)
+    free = list(default_free_parameters(machine, effects=False))
+    for e in machine.effects:
+        free += effect_parameters(e, machine, scales)
+    theta = np.array([f.theta(machine.parameters[f.name]) for f in free])
+    return _trial_fit(machine, tuple(free), theta, current, data)
+
+
+def _trial_fit(machine: Machine, free: tuple[FreeParameter, ...], theta: Array, current: Fit, data: Dataset) -> Fit:
+    """Fit a candidate with few iterations, at the bandwidth of the current fit."""
+    return fit(
+        machine,
+        free,
+        data,
+        current.bandwidth,
+        theta=theta,
+        iterations=_TRIAL_ITERATIONS,
+        tolerance=_TRIAL_TOLERANCE,
+        longest_step=search_step(current.bandwidth),
+    )
+
+
+def converge(trial: Fit, data: Dataset, *, thorough: bool) -> Fit:
+    """Continue a trial until it converges.
+
+    Args:
+        trial: Fit with a candidate effect, not fully converged.
+        data: Prepared recordings to fit.
+        thorough: Whether to fit from the declared parameters too and to return the better fit. Without the effect, the
+            machine's parameters had compensated for it, sometimes in a local minimum.
+
+    Returns:
+        Converged fit.
+    """
+    of_effects = np.array(["@" in f.name for f in trial.free])
+    starts = [trial.theta, np.where(of_effects, trial.theta, 0.0)][: 2 if thorough else 1]
+    step = search_step(trial.bandwidth)
+    fits = [fit(trial.machine, trial.free, data, trial.bandwidth, theta=t, longest_step=step) for t in starts]
+    return min(fits, key=lambda candidate_fit: candidate_fit.cost)
+
+
+def without_effect(current: Fit, label: str, data: Dataset) -> Fit:
+    """Remove one effect from the machine and fit the remaining free parameters again.
+
+    Args:
+        current: Fit of the machine with the effect; its observer bandwidth is used.
+        label: Label of the effect, name@site.
+        data: Prepared recordings to fit.
+
+    Returns:
+        Fit without the effect, with the shortest integration step.
+    """
+    others = tuple(e for e in current.machine.effects if e.label != label)
+    kept = [i for i, free in enumerate(current.free) if not free.name.startswith(f"{label}.")]
+    return fit(
+        current.machine.replace(effects=others),
+        [current.free[i] for i in kept],
+        data,
+        current.bandwidth,
+        theta=current.theta[kept],
+        longest_step=POLISH_STEP,
+    )
+
+
+def typical_scales(current: Fit, data: Dataset) -> TypicalScales:
+    """Compute typical forces, speeds and travels from the motion that a fitted machine predicts.
+
+    Args:
+        current: Fit of the machine.
+        data: Prepared recordings.
+
+    Returns:
+        Typical sizes, see `TypicalScales`.
+    """
+    motions = list(
+        map_runs(lambda run: predict(current.machine, run, current.bandwidth, period=data.period, states=True), data)
+    )
+    positions, velocities = (
+        np.concatenate([getattr(m, key)[0] for m in motions]) for key in ("positions", "velocities")
+    )
+    return scales_of_motion(current.machine, positions, velocities, [run.inputs for run in data.runs])
