@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..identification import Dataset, estimate_initial_state, prepare
 from ..machine import Machine, stiffness_matrix
-from ..recordings import GAP_PERIODS, Recording, bridge_blanks, outlier_mask, without_outliers
+from ..recordings import GAP_PERIODS, Recording, bridge_blanks, without_outliers
 from .excitation import check_excitation, check_parameters, constant_inputs
 from .findings import Finding, Severity
 from .wiring import check_wiring, rigid_misfit, rigid_prediction
@@ -98,8 +98,8 @@ def _faults_and_advice(
         machine: Declared machine.
     """
     findings = []
-    for recording in recordings:
-        findings += _check_sampling(recording) + _outliers(recording, machine)
+    for recording, without in zip(recordings, cleaned, strict=True):
+        findings += _check_sampling(recording) + _outliers(recording, without, machine)
     findings += _stuck_outputs([recording for recording in cleaned if recording.name in moving], machine)
     return findings + (check_wiring(data.with_runs(moving), machine) if moving else [])
 
@@ -204,12 +204,11 @@ def _moves(recording: Recording, data: Dataset) -> bool:
     return False
 
 
-def _outliers(recording: Recording, machine: Machine) -> list[Finding]:
-    """Report the number of outliers of each channel of one run."""
+def _outliers(recording: Recording, cleaned: Recording, machine: Machine) -> list[Finding]:
+    """Report the number of outliers of each channel of one run, which are NaN in the cleaned run."""
     findings = []
-    for channel, values, outliers in zip(
-        machine.output_channels, recording.outputs.T, outlier_mask(recording, machine).T, strict=True
-    ):
+    mask = np.isfinite(recording.outputs) & np.isnan(cleaned.outputs)  # (n, sensors)
+    for channel, values, outliers in zip(machine.output_channels, recording.outputs.T, mask.T, strict=True):
         if outliers.any():
             row = int(np.argmax(outliers))
             number = f"{outliers.sum()} outliers, the first" if outliers.sum() > 1 else "an outlier"
