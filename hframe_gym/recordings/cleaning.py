@@ -183,7 +183,8 @@ def _speed_change(time_s: Array, values: Array, first: int, length: int) -> floa
     before = slice(max(first - _NEIGHBORS, 0), first)
     after = slice(first + length, first + length + _NEIGHBORS)
     speeds = np.sort(np.concatenate([np.diff(values[rows]) / np.diff(time_s[rows]) for rows in (before, after)]))
-    ignored = _IGNORED_SPEEDS if len(speeds) > _NEIGHBORS else 0
+    # Near an end of the run one side has few speeds, which would all be ignored.
+    ignored = _IGNORED_SPEEDS if len(speeds) == 2 * (_NEIGHBORS - 1) else 0
     change = float(speeds[-1 - ignored] - speeds[ignored])
     return change * float(time_s[first + length] - time_s[first - 1]) / 2
 

@@ -79,6 +79,13 @@ def test_shocks_and_stops_are_no_outliers(noise: float, run: Recording, hframe: 
         assert not outlier_mask(with_x(run, x + noise * normal), hframe).any()
 
 
+def test_a_shock_near_the_end_of_a_run_is_no_outlier(run: Recording, hframe: Machine) -> None:
+    """A motor is reversed five samples before the end: it stops within two samples and vibrates."""
+    x = 1.5e-3 * np.arange(len(run.time_s))
+    x[-5:] = x[-6] + 2e-5 * np.array([47.0, 52.0, 35.0, 10.0, -9.0])
+    assert not outlier_mask(with_x(run, x), hframe).any()
+
+
 def test_a_run_that_is_too_short_for_a_scale_has_no_outliers(run: Recording, hframe: Machine) -> None:
     short = Recording("short", run.time_s[:20], run.inputs[:20], run.outputs[:20] * 0 + np.arange(20)[:, None] ** 3)
     assert not outlier_mask(short, hframe).any()
