@@ -81,8 +81,8 @@ def test_shocks_and_stops_are_no_outliers(noise: float, run: Recording, hframe: 
 
 def test_a_shock_near_the_end_of_a_run_is_no_outlier(run: Recording, hframe: Machine) -> None:
     """A motor is reversed five samples before the end: it stops within two samples and vibrates."""
-    x = 1.5e-3 * np.arange(len(run.time_s))
-    x[-5:] = x[-6] + 2e-5 * np.array([47.0, 52.0, 35.0, 10.0, -9.0])
+    x = 6e-3 * np.arange(len(run.time_s))
+    x[-5:] = x[-6] + 8e-5 * np.array([47.0, 52.0, 35.0, 10.0, -9.0])
     assert not outlier_mask(with_x(run, x), hframe).any()
 
 
