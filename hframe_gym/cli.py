@@ -1,6 +1,6 @@
 """The `hframe` command: read files, call the library, print.
 
-Exit codes: 0 done, 2 the input is at fault (one line says where), 1 internal error.
+Exit codes: 0 done, 2 the input is at fault (one line says where), 1 internal error, or `hframe check` found a fault.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from rich.console import Console
 
 from .cli_support import (
     DEBUG_VARIABLE,
+    FAULT_FOUND,
     CommandWithChoices,
     describe_failure,
     require_folder,
@@ -99,6 +100,8 @@ def check(
 ) -> None:
     """Check recordings before a fit: clock, sensors, wiring, excitation and which parameters can be estimated.
 
+    The exit code is 1 if a fault is found (the data contradict themselves), else 0.
+
     Example:  hframe check examples/rig_a
     """
     from .data_validation import check_recordings, print_findings, write_findings
@@ -110,6 +113,8 @@ def check(
     if json is not None:
         write_findings(findings, json)
         _log(f"wrote {json}")
+    if any(finding.severity == "fault" for finding in findings):
+        raise typer.Exit(FAULT_FOUND)
 
 
 @app.command()
@@ -122,13 +127,18 @@ def identify(
     ] = None,
     jobs: Annotated[int | None, typer.Option(min=1, help="Number of threads (default: all cores).")] = None,
     seed: Annotated[int, typer.Option(help="Accepted for scripts; identification is deterministic.")] = 0,
+    force: Annotated[
+        bool, typer.Option("--force", help="Fit although `hframe check` finds faults in the data.")
+    ] = False,
 ) -> None:
     """Fit a machine to its recordings, find the effects that its model lacks, and verify them on held-out runs.
+
+    The recordings are checked first; faults (see `hframe check`) stop the command before anything is fitted.
 
     Example:  hframe identify examples/rig_a --out out/rig_a
     """
     from .cli_support import identification_table
-    from .data_validation import recording_warnings
+    from .data_validation import check_before_fit, group_findings, refuse_faults
     from .identification import identify as run_identification
     from .identification import write_result
     from .identification.report import build_report, verdict_sentence
@@ -139,11 +149,13 @@ def identify(
     declared = load_machine(machine)
     require_folder(out)
     recordings = load_recordings(runs_dir, declared)
-    findings = [str(finding) for recording in recordings for finding in recording_warnings(recording, declared)]
-    for finding in findings:
-        _log(finding)
+    findings = check_before_fit(recordings, declared)
+    for finding in group_findings(findings):
+        _log(str(finding))
+    if not force:
+        refuse_faults(findings, runs_dir)
     result = run_identification(recordings, declared, held_out=hold_out or (), log=_log)
-    write_result(result, out, findings)
+    write_result(result, out, [str(finding) for finding in findings])
     contents, channels = result.as_json(), list(declared.output_channels)
     console.print(identification_table(contents, channels))
     _log(verdict_sentence(contents, channels))

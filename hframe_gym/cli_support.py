@@ -19,6 +19,7 @@ from .machine import BUILTIN_MACHINES
 from .registry import load_plugins
 
 INPUT_AT_FAULT, INTERNAL_ERROR = 2, 1
+FAULT_FOUND = 1  # exit code of `hframe check` where the recordings have a fault
 DEBUG_VARIABLE = "HFRAME_DEBUG"  # if set, errors keep their traceback
 
 

@@ -17,6 +17,7 @@ from rich.console import Console
 from hframe_gym import cli, cli_support
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
+from hframe_gym.errors import InputError
 from hframe_gym.identification import initial_state_of_recording
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import load_recording, machine_to_dict
@@ -135,6 +136,31 @@ def test_identify_refuses_a_faulty_recording_before_it_writes(
     write_run("a.csv", cells={(4, "x_m"): "oops"})
     assert_refused(hframe_command("identify", tmp_path, "--out", tmp_path / "out"), "a.csv, row 4, column x_m")
     assert not (tmp_path / "out").exists()
+
+
+def test_a_fault_in_the_data_stops_identify_and_is_the_exit_code_of_check(
+    hframe_command: Command, tmp_path: Path, hframe: Machine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Negate one column: `check` exits with 1, `identify` refuses and names it, and --force fits."""
+    runs, out = tmp_path / "runs", tmp_path / "out"
+    runs.mkdir()
+    header = ",".join(["time_s", *hframe.input_channels, *hframe.output_channels])
+    for path in sorted((ROOT / "examples/rig_b").glob("run_0[12]*")):
+        run = load_recording(path, hframe)
+        table = np.column_stack([run.time_s, run.inputs, run.outputs * [1.0, 1.0, -1.0, 1.0]])
+        np.savetxt(runs / f"{run.name}.csv", table, fmt="%.9g", delimiter=",", header=header, comments="")
+    code, printed, _ = hframe_command("check", runs)
+    assert code == 1
+    assert "fault: x_m has the wrong sign" in printed
+    refused = hframe_command("identify", runs, "--out", out)
+    assert_refused(refused, f"all runs of {runs}: x_m has the wrong sign: correct the columns", "--force")
+    assert not out.exists()
+
+    def begin_fit(*_args: object, **_keywords: object) -> None:
+        raise InputError("the fit begins")
+
+    monkeypatch.setattr("hframe_gym.identification.identify", begin_fit)
+    assert_refused(hframe_command("identify", runs, "--out", out, "--force"), "the fit begins")
 
 
 @pytest.mark.parametrize(

@@ -11,28 +11,33 @@ from numpy.typing import NDArray
 from ..dynamics import stiffness_matrix
 from ..identification import Dataset, estimate_initial_state, prepare
 from ..machine import Machine
-from ..recordings import GAP_PERIODS, Recording
+from ..recordings import GAP_PERIODS, Recording, bridge_blanks, without_outliers
 from .excitation import check_excitation, check_parameters, constant_inputs
 from .findings import Finding, Severity
-from .wiring import check_wiring, rigid_prediction
+from .wiring import check_wiring, rigid_misfit, rigid_prediction
 
 Array = NDArray[np.float64]
 
-_JITTER = 0.02  # of the period; standard deviation above which sampling is irregular
+_JITTER = 0.02  # of the period; standard deviation of the time steps from which it is noted
+_IRREGULAR = 0.1  # of the period; standard deviation above which identification may suffer
 _SAME_RATE = 1.02  # ratio of sampling periods up to which runs have one rate
 _MIN_REST = 0.05  # s at rest that determine the initial state and the sensors' zeros
+_REST_TOLERANCE = 1e-6  # s; times in a file are rounded
 _STUCK_AFTER = 0.1  # s; a channel that is constant for a shorter time is not stuck
+_LONGEST_BLANK = 0.02  # s; longer times between two measurements are not bridged
 _MOVES = 0.1  # of its span in the run; a channel that should have moved by less may have been at rest
-_STRETCH_MARGIN = 2.0  # friction and stiffness are as declared, which may be wrong by this factor
+_STRETCH_MARGIN = 2.0  # friction, drives and stiffness are as declared, which may be wrong by this factor
 _NOISE_SPAN = 8.0  # peak-to-peak noise in standard deviations
 _MORE_NOISE = 3.0  # times the declared noise
+_CONSISTENT = 0.3  # of the motion; other channels that contradict each other by more prove nothing
 
 
 def check_recordings(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
     """Check recordings of a machine before identification.
 
-    The checks cover the clock, the rest before the motion, sensors (noise, empty, stuck or clipped channels), wiring
-    (signs, swapped channels, units, ratios), excitation, and the precision with which parameters can be estimated.
+    The checks cover the clock, the rest before the motion, sensors (noise, outliers, empty, stuck or clipped channels),
+    wiring (signs, swapped channels, units, ratios), excitation, and the precision with which parameters can be
+    estimated.
 
     Args:
         recordings: Runs of the machine, at least one.
@@ -41,49 +46,77 @@ def check_recordings(recordings: Sequence[Recording], machine: Machine) -> list[
     Returns:
         Findings sorted by severity: faults first, then advice, then notes.
     """
-    data = prepare(recordings, machine)
+    cleaned = [without_outliers(recording, machine) for recording in recordings]
+    data = prepare(cleaned, machine)
+    moving = [recording.name for recording in cleaned if _moves(recording, data) and len(recording.time_s) > 2]
     findings = [_sampling_rate(recordings), *_overlapping_clocks(recordings), *_sensor_noise(data, machine)]
-    moving = []
-    for recording in recordings:
-        findings += _check_sampling(recording) + _check_initial_rest(recording, machine)
-        findings += _unmeasured_outputs(recording, machine)
+    findings += _faults_and_advice(recordings, cleaned, data, moving, machine)
+    for recording in cleaned:
+        findings += _check_initial_rest(recording, machine) + _unmeasured_outputs(recording, machine)
         if not _moves(recording, data):
             message = "nothing moves in this run: it only determines the noise of the sensors"
             findings.append(Finding("advice", recording.name, "", message))
-            continue
-        findings += _stuck_outputs(recording, machine)
-        if len(recording.time_s) > 2:
-            moving.append(recording.name)
-    findings += check_excitation(recordings, data, machine)
+    findings += check_excitation(cleaned, data, machine)
     if moving:
-        findings += check_wiring(data.with_runs(moving), machine) + check_parameters(data.with_runs(moving), machine)
-    order = ("fault", "advice", "note")
-    return sorted(findings, key=lambda finding: order.index(finding.severity))
+        findings += check_parameters(data.with_runs(moving), machine)
+    return _by_severity(findings)
 
 
-def recording_warnings(recording: Recording, machine: Machine) -> list[Finding]:
-    """Check a single recording: irregular sampling, inputs that never change, outputs that are stuck or clipped.
+def check_before_fit(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
+    """Find the faults that make a fit meaningless, and what it has to cope with; `hframe identify` calls it first.
+
+    It is the part of `check_recordings` that concerns the data and not the experiment: clock, inputs that never change,
+    outliers, stuck or clipped outputs, and wiring (signs, swapped channels, units, ratios).
 
     Args:
-        recording: Run of the machine.
+        recordings: Runs of the machine, at least one.
         machine: Declared machine.
 
     Returns:
-        Findings of severity "fault" or "advice"; notes are left out.
+        Findings of severity "fault" (the data contradict themselves), then "advice"; notes are left out.
     """
-    findings = [
-        *_check_sampling(recording),
-        *constant_inputs([recording], machine),
-        *_stuck_outputs(recording, machine),
-    ]
-    return [finding for finding in findings if finding.severity != "note"]
+    cleaned = [without_outliers(recording, machine) for recording in recordings]
+    data = prepare(cleaned, machine)
+    moving = [recording.name for recording in cleaned if _moves(recording, data) and len(recording.time_s) > 2]
+    findings = _faults_and_advice(recordings, cleaned, data, moving, machine) + constant_inputs(recordings, machine)
+    return _by_severity([finding for finding in findings if finding.severity != "note"])
+
+
+def _faults_and_advice(
+    recordings: Sequence[Recording],
+    cleaned: Sequence[Recording],
+    data: Dataset,
+    moving: Sequence[str],
+    machine: Machine,
+) -> list[Finding]:
+    """Check clock, outliers, stuck outputs and wiring.
+
+    Args:
+        recordings: Runs as recorded.
+        cleaned: The same runs without outliers.
+        data: The cleaned runs, prepared for a fit.
+        moving: Names of the runs in which something moves.
+        machine: Declared machine.
+    """
+    findings = []
+    for recording, without in zip(recordings, cleaned, strict=True):
+        findings += _check_sampling(recording) + _outliers(recording, without, machine)
+    findings += _stuck_outputs([recording for recording in cleaned if recording.name in moving], machine)
+    return findings + (check_wiring(data.with_runs(moving), machine) if moving else [])
+
+
+def _by_severity(findings: Sequence[Finding]) -> list[Finding]:
+    """Return findings sorted by severity."""
+    order = ("fault", "advice", "note")
+    return sorted(findings, key=lambda finding: order.index(finding.severity))
 
 
 def _check_sampling(recording: Recording) -> list[Finding]:
     """Report lost samples and irregular sampling of one run."""
     steps = np.diff(recording.time_s)
     if len(steps) == 0:
-        return [Finding("fault", recording.name, "time_s", "has a single row, which contains no motion")]
+        message = "has a single row, which contains no motion: delete the file"
+        return [Finding("fault", recording.name, "time_s", message)]
     findings = []
     period = float(np.median(steps))
     gaps = steps > GAP_PERIODS * period
@@ -96,8 +129,9 @@ def _check_sampling(recording: Recording) -> list[Finding]:
         findings.append(Finding("advice", recording.name, "time_s", message))
     jitter = float(np.std(steps[~gaps]))
     if jitter > _JITTER * period:
+        severity: Severity = "advice" if jitter > _IRREGULAR * period else "note"
         message = f"sampling is irregular, {1e3 * period:.4g} ms with a jitter of {1e3 * jitter:.2g} ms"
-        findings.append(Finding("advice", recording.name, "time_s", message))
+        findings.append(Finding(severity, recording.name, "time_s", message))
     return findings
 
 
@@ -126,7 +160,7 @@ def _check_initial_rest(recording: Recording, machine: Machine) -> list[Finding]
     """Report a run that does not begin at rest long enough to determine the initial state and the sensors' zeros."""
     rows = estimate_initial_state(recording, machine).resting_rows
     seconds = float(recording.time_s[min(rows, len(recording.time_s)) - 1] - recording.time_s[0])
-    if seconds >= _MIN_REST:
+    if seconds >= _MIN_REST - _REST_TOLERANCE:
         return []
     message = (
         f"{rows} rows ({1e3 * seconds:.3g} ms) at rest before the first input: the initial state and the zeros of the "
@@ -171,49 +205,102 @@ def _moves(recording: Recording, data: Dataset) -> bool:
     return False
 
 
-def _stuck_outputs(recording: Recording, machine: Machine) -> list[Finding]:
-    """Report outputs that keep one value while they should move; at an end of their span they are clipped."""
+def _outliers(recording: Recording, cleaned: Recording, machine: Machine) -> list[Finding]:
+    """Report the number of outliers of each channel of one run, which are NaN in the cleaned run."""
     findings = []
-    for j, channel in enumerate(machine.output_channels):
-        values = recording.outputs[:, j]
-        if not np.isfinite(values).any():
-            continue
-        seconds, value = _longest_stuck_interval(recording, j, machine)
-        if seconds:
-            at_end = value in (np.nanmax(values), np.nanmin(values)) and np.nanmax(values) > np.nanmin(values)
-            state = "stays at the end of its span: clipped?" if at_end else "does not move: stuck?"
-            message = f"for {seconds:.3g} s, while other channels move, it {state} (at {value:.4g})"
-            findings.append(Finding("fault", recording.name, channel, message))
+    mask = np.isfinite(recording.outputs) & np.isnan(cleaned.outputs)  # (n, sensors)
+    for channel, values, outliers in zip(machine.output_channels, recording.outputs.T, mask.T, strict=True):
+        if outliers.any():
+            row = int(np.argmax(outliers))
+            number = f"{outliers.sum()} outliers, the first" if outliers.sum() > 1 else "an outlier"
+            message = f"{number} in row {row + 1} ({values[row]:.4g}): excluded, as if these cells were empty"
+            findings.append(Finding("advice", recording.name, channel, message))
     return findings
 
 
-def _longest_stuck_interval(recording: Recording, channel: int, machine: Machine) -> tuple[float, float]:
-    """Return duration, s, and value of the longest interval in which a channel is stuck; 0 s if there is none."""
-    values, time_s = recording.outputs[:, channel], recording.time_s
-    prediction = rigid_prediction(recording.outputs, channel, machine)
-    ends = (np.nanmax(values), np.nanmin(values))
-    constant = np.concatenate([np.diff(values) == 0.0, [False]])
-    intervals = np.flatnonzero(np.diff(np.concatenate([[False], constant, [False]]).astype(int))).reshape(-1, 2)
-    longest, longest_value = 0.0, 0.0
-    for first, last in intervals:
-        seconds = float(time_s[last] - time_s[first])
-        if seconds <= max(longest, _STUCK_AFTER):
-            continue
-        rows = slice(first, last + 1)
+def _stuck_outputs(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
+    """Report outputs that keep one value while they should move.
+
+    At an end of its span over all runs, a sensor with a fixed zero may be at the end of its range, which identification
+    handles. Elsewhere the channel is certainly stuck.
+    """
+    findings = []
+    # Ends of the channels' spans over all runs, (2, sensors).
+    spans = [_ends(recording.outputs) for recording in recordings]
+    ends = np.array([np.fmin.reduce([low for low, _ in spans]), np.fmax.reduce([high for _, high in spans])])
+    for recording in recordings:
+        inside = bridge_blanks(_without_ends(recording.outputs, ends, machine), recording.time_s, _LONGEST_BLANK)
+        for j, sensor in enumerate(machine.sensors):
+            seconds, value = _longest_stuck_interval(recording, inside, j, ends[:, j], machine)
+            if not seconds:
+                continue
+            stays = f"for {seconds:.3g} s, while other channels move, it stays at {value:.4g}"
+            if not sensor.incremental and value in ends[:, j]:
+                severity: Severity = "advice"
+                message = f"{stays}, the end of its span: clipped? A fit leaves these rows out"
+            else:
+                severity = "fault"
+                message = f"{stays}: stuck. Leave these cells empty, or delete the run"
+            findings.append(Finding(severity, recording.name, sensor.channel, message))
+    return findings
+
+
+def _ends(outputs: Array) -> tuple[Array, Array]:
+    """Return the smallest and the largest measurement of each channel, NaN where it has none."""
+    return np.fmin.reduce(outputs, axis=0), np.fmax.reduce(outputs, axis=0)
+
+
+def _without_ends(outputs: Array, ends: Array, machine: Machine) -> Array:
+    """Return outputs (n, sensors) with NaN where a sensor with a fixed zero may be at the end of its range."""
+    margin = np.array([max(3 * sensor.noise, sensor.resolution) for sensor in machine.sensors])
+    fixed = np.array([not sensor.incremental for sensor in machine.sensors])
+    at_end = (outputs <= ends[0] + margin) | (outputs >= ends[1] - margin)
+    return np.where(at_end & fixed, np.nan, outputs)
+
+
+def _longest_stuck_interval(
+    recording: Recording, inside: Array, channel: int, ends: Array, machine: Machine
+) -> tuple[float, float]:
+    """Return duration, s, and value of the longest interval in which a channel is stuck; 0 s if there is none.
+
+    Args:
+        recording: Run with n rows.
+        inside: Its outputs without those that may be clipped, shape (n, sensors).
+        channel: Index of the sensor.
+        ends: Smallest and largest measurement of the sensor over all runs, shape (2,).
+        machine: Declared machine.
+    """
+    measured = np.flatnonzero(np.isfinite(recording.outputs[:, channel]))
+    values, time_s = recording.outputs[measured, channel], recording.time_s[measured]
+    prediction = rigid_prediction(inside, channel, machine)
+    constant = np.concatenate([[False], np.diff(values) == 0.0, [False]])
+    intervals = np.flatnonzero(np.diff(constant.astype(int))).reshape(-1, 2)  # first and last sample of each
+    seconds = time_s[intervals[:, 1]] - time_s[intervals[:, 0]]
+    for k in np.argsort(-seconds):
+        if seconds[k] <= _STUCK_AFTER:
+            break
+        rows = slice(measured[intervals[k, 0]], measured[intervals[k, 1]] + 1)
+        value = float(values[intervals[k, 0]])
         if prediction is not None:
             predicted, weights = prediction
-            allowed = max(
-                _MOVES * float(np.nanmax(predicted) - np.nanmin(predicted)),
-                _span_at_rest(recording.inputs[rows], channel, weights, machine),
-            )
-            stuck = _span(predicted[rows]) > allowed
+            allowed = max(_MOVES * _span(predicted), _span_at_rest(recording.inputs[rows], channel, weights, machine))
+            stuck = _span(predicted[rows]) > allowed and _consistent(inside[rows], channel, machine)
         else:
             # An encoder has no end of its range, and nothing else shows whether it should have moved.
-            at_end = values[first] in ends and ends[0] > ends[1] and not machine.sensors[channel].incremental
+            at_end = value in ends and ends[0] < ends[1] and not machine.sensors[channel].incremental
             stuck = bool(at_end) and _others_move(recording, channel, rows)
         if stuck:
-            longest, longest_value = seconds, float(values[first])
-    return longest, longest_value
+            return float(seconds[k]), value
+    return 0.0, 0.0
+
+
+def _consistent(outputs: Array, channel: int, machine: Machine) -> bool:
+    """Return whether the other channels agree with each other, as far as their number allows to tell."""
+    others = outputs.copy()
+    others[:, channel] = np.nan
+    complete = np.isfinite(others) | ~np.isfinite(others).any(axis=0)
+    first = int(np.argmax(complete.all(axis=1)))
+    return rigid_misfit(others - others[first], machine) < _CONSISTENT
 
 
 def _span(values: Array) -> float:
@@ -224,15 +311,17 @@ def _span(values: Array) -> float:
 def _span_at_rest(inputs: Array, channel: int, weights: Array, machine: Machine) -> float:
     """Return how much the prediction of a channel may move while its coordinate is held by friction.
 
-    Friction holds the coordinate while belts and drive pull on it, so the belts can stretch by up to the friction force
-    in either direction, plus the change of the drive's force. Noise of the other channels adds to it.
+    Friction holds the coordinate while belts and drives pull on it, so the belts can stretch by up to the friction
+    force in either direction, plus the change of the drives' forces. Noise of the other channels adds to it.
     """
     sensor = machine.sensors[channel]
     index = machine.coordinate_names.index(sensor.coordinate)
-    force_span = 2 * machine.coordinates[index].coulomb
-    for drive, voltages in zip(machine.drives, inputs.T, strict=True):
-        if drive.coordinate == sensor.coordinate:
-            force_span += drive.gain * float(np.ptp(voltages))
+    coordinate = machine.coordinates[index]
+    belt_force = sum(
+        drive.gain * float(np.ptp(voltages)) / machine.coordinate(drive.coordinate).travel_per_unit
+        for drive, voltages in zip(machine.drives, inputs.T, strict=True)
+    )
+    force_span = 2 * coordinate.coulomb + belt_force * coordinate.travel_per_unit
     stiffness = stiffness_matrix(machine)[index, index]
     stretch_span = abs(sensor.row[sensor.coordinate]) * force_span / stiffness if stiffness else 0.0
     noise = np.array([max(s.noise, s.resolution) for s in machine.sensors])

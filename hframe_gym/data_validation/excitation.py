@@ -18,7 +18,7 @@ from ..identification import Dataset, FreeParameter, PreparedRecording, default_
 from ..identification.linearization import NormalEquations, ResidualModel
 from ..identification.prediction import SIMULATION, map_runs
 from ..machine import Machine, rigid_motions
-from ..recordings import Recording
+from ..recordings import Recording, bridge_blanks
 from .findings import Finding, Severity
 from .wiring import sensor_motions
 
@@ -150,7 +150,8 @@ def _coverage(data: Dataset, machine: Machine) -> list[Finding]:
         if np.linalg.matrix_rank(M[measured]) < len(names) or len(run.time_s) < 3:
             continue
         size = np.linalg.norm(M[measured], axis=1)
-        travel = (run.outputs[:, measured] / size) @ np.linalg.pinv(M[measured] / size[:, None]).T  # (n, motions)
+        outputs = bridge_blanks(run.outputs[:, measured], run.time_s, _WINDOW)
+        travel = (outputs / size) @ np.linalg.pinv(M[measured] / size[:, None]).T  # (n, motions)
         period = float(np.median(np.diff(run.time_s)))
         window = max(1, min(len(travel) - 1, round(_WINDOW / period)))
         elapsed = run.time_s[window:] - run.time_s[:-window]
@@ -166,7 +167,9 @@ def _coverage(data: Dataset, machine: Machine) -> list[Finding]:
 def _check_travel(name: str, travel: Array, machine: Machine) -> list[Finding]:
     """Report the travel of a coordinate relative to its range."""
     coordinate = machine.coordinate(name)
-    low, high = float(np.nanmin(travel)), float(np.nanmax(travel))
+    low, high = float(np.fmin.reduce(travel)), float(np.fmax.reduce(travel))
+    if np.isnan(low):  # the channels never measure together
+        return []
     message = f"travels from {low:.4g} to {high:.4g} {coordinate.unit('position')}"
     if coordinate.range is None:
         return [Finding("note", "", name, message)]

@@ -14,6 +14,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from ..atomic_files import write_text
+from ..errors import InputError
 
 Severity = Literal["fault", "advice", "note"]
 
@@ -26,8 +27,8 @@ class Finding:
     """One result of a check of recordings.
 
     Attributes:
-        severity: "fault" for a probable mistake in the data, "advice" for something that impairs identification, "note"
-            for a property of the data.
+        severity: "fault" for a certain mistake in the data, which makes a fit meaningless; "advice" for something that
+            is suspect or impairs identification; "note" for a property of the data.
         run: Name of the recording, or "" if the finding is about all of them.
         channel: Name of the column, coordinate or parameter that the finding is about, or "".
         message: What was found, as one sentence.
@@ -85,6 +86,27 @@ def print_findings(findings: Sequence[Finding], console: Console) -> None:
     plurals = {"fault": "faults", "advice": "advice", "note": "notes"}
     counts = (f"{plurals[kind]}: {sum(finding.severity == kind for finding in findings)}" for kind in _STYLES)
     console.print(", ".join(counts), markup=False, highlight=False)
+
+
+def refuse_faults(findings: Sequence[Finding], folder: Path) -> None:
+    """Raise an error that lists the faults of recordings, if there are any.
+
+    Args:
+        findings: Findings of any severity.
+        folder: Folder of the recordings, for the message.
+
+    Raises:
+        InputError: If a finding has the severity "fault". The message has one line: file, channel and what to do for
+            each fault, and the option that fits nevertheless.
+    """
+    faults = [finding for finding in findings if finding.severity == "fault"]
+    if not faults:
+        return
+    lines = []
+    for fault in group_findings(faults):
+        file = f"{folder / fault.run}" if fault.run else f"all runs of {folder}"
+        lines.append(f"{file}{f', column {fault.channel}' if fault.channel else ''}: {fault.message}")
+    raise InputError(f"faults in the data, nothing was fitted (--force fits nevertheless): {'; '.join(lines)}")
 
 
 def write_findings(findings: Sequence[Finding], path: Path) -> None:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ..dynamics import rollout
 from ..identification import Dataset, PreparedRecording
 from ..machine import Machine, rigid_motions
+from ..recordings import bridge_blanks
 from .findings import Finding
 
 Array = NDArray[np.float64]
@@ -28,12 +29,18 @@ _GOOD_AGREEMENT = 0.7  # correlation of measured and simulated speed above which
 _POOR_AGREEMENT = 0.35  # correlation below which the machine itself is doubted
 _GOOD_MISFIT = 0.2  # relative misfit of the rigid kinematics below which no mistake is suspected
 _IMPROVEMENT = 0.2  # minimum improvement of the score that makes a correction credible
+_CERTAIN_SCORE = 0.5  # score after a correction above which the mistake is certain, not only likely
 _TIE = 0.05  # corrections whose scores differ by less are equally likely
 _RATIO_TOLERANCE = 0.02  # relative error of a pulley radius or gear ratio that is not reported
 _MAX_RATIO_ERROR = 0.5  # a larger relative error is no wrong radius but another mistake
 _RATIO_CORRELATION = 0.9  # minimum correlation at which a ratio is reported
 _MIN_ROWS = 10  # rows that a correlation or slope needs
 _SPEED_FACTOR = 8.0  # factor between measured and simulated speed beyond which a unit is suspected
+_CONTRADICTION = (
+    4.0  # factor between a channel and its prediction by the others beyond which they contradict each other
+)
+_UNIT_TOLERANCE = 2.0  # factor by which the speed of a machine without redundant sensors may differ from the simulated
+_CAUSE = "is its unit or gain wrong?"
 # Suspected unit by kind of the coordinate: value per m or rad, and its name.
 _SUSPECTS = {"linear": ((1000.0, "millimeters"), (0.001, "kilometers")), "rotary": ((180 / np.pi, "degrees"),)}
 
@@ -81,28 +88,63 @@ def rigid_prediction(outputs: Array, channel: int, machine: Machine) -> tuple[Ar
     return (outputs[:, others] / size) @ other_weights, weights
 
 
+def rigid_misfit(motion: Array, machine: Machine) -> float:
+    """Compute which fraction of a measured motion contradicts rigid kinematics (belts that do not stretch).
+
+    All channels are compared as belt travel; rows in which a channel is missing are left out.
+
+    Args:
+        motion: Displacements or changes of the measurements in the sensors' units, shape (n, sensors), NaN where not
+            measured. A column without any measurement is not used.
+        machine: Machine with these sensors.
+
+    Returns:
+        Root of the residual sum of squares of the best rigid motion over the total sum of squares, 0 to 1; 0 if the
+        channels are not redundant or nothing moves.
+    """
+    M = sensor_motions(machine)
+    used = np.isfinite(motion).any(axis=0) & (np.linalg.norm(M, axis=1) > 0)
+    rows = motion[:, used]
+    rows = rows[np.isfinite(rows).all(axis=1)]
+    size = np.linalg.norm(M[used], axis=1)
+    scaled = rows / size
+    basis = M[used] / size[:, None]
+    residual = scaled - scaled @ np.linalg.pinv(basis).T @ basis.T
+    total = float(np.sum(scaled**2))
+    return float(np.sqrt(np.sum(residual**2) / total)) if total else 0.0
+
+
 def check_wiring(data: Dataset, machine: Machine) -> list[Finding]:
     """Check for channels with a wrong sign, unit or gear ratio and for swapped channels.
 
-    Measured speeds are compared with those that the machine simulates under the recorded voltages.
+    Measured speeds are compared with those that the machine simulates under the recorded voltages, over all runs
+    together and then in each run.
 
     Args:
         data: Prepared runs in which the machine moves, at least one.
         machine: Declared machine.
 
     Returns:
-        Findings about all runs together; empty if no mistake is suspected.
+        Findings about all runs together, and about single runs that differ from the others; empty if no mistake is
+        suspected.
     """
     output_corrections, input_corrections = _single_corrections(machine)
     inputs_as_recorded = np.eye(len(machine.drives))
     transforms = np.array([inputs_as_recorded, *input_corrections.values()])
     runs = [_first_rows(run) for run in data.runs]
-    measured = np.concatenate([_speeds(run.outputs, run.time_s) for run in runs])  # (rows, sensors)
-    simulated = np.concatenate(  # (transforms, rows, sensors)
-        [_speeds(_simulate_outputs(machine, run, transforms), run.time_s) for run in runs], axis=1
-    )
-    findings = _signs_and_swaps(measured, simulated, output_corrections, list(input_corrections), machine)
-    return findings + _units(measured, simulated[0], data, machine) + _ratios(data, machine)
+    measured = [
+        _speeds(bridge_blanks(run.outputs, run.time_s, _WINDOW), run.time_s) for run in runs
+    ]  # (rows, sensors) each
+    # (transforms, rows, sensors) each
+    simulated = [_speeds(_simulate_outputs(machine, run, transforms), run.time_s) for run in runs]
+    labels = list(input_corrections)
+    all_measured, all_simulated = np.concatenate(measured), np.concatenate(simulated, axis=1)
+    findings = _signs_and_swaps(all_measured, all_simulated, output_corrections, labels, machine)
+    if not any(finding.severity == "fault" for finding in findings):
+        for run, speeds, predictions in zip(runs, measured, simulated, strict=True):
+            alone = _signs_and_swaps(speeds, predictions, output_corrections, labels, machine)
+            findings += [dataclasses.replace(f, run=run.name) for f in alone if f.severity == "fault"]
+    return findings + _units(all_measured, all_simulated[0], data, machine) + _ratios(data, machine)
 
 
 def _speeds(outputs: Array, time_s: Array) -> Array:
@@ -113,10 +155,12 @@ def _speeds(outputs: Array, time_s: Array) -> Array:
 
 
 def _first_rows(run: PreparedRecording) -> PreparedRecording:
-    """Return a run with at most `_MAX_ROWS` rows."""
+    """Return a run with at most `_MAX_ROWS` rows, which begin where the first input changes."""
     if len(run.time_s) <= _MAX_ROWS:
         return run
-    rows = slice(_MAX_ROWS)
+    changed = np.any(run.inputs != run.inputs[0], axis=1)
+    first = min(int(np.argmax(changed)), len(run.time_s) - _MAX_ROWS)
+    rows = slice(first, first + _MAX_ROWS)
     return dataclasses.replace(run, time_s=run.time_s[rows], inputs=run.inputs[rows], outputs=run.outputs[rows])
 
 
@@ -160,7 +204,7 @@ def _signs_and_swaps(
     """Report the single correction that makes measured and simulated speeds agree, or that none does."""
     unchanged = np.eye(len(machine.sensors))
     initial_score = _score(measured, simulated[0], unchanged, machine)
-    agreement, misfit = _agreement(measured, simulated[0]), _rigid_misfit(measured, machine)
+    agreement, misfit = _agreement(measured, simulated[0]), rigid_misfit(measured, machine)
     if initial_score is None or (agreement > _GOOD_AGREEMENT and misfit < _GOOD_MISFIT):
         return []
     all_scores = {
@@ -172,8 +216,11 @@ def _signs_and_swaps(
     scores = {label: score for label, score in all_scores.items() if score is not None}
     best = max(scores.values())
     if best > initial_score + _IMPROVEMENT:
-        likely = [label for label, score in scores.items() if score > best - _TIE]
-        return [Finding("fault", "", "", " or ".join(likely))]
+        likely = " or ".join(label for label, score in scores.items() if score > best - _TIE)
+        if best > _CERTAIN_SCORE:
+            remedy = "correct the columns of the file, or the declaration in machine.json"
+            return [Finding("fault", "", "", f"{likely}: {remedy}")]
+        return [Finding("advice", "", "", f"{likely}? The speeds would agree better with the simulated ones")]
     if agreement < _POOR_AGREEMENT:
         message = (
             f"measured and simulated speeds do not agree (correlation {agreement:.2f}): is the machine file that of "
@@ -184,34 +231,48 @@ def _signs_and_swaps(
 
 
 def _units(measured: Array, simulated: Array, data: Dataset, machine: Machine) -> list[Finding]:
-    """Report channels whose measured speed is a multiple or a fraction of the simulated one: a wrong unit."""
+    """Report channels whose measured speed is a multiple or a fraction of the simulated one.
+
+    It is a fault if the other channels contradict the channel too, or if nothing else measures the motion and the
+    factor is that of a known unit. Otherwise the machine file may be wrong.
+    """
     findings = []
     for j, sensor in enumerate(machine.sensors):
         rows = np.isfinite(measured[:, j])
         size = float(np.std(simulated[rows, j])) if rows.any() else 0.0
         if size == 0.0:
             continue
+        coordinate = machine.coordinate(sensor.coordinate)
         factor = float(np.std(measured[rows, j])) / size
-        unit = machine.coordinate(sensor.coordinate).unit("position")
-        if factor > _SPEED_FACTOR:
-            suspects = [
-                name
-                for value, name in _SUSPECTS[machine.coordinate(sensor.coordinate).kind]
-                if 1 / _SPEED_FACTOR < factor / value < _SPEED_FACTOR
-            ]
-            cause = f"is the column in {suspects[0]}, not in {unit}?" if suspects else "is its unit or gain wrong?"
+        if 1 / _SPEED_FACTOR < factor < _SPEED_FACTOR or (factor < 1 and _is_resting(measured[rows, j], data, j)):
+            continue
+        suspects = [
+            (value, name)
+            for value, name in _SUSPECTS[coordinate.kind]
+            if factor > 1 and 1 / _SPEED_FACTOR < factor / value < _SPEED_FACTOR
+        ]
+        prediction = rigid_prediction(measured, j, machine)
+        if prediction is None:
+            certain = any(1 / _UNIT_TOLERANCE < factor / value < _UNIT_TOLERANCE for value, _ in suspects)
+        else:
+            both = rows & np.isfinite(prediction[0])
+            expected = float(np.std(prediction[0][both])) if both.any() else 0.0
+            ratio = float(np.std(measured[both, j])) / expected if expected else 1.0
+            certain = not 1 / _CONTRADICTION < ratio < _CONTRADICTION
+        if factor > 1:
+            cause = f"is the column in {suspects[0][1]}, not in {coordinate.unit('position')}?" if suspects else _CAUSE
             message = f"moves {factor:.3g} times as fast as the machine simulates: {cause}"
-            findings.append(Finding("fault", "", sensor.channel, message))
-        elif factor < 1 / _SPEED_FACTOR and not _is_resting(measured[rows, j], data, j):
-            message = f"moves at {factor:.2g} of the simulated speed: is its unit or gain wrong, or is it blocked?"
-            findings.append(Finding("fault", "", sensor.channel, message))
+        else:
+            message = f"moves at {factor:.2g} of the simulated speed: {_CAUSE[:-1]}, or is it blocked?"
+        findings.append(Finding("fault" if certain else "advice", "", sensor.channel, message))
     return findings
 
 
 def _ratios(data: Dataset, machine: Machine) -> list[Finding]:
     """Report rotary channels that turn too far for the travel that the linear sensors measure.
 
-    Complete travels are compared, because fast motion also stretches the belts.
+    Complete travels are compared, because fast motion also stretches the belts. It is no fault, because a scale error
+    of the linear sensors, which identification can find, looks alike.
     """
     findings = []
     rotary = [j for j, s in enumerate(machine.sensors) if machine.coordinate(s.coordinate).kind == "rotary"]
@@ -223,9 +284,9 @@ def _ratios(data: Dataset, machine: Machine) -> list[Finding]:
             prediction = rigid_prediction(linear_only, column, machine)
             if prediction is not None:
                 both = np.column_stack([run.outputs[:, column], prediction[0]])
-                parts.append(both - np.nanmean(both, axis=0))
+                both = both[np.isfinite(both).all(axis=1)]
+                parts.append(both - both.mean(axis=0) if len(both) else both)
         rows = np.concatenate(parts) if parts else np.zeros((0, 2))
-        rows = rows[np.isfinite(rows).all(axis=1)]
         if len(rows) < _MIN_ROWS or not np.any(rows[:, 1]):
             continue
         angle, predicted = rows.T
@@ -237,7 +298,7 @@ def _ratios(data: Dataset, machine: Machine) -> list[Finding]:
                 f"turns {100 * (slope - 1):+.1f} % too far for the carriage's travel: the pulley has a radius of "
                 f"{radius / slope:.4g} m instead of {radius:.4g} m, or a gear ratio is wrong by that factor"
             )
-            findings.append(Finding("fault", "", sensor.channel, message))
+            findings.append(Finding("advice", "", sensor.channel, message))
     return findings
 
 
@@ -248,7 +309,7 @@ def _score(measured: Array, simulated: Array, correction: Array, machine: Machin
     corrected = np.where(missing, np.nan, np.nan_to_num(measured) @ correction.T)
     corrected[~np.isfinite(measured).all(axis=1) & available.all()] = np.nan
     agreement = _agreement(corrected, simulated)
-    return None if np.isnan(agreement) else agreement - _rigid_misfit(corrected, machine)
+    return None if np.isnan(agreement) else agreement - rigid_misfit(corrected, machine)
 
 
 def _agreement(measured: Array, simulated: Array) -> float:
@@ -264,20 +325,6 @@ def _agreement(measured: Array, simulated: Array) -> float:
 def _correlation(a: Array, b: Array) -> float:
     """Return the correlation about zero, not about the means: a constant speed has a sign too."""
     return float(a @ b / np.sqrt((a @ a) * (b @ b)))
-
-
-def _rigid_misfit(measured: Array, machine: Machine) -> float:
-    """Return the fraction of the measured motion, in travel, that no rigid motion explains."""
-    M = sensor_motions(machine)
-    used = np.isfinite(measured).any(axis=0) & (np.linalg.norm(M, axis=1) > 0)
-    rows = measured[:, used]
-    rows = rows[np.isfinite(rows).all(axis=1)]
-    size = np.linalg.norm(M[used], axis=1)
-    scaled = rows / size
-    basis = M[used] / size[:, None]
-    residual = scaled - scaled @ np.linalg.pinv(basis).T @ basis.T
-    total = float(np.sum(scaled**2))
-    return float(np.sqrt(np.sum(residual**2) / total)) if total else 0.0
 
 
 def _is_resting(changes: Array, data: Dataset, channel: int) -> bool:

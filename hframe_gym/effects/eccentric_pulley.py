@@ -9,24 +9,64 @@ from ..machine import Effect, EffectParameter, Machine
 
 
 def next_state(z, dq):  # type: ignore[no-untyped-def]
-    """Return the pulley's rotation since the start of the run, z + dq, rad; dq: rotation in the step, rad."""
+    """Advance the state of the effect, the pulley's rotation since the start of the run: z + dq.
+
+    Args:
+        z: Rotation before the step, rad.
+        dq: Rotation in the step, rad.
+
+    Returns:
+        Rotation after the step, rad.
+    """
     return z + dq
 
 
 def rest_angle_offset(q, e, p, per_radius):  # type: ignore[no-untyped-def]
-    """Return the lag e sin(phi + p) / r of the pulley at rest, rad; q: phi, rad, e: m, p: rad, per_radius: 1/r, 1/m."""
+    """Compute the angle e sin(phi + p) / r by which the pulley lags behind a round one at the start of a run.
+
+    Args:
+        q: Angle phi of a round pulley with the same belt travel, rad.
+        e: Eccentricity, m.
+        p: Angle of the eccentricity at phi = 0, rad.
+        per_radius: 1/r, the inverse radius of the pulley, 1/m.
+
+    Returns:
+        Lag, rad.
+    """
     return e * sin(q + p) * per_radius
 
 
 def belt_travel(q, z, e, p, per_radius):  # type: ignore[no-untyped-def]
-    """Return the added belt travel e (sin(phi + p - lag) - sin(phi_0 + p - lag)), m; phi = q, phi_0 = q - z."""
+    """Compute the belt travel that the eccentricity adds, e (sin(phi + p - lag) - sin(phi_0 + p - lag)).
+
+    Args:
+        q: Angle phi of the pulley, rad.
+        z: Rotation since the start of the run, rad; phi_0 = q - z is the angle at the start.
+        e: Eccentricity, m.
+        p: Angle of the eccentricity at phi = 0, rad.
+        per_radius: 1/r, the inverse radius of the pulley, 1/m.
+
+    Returns:
+        Added belt travel since the start of the run, m.
+    """
     start = q - z
     lag = rest_angle_offset(start, e, p, per_radius)
     return e * (sin(q + p - lag) - sin(start + p - lag))
 
 
 def lever_arm(q, z, e, p, per_radius):  # type: ignore[no-untyped-def]
-    """Return the added lever arm e cos(phi + p - lag), m/rad, with the lag at the start of the run."""
+    """Compute the lever arm that the eccentricity adds, e cos(phi + p - lag), with the lag at the start of the run.
+
+    Args:
+        q: Angle phi of the pulley, rad.
+        z: Rotation since the start of the run, rad.
+        e: Eccentricity, m.
+        p: Angle of the eccentricity at phi = 0, rad.
+        per_radius: 1/r, the inverse radius of the pulley, 1/m.
+
+    Returns:
+        Added lever arm, m/rad.
+    """
     return e * cos(q + p - rest_angle_offset(q - z, e, p, per_radius))
 
 

@@ -11,14 +11,35 @@ _LOWEST_LEVEL = 1e-12  # N or Nm; avoids a division by zero without Coulomb fric
 
 
 def next_state(z, dq, level, s0):  # type: ignore[no-untyped-def]
-    """Return the deflection after the distance dq, m or rad; z: deflection before, level: friction F, N or Nm."""
+    """Compute the deflection of the bristle after the distance dq at constant speed.
+
+    Args:
+        z: Deflection before, m or rad.
+        dq: Distance moved, m or rad.
+        level: Coulomb friction force F, including the Stribeck effect, N or Nm.
+        s0: Stiffness of the bristle, N/m or Nm/rad.
+
+    Returns:
+        Deflection after, m or rad.
+    """
     limit = maximum(level, _LOWEST_LEVEL) / s0
     final = copysign(limit, dq)
     return final + (z - final) * exp(-absolute(dq) / limit)
 
 
 def friction(z, v, level, s0, s1):  # type: ignore[no-untyped-def]
-    """Return the friction force s0 z + s1 dz/dt, N or Nm; z: deflection, m or rad, v: speed, level: F, N or Nm."""
+    """Compute the friction force s0 z + s1 dz/dt with dz/dt = v - s0 |v| z/F.
+
+    Args:
+        z: Deflection of the bristle, m or rad.
+        v: Speed, m/s or rad/s.
+        level: Coulomb friction force F, including the Stribeck effect, N or Nm.
+        s0: Stiffness of the bristle, N/m or Nm/rad.
+        s1: Damping of the bristle, Ns/m or Nms.
+
+    Returns:
+        Friction force, N or Nm.
+    """
     return s0 * z + s1 * (v - s0 * absolute(v) * z / maximum(level, _LOWEST_LEVEL))
 
 

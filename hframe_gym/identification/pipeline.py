@@ -8,9 +8,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from ..errors import InputError
 from ..machine import Machine
-from ..recordings import Recording
+from ..recordings import Recording, without_outliers
 from ..registry import load_plugins
 from .criteria import SelectionCriteria
 from .dataset import Dataset, prepare, refine_encoder_offsets, with_all_measurements
@@ -95,6 +97,7 @@ def identify(
     criteria = criteria or SelectionCriteria()
     log = log or (lambda line: None)
     kept = hold_out(recordings, held_out)
+    recordings = [_cleaned(recording, machine, log) for recording in recordings]
     everything, ranges = _prepare(recordings, machine, criteria, log)
     validation = with_all_measurements(everything.with_runs(kept), recordings)
     data = everything.with_runs([r.name for r in recordings if r.name not in kept])
@@ -109,6 +112,16 @@ def identify(
     result = _result(outcome, machine, before, ranges, data, validation, criteria)
     log(f"verdict: {result.verdict}")
     return dataclasses.replace(result, seconds=time.perf_counter() - began)
+
+
+def _cleaned(recording: Recording, machine: Machine, log: Log) -> Recording:
+    """Return a recording without outliers, and log how many there were."""
+    cleaned = without_outliers(recording, machine)
+    if cleaned is not recording:
+        count = np.isfinite(recording.outputs).sum(axis=0) - np.isfinite(cleaned.outputs).sum(axis=0)
+        found = ", ".join(f"{n} of {c}" for n, c in zip(count, machine.output_channels, strict=True) if n)
+        log(f"{recording.name}: outliers are not used: {found}")
+    return cleaned
 
 
 def _prepare(

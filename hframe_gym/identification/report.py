@@ -118,8 +118,8 @@ def _remainder(report: Mapping[str, Any]) -> str:
     if left is None or left < _NOTICEABLE_ERROR:
         return ""
     return (
-        f" An error of {left:.3g} times the sensors' noise is left (root mean square over all channels), which no effect "
-        "of the library explains."
+        f" An error of {left:.3g} times the sensors' noise is left (root mean square over all channels), which no "
+        "effect of the library explains."
     )
 
 

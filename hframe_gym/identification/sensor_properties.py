@@ -96,8 +96,7 @@ def sensor_noise(channel: Sequence[Array], resting_rows: Sequence[int], quantum:
 
 def _difference_noise(channel: Sequence[Array]) -> float:
     """Return the noise that third differences show; smooth motion has hardly any (von Neumann 1941)."""
-    differences = np.concatenate([np.diff(values, n=3) for values in channel])
-    differences = differences[np.isfinite(differences)]
+    differences = np.concatenate([np.diff(values[np.isfinite(values)], n=3) for values in channel])
     if len(differences) == 0:
         return 1.0
     return max(1.4826 * float(np.median(np.abs(differences))) / np.sqrt(20.0), 1e-12)

@@ -29,8 +29,8 @@ _MAX_SPAN = 3.0
 # noise and for a wrong radius.
 _DEGREES = (25.0, 120.0)
 _MILLIMETERS = (300.0, 2000.0)
+_OUTLIERS = 0.01  # of the samples of a channel; single wrong samples are no evidence of a wrong unit
 _MOVED = 1e-3  # m, standard deviation of the carriage's travel below which the ratio is not evaluated
-GAP_PERIODS = 1.5  # a longer step, in median sampling periods, means that samples were lost
 
 
 @dataclass(frozen=True)
@@ -152,35 +152,6 @@ def run_name(path: Path) -> str:
     return path.name
 
 
-def fill_gaps(recording: Recording) -> Recording:
-    """Insert rows for samples that the logger dropped: where a step exceeds 1.5 median sampling periods.
-
-    Inputs are held from each row until the next, so a lost row would extend the input of the row before it. The lost
-    voltages are interpolated, which is closer to those that were applied. The lost outputs are NaN.
-
-    Args:
-        recording: Run with or without gaps.
-
-    Returns:
-        Copy with additional rows at regular times, or the same object if no sample was lost.
-    """
-    time_s = recording.time_s
-    steps = np.diff(time_s)
-    period = float(np.median(steps)) if len(steps) else 1.0
-    lost = np.where(steps > GAP_PERIODS * period, np.rint(steps / period) - 1, 0).astype(int)  # (n - 1,) rows per step
-    if not lost.any():
-        return recording
-    inserted = np.concatenate(
-        [np.linspace(a, b, k + 2)[1:-1] for a, b, k in zip(time_s[:-1], time_s[1:], lost, strict=True) if k]
-    )
-    grid = np.concatenate([time_s, inserted])
-    order = np.argsort(grid, kind="stable")
-    inputs = np.column_stack([np.interp(grid, time_s, values) for values in recording.inputs.T])
-    unmeasured = np.full((len(inserted), recording.outputs.shape[1]), np.nan)
-    outputs = np.concatenate([recording.outputs, unmeasured])
-    return Recording(recording.name, grid[order], inputs[order], outputs[order])
-
-
 def _check_header(path: Path, header: list[str], machine: Machine, *, outputs_needed: bool) -> None:
     """Refuse a header with unknown, repeated or missing columns."""
     expected = ["time_s", *machine.input_channels, *machine.output_channels]
@@ -210,10 +181,11 @@ def _check_units(path: Path, recording: Recording, machine: Machine) -> None:
             if sensor.channel.endswith(ending):
                 implausible = np.abs(np.nan_to_num(values)) > largest
                 reason = f"cannot be {ending[1:]}; is the column in {suspect}?"
-                refuse_rows(path, sensor.channel, values, implausible, reason)
+                if implausible.sum() > _OUTLIERS * np.isfinite(values).sum():
+                    refuse_rows(path, sensor.channel, values, implausible, reason)
         coordinate = machine.coordinate(sensor.coordinate)
         if coordinate.range is not None and np.isfinite(values).any():
-            span, range_length = np.nanmax(values) - np.nanmin(values), coordinate.range[1] - coordinate.range[0]
+            span, range_length = np.ptp(_without_extremes(values)), coordinate.range[1] - coordinate.range[0]
             if span > _MAX_SPAN * range_length:
                 suspect = "millimeters" if coordinate.kind == "linear" else "degrees"
                 raise InputError(
@@ -235,6 +207,14 @@ def _check_units(path: Path, recording: Recording, machine: Machine) -> None:
             )
 
 
+def _without_extremes(values: Array) -> Array:
+    """Return the measured values, limited to the range that all but the possible outliers have."""
+    measured = values[np.isfinite(values)]
+    low = np.quantile(measured, _OUTLIERS / 2, method="lower")
+    high = np.quantile(measured, 1 - _OUTLIERS / 2, method="higher")
+    return np.clip(measured, low, high)
+
+
 def _pulley_travel_ratio(recording: Recording, machine: Machine) -> float | None:
     """Return the ratio of measured to expected pulley travel, or None if the carriage did not move.
 
@@ -253,6 +233,6 @@ def _pulley_travel_ratio(recording: Recording, machine: Machine) -> float | None
         carriage_travel = sum(factor * recording.outputs[:, column_of[c]] for c, factor in others.items())
         rows = np.isfinite(pulley_travel + carriage_travel)
         if rows.sum() > 2:
-            expected += float(np.std(np.asarray(carriage_travel)[rows]))
-            measured += float(np.std(pulley_travel[rows]))
+            expected += float(np.std(_without_extremes(np.asarray(carriage_travel)[rows])))
+            measured += float(np.std(_without_extremes(pulley_travel[rows])))
     return measured / expected if expected > _MOVED else None

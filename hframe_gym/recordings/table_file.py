@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import gzip
 import io
+import re
 import zlib
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from ..errors import InputError
 
 Array = NDArray[np.float64]
 
+_EMPTY_CELL = re.compile(r"(?<=,)[ \t]*(?=[,\r\n]|\Z)|(?m:^)(?=,)")
 SUFFIXES = (".csv", ".csv.gz", ".parquet")
 
 
@@ -111,7 +113,7 @@ def read_path(path: str | Path) -> tuple[Array, Array | None]:
 
 
 def _read_csv(path: Path) -> tuple[list[str], dict[str, Array]]:
-    """Read a CSV file with NumPy's fast reader, or cell by cell if some cells are empty or not numbers."""
+    """Read a CSV file with NumPy's fast reader, or cell by cell if some cells are not numbers."""
     try:
         opened = gzip.open(path, "rb") if path.suffix == ".gz" else open(path, "rb")  # noqa: SIM115
         with opened as file:
@@ -134,15 +136,24 @@ def _read_csv(path: Path) -> tuple[list[str], dict[str, Array]]:
             raise InputError(f"{path}: empty")
         if not body.strip():
             return header, {name: np.zeros(0) for name in header}
-        try:
-            table = np.loadtxt(io.StringIO(body), delimiter=",", comments=None, ndmin=2)
-        except ValueError:
+        table = _read_numbers(body)
+        if table is None and _EMPTY_CELL.search(body):
+            table = _read_numbers(_EMPTY_CELL.sub("nan", body))  # the fast reader refuses empty cells
+        if table is None:
             return header, _read_cells(path, header, body)
     except csv.Error as error:
         raise InputError(f"{path}: cannot be read: {error}") from None
     if table.shape[1] != len(header):
         raise InputError(f"{path}, row 1: {table.shape[1]} cells under {len(header)} columns")
     return header, dict(zip(header, np.ascontiguousarray(table.T), strict=True))
+
+
+def _read_numbers(body: str) -> Array | None:
+    """Read rows of numbers with NumPy's fast reader; None if it refuses a cell or the rows differ in length."""
+    try:
+        return np.loadtxt(io.StringIO(body), delimiter=",", comments=None, ndmin=2)
+    except ValueError:
+        return None
 
 
 def _read_cells(path: Path, header: list[str], body: str) -> dict[str, Array]:

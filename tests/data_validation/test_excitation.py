@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hframe_gym.data_validation import check_recordings, recording_warnings
+from hframe_gym.data_validation import check_before_fit, check_recordings
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import Recording
 from tests.data_validation.planted_mistakes import with_change
@@ -12,7 +12,7 @@ from tests.data_validation.planted_mistakes import with_change
 
 def test_an_input_that_never_changes_is_advice(runs: list[Recording], hframe: Machine) -> None:
     idle = with_change(runs[:1], lambda u, y: (u * [1.0, 0.0], y))
-    assert [f.channel for f in recording_warnings(idle[0], hframe)] == ["v2_V"]
+    assert [f.channel for f in check_before_fit(idle, hframe)] == ["v2_V"]
 
 
 def test_inputs_below_coulomb_friction_never_break_away(runs: list[Recording], hframe: Machine) -> None:

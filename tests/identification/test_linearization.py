@@ -114,14 +114,18 @@ def test_elimination_equals_a_joint_least_squares_fit() -> None:
     np.testing.assert_allclose(amounts, joint[3:])
 
 
-def test_responses_are_summed_beside_the_jacobian(hframe: Machine, hframe_runs: Dataset) -> None:
+def test_responses_are_summed_beside_the_jacobian(cart: Machine) -> None:
     """A response that repeats the Jacobian's first column is eliminated entirely."""
-    free = default_free_parameters(hframe)[:3]
-    model = ResidualModel(hframe, free, hframe_runs, SEARCH_BANDWIDTH, rows_per_block=4)
-    plain = {run.name: model.linearize_run(run, np.zeros(3)) for run in hframe_runs.runs}
+    time_s = np.arange(900) * 1e-3
+    position = step_response(cart, time_s, 2.0, 5.0)
+    runs = [Recording(n, time_s, np.full((900, 1), 3.0), position[:, None]) for n in ("one", "two")]
+    data = prepare(runs, cart)
+    free = default_free_parameters(cart)[:3]
+    model = ResidualModel(cart, free, data, SEARCH_BANDWIDTH, rows_per_block=4)
+    plain = {run.name: model.linearize_run(run, np.zeros(3)) for run in data.runs}
 
     def responses(run: PreparedRecording, motion: Motion) -> np.ndarray:
-        assert motion.positions.shape == (1, len(run.time_s), len(hframe.coordinates))
+        assert motion.positions.shape == (1, len(run.time_s), 1)
         return 2.0 * plain[run.name].jacobian[:1]
 
     equations = model.linearize(np.zeros(3), responses).normal_equations

@@ -1,0 +1,213 @@
+"""Find the defects of single samples in a recording: samples that the logger dropped, and outliers of a sensor.
+
+Neither is repaired by inventing a measurement: the cells become NaN (not measured). `bridge_blanks` interpolates, for
+comparisons between channels only.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from ..machine import Machine
+from .recording import Recording
+from .table_file import Array
+
+Mask = NDArray[np.bool_]
+
+GAP_PERIODS = 1.5  # a longer step, in median sampling periods, means that samples were lost
+
+_LONGEST_OUTLIER = 5  # samples; a longer departure may be a motion
+_MIN_SAMPLES = 30  # measured samples of a channel that give a scale
+_TYPICAL_FACTOR = 12.0  # times the median departure from a smooth motion
+_LARGE_FACTOR = 4.0  # times the departure that _LARGE_PERCENT of the samples do not exceed
+_LARGE_PERCENT = 98.0
+_NEIGHBORS = 8  # samples on each side whose speeds are compared
+_IGNORED_SPEEDS = 2  # smallest and largest speeds that are ignored, because another outlier may be near
+# Times the distance that the change of speed around it explains. Measured runs with steps, shocks and Coulomb stops
+# reach 0.26.
+_SPEED_FACTOR = 1.0
+_NOISE_FACTOR = 8.0  # times the declared noise
+_RESOLUTION_FACTOR = 4.0  # times the declared resolution
+_EDGE_FACTOR = 5.0  # times the largest regular step; the first and the last sample have neighbors on one side only
+
+
+def fill_gaps(recording: Recording) -> Recording:
+    """Insert rows for samples that the logger dropped: where a step exceeds 1.5 median sampling periods.
+
+    Inputs are held from each row until the next, so a lost row would extend the input of the row before it. The lost
+    voltages are interpolated, which is closer to those that were applied. The lost outputs are NaN.
+
+    Args:
+        recording: Run with or without gaps.
+
+    Returns:
+        Copy with additional rows at regular times, or the same object if no sample was lost.
+    """
+    time_s = recording.time_s
+    steps = np.diff(time_s)
+    period = float(np.median(steps)) if len(steps) else 1.0
+    lost = np.where(steps > GAP_PERIODS * period, np.rint(steps / period) - 1, 0).astype(int)  # (n - 1,) rows per step
+    if not lost.any():
+        return recording
+    gaps = np.flatnonzero(lost)
+    inserted = np.concatenate([np.linspace(time_s[i], time_s[i + 1], lost[i] + 2)[1:-1] for i in gaps])
+    grid = np.concatenate([time_s, inserted])
+    order = np.argsort(grid, kind="stable")
+    inputs = np.column_stack([np.interp(grid, time_s, values) for values in recording.inputs.T])
+    unmeasured = np.full((len(inserted), recording.outputs.shape[1]), np.nan)
+    outputs = np.concatenate([recording.outputs, unmeasured])
+    return Recording(recording.name, grid[order], inputs[order], outputs[order])
+
+
+def bridge_blanks(outputs: Array, time_s: Array, longest_gap: float) -> Array:
+    """Interpolate over empty cells where a sensor measures less often than the log has rows.
+
+    Only comparisons of motion between channels use the result: channels that never measure in the same row could not be
+    compared otherwise. Quanta, noise and everything that a fit uses come from measured cells only.
+
+    Args:
+        outputs: Measurements in the sensors' units, shape (n, sensors), NaN where not measured.
+        time_s: Sample times, s, shape (n,).
+        longest_gap: Longest time between two measurements that is bridged, s.
+
+    Returns:
+        Copy with linearly interpolated values between such measurements, shape (n, sensors).
+    """
+    bridged = outputs.copy()
+    rows = np.arange(len(time_s))
+    for values in bridged.T:
+        measured = np.flatnonzero(np.isfinite(values))
+        if 1 < len(measured) < len(values):
+            following = np.clip(np.searchsorted(measured, rows), 1, len(measured) - 1)
+            gap = time_s[measured[following]] - time_s[measured[following - 1]]  # s, around each row
+            bridgeable = np.isnan(values) & (rows > measured[0]) & (rows < measured[-1]) & (gap <= longest_gap)
+            values[bridgeable] = np.interp(time_s[bridgeable], time_s[measured], values[measured])
+    return bridged
+
+
+def outlier_mask(recording: Recording, machine: Machine) -> Mask:
+    """Find outliers: up to five consecutive samples of a sensor that leave the motion around them and return to it.
+
+    A sample is an outlier if it departs from the straight line between its neighbors and from the straight lines
+    through the two samples before and the two samples after it. The latter two keep kinks (shocks at end stops, stops
+    by Coulomb friction) and steps. The departure must be large relative to that of all samples of the run, to the
+    change of speed around it (shocks, voltage steps, vibration), and to the noise and resolution that the machine
+    declares. Empty cells are skipped: the neighbors of a sample are the measured ones.
+
+    Args:
+        recording: Run to examine, with n rows.
+        machine: Machine that was recorded; its sensors declare noise and resolution.
+
+    Returns:
+        True where a measurement is an outlier, shape (n, sensors); False at empty cells.
+    """
+    mask = np.zeros(recording.outputs.shape, np.bool_)
+    for j, sensor in enumerate(machine.sensors):
+        rows = np.flatnonzero(np.isfinite(recording.outputs[:, j]))
+        if len(rows) < _MIN_SAMPLES:
+            continue
+        floor = max(_NOISE_FACTOR * sensor.noise, _RESOLUTION_FACTOR * sensor.resolution)
+        mask[rows, j] = _isolated_samples(recording.time_s[rows], recording.outputs[rows, j], floor)
+    return mask
+
+
+def without_outliers(recording: Recording, machine: Machine) -> Recording:
+    """Replace the outliers of a recording, see `outlier_mask`, by NaN (not measured).
+
+    Args:
+        recording: Run to clean.
+        machine: Machine that was recorded.
+
+    Returns:
+        Copy without outliers, or the same object if there are none.
+    """
+    mask = outlier_mask(recording, machine)
+    if not mask.any():
+        return recording
+    return dataclasses.replace(recording, outputs=np.where(mask, np.nan, recording.outputs))
+
+
+def _isolated_samples(time_s: Array, values: Array, floor: float) -> Mask:
+    """Return the mask of the outliers among the measured samples of one channel, shape (n,).
+
+    Short departures are removed first, so that a second one nearby does not spoil the scale of a longer one.
+
+    Args:
+        time_s: Sample times, s, strictly increasing, shape (n,).
+        values: Finite measurements, shape (n,).
+        floor: Departure below which no sample is an outlier, in the unit of the values.
+    """
+    outliers = np.zeros(len(values), np.bool_)
+    for length in range(1, _LONGEST_OUTLIER + 1):
+        kept = np.flatnonzero(~outliers)
+        if len(kept) < _MIN_SAMPLES:
+            break
+        for first in _isolated_segments(time_s[kept], values[kept], length, floor):
+            outliers[kept[first : first + length]] = True
+    kept = np.flatnonzero(~outliers)
+    for edge, neighbor in ((kept[0], kept[1]), (kept[-1], kept[-2])):
+        regular = np.abs(np.diff(values[kept[1:-1]])).max(initial=0.0)
+        outliers[edge] = abs(values[edge] - values[neighbor]) > max(_EDGE_FACTOR * regular, floor)
+    return outliers
+
+
+def _isolated_segments(time_s: Array, values: Array, length: int, floor: float) -> NDArray[np.int_]:
+    """Return the first indices of the segments of a length that depart from the motion before and after them."""
+    departures = _departures(time_s, values, length)
+    typical = float(np.median(departures))
+    large = float(np.percentile(departures, _LARGE_PERCENT))
+    threshold = max(floor, _TYPICAL_FACTOR * typical, _LARGE_FACTOR * large)
+    # Across longer time steps a regular motion departs more, with the square of the time.
+    duration = time_s[length + 3 :] - time_s[: -length - 3]
+    stretch = np.maximum(duration / np.median(duration), 1.0) ** 2
+    candidates = np.flatnonzero(departures > threshold * stretch).tolist()
+    isolated = [i for i in candidates if departures[i] > _SPEED_FACTOR * _speed_change(time_s, values, i + 2, length)]
+    return np.array(isolated, int) + 2  # two samples precede the first segment
+
+
+def _speed_change(time_s: Array, values: Array, first: int, length: int) -> float:
+    """Return how far a segment could move by the change of speed around it, in the unit of the values.
+
+    A shock or a voltage step moves the samples after it too, so the speeds before and after it differ.
+
+    Args:
+        time_s: Sample times, s, shape (n,).
+        values: Measurements, shape (n,).
+        first: Index of the segment's first sample.
+        length: Number of samples of the segment.
+    """
+    before = slice(max(first - _NEIGHBORS, 0), first)
+    after = slice(first + length, first + length + _NEIGHBORS)
+    speeds = np.sort(np.concatenate([np.diff(values[rows]) / np.diff(time_s[rows]) for rows in (before, after)]))
+    # Near an end of the run one side has few speeds, which would all be ignored.
+    ignored = _IGNORED_SPEEDS if len(speeds) == 2 * (_NEIGHBORS - 1) else 0
+    change = float(speeds[-1 - ignored] - speeds[ignored])
+    return change * float(time_s[first + length] - time_s[first - 1]) / 2
+
+
+def _departures(time_s: Array, values: Array, length: int) -> Array:
+    """Return how far each segment departs from the motion around it, shape (n - length - 3,).
+
+    Args:
+        time_s: Sample times, s, shape (n,).
+        values: Measurements, shape (n,).
+        length: Number of samples of a segment; the first segment begins at sample 2, the last ends at sample n - 3.
+
+    Returns:
+        Smallest distance of the segment's samples from three straight lines: through the two samples before it, through
+        the two samples after it, and from the last sample before it to the first one after it.
+    """
+    t = sliding_window_view(time_s, length + 4).T  # (length + 4, segments): two before, the segment, two after
+    y = sliding_window_view(values, length + 4).T
+    slope_before = (y[1] - y[0]) / (t[1] - t[0])
+    slope_after = (y[-1] - y[-2]) / (t[-1] - t[-2])
+    slope_across = (y[-2] - y[1]) / (t[-2] - t[1])
+    smallest = np.full(y.shape[1], np.inf)
+    for time, value in zip(t[2:-2], y[2:-2], strict=True):
+        for slope, anchor in ((slope_before, 1), (slope_after, -2), (slope_across, 1)):
+            np.minimum(smallest, np.abs(value - y[anchor] - slope * (time - t[anchor])), out=smallest)
+    return smallest
