@@ -120,8 +120,8 @@ def play(
     if start == "jog":
         _jog(plant, time_s[0] - 2.0 * _SETTLING_S, rng)
     plant.step(np.zeros(2), time_s[0])
-    excitation = _excitation(kind, rng, time_s[-1] - time_s[0])
     only = int(rng.integers(2)) if kind == "single" else None
+    excitation = _excitation(kind, rng, time_s[-1] - time_s[0], only)
     inputs, states = np.zeros((rows, 2)), np.empty((rows, 8))
     returning = np.zeros(2, bool)
     for row in range(rows):
@@ -159,10 +159,10 @@ def _jog(plant: Plant, start_s: float, rng: np.random.Generator) -> None:
     plant.step(volts, start_s + float(rng.uniform(0.1, 0.3)))
 
 
-def _excitation(kind: str, rng: np.random.Generator, length_s: float) -> Excitation:
-    """Return the excitation of a run."""
+def _excitation(kind: str, rng: np.random.Generator, length_s: float, only: int | None) -> Excitation:
+    """Return the excitation of a run; `only` is the motor that a run of kind "single" drives."""
     if kind in ("steps", "single"):
-        return _steps(rng, length_s, single=kind == "single")
+        return _steps(rng, length_s, only)
     if kind == "triangle":
         return _triangle(rng)
     if kind == "multisine":
@@ -174,14 +174,14 @@ def _excitation(kind: str, rng: np.random.Generator, length_s: float) -> Excitat
     return _moves(rng, length_s)
 
 
-def _steps(rng: np.random.Generator, length_s: float, *, single: bool) -> Excitation:
-    """Return random levels, held for 0.1 to 0.5 s; with one motor alternating in sign."""
+def _steps(rng: np.random.Generator, length_s: float, only: int | None) -> Excitation:
+    """Return random levels, held for 0.1 to 0.5 s; with one motor alternating in sign, along its diagonal."""
     ends = np.cumsum(rng.uniform(0.1, 0.5, int(length_s / 0.1) + 2))
     levels = rng.uniform(1.0, 4.0, (len(ends), 2)) * rng.choice([-1.0, 1.0], (len(ends), 2))
     levels[rng.random(len(ends)) < 0.2] = 0.0
-    if single:
+    if only is not None:
         levels[:, 0] = levels[:, 1] = np.abs(levels[:, 0]) * np.where(np.arange(len(ends)) % 2, 1.0, -1.0)
-        mirror = np.array([float(rng.choice([-1.0, 1.0])), 1.0])
+        mirror = np.array([1.0, 1.0]) if only == 0 else np.array([-1.0, 1.0])
         return lambda t, _: levels[np.searchsorted(ends, t)] * mirror
     return lambda t, _: levels[np.searchsorted(ends, t)]
 

@@ -24,8 +24,10 @@ from typing import Literal
 import numpy as np
 
 from hframe_gym.recordings import Recording
+from tests.euler_simulator import DEFAULT_STEP_S, EulerStage
 from tests.reference_simulator import COORDINATES, Array, Rig, Stage
 from tests.reference_simulator.sensors import ENCODER_STEP_RAD, LASER_NOISE_M, Sensors
+from tests.rigs.euler_rig import euler_parameters
 from tests.rigs.hidden_effects import change_site, random_rig
 from tests.rigs.random_effects import DrawnEffect, draw_effects, draw_off_form, draw_outside, log_uniform
 from tests.rigs.random_excitation import KINDS, STARTS, Plant, Played, draw_start, play
@@ -122,6 +124,10 @@ class RandomRig:
             )
         return rig, sensors
 
+    @cached_property
+    def _euler_parameters(self) -> Array:
+        return euler_parameters(self.stage[0])
+
     def plant(self, start_xy: tuple[float, float], start_s: float) -> Plant:
         """Set up the stage at rest.
 
@@ -132,7 +138,11 @@ class RandomRig:
         Returns:
             The stage on the rig's simulator.
         """
-        return Stage(self.stage[0], start_xy, start_s, rtol=_RTOL, atol=_ATOL)
+        rig = self.stage[0]
+        if self.simulator == "reference":
+            return Stage(rig, start_xy, start_s, rtol=_RTOL, atol=_ATOL)
+        step_s = self.residue.euler_step_s or DEFAULT_STEP_S
+        return EulerStage(self._euler_parameters, rig.input_delay_s, start_xy, start_s, step_s)
 
     def record(self) -> RandomSession:
         """Record all runs of the rig.
