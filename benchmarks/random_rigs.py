@@ -4,8 +4,8 @@
     python -m benchmarks.random_rigs --seed 1 --count 300 --jobs 2      # all of them
     python -m benchmarks.random_rigs --seed 20261121 --count 300        # the set that is run once, for RESULTS.md
 
-The rigs come from `tests.rigs.random_rigs` and two independent simulators; `benchmarks.scoring` compares names. Seed 1 is
-for development. Nothing may be changed after a look at seed 20261121: it is run once, for the published results.
+The rigs come from `tests.rigs.random_rigs` and two independent simulators; `benchmarks.scoring` compares names. Seed 1
+is for development. Nothing may be changed after a look at seed 20261121: it is run once, for the published results.
 Results of single rigs are cached in out/random_rigs as long as package, rigs and simulators are the same (with
 --resume: always), so that an interrupted run continues.
 """
@@ -80,7 +80,9 @@ def run_rig(index: int, *, seed: int, key: str, resume: bool, log: bool = False)
     session = rig.record()
     wall, cpu = time.perf_counter(), time.process_time()
     try:
-        result = identify(session.recordings, BUILTIN_MACHINES["hframe"](), log=partial(print, flush=True) if log else None)
+        result = identify(
+            session.recordings, BUILTIN_MACHINES["hframe"](), log=partial(print, flush=True) if log else None
+        )
         seconds = {"wall": time.perf_counter() - wall, "cpu": time.process_time() - cpu}
         row = score_rig(session, result, seconds)
     except Exception as error:  # an error on one rig must not lose the hours of the others
@@ -140,9 +142,7 @@ def main() -> None:
         if not arguments.only:
             from benchmarks.random_rigs_plots import draw  # matplotlib, which only this needs
 
-            write_results(
-                f"random_rigs_{arguments.seed}", {"summary": content, "rigs": rows}, seed=arguments.seed
-            )
+            write_results(f"random_rigs_{arguments.seed}", {"summary": content, "rigs": rows}, seed=arguments.seed)
             draw(done, content, arguments.seed)
     if len(done) < len(rows):
         sys.exit(f"identification crashed on {len(rows) - len(done)} of {len(rows)} rigs")

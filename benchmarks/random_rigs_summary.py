@@ -57,7 +57,10 @@ def summary(rows: list[Row]) -> dict[str, Any]:
         "stable": sum(r["stable"] for r in rows),
         "consistent": sum(r["consistency"] <= 0.05 for r in rows),
         "seconds": {
-            clock: {"median": _median(r["seconds"][clock] for r in rows), "most": max(r["seconds"][clock] for r in rows)}
+            clock: {
+                "median": _median(r["seconds"][clock] for r in rows),
+                "most": max(r["seconds"][clock] for r in rows),
+            }
             for clock in ("wall", "cpu")
         },
     }

@@ -207,7 +207,9 @@ def _intervals(rig: RandomRig, machine: Machine) -> list[dict[str, Any]]:
         if name.endswith(".p"):
             error = (error + math.pi) % (2.0 * math.pi) - math.pi
         unit = 1.0 if name.endswith(".p") else abs(expected)
-        rows.append({"name": name, "relative_std": std / unit if unit else None, "z": error / std, "effect": "@" in name})
+        rows.append(
+            {"name": name, "relative_std": std / unit if unit else None, "z": error / std, "effect": "@" in name}
+        )
     return rows
 
 

@@ -6,6 +6,7 @@ Coordinates: x, y, m; phi1, phi2, theta (yaw of the bridge), rad. Belts: left, r
 from __future__ import annotations
 
 import math
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -15,7 +16,8 @@ COORDINATES, DRIVES = 5, 2
 YAW = 4
 
 # Rows of the table of parameters. Its five columns are the coordinates; belts use the first three, drives the first
-# two, what belongs to none of them the first one. An effect is absent where its amplitude is zero or its limit infinite.
+# two, what belongs to none of them the first one. An effect is absent where its amplitude is zero or its limit
+# infinite.
 FIELDS = (
     "mass",
     "viscous",

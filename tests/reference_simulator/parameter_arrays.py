@@ -166,7 +166,7 @@ def _stage(rig: Rig) -> NDArray[Any]:
 
 
 def _belts(rig: Rig, count: int) -> tuple[Array, Array, Array]:
-    """Return EA, length and damping factor (belts, 3), gradient of the length (belts, 2), and rows (belts, count) over travel."""
+    """Return EA, length, damping factor (belts, 3), length gradient (belts, 2), rows over travel (belts, count)."""
     if rig.idlers:
         lengths, gradient = np.array(_SECTIONS), np.array(_SECTION_GRADIENT, float)
         section_rows = np.array(_SECTION_ROWS, float)

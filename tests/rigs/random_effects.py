@@ -5,7 +5,7 @@ depends on the coordinate), what a used machine may plausibly have:
 
 | effect | full size |
 |---|---|
-| stribeck_friction | dF 3 N; 0.8 N; 0.03 Nm (a quarter of it where dF is negative), vs 20 to 80 mm/s or 1.5 to 4 rad/s |
+| stribeck_friction | dF 3 N; 0.8 N; 0.03 Nm (negative: a quarter of it), vs 20 to 80 mm/s or 1.5 to 4 rad/s |
 | constant_force | 0.8 N; 0.8 N; 0.02 Nm |
 | voltage_offset, gain_mismatch, dead_band | 0.35 V, 10 %, 0.4 V |
 | current_limit | from the current at 8 V and standstill down to 40 % of it |
@@ -22,7 +22,7 @@ depends on the coordinate), what a used machine may plausibly have:
 | bridge_yaw | k from 130 kNm/rad (3 %) down to 4 kNm/rad, J 0.04 to 0.12, c 0.5 to 3 Nms, w 0.2 to 0.3 m |
 | idler_inertia | always as the paper has it |
 | sensor_skew, sensor_scale | 5 mrad, 2 % |
-| sensor_range | end of the range from 160 mm (0 %) down to 50 mm |
+| sensor_range | end of the range from 160 mm (x) or 110 mm (y) down to 50 mm |
 | presliding | bristle stiffness from 330 kN/m (3 %) down to 10 kN/m; the same in y; 330 to 10 Nm/rad |
 """
 
@@ -37,9 +37,16 @@ from typing import Any
 import numpy as np
 
 from tests.reference_simulator import COORDINATES, Frame, Rig, Yaw
-from tests.rigs.hidden_effects import CHANNELS, MOTORS, Build, change_fields, change_site, stall_tension
-from tests.rigs.hidden_effects import _limited as limit_current
-from tests.rigs.hidden_effects import _loosened as loosen_belts
+from tests.rigs.hidden_effects import (
+    CHANNELS,
+    MOTORS,
+    Build,
+    change_fields,
+    change_site,
+    limit_current,
+    loosen_belts,
+    stall_tension,
+)
 
 SMALLEST_SIZE = 0.03
 _BOTH = "drives"  # site of an effect that acts on both drives alike
@@ -71,7 +78,7 @@ SITES: dict[str, tuple[str, ...]] = {
     "idler_inertia": ("machine",),
     "sensor_skew": ("x_m", "y_m"),
     "sensor_scale": ("x_m", "y_m"),
-    "sensor_range": ("x_m",),
+    "sensor_range": ("x_m", "y_m"),
     "sensor_delay": ("x_m", "y_m"),
     "presliding": _ALL_COORDINATES,
 }
@@ -326,8 +333,8 @@ def _sensor(name: str, site: str, size: float, rng: np.random.Generator) -> Draw
             g = _sign(rng) * size * 0.02
             return make(at(scale=1.0 + g), {"g": g}, {})
         case "sensor_range":
-            end = 0.16 - 0.11 * size
-            return make(partial(change_fields, range_x_m=(-end, end)), {"low": -end, "high": end}, {})
+            end, field = (0.16 - 0.11 * size, "range_x_m") if site == "x_m" else (0.11 - 0.06 * size, "range_y_m")
+            return make(partial(change_fields, **{field: (-end, end)}), {"low": -end, "high": end}, {})
         case "sensor_delay":
             d = size * 2e-3
             return make(at(delay_s=d), {"d": d}, {})

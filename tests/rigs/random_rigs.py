@@ -3,8 +3,8 @@
     python -m tests.rigs.random_rigs --seed 1 --only 0 1 2              # what these rigs hide
     python -m tests.rigs.random_rigs --seed 1 --only 0 --out DIR        # record: DIR/1_0000/runs, unseen, truth.json
 
-A rig follows from a seed and an index alone. A quarter hides nothing; 8 % hide an effect outside the library and 8 % one
-or two effects that are 10 to 20 % off the library's form; the others hide one to three effects of the library, of
+A rig follows from a seed and an index alone. A quarter hides nothing; 8 % hide an effect outside the library and 8 %
+one or two effects that are 10 to 20 % off the library's form; the others hide one to three effects of the library, of
 log-uniform size (`random_effects`). Every parameter differs from the declared machine by 5 to 20 %. Half of the rigs
 without effects or with library effects have a residue: a small error that no effect of the library is.
 """
@@ -15,7 +15,7 @@ import argparse
 import dataclasses
 import gzip
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -102,9 +102,9 @@ class RandomRig:
 
     def describe(self) -> str:
         """Return what the rig hides, in a line of text."""
-        effects = " + ".join(f"{e.label} {e.size:.0%}{' off form' if e.off_form else ''}" for e in self.hidden_effects)
         residue = f", residue: {self.residue.note}" if self.residue.kind else ""
-        return f"{effects or 'nothing'}{residue} ({self.runs} runs at {self.rate_hz:.0f} Hz, {self.simulator})"
+        runs = f"{self.runs} runs at {self.rate_hz:.0f} Hz, {self.simulator}"
+        return f"{describe_effects(self.hidden_effects)}{residue} ({runs})"
 
     @cached_property
     def stage(self) -> tuple[Rig, Sensors]:
@@ -174,9 +174,7 @@ class RandomRig:
             truth[name] = ideal
             recordings.append(Recording(name, run.time_s, run.inputs, outputs))
             clock = float(np.round(time_s[-1] + rng.uniform(3.0, 20.0), 3))
-        return RandomSession(
-            self, tuple(recordings[: self.runs]), tuple(recordings[self.runs :]), tuple(played), truth
-        )
+        return RandomSession(self, tuple(recordings[: self.runs]), tuple(recordings[self.runs :]), tuple(played), truth)
 
     def _measured(self, ideal: Array, rng: np.random.Generator, *, glitch: bool) -> Array:
         """Return the measurements with noise, quantization and the residue of the sensors, as a file holds them."""
@@ -189,8 +187,8 @@ class RandomRig:
         if glitch and self.residue.glitch_m:
             row = int(rng.integers(round(0.2 * len(ideal)), len(ideal)))
             outputs[row, int(rng.integers(2, 4))] += self.residue.glitch_m
-        low, high = self.stage[1].range_x_m
-        outputs[:, 2] = np.clip(outputs[:, 2], low, high)
+        for j, limits in ((2, self.stage[1].range_x_m), (3, self.stage[1].range_y_m)):
+            outputs[:, j] = np.clip(outputs[:, j], *limits)
         return np.round(outputs, 9)
 
 
@@ -232,6 +230,12 @@ class RandomSession:
             "residue": self.rig.residue.note,
         }
         (folder / "truth.json").write_text(json.dumps(truth, indent=1) + "\n")
+
+
+def describe_effects(effects: Sequence[DrawnEffect]) -> str:
+    """Return hidden effects with their sizes in words."""
+    texts = [f"{e.label} {e.size:.0%}{' off form' if e.off_form else ''}" for e in effects]
+    return " + ".join(texts) or "nothing"
 
 
 def _cycle(kinds: tuple[str, ...], count: int, rng: np.random.Generator) -> list[str]:

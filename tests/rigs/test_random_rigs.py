@@ -118,7 +118,9 @@ def test_true_machine_is_the_rig(name):
 
 
 def test_identified_values_are_scaled_to_the_declared_gain():
-    rig = next(r for r in RIGS if any(e.label == "stribeck_friction@x" for e in r.hidden_effects) and r.kind == "library")
+    rig = next(
+        r for r in RIGS if any(e.label == "stribeck_friction@x" for e in r.hidden_effects) and r.kind == "library"
+    )
     values, stage = identified_values(rig), rig.stage[0]
     assert values["motor1.Kt"] == pytest.approx(0.023)
     ratio = values["x.mass"] / stage.mass[0]
