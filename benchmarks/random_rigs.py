@@ -109,6 +109,8 @@ def line(row: Row) -> str:
         return f"CRASHED {row['rig']} {row['truth']}\n{row['failed']}"
     marks = ("MISSED " if not row["complete"] else "") + ("EXTRA " if row["extra"] else "")
     named = " + ".join(e["label"] for e in row["named"]) or row["verdict"]
+    if row["named"] and row["verdict"] != "effect_found":
+        named += f" ({row['verdict']})"
     unseen = row["unseen"]
     errors = f"{unseen['before']['mean']:.3g} -> {unseen['after']['mean']:.3g}"
     if unseen["true"]:

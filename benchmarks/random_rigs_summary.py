@@ -32,6 +32,10 @@ def summary(rows: list[Row]) -> dict[str, Any]:
     return {
         "rigs": len(rows),
         "names": _names(rows, detection),
+        "verdicts": {
+            kind: dict(Counter(r["verdict"] for r in _of_kind(rows, kind)))
+            for kind in sorted({r["kind"] for r in rows})
+        },
         "detection": detection,
         "confusion": confusion(rows),
         "false_names": {
@@ -253,6 +257,9 @@ def show(console: Console, content: dict[str, Any]) -> None:
             names.add_row(name, *(str(counts[key]) for key in ("rigs", "right", "effects", "identified")), str(false))
     above = content["names"]["above_detection"]
     console.print(names, f"above the median detection size: {above['identified']} of {above['effects']} identified")
+    for kind, verdicts in content["verdicts"].items():
+        counts = ", ".join(f"{verdict} {count}" for verdict, count in sorted(verdicts.items()))
+        console.print(f"verdicts, {kind}: {counts}")
     sizes = Table("family", "effects", "identified", "half are found at")
     for family, found in content["detection"].items():
         half = "all found" if found["half"] is None else f"{found['half']:.1%}"
