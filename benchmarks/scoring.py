@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping, Sequence
+from fnmatch import fnmatch
 from typing import Any
 
 import numpy as np
 
+from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import IdentificationResult
 from hframe_gym.identification.residual import channel_errors
 from hframe_gym.machine import Machine
 from tests.reference_simulator import Array
 from tests.rigs.cases import Case
 from tests.rigs.hidden_effects import HiddenEffect
+from tests.rigs.random_effects import DrawnEffect
 from tests.rigs.recording_sessions import Session
 
 RIGHT = ("right",)
@@ -124,3 +128,90 @@ def _estimates(hidden: HiddenEffect, answer: IdentificationResult) -> dict[str, 
         if f.effect.label == hidden.label:
             return dict(f.effect.parameters)
     return {}
+
+
+@dataclasses.dataclass(frozen=True)
+class NameScore:
+    """Score of the names that an identification gave.
+
+    Attributes:
+        identified: For each hidden effect whether it, or an acknowledged rival of it, was named.
+        extra: Labels that were named and are not there.
+    """
+
+    identified: tuple[bool, ...]
+    extra: tuple[str, ...]
+
+
+def effect_class(label: str) -> str:
+    """Return the class of a label: effects of one class cannot be told apart by any recording, or report as one.
+
+    Args:
+        label: Effect as name@site.
+
+    Returns:
+        Family@site; an offset of a motor's voltage is a constant torque of its pulley.
+    """
+    name, _, site = label.partition("@")
+    if name == "voltage_offset":
+        return f"constant_force@{site.replace('motor', 'phi')}"
+    family = EFFECTS[name].family if name in EFFECTS else name
+    return f"{family}@{site}"
+
+
+def accepted_classes(effect: DrawnEffect) -> tuple[tuple[str, ...], ...]:
+    """Return the sets of classes of which one has to be named completely for a hidden effect to count as identified.
+
+    Args:
+        effect: Hidden effect of the library.
+
+    Returns:
+        For an effect on both drives, that on the site "drives", or one on each motor; for an effect on the belts, that
+        on the site "belts", or on any belt.
+    """
+    if effect.site == "belts":
+        return tuple((effect_class(f"{effect.name}@{site}"),) for site in ("belts", "left", "right", "bottom"))
+    per_motor = tuple(effect_class(f"{effect.name}@{site}") for site in effect.library_sites())
+    return ((effect_class(effect.label),), per_motor)
+
+
+def score_names(hidden: Sequence[DrawnEffect], verdict: str, named: Mapping[str, Sequence[str]]) -> NameScore:
+    """Compare the named effects with the hidden ones up to their class.
+
+    An effect outside the library counts as identified if one of its accepted labels is named, or if the verdict is
+    `unexplained` and nothing else is named.
+
+    Args:
+        hidden: Hidden effects.
+        verdict: The identification's verdict.
+        named: Rivals that the identification lists, by label of the named effect.
+
+    Returns:
+        The score.
+    """
+    classes = {label: {effect_class(label), *map(effect_class, rivals)} for label, rivals in named.items()}
+    all_named: set[str] = set().union(*classes.values())
+    identified, expected = [], set()
+    for effect in hidden:
+        if effect.in_library:
+            groups = accepted_classes(effect)
+            identified.append(effect.absorbed or any(set(group) <= all_named for group in groups))
+            accepted = {name for group in groups for name in group}
+            labels = [label for label in named if classes[label] & accepted]
+        else:
+            labels = [label for label in named if any(fnmatch(label, escaped(p)) for p in effect.accepted if p)]
+            identified.append(bool(labels) or ("" in effect.accepted and verdict == "unexplained" and not named))
+        expected.update(labels)
+    return NameScore(tuple(identified), tuple(label for label in named if label not in expected))
+
+
+def escaped(pattern: str) -> str:
+    """Return a file-name pattern in which only * is special, so that labels with brackets match themselves.
+
+    Args:
+        pattern: Label, possibly with *.
+
+    Returns:
+        The pattern for `fnmatch`.
+    """
+    return pattern.replace("[", "[[]")

@@ -2,8 +2,9 @@
 
 import pytest
 
-from benchmarks.scoring import classify
+from benchmarks.scoring import NameScore, classify, score_names
 from tests.rigs.cases import cases
+from tests.rigs.random_effects import DrawnEffect
 
 RIGS = cases()
 
@@ -33,3 +34,52 @@ RIGS = cases()
 )
 def test_classify(rig, verdict, named, score):
     assert classify(RIGS[rig], verdict, named) == score
+
+
+def _effect(label, *, accepted=(), absorbed=False):
+    name, site = label.split("@")
+    return DrawnEffect(name, site, 1.0, lambda rig, sensors: (rig, sensors), {}, {}, accepted, absorbed)
+
+
+@pytest.mark.parametrize(
+    ("hidden", "verdict", "named", "identified", "extra"),
+    [
+        ([], "no_effect", {}, [], []),
+        ([], "effect_found", {"cogging@motor1": []}, [], ["cogging@motor1"]),
+        (["cogging@motor1"], "effect_found", {"cogging@motor1": []}, [True], []),
+        (["cogging@motor1"], "effect_found", {"cogging@motor2": []}, [False], ["cogging@motor2"]),
+        (["cogging@motor1"], "effect_found", {"position_friction@phi1": ["cogging@motor1"]}, [True], []),
+        (["voltage_offset@motor2"], "effect_found", {"constant_force@phi2": []}, [True], []),
+        (["friction_slope@x"], "effect_found", {"position_friction@x": []}, [True], []),
+        (["electrical_lag@drives"], "effect_found", {"electrical_lag@drives": []}, [True], []),
+        (
+            ["electrical_lag@drives"],
+            "effect_found",
+            {"electrical_lag@motor1": [], "electrical_lag@motor2": []},
+            [True],
+            [],
+        ),
+        (["electrical_lag@drives"], "effect_found", {"electrical_lag@motor1": []}, [False], []),
+        (["electrical_lag@motor1"], "effect_found", {"electrical_lag@drives": []}, [False], ["electrical_lag@drives"]),
+        (["electrical_lag@drives"], "effect_found", {"input_delay@drives": []}, [False], ["input_delay@drives"]),
+        (["input_delay@drives"], "effect_found", {"input_delay@drives": []}, [True], []),
+        (["belt_damping@belts"], "effect_found", {"belt_damping@left": []}, [True], []),
+        (["cogging@motor1", "belt_play@belts"], "effect_found", {"belt_play@belts": []}, [False, True], []),
+    ],
+)
+def test_score_names(hidden, verdict, named, identified, extra):
+    score = score_names([_effect(label) for label in hidden], verdict, named)
+    assert list(score.identified) == identified
+    assert list(score.extra) == extra
+
+
+def test_score_of_effects_outside_the_library_and_of_absorbed_ones():
+    catch = _effect("magnetic catch@x", accepted=("smooth_force[position of x]@x", ""))
+    assert score_names([catch], "effect_found", {"smooth_force[position of x]@x": []}) == NameScore((True,), ())
+    assert score_names([catch], "unexplained", {}) == NameScore((True,), ())
+    assert score_names([catch], "no_effect", {}) == NameScore((False,), ())
+    assert score_names([catch], "unexplained", {"cogging@motor1": []}) == NameScore((False,), ("cogging@motor1",))
+    frame = _effect("frame resonance@x_m", accepted=("*mode*", ""))
+    assert score_names([frame], "effect_found", {"added_mode@x_m": []}) == NameScore((True,), ())
+    gain = _effect("gain_mismatch@motor1", absorbed=True)
+    assert score_names([gain], "no_effect", {}) == NameScore((True,), ())

@@ -75,7 +75,7 @@ def dry_level(
     v = z[n + i]
     level = c.coulomb + c.friction_slope * z[i]
     if c.stribeck_force != 0.0:
-        level += c.stribeck_force * math.exp(-((v / c.stribeck_velocity) ** 2))
+        level += c.stribeck_force * math.exp(-(abs(v / c.stribeck_velocity) ** c.stribeck_exponent))
     if c.friction_wave != 0.0:
         level += c.friction_wave * math.sin(2.0 * math.pi * z[i] / c.friction_wavelength + c.friction_phase)
     if c.friction_cross_position != 0.0:
@@ -97,7 +97,8 @@ def _force_of_coordinate(
     force = c.constant_force - c.viscous * (1.0 + c.viscous_asymmetry * np.sign(v)) * v
     force -= c.quadratic_drag * v * abs(v) + c.spring_stiffness * (q - c.spring_rest)
     if c.wave_force != 0.0:
-        force += c.wave_force * math.sin(c.wave_number * q + c.wave_phase)
+        harmonic = c.wave_second * math.sin(2.0 * c.wave_number * q)
+        force += c.wave_force * (math.sin(c.wave_number * q + c.wave_phase) + harmonic)
     if c.catch_force != 0.0:
         u = (q - c.catch_position) / c.catch_width
         force -= c.catch_force * u * math.exp(0.5 - 0.5 * u * u)
@@ -157,13 +158,16 @@ def _add_belts(
                 rate += row * z[n + i] * (c.radius + c.eccentricity_m * math.cos(z[i] + c.eccentricity_phase))
         s -= min(max(s, -stage.belt_play_m), stage.belt_play_m)
         s = max(s, -stage.belt_pretension_N / k)
-        tension = k * (s * (1.0 + stage.belt_hardening * s * s) + stage.belt_damping_s * rate)
+        damping = stage.belt_damping_s * arrays.belts[b, 2]
+        tension = k * (s * (1.0 + stage.belt_hardening * s * s) + damping * rate)
         for i in range(n):
             row = arrays.rows[b, i]
             if row != 0.0:
                 c = coordinates[i]
                 lever_arm = c.radius + c.eccentricity_m * math.cos(z[i] + c.eccentricity_phase)
                 force[i] -= tension * row * lever_arm
+        if stage.belt_energy_force == 0.0:
+            continue
         energy_per_length = 0.5 * s * s * (1.0 + 0.5 * stage.belt_hardening * s * s) * k / length
         for i in range(2):
             force[i] += energy_per_length * arrays.length_gradient[b, i]

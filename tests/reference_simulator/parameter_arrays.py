@@ -14,7 +14,7 @@ from tests.reference_simulator.rig import Array, Rig
 _OF_COORDINATE = [f.name for f in dataclasses.fields(Rig) if isinstance(f.default, tuple) and len(f.default) == 4]
 _OF_DRIVE = ["drive_gain", "voltage_offset_V", "dead_band_V", "current_limit_A", "electrical_lag_s"]
 _OF_DRIVE += ["heating_loss", "heating_s", "current_ripple", "current_ripple_order"]
-_OF_BELTS = ["belt_play_m", "belt_damping_s", "belt_pretension_N", "belt_hardening"]
+_OF_BELTS = ["belt_play_m", "belt_damping_s", "belt_pretension_N", "belt_hardening", "belt_energy_force"]
 _OF_STAGE = ["warm_up_s", *_OF_BELTS, "frame_w", "frame_zeta", "frame_ratio"]
 _DIVISORS = dict.fromkeys(("stribeck_velocity", "friction_wavelength", "hysteresis_travel", "catch_width"), 1.0)
 COORDINATE = np.dtype([(name, "f8") for name in [*_OF_COORDINATE, "radius", "eccentricity_m", "eccentricity_phase"]])
@@ -46,7 +46,7 @@ class ParameterArrays(NamedTuple):
     drives: NDArray[Any]  # (2,) of DRIVE
     links: NDArray[Any]  # (links,) of LINK: springs between two coordinates
     stage: NDArray[Any]  # (1,) of STAGE
-    belts: Array  # (belts, 2): EA, N; length at x = y = 0, m
+    belts: Array  # (belts, 3): EA, N; length at x = y = 0, m; factor of the damping
     length_gradient: Array  # (belts, 2): of the length with respect to x and y
     rows: Array  # (belts, n): extension over the coordinates' travel
 
@@ -166,17 +166,21 @@ def _stage(rig: Rig) -> NDArray[Any]:
 
 
 def _belts(rig: Rig, count: int) -> tuple[Array, Array, Array]:
-    """Return EA and length (belts, 2), gradient of the length (belts, 2), and rows (belts, count) over travel."""
+    """Return EA, length, damping factor (belts, 3), length gradient (belts, 2), rows over travel (belts, count)."""
     if rig.idlers:
         lengths, gradient = np.array(_SECTIONS), np.array(_SECTION_GRADIENT, float)
         section_rows = np.array(_SECTION_ROWS, float)
         if len(set(rig.belt_EA_N)) > 1:
             raise ValueError("a 20th-order stage has one belt, hence one EA")
+        if len(set(rig.belt_damping_factor)) > 1:
+            raise ValueError("a 20th-order stage has one belt, hence one damping factor")
         strength = np.full(len(section_rows), rig.belt_EA_N[0])
+        damping = np.full(len(section_rows), rig.belt_damping_factor[0])
     else:
         strength, lengths = np.array(rig.belt_EA_N), np.array(rig.belt_length_m)
+        damping = np.array(rig.belt_damping_factor)
         gradient = np.array([[1.0, 1.0], [1.0, -1.0], [-2.0, 0.0]])
         section_rows = np.array([[1.0, 1.0, 1.0, 0.0], [1.0, -1.0, 0.0, -1.0], [-2.0, 0.0, -1.0, 1.0]])
     rows = np.zeros((len(section_rows), count))
     rows[:, : section_rows.shape[1]] = section_rows
-    return np.stack([strength, lengths], axis=1), gradient * float(rig.length_follows), rows
+    return np.stack([strength, lengths, damping], axis=1), gradient * float(rig.length_follows), rows

@@ -77,9 +77,10 @@ class Rig:
     emf_constant: PerDrive = (0.023, 0.023)  # V s/rad
     resistance_ohm: PerDrive = (0.71, 0.71)
 
-    # Dry friction level: F(q, v) = Fc + dF exp(-(v/vs)^2) + A sin(2 pi q/L + p) + slope q, clipped at zero.
+    # Dry friction level: F(q, v) = Fc + dF exp(-|v/vs|^d) + A sin(2 pi q/L + p) + slope q, clipped at zero.
     stribeck_force: PerCoordinate = OFF  # dF
     stribeck_velocity: PerCoordinate = (0.05, 0.05, 2.5, 2.5)  # vs, m/s and rad/s
+    stribeck_exponent: PerCoordinate = (2.0, 2.0, 2.0, 2.0)  # d
     friction_wave: PerCoordinate = OFF  # A
     friction_wavelength: PerCoordinate = (0.1, 0.1, 2.0, 2.0)  # L, m and rad
     friction_phase: PerCoordinate = OFF  # p, rad
@@ -105,6 +106,7 @@ class Rig:
     wave_force: PerCoordinate = OFF  # A in A sin(n q + p): cogging of a motor, magnets along a rail
     wave_number: PerCoordinate = (40.0, 40.0, 10.0, 10.0)  # n, rad/m; periods per revolution of the belt pulley
     wave_phase: PerCoordinate = OFF  # p, rad
+    wave_second: PerCoordinate = OFF  # c: the force above plus c A sin(2 n q), a second harmonic
     catch_force: PerCoordinate = OFF  # A, maximum pull of a magnet at q0: -A sqrt(e) u exp(-u^2/2), u = (q - q0)/w
     catch_position: PerCoordinate = OFF  # q0
     catch_width: PerCoordinate = (0.01, 0.01, 0.5, 0.5)  # w
@@ -136,6 +138,8 @@ class Rig:
     eccentricity_phase: PerDrive = (0.0, 0.0)  # p, rad
     belt_play_m: float = 0.0  # half width of a dead zone in every extension
     belt_damping_s: float = 0.0  # c: tension + c k ds/dt
+    belt_damping_factor: PerBelt = (1.0, 1.0, 1.0)  # of c, per belt
+    belt_energy_force: bool = True  # the force 1/2 s^2 dk/dq of a belt whose stiffness k depends on position
     belt_pretension_N: float = INF  # the tension cannot fall by more than this
     belt_hardening: float = 0.0  # h: tension k s (1 + h s^2), 1/m^2
 

@@ -20,6 +20,7 @@ class Sensors:
     skew: tuple[float, float] = (0.0, 0.0)  # a, b: the lasers are not orthogonal and measure x + a y, y + b x
     scale: PerCoordinate = (1.0, 1.0, 1.0, 1.0)
     range_x_m: tuple[float, float] = (-INF, INF)  # the laser of the bridge saturates at these positions
+    range_y_m: tuple[float, float] = (-INF, INF)  # and that of the cart
     delay_s: PerCoordinate = OFF
 
     def ideal(self, time_s: Array, positions: Array, velocities: Array) -> Array:
@@ -45,6 +46,7 @@ class Sensors:
         measurement[:, 3] += self.skew[1] * x
         measurement *= np.array(self.scale)
         measurement[:, 2] = np.clip(measurement[:, 2], *self.range_x_m)
+        measurement[:, 3] = np.clip(measurement[:, 3], *self.range_y_m)
         return measurement
 
 

@@ -149,13 +149,32 @@ def stall_tension(rig: Rig) -> float:
     return rig.gear_ratio * rig.torque_constant[0] * _stall_amps(rig) / rig.pulley_radius_m
 
 
-def _limited(rig: Rig, sensors: Sensors, *, site: str, fraction: float) -> tuple[Rig, Sensors]:
-    """Limit the current to a fraction of the motor's stall current, so that every rig reaches it equally often."""
+def limit_current(rig: Rig, sensors: Sensors, *, site: str, fraction: float) -> tuple[Rig, Sensors]:
+    """Limit the current to a fraction of the motor's stall current, so that every rig reaches it equally often.
+
+    Args:
+        rig: Stage to change.
+        sensors: Its sensors.
+        site: Motor.
+        fraction: Fraction of the stall current.
+
+    Returns:
+        The changed rig and the sensors.
+    """
     return change_site(rig, sensors, sites=MOTORS, site=site, current_limit_A=fraction * _stall_amps(rig))
 
 
-def _loosened(rig: Rig, sensors: Sensors, *, fraction: float) -> tuple[Rig, Sensors]:
-    """Pretension the belts with a fraction of the tension with which the motor can pull."""
+def loosen_belts(rig: Rig, sensors: Sensors, *, fraction: float) -> tuple[Rig, Sensors]:
+    """Pretension the belts with a fraction of the tension with which the motor can pull.
+
+    Args:
+        rig: Stage to change.
+        sensors: Its sensors.
+        fraction: Fraction of the tension.
+
+    Returns:
+        The changed rig and the sensors.
+    """
     return dataclasses.replace(rig, belt_pretension_N=fraction * stall_tension(rig)), sensors
 
 
@@ -209,7 +228,7 @@ def effect(name: str, site: str, size: float) -> HiddenEffect:
             return _hidden(name, site, partial(motor, dead_band_V=volts), {"Vd": volts})
         case "current_limit":
             fraction = 1.0 - 0.6 * size
-            build = partial(_limited, site=site, fraction=fraction)
+            build = partial(limit_current, site=site, fraction=fraction)
             return _hidden(name, site, build, {"I": fraction * _stall_amps(Rig())})
         case "electrical_lag":
             tau = size * 1.5e-3
@@ -254,7 +273,9 @@ def effect(name: str, site: str, size: float) -> HiddenEffect:
             return _hidden(name, site, partial(change_fields, belt_damping_s=damping), {"c": damping})
         case "belt_slack":
             fraction = 0.5 - 0.35 * size
-            return _hidden(name, site, partial(_loosened, fraction=fraction), {"T0": fraction * stall_tension(Rig())})
+            return _hidden(
+                name, site, partial(loosen_belts, fraction=fraction), {"T0": fraction * stall_tension(Rig())}
+            )
         case "belt_hardening":
             hardening = size * 5e4
             return _hidden(name, site, partial(change_fields, belt_hardening=hardening), {"h": hardening})

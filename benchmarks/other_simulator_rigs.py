@@ -1,0 +1,153 @@
+"""Does identification hold on the rigs of somebody else's simulator? Names, and errors on unseen runs.
+
+    python -m benchmarks.other_simulator_rigs                       # all fourteen
+    python -m benchmarks.other_simulator_rigs --only 1 7 --log      # some of them; nothing is written
+
+benchmarks/data/other_simulator/README.md describes the rigs. `TRUTH` translates what they hide to the library's names.
+Results are cached in out/other_simulator_rigs as those of benchmarks.random_rigs are.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import time
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.identification import source_key
+from benchmarks.results_file import ROOT, write_results
+from benchmarks.rig_score import survives_rated_voltage, unseen_errors
+from benchmarks.scoring import score_names
+from hframe_gym.atomic_files import write_text
+from hframe_gym.identification import identify
+from hframe_gym.machine import BUILTIN_MACHINES
+from hframe_gym.recordings import load_recordings
+from tests.rigs.random_effects import DrawnEffect
+from tests.rigs.random_rigs import describe_effects
+
+DATA = ROOT / "benchmarks" / "data" / "other_simulator"
+CACHE = Path("out/other_simulator_rigs")
+_SOURCES = ("benchmarks/other_simulator_rigs.py", "benchmarks/rig_score.py", "benchmarks/scoring.py")
+_WARM_UP = tuple(f"smooth_friction[time]@{c}" for c in ("x", "y", "phi1", "phi2"))
+
+
+def _unchanged(rig: Any, sensors: Any) -> Any:
+    """Return a rig and its sensors as they are: these effects are in the data already."""
+    return rig, sensors
+
+
+def _hidden(label: str, *accepted: str, absorbed: bool = False) -> DrawnEffect:
+    """Return a hidden effect; `accepted` labels identify one that the library lacks, besides `unexplained`."""
+    name, site = label.split("@")
+    outside = (*accepted, "") if accepted else ()
+    return DrawnEffect(name, site, 1.0, _unchanged, {}, {}, accepted=outside, absorbed=absorbed)
+
+
+TRUTH: dict[int, tuple[DrawnEffect, ...]] = {
+    1: (),
+    2: (),
+    3: (_hidden("stribeck_friction@y"),),
+    4: (_hidden("gain_mismatch@motor2", absorbed=True), _hidden("voltage_offset@motor1")),
+    5: (_hidden("cogging@motor1"),),
+    # Coulomb friction that differs by direction is a constant force beside the mean friction.
+    6: (_hidden("input_delay@drives"), _hidden("constant_force@x")),
+    7: (_hidden("bridge_yaw@machine"),),
+    8: (_hidden("cable with memory@x", "presliding@x", "*hysteresis*@x", "*memory*@x", "*dahl*@x"),),
+    9: (_hidden("frame resonance@x_m", "*frame*", "*mode*", "*resonance*"),),
+    10: (_hidden("sensor_range@x_m"), _hidden("sensor_range@y_m"), _hidden("eccentric_pulley@motor2")),
+    11: (_hidden("belt_play@belts"), _hidden("stribeck_friction@x")),
+    12: (_hidden("quadratic_drag@x"), _hidden("voltage_offset@motor2")),
+    13: (_hidden("magnetic catch@x", "smooth_force[position of x]@x"),),
+    14: (_hidden("warm-up@machine", *_WARM_UP),),
+}
+
+
+def run_rig(number: int, key: str, *, log: bool = False) -> dict[str, Any]:
+    """Identify and score a rig, or return its row from the cache if that is valid.
+
+    Args:
+        number: Number of the rig, from 1.
+        key: Hash of the sources.
+        log: Whether to print the progress of the identification.
+
+    Returns:
+        The row of the results.
+    """
+    folder, cached = DATA / f"rig_{number:02d}", CACHE / f"rig_{number:02d}.json"
+    if cached.is_file():
+        old: dict[str, Any] = json.loads(cached.read_text())
+        if old["key"] == key:
+            row: dict[str, Any] = old["row"]
+            return row
+    declared = BUILTIN_MACHINES["hframe"]()
+    recordings, unseen = (load_recordings(folder / name, declared) for name in ("runs", "unseen"))
+    wall, cpu = time.perf_counter(), time.process_time()
+    result = identify(recordings, declared, log=partial(print, flush=True) if log else None)
+    seconds = {"wall": round(time.perf_counter() - wall, 2), "cpu": round(time.process_time() - cpu, 2)}
+    report = result.as_json()
+    named = {f"{e['name']}@{e['site']}": list(e.get("rivals", ())) for e in report["effects"]}
+    names = score_names(TRUTH[number], result.verdict, named)
+    machines = {"declared": declared, "before": result.before.machine, "after": result.after.machine}
+    row = {
+        "rig": folder.name,
+        **json.loads((folder / "truth.json").read_text()),
+        "truth": describe_effects(TRUTH[number]),
+        "verdict": result.verdict,
+        "named": named,
+        "complete": all(names.identified),
+        "extra": list(names.extra),
+        "unseen": {name: unseen_errors(machine, unseen) for name, machine in machines.items()},
+        "left": report.get("left"),
+        "stable": survives_rated_voltage(result.after.machine),
+        "seconds": seconds,
+    }
+    CACHE.mkdir(parents=True, exist_ok=True)
+    write_text(cached, json.dumps({"key": key, "row": row}, indent=1) + "\n")
+    return row
+
+
+def show(console: Console, rows: list[dict[str, Any]]) -> None:
+    """Print the table of all rigs."""
+    table = Table("rig", "hidden", "residue", "named", "", "unseen / noise", "s", "cpu s")
+    for r in rows:
+        marks = ("" if r["complete"] else "missed ") + ("extra" if r["extra"] else "")
+        table.add_row(
+            r["rig"],
+            r["hidden"],
+            "yes" if r["residue"] else "",
+            " + ".join(r["named"]) or r["verdict"],
+            marks or "right",
+            f"{r['unseen']['before']['mean']:.3g} -> {r['unseen']['after']['mean']:.3g}",
+            *(f"{r['seconds'][clock]:.0f}" for clock in ("wall", "cpu")),
+        )
+    console.print(table)
+
+
+def main() -> None:
+    """Identify the rigs that the command line names, print the table and write the results."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", type=int, nargs="+", metavar="NUMBER", choices=tuple(TRUTH))
+    parser.add_argument("--log", action="store_true", help="print the progress of each identification")
+    arguments = parser.parse_args()
+    text = hashlib.sha256(source_key().encode())
+    for source in _SOURCES:
+        text.update((ROOT / source).read_bytes())
+    console, rows = Console(width=170), []
+    for number in arguments.only or TRUTH:
+        row = run_rig(number, text.hexdigest(), log=arguments.log)
+        named = " + ".join(row["named"]) or row["verdict"]
+        console.print(f"{row['rig']}: {row['truth']} -> {named}", highlight=False, markup=False, soft_wrap=True)
+        rows.append(row)
+    show(console, rows)
+    if not arguments.only:
+        write_results("other_simulator_rigs", {"rigs": rows}, seed=None)
+
+
+if __name__ == "__main__":
+    main()

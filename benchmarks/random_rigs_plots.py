@@ -1,0 +1,113 @@
+"""Draw the results on random rigs: confusion, detection against size, calibration, errors on unseen runs, time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+from scipy.stats import norm
+
+from benchmarks.random_rigs_summary import MAX_RELATIVE_STD, Row, split_by_residue
+from benchmarks.results_file import FIGURES
+
+_GREEN, _RED, _GRAY, _AMBER = "#3b7d4f", "#c4513d", "0.6", "#e0b04c"
+_RATIO_LIMITS = (0.5, 1e3)  # ratios beyond are drawn at the limit
+
+
+def draw(rows: list[Row], content: dict[str, Any], seed: int) -> None:
+    """Write docs/figures/random_rigs_SEED_*.png.
+
+    Args:
+        rows: Results by rig.
+        content: Summary of the results.
+        seed: Seed of the rigs.
+    """
+    FIGURES.mkdir(parents=True, exist_ok=True)
+
+    def path(name: str) -> Path:
+        return FIGURES / f"random_rigs_{seed}_{name}.png"
+
+    _confusion(content["confusion"], path("confusion"))
+    _detection(content["detection"], path("detection"))
+    _calibration(rows, path("calibration"))
+    _errors(rows, path("errors"))
+
+
+def _confusion(counts: dict[str, dict[str, int]], path: Path) -> None:
+    """Draw the counts of named families by hidden family."""
+    hidden = list(counts)
+    named = sorted({name for row in counts.values() for name in row}, key=lambda n: (n.startswith("("), n))
+    table = np.array([[counts[h].get(n, 0) for n in named] for h in hidden])
+    figure, axes = plt.subplots(figsize=(0.32 * len(named) + 2.5, 0.28 * len(hidden) + 2.0), layout="constrained")
+    share = table / np.maximum(table.sum(axis=1, keepdims=True), 1)
+    axes.imshow(share, cmap="Greens", vmin=0.0, vmax=1.0, aspect="auto")
+    for i, j in zip(*np.nonzero(table), strict=True):
+        axes.text(j, i, str(table[i, j]), ha="center", va="center", fontsize=6)
+    axes.set_xticks(range(len(named)), named, rotation=90, fontsize=6)
+    axes.set_yticks(range(len(hidden)), hidden, fontsize=6)
+    axes.set_xlabel("named family")
+    axes.set_ylabel("hidden family")
+    _save(figure, path)
+
+
+def _detection(detection: dict[str, Any], path: Path) -> None:
+    """Draw every effect by family and size, and the size at which half are identified."""
+    figure, axes = plt.subplots(figsize=(6, 0.27 * len(detection) + 1.2), layout="constrained")
+    for row, found in enumerate(detection.values()):
+        for identified, color, shift in ((True, _GREEN, 0.12), (False, _RED, -0.12)):
+            sizes = [100 * size for size, hit in found["points"] if hit == identified]
+            axes.plot(sizes, np.full(len(sizes), row + shift), "o", ms=3, color=color)
+        if found["half"] is not None:
+            axes.plot([100 * found["half"]] * 2, [row - 0.4, row + 0.4], color="black", lw=1.2)
+    axes.set_xscale("log")
+    axes.set_yticks(range(len(detection)), list(detection), fontsize=7)
+    axes.invert_yaxis()
+    axes.set_xlabel("size, % of the full one (green: identified, red: not; bar: half are identified)")
+    _save(figure, path)
+
+
+def _calibration(rows: list[Row], path: Path) -> None:
+    """Draw the fraction of true values inside symmetric intervals over the intervals' level."""
+    figure, axes = plt.subplots(figsize=(4.2, 4.2), layout="constrained")
+    level = np.linspace(0.01, 0.999, 200)
+    axes.plot(level, level, color=_GRAY, lw=0.8)
+    for some, style, which in zip(split_by_residue(rows), ("-", "--"), ("clean", "with residue"), strict=True):
+        for of_effect, color, what in ((True, _GREEN, "effects"), (False, _AMBER, "machine")):
+            z = [
+                abs(i["z"])
+                for r in some
+                for i in r["intervals"]
+                if i["effect"] == of_effect and i["relative_std"] is not None and i["relative_std"] < MAX_RELATIVE_STD
+            ]
+            if z:
+                inside = np.mean(np.array(z)[:, None] <= norm.ppf(0.5 + 0.5 * level), axis=0)
+                axes.plot(level, inside, style, color=color, label=f"{what}, {which} ({len(z)})")
+    axes.set_xlabel("level of the reported interval")
+    axes.set_ylabel("fraction of true values inside")
+    axes.legend(fontsize=7, frameon=False)
+    _save(figure, path)
+
+
+def _errors(rows: list[Row], path: Path) -> None:
+    """Draw the error on unseen runs after identification over that of the true machine."""
+    figure, axes = plt.subplots(figsize=(5, 4.5), layout="constrained")
+    for some, color, name in zip(split_by_residue(rows), (_GREEN, _RED), ("clean", "with residue"), strict=True):
+        if some:
+            true, after = (np.clip([r["unseen"][k]["mean"] for r in some], *_RATIO_LIMITS) for k in ("true", "after"))
+            axes.loglog(true, after, "o", ms=4, color=color, label=name)
+    axes.loglog(_RATIO_LIMITS, _RATIO_LIMITS, color=_GRAY, lw=0.8)
+    axes.set_xlabel("error of the true machine on unseen runs, multiples of the noise")
+    axes.set_ylabel("error of the identified machine")
+    axes.legend(fontsize=7)
+    _save(figure, path)
+
+
+def _save(figure: Any, path: Path) -> None:
+    """Save a figure without a version stamp, so that equal figures give equal files."""
+    figure.savefig(path, dpi=150, metadata={"Software": None})
+    plt.close(figure)

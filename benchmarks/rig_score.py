@@ -1,0 +1,224 @@
+"""Score the identification of a random rig: names, errors on unseen runs, standard deviations, stability."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+import hframe_gym.identification
+from benchmarks.scoring import score_names
+from hframe_gym.dynamics import simulate
+from hframe_gym.effects import EFFECTS
+from hframe_gym.identification import IdentificationResult, initial_state_of_recording
+from hframe_gym.machine import BUILTIN_MACHINES, Machine
+from hframe_gym.recordings import Recording, load_machine, save_machine
+from tests.reference_simulator import Array
+from tests.reference_simulator.sensors import ENCODER_STEP_RAD, LASER_NOISE_M
+from tests.rigs.random_effects import DrawnEffect
+from tests.rigs.random_rigs import RandomRig, RandomSession
+from tests.rigs.true_machine import identified_values, true_machine
+
+NOISE = np.array([ENCODER_STEP_RAD / math.sqrt(12.0)] * 2 + [LASER_NOISE_M] * 2)  # of phi1, phi2, rad; x, y, m
+_HISTORIES, _HISTORY_S, _HOLD_S = 3, 2.0, 0.02  # random rated voltages that the written machine has to survive
+
+
+def score_rig(session: RandomSession, result: IdentificationResult, seconds: dict[str, float]) -> dict[str, Any]:
+    """Return the row of a rig in the results.
+
+    Args:
+        session: The recorded rig.
+        result: Result of its identification.
+        seconds: Duration of the identification, s, by "wall" and "cpu".
+
+    Returns:
+        Plain data.
+    """
+    rig = session.rig
+    report = result.as_json()
+    named = {f"{e['name']}@{e['site']}": e for e in report["effects"]}
+    names = score_names(rig.hidden_effects, result.verdict, {label: e.get("rivals", ()) for label, e in named.items()})
+    declared, truth = BUILTIN_MACHINES["hframe"](), true_machine(rig)
+    machines = {
+        "declared": declared, "before": result.before.machine, "after": result.after.machine, "true": truth,
+    }  # fmt: skip
+    right = all(names.identified) and not names.extra
+    return {
+        "rig": rig.name,
+        "index": rig.index,
+        "kind": rig.kind,
+        "simulator": rig.simulator,
+        "runs": rig.runs,
+        "rate_hz": rig.rate_hz,
+        "residue": rig.residue.kind,
+        "truth": rig.describe(),
+        "hidden": [_hidden(effect, i) for effect, i in zip(rig.hidden_effects, names.identified, strict=True)],
+        "verdict": result.verdict,
+        "named": [
+            {
+                "label": label,
+                "family": e["family"],
+                "rivals": list(e.get("rivals", ())),
+                "gain": e.get("held_out_gain"),
+                "extra": label in names.extra,
+            }
+            for label, e in named.items()
+        ],
+        "complete": all(names.identified),
+        "extra": list(names.extra),
+        "held_out": {name: _mean_ratio(report[name]["held_out"]) for name in ("declared", "before", "after")},
+        "explained": report.get("explained"),
+        "left": report.get("left"),
+        "considered": report.get("considered"),
+        "unseen": {name: machine and unseen_errors(machine, session.unseen) for name, machine in machines.items()},
+        "intervals": _intervals(rig, result.after.machine) if right and rig.kind in ("none", "library") else [],
+        "stable": survives_rated_voltage(result.after.machine),
+        "consistency": _consistency(session.recordings, result),
+        "seconds": {name: round(value, 2) for name, value in seconds.items()},
+    }
+
+
+def _hidden(effect: DrawnEffect, identified: bool) -> dict[str, Any]:
+    """Return a hidden effect as plain data."""
+    return {
+        "label": effect.label,
+        "family": EFFECTS[effect.name].family if effect.in_library else effect.name,
+        "site": effect.site,
+        "size": effect.size,
+        "off_form": effect.off_form,
+        "absorbed": effect.absorbed,
+        "identified": identified,
+    }
+
+
+def _mean_ratio(errors: dict[str, Any]) -> float | None:
+    """Return the mean over the channels of an error in report.json, in multiples of the noise."""
+    ratios = [e["noise_ratio"] for e in errors.values() if isinstance(e, dict) and e["noise_ratio"] is not None]
+    return float(np.mean(ratios)) if ratios else None
+
+
+def simulated(machine: Machine, recording: Recording) -> Array:
+    """Simulate a machine over a recording as `hframe simulate` does, from the measurements at rest.
+
+    Args:
+        machine: Machine to simulate.
+        recording: The run.
+
+    Returns:
+        Simulated measurements, shape (n, sensors); infinite if the simulation diverges.
+    """
+    try:
+        # The function that the command line uses, under whichever name the package has it.
+        function = getattr(hframe_gym.identification, "simulate_recording", None)
+        if function is not None:
+            simulation = function(machine, recording)
+            return np.asarray(getattr(simulation, "outputs", simulation), float)
+        initial = initial_state_of_recording(machine, recording)
+        trajectory = simulate(machine, recording.time_s, recording.inputs, initial.state, offset=initial.offset)
+    except ArithmeticError:
+        return np.full(recording.outputs.shape, np.inf)
+    return np.asarray(trajectory.outputs, float)
+
+
+def root_mean_square(machine: Machine, recordings: Iterable[Recording]) -> Array:
+    """Return the error of a machine on some runs.
+
+    Args:
+        machine: Machine to simulate.
+        recordings: The runs.
+
+    Returns:
+        Root mean square error by channel, in the channels' units, shape (sensors,).
+    """
+    error = np.concatenate([simulated(machine, recording) - recording.outputs for recording in recordings])
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.sqrt(np.nanmean(error**2, axis=0)))
+
+
+def unseen_errors(machine: Machine, unseen: Sequence[Recording]) -> dict[str, float]:
+    """Return the error of a machine on the unseen runs, in multiples of the sensors' noise.
+
+    Args:
+        machine: Machine to simulate.
+        unseen: The runs.
+
+    Returns:
+        Mean over the channels, and the worst channel.
+    """
+    ratios = root_mean_square(machine, unseen) / NOISE
+    return {"mean": float(min(ratios.mean(), 1e9)), "worst": float(min(ratios.max(), 1e9))}
+
+
+def _consistency(recordings: Sequence[Recording], result: IdentificationResult) -> float:
+    """Return the largest relative difference of the errors of `hframe simulate` from those of the report.
+
+    Both are those of the corrected machine on the held-out runs, by channel.
+    """
+    names = {run.name for run in result.held_out.runs}
+    errors = root_mean_square(result.after.machine, [r for r in recordings if r.name in names])
+    reported = [e.rmse for e in result.after.held_out.channels.values()]
+    differences = [abs(e / r - 1.0) for e, r in zip(errors, reported, strict=True) if r]
+    return float(min(max(differences, default=0.0), 1e9))
+
+
+def survives_rated_voltage(machine: Machine) -> bool:
+    """Check whether a machine, written and read again, stays finite under random voltages up to the rated ones.
+
+    Args:
+        machine: Machine to write.
+
+    Returns:
+        True if it does.
+    """
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "machine.json"
+        save_machine(machine, path)
+        written = load_machine(path)
+    rng = np.random.default_rng(0)
+    time_s = np.arange(round(_HISTORY_S * 1000)) * 1e-3
+    rated = np.array([d.rated_voltage for d in written.drives])
+    for _ in range(_HISTORIES):
+        levels = rng.uniform(-1.0, 1.0, (round(_HISTORY_S / _HOLD_S), len(rated))) * rated
+        inputs = np.repeat(levels, round(_HOLD_S * 1000), axis=0)
+        try:
+            if not np.isfinite(simulate(written, time_s, inputs).outputs).all():
+                return False
+        except ArithmeticError:
+            return False
+    return True
+
+
+def _intervals(rig: RandomRig, machine: Machine) -> list[dict[str, Any]]:
+    """Return the estimates with their standard deviations and true values, for all parameters that have both."""
+    rows: list[dict[str, Any]] = []
+    if machine.uncertainty is None:
+        return rows
+    parameters, true = machine.parameters, identified_values(rig)
+    for name in machine.uncertainty.names:
+        std = machine.uncertainty.std(name)
+        if std is None or not np.isfinite(std) or std <= 0.0 or name not in true or name not in parameters:
+            continue
+        value, expected = _same_sign(name, parameters, true)
+        error = value - expected
+        if name.endswith(".p"):
+            error = (error + math.pi) % (2.0 * math.pi) - math.pi
+        unit = 1.0 if name.endswith(".p") else abs(expected)
+        rows.append(
+            {"name": name, "relative_std": std / unit if unit else None, "z": error / std, "effect": "@" in name}
+        )
+    return rows
+
+
+def _same_sign(name: str, parameters: dict[str, float], true: dict[str, float]) -> tuple[float, float]:
+    """Return estimate and true value of a parameter; a negative amplitude of a sine is half a period of its phase."""
+    label, _, key = name.rpartition(".")
+    value = parameters[name]
+    if f"{label}.p" in parameters and "@" in label:
+        amplitude = "e" if f"{label}.e" in parameters else "A"
+        if parameters[f"{label}.{amplitude}"] < 0.0:
+            value = abs(value) if key == amplitude else value + math.pi if key == "p" else value
+    return value, true[name]
