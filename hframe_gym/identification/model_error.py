@@ -142,11 +142,11 @@ def residue_force(fitted: Fit, data: Dataset) -> float:
 
 
 def effect_force(machine: Machine, effect: AppliedEffect, data: Dataset) -> float:
-    """Return the size of the force that an effect adds to its machine during the recordings.
+    """Return the size of the force that an effect adds to a machine during the recordings.
 
     Args:
-        machine: Machine with the effect.
-        effect: One of its effects.
+        machine: Machine with or without the effect; the motion is predicted without it.
+        effect: The effect.
         data: Runs over which the machine is predicted.
 
     Returns:
@@ -156,11 +156,12 @@ def effect_force(machine: Machine, effect: AppliedEffect, data: Dataset) -> floa
     if effect.definition.structure or effect.definition.measurement or effect.definition.measurement_delay:
         return np.inf
     without = machine.replace(effects=tuple(e for e in machine.effects if e.label != effect.label))
+    with_effect = without.with_effects(effect)
 
     def of_run(run: PreparedRecording) -> Array:
-        motion = predict(machine, run, SEARCH_BANDWIDTH, period=data.period, states=True)
+        motion = predict(without, run, SEARCH_BANDWIDTH, period=data.period, states=True)
         record = (run.time_s, motion.positions[0], motion.velocities[0], run.inputs)
-        change: Array = net_forces(machine, *record) - net_forces(without, *record)
+        change: Array = net_forces(with_effect, *record) - net_forces(without, *record)
         return change.reshape(-1, len(machine.coordinates)) / machine.travel_per_unit
 
     return _size(np.concatenate(list(map_runs(of_run, data))))
