@@ -1,0 +1,276 @@
+"""Sparse regression of a tabulated curve on a dictionary of closed forms.
+
+Every term of `terms` with every starting value of its shape parameters is one column of the dictionary. Orthogonal
+matching pursuit (scikit-learn) chooses few columns; nonlinear least squares (SciPy) then fits the shape parameters,
+with the amplitudes eliminated in every step (variable projection). The error by which formulas are compared is that of
+knots to which they were not fitted.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from .terms import Term
+
+Array = NDArray[np.float64]
+_FINE_POINTS = 16  # Points between two knots where a formula is compared with the straight pieces of the table.
+_ERROR_FLOOR = 0.01  # Standard deviation of every ordinate relative to the curve's, for what straight pieces hide.
+_FOLDS = 4  # Every fourth knot is left out in turn.
+_MAX_TERMS = 3
+_MAX_SINGLES = 8  # First terms that are extended by further ones.
+_CLEAR_GAIN = 0.85  # A formula with more parameters must reduce the error of the left-out knots to this fraction.
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Ordinates of a table with their uncertainty.
+
+    Attributes:
+        knots: Increasing values of the variable, shape (k,).
+        values: Ordinates, N or Nm, shape (k,).
+        covariance: Covariance of the ordinates, shape (k, k).
+    """
+
+    knots: Array
+    values: Array
+    covariance: Array
+
+    @cached_property
+    def error_covariance(self) -> Array:
+        """Covariance of the ordinates plus a floor for the error of a table of straight pieces, shape (k, k)."""
+        deviation = float(np.std(self.values)) or 1.0
+        return self.covariance + (_ERROR_FLOOR * deviation) ** 2 * np.eye(len(self.values))
+
+    @cached_property
+    def fine(self) -> Array:
+        """Closely spaced values of the variable from the first knot to the last, shape (m,)."""
+        pieces = np.linspace(self.knots[:-1], self.knots[1:], _FINE_POINTS, endpoint=False, axis=1)
+        return np.append(pieces.ravel(), self.knots[-1])
+
+    @cached_property
+    def projection(self) -> Array:
+        """Least-squares ordinates of the table that is closest to a function at `fine`, shape (k, m)."""
+        hats = np.stack([np.interp(self.fine, self.knots, row) for row in np.eye(len(self.knots))], axis=1)
+        spacing = np.gradient(self.fine)[:, None]
+        return np.asarray(np.linalg.solve(hats.T @ (spacing * hats), (spacing * hats).T))
+
+    def whitening(self, rows: NDArray[np.bool_]) -> Array:
+        """Return the matrix that makes the errors of some ordinates independent with variance 1.
+
+        Args:
+            rows: Mask of the r ordinates, shape (k,).
+
+        Returns:
+            Inverse Cholesky factor of their covariance, shape (r, r).
+        """
+        factor = np.linalg.cholesky(self.error_covariance[np.ix_(rows, rows)])
+        return np.asarray(np.linalg.inv(factor))
+
+
+@dataclass(frozen=True)
+class Formula:
+    """Sum of terms with fitted parameters.
+
+    Attributes:
+        terms: The summands.
+        amplitudes: Amplitudes of all columns, term after term, N or Nm divided by a power of the variable's unit.
+        shapes: Shape parameters by term, in the unit of the variable.
+        error: Root-mean-square error of the knots that the formula was not fitted to (cross-validation), in standard
+            deviations.
+    """
+
+    terms: tuple[Term, ...]
+    amplitudes: tuple[float, ...]
+    shapes: tuple[tuple[float, ...], ...]
+    error: float
+
+    @property
+    def name(self) -> str:
+        """Names of the terms joined by plus signs."""
+        return " + ".join(term.name for term in self.terms)
+
+    @property
+    def complexity(self) -> int:
+        """Number of parameters."""
+        return sum(term.complexity for term in self.terms)
+
+    def __call__(self, u: Array) -> Array:
+        """Evaluate the formula.
+
+        Args:
+            u: Values of the variable, shape (n,).
+
+        Returns:
+            Force or friction, N or Nm, shape (n,).
+        """
+        columns = [term.values(u, np.array(shape)) for term, shape in zip(self.terms, self.shapes, strict=True)]
+        return np.asarray(np.concatenate(columns, axis=1) @ np.array(self.amplitudes))
+
+
+def fit_formulas(curve: Curve, terms: Sequence[Term], count: int = 4) -> tuple[Formula, ...]:
+    """Propose formulas for a curve: the best of each complexity that is worth its parameters.
+
+    Args:
+        curve: Table with its uncertainty.
+        terms: Terms that a formula may contain.
+        count: Largest number of formulas.
+
+    Returns:
+        Formulas by increasing complexity, each with a clearly smaller error of left-out knots than those before
+        (Pareto front), and close rivals of the last.
+
+    Raises:
+        ImportError: If scikit-learn is not installed; the message names the extra `formulas`.
+    """
+    search = _Search(curve, terms)
+    formulas = search.run()
+    formulas.sort(key=lambda f: (f.complexity, f.error))
+    front: list[Formula] = []
+    for formula in formulas:
+        if not front or formula.error < _CLEAR_GAIN * min(f.error for f in front):
+            front = [f for f in front if f.complexity < formula.complexity] + [formula]
+    best = front[-1]
+    rivals = [f for f in formulas if f not in front and f.complexity <= best.complexity + 1]
+    rivals.sort(key=lambda f: f.error)
+    # A formula far from the best is no proposal, however simple.
+    front = front[-count:] if len(front) > 1 else front
+    chosen = front[-max(2, count - 1) :] + rivals[:1]
+    return tuple(sorted(chosen, key=lambda f: (f.complexity, f.error))[-count:])
+
+
+class _Search:
+    """Search for the formulas of a curve.
+
+    Args:
+        curve: Table with its uncertainty.
+        terms: Terms that a formula may contain.
+    """
+
+    def __init__(self, curve: Curve, terms: Sequence[Term]) -> None:
+        self._curve = curve
+        low, high = float(curve.knots[0]), float(curve.knots[-1])
+        self._span = high - low
+        self._bounds = {
+            "center": (low - 0.5 * self._span, high + 0.5 * self._span),
+            "width": (0.005 * self._span, 20.0 * self._span),
+            "period": (0.05 * self._span, 4.0 * self._span),
+        }
+        self._all = np.ones(len(curve.knots), bool)
+        self._whitening = curve.whitening(self._all)
+        self._target = self._whitening @ curve.values
+        self._dictionary: list[tuple[Term, tuple[float, ...], Array]] = []  # term, shapes, whitened columns (k, c)
+        for term in terms:
+            for shape in term.grid(low, high):
+                columns = self._columns([term], [shape])
+                if np.all(np.isfinite(columns)):
+                    self._dictionary.append((term, shape, self._whitening @ columns))
+
+    def run(self) -> list[Formula]:
+        """Return fitted formulas of one to three terms, the best one of every combination of terms."""
+        first = self._singles()
+        supports: dict[tuple[str, ...], list[tuple[Term, tuple[float, ...]]]] = {}
+        for _, atom in first[:_MAX_SINGLES]:
+            supports[(atom[0].name,)] = [atom]
+            for support in self._extended(atom):
+                supports.setdefault(tuple(sorted(term.name for term, _ in support)), support)
+        fitted = [self._fit([t for t, _ in support], [s for _, s in support]) for support in supports.values()]
+        return [formula for formula in fitted if np.isfinite(formula.error)]
+
+    def _singles(self) -> list[tuple[float, tuple[Term, tuple[float, ...]]]]:
+        """Return the best starting values of each term alone, by the squared error that it leaves."""
+        best: dict[str, tuple[float, tuple[Term, tuple[float, ...]]]] = {}
+        for term, shape, columns in self._dictionary:
+            left = self._left(columns)
+            if term.name not in best or left < best[term.name][0]:
+                best[term.name] = (left, (term, shape))
+        return sorted(best.values(), key=lambda entry: entry[0])
+
+    def _left(self, columns: Array) -> float:
+        """Return the squared error after the best fit of whitened columns."""
+        basis, _ = np.linalg.qr(columns)
+        return float(self._target @ self._target - np.sum((basis.T @ self._target) ** 2))
+
+    def _extended(self, atom: tuple[Term, tuple[float, ...]]) -> Iterable[list[tuple[Term, tuple[float, ...]]]]:
+        """Yield the supports that orthogonal matching pursuit finds beside a first term."""
+        orthogonal_mp = _import_orthogonal_mp()
+        term, shape = atom
+        basis, _ = np.linalg.qr(self._whitening @ self._columns([term], [shape]))
+        owners = [(t, s) for t, s, columns in self._dictionary for _ in range(columns.shape[1])]
+        atoms = np.concatenate([columns for _, _, columns in self._dictionary], axis=1)
+        atoms = atoms - basis @ (basis.T @ atoms)  # what the first term leaves of them
+        size = np.linalg.norm(atoms, axis=0)
+        usable = size > 1e-6 * np.median(size)
+        atoms, owners = atoms[:, usable] / size[usable], [o for o, u in zip(owners, usable, strict=True) if u]
+        target = self._target - basis @ (basis.T @ self._target)
+        for further in range(1, _MAX_TERMS):
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", RuntimeWarning)  # no column is left that improves the fit
+                weights = np.atleast_1d(orthogonal_mp(atoms, target, n_nonzero_coefs=further))
+            support = {term.name: (term, shape)}
+            for index in np.flatnonzero(weights):
+                support.setdefault(owners[index][0].name, owners[index])
+            yield list(support.values())
+
+    def _columns(self, terms: Sequence[Term], shapes: Sequence[Sequence[float]]) -> Array:
+        """Return the ordinates of the tables closest to the columns of some terms, shape (k, columns)."""
+        fine = [t.values(self._curve.fine, np.array(s)) for t, s in zip(terms, shapes, strict=True)]
+        return np.asarray(self._curve.projection @ np.concatenate(fine, axis=1))
+
+    def _fit(self, terms: Sequence[Term], start: Sequence[tuple[float, ...]]) -> Formula:
+        """Fit a formula to all knots, then to all but each fold in turn for its error."""
+        amplitudes, shapes = self._solve(terms, start, self._all, self._whitening)
+        squares = 0.0
+        for fold in range(_FOLDS):
+            rows = np.arange(len(self._all)) % _FOLDS != fold
+            part_amplitudes, part_shapes = self._solve(terms, shapes, rows, self._curve.whitening(rows))
+            missing = self._curve.values - self._columns(terms, part_shapes) @ part_amplitudes
+            variance = np.diag(self._curve.error_covariance)
+            squares += float(np.sum(missing[~rows] ** 2 / variance[~rows]))
+        error = float(np.sqrt(squares / len(self._all)))
+        return Formula(tuple(terms), tuple(amplitudes.tolist()), tuple(shapes), error)
+
+    def _solve(
+        self, terms: Sequence[Term], start: Sequence[tuple[float, ...]], rows: NDArray[np.bool_], whitening: Array
+    ) -> tuple[Array, list[tuple[float, ...]]]:
+        """Return amplitudes and shapes of the weighted least-squares fit to some knots."""
+        target = whitening @ self._curve.values[rows]
+        roles = [role for term in terms for role in term.shapes]
+        log = np.array([role != "center" for role in roles], bool)
+
+        def shapes_of(x: Array) -> list[tuple[float, ...]]:
+            plain = np.where(log, np.exp(np.where(log, x, 0.0)), x * self._span)
+            splits = np.cumsum([len(term.shapes) for term in terms])[:-1]
+            return [tuple(part.tolist()) for part in np.split(plain, splits)]
+
+        def amplitudes_of(shapes: Sequence[tuple[float, ...]]) -> tuple[Array, Array]:
+            columns = whitening @ self._columns(terms, shapes)[rows]
+            amplitudes = np.linalg.lstsq(columns, target, rcond=1e-9)[0]
+            return amplitudes, columns @ amplitudes - target
+
+        flat = np.array([value for shape in start for value in shape], float)
+        if not roles:
+            return amplitudes_of(start)[0], list(start)
+        x0 = np.where(log, np.log(np.where(log, flat, 1.0)), flat / self._span)
+        limits = np.array([self._bounds[role] for role in roles])
+        lower, upper = np.where(log[:, None], np.log(np.where(log[:, None], limits, 1.0)), limits / self._span).T
+        x0 = np.clip(x0, lower + 1e-9, upper - 1e-9)
+        best = least_squares(lambda x: amplitudes_of(shapes_of(x))[1], x0, bounds=(lower, upper), max_nfev=60)
+        shapes = shapes_of(best.x)
+        return amplitudes_of(shapes)[0], shapes
+
+
+def _import_orthogonal_mp() -> Any:
+    """Return scikit-learn's orthogonal matching pursuit."""
+    try:
+        from sklearn.linear_model import orthogonal_mp
+    except ImportError:
+        raise ImportError("formulas need scikit-learn: pip install 'hframe_gym[formulas]'") from None
+    return orthogonal_mp

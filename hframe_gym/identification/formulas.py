@@ -1,0 +1,278 @@
+"""Formulas for the tables of an identified machine, compared with the tables on the held-out runs.
+
+A table (a force or friction level that is interpolated between knots of one variable) explains a residual without
+naming a cause. Sparse regression proposes closed forms for it. Each form then takes the place of the table, and all
+parameters of the machine are fitted again to the fitted runs, so that a formula is compared by the error of the
+simulated machine and not only by the shape of the curve.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..effects.formulas import Curve, Formula, FormulaEffect, fit_formulas, terms_of
+from ..effects.smooth_table import KNOTS, TABLE_FAMILY
+from ..machine import AppliedEffect, Machine
+from .candidates import effect_parameters
+from .dataset import Dataset, TypicalScales, refine_encoder_offsets
+from .estimation import Fit, fit
+from .forward_selection import typical_scales
+from .free_parameters import FreeParameter, default_free_parameters
+from .prediction import POLISH_STEP, Mode
+from .residual import channel_errors
+from .result import IdentificationResult
+
+NAME = "proposed"
+_MAX_FORMULAS = 4
+_ITERATIONS = 12
+_CLOSE = 1.1  # A simpler formula is recommended if its error on the fitted runs is below this times the smallest.
+
+
+@dataclass(frozen=True)
+class ProposedFormula:
+    """A formula that can take the place of a table.
+
+    Attributes:
+        effect: The formula as an effect named "proposed", with the parameters of the last fit.
+        fitted: Error on the fitted runs in units of the noise, the root of chi-squared per sample; None if the formula
+            was fitted to the table alone.
+        held_out: Root-mean-square error on the held-out runs in units of the sensor's noise by channel; empty if the
+            formula was fitted to the table alone.
+        recommended: Whether it is the simplest formula whose error on the fitted runs is close to the smallest.
+    """
+
+    effect: FormulaEffect
+    fitted: float | None = None
+    held_out: dict[str, float] = dataclasses.field(default_factory=dict)
+    recommended: bool = False
+
+    @property
+    def noise_ratio(self) -> float:
+        """Mean error over the channels of the held-out runs, in units of the noise; NaN if it is unknown."""
+        return float(np.mean(list(self.held_out.values()))) if self.held_out else math.nan
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the formula as an entry of `proposed_formulas` in report.json.
+
+        Returns:
+            Table, terms, equation, parameters, complexity (number of parameters), errors and recommendation.
+        """
+        effect, formula = self.effect, self.effect.formula
+        return {
+            "table": effect.table.label,
+            "terms": [term.name for term in formula.terms],
+            "formula": effect.text,
+            "parameters": effect.values,
+            "amplitudes": list(formula.amplitudes),
+            "shapes": [list(shape) for shape in formula.shapes],
+            "complexity": formula.complexity,
+            "curve_error": formula.error,
+            "fitted": self.fitted,
+            "held_out": self.held_out,
+            "recommended": self.recommended,
+        }
+
+
+def tables_of(machine: Machine) -> tuple[AppliedEffect, ...]:
+    """Return the tables among a machine's effects.
+
+    Args:
+        machine: Identified machine.
+
+    Returns:
+        Tables with their site and values, in the order of the machine's effects.
+    """
+    return tuple(e for e in machine.effects if e.definition.family == TABLE_FAMILY)
+
+
+def propose_formulas(machine: Machine, table: AppliedEffect) -> tuple[ProposedFormula, ...]:
+    """Propose formulas for a table from its values and their covariance alone.
+
+    Args:
+        machine: Identified machine with the table and, if known, the covariance of its parameters.
+        table: One of `tables_of(machine)`.
+
+    Returns:
+        Formulas by increasing complexity; the one with the smallest error of left-out knots is recommended.
+
+    Raises:
+        ImportError: If scikit-learn is not installed; the message names the extra `formulas`.
+    """
+    variable = table.definition.against.partition(" of ")[0]
+    terms = terms_of(variable, force=table.name.startswith("smooth_force"))
+    formulas = fit_formulas(_curve(machine, table), terms, _MAX_FORMULAS)
+    best = min(formulas, key=lambda formula: formula.error)
+    return tuple(ProposedFormula(FormulaEffect(NAME, f, table, machine), recommended=f is best) for f in formulas)
+
+
+def _curve(machine: Machine, table: AppliedEffect) -> Curve:
+    """Return the values of a table with their covariance."""
+    knots = np.array([table.parameters[f"k{i:02d}"] for i in range(KNOTS)])
+    values = np.array([table.parameters[f"f{i:02d}"] for i in range(KNOTS)])
+    covariance = np.zeros((KNOTS, KNOTS))
+    uncertainty = machine.uncertainty
+    names = [f"{table.label}.f{i:02d}" for i in range(KNOTS)]
+    if uncertainty is not None and set(names) <= set(uncertainty.names):
+        index = [uncertainty.names.index(name) for name in names]
+        covariance = uncertainty.covariance[np.ix_(index, index)]
+    return Curve(knots, values, covariance)
+
+
+@dataclass(frozen=True)
+class TableComparison:
+    """Formulas for one table, and the table itself, each fitted to the same runs.
+
+    Attributes:
+        table: The table.
+        fitted: Error of the machine with the table on the fitted runs, in units of the noise.
+        held_out: Its root-mean-square error on the held-out runs in units of the noise, by channel.
+        formulas: Formulas by increasing complexity with their errors.
+    """
+
+    table: AppliedEffect
+    fitted: float
+    held_out: dict[str, float]
+    formulas: tuple[ProposedFormula, ...]
+
+    @property
+    def noise_ratio(self) -> float:
+        """Mean error of the table over the channels of the held-out runs, in units of the noise."""
+        return float(np.mean(list(self.held_out.values())))
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the comparison as an entry of `proposed_formulas` in report.json.
+
+        Returns:
+            Label, complexity and errors of the table, and its formulas.
+        """
+        return {
+            "table": self.table.label,
+            "complexity": KNOTS,
+            "fitted": self.fitted,
+            "held_out": self.held_out,
+            "formulas": [formula.as_json() for formula in self.formulas],
+        }
+
+
+def compare_formulas(
+    result: IdentificationResult, log: Callable[[str], None] = lambda line: None
+) -> tuple[TableComparison, ...]:
+    """Propose formulas for every table of an identification and fit each one in place of its table.
+
+    Formula and table are fitted to the fitted runs in the same way; the held-out runs are only predicted.
+
+    Args:
+        result: Result of `identify`.
+        log: Called with a line of text for every formula.
+
+    Returns:
+        One comparison per table of the corrected machine; empty if it has none.
+
+    Raises:
+        ImportError: If the machine has a table and scikit-learn is not installed; the message names the extra
+            `formulas`.
+    """
+    return tuple(_compare(result, table, log) for table in tables_of(result.after.machine))
+
+
+def _compare(result: IdentificationResult, table: AppliedEffect, log: Callable[[str], None]) -> TableComparison:
+    """Fit a table and its formulas to the fitted runs, and evaluate them on the held-out runs."""
+    machine = result.after.machine
+    proposals = propose_formulas(machine, table)
+    log(f"formulas for {table.label}, error on the held-out runs in units of the noise")
+    refit = _Refit(result)
+    with_table = refit.fit(machine)
+    table_errors = refit.held_out(with_table.machine)
+    log(f"  table of {KNOTS} values: {np.mean(list(table_errors.values())):.4g}")
+    formulas = []
+    for proposal in proposals:
+        applied = proposal.effect.applied()
+        others = tuple(applied if e.label == table.label else e for e in with_table.machine.effects)
+        fitted = refit.fit(with_table.machine.replace(effects=others, uncertainty=None))
+        effect = next(e for e in fitted.machine.effects if e.name == applied.name)
+        updated = dataclasses.replace(proposal.effect, formula=_with_values(proposal.effect, effect))
+        errors = refit.held_out(fitted.machine)
+        formulas.append(ProposedFormula(updated, math.sqrt(fitted.chi2), errors))
+        log(f"  {updated.formula.name}, {updated.formula.complexity} parameters: {formulas[-1].noise_ratio:.4g}")
+    limit = _CLOSE * min(f.fitted or math.inf for f in formulas)
+    simplest = next(f for f in formulas if (f.fitted or math.inf) <= limit)
+    chosen = tuple(dataclasses.replace(f, recommended=f is simplest) for f in formulas)
+    return TableComparison(table, math.sqrt(with_table.chi2), table_errors, chosen)
+
+
+def _with_values(effect: FormulaEffect, applied: AppliedEffect) -> Formula:
+    """Return the formula of an effect with the parameter values of a later fit."""
+    formula, values = effect.formula, iter(applied.parameters.values())
+    amplitudes: list[float] = []
+    shapes: list[tuple[float, ...]] = []
+    for term in formula.terms:  # the parameters of an effect are in the order of the terms, amplitudes first
+        amplitudes += [next(values) for _ in term.columns]
+        shapes.append(tuple(next(values) for _ in term.shapes))
+    return dataclasses.replace(formula, amplitudes=tuple(amplitudes), shapes=tuple(shapes))
+
+
+class _Refit:
+    """Fits of machines to the fitted runs of a result, all in the same way.
+
+    Args:
+        result: Result of `identify`.
+    """
+
+    def __init__(self, result: IdentificationResult) -> None:
+        self._result = result
+        self._data = refine_encoder_offsets(result.fitted, result.after.machine)
+        self._mode = self._deciding_mode()
+        self._scales: TypicalScales | None = None
+
+    def _deciding_mode(self) -> Mode:
+        """Return simulation unless the simulation of the corrected machine drifts away."""
+        errors = channel_errors(self._result.after.machine, self._data)
+        outputs = np.concatenate([run.outputs for run in self._data.runs])
+        channels = self._result.after.machine.output_channels
+        rmse = [errors[channel].rmse or 0.0 for channel in channels]
+        drift = np.array(rmse) / np.maximum(np.nanstd(outputs, axis=0), 1e-12)
+        return "simulation" if drift.max() < self._result.criteria.max_drift else "one_step"
+
+    def fit(self, machine: Machine) -> Fit:
+        """Fit all parameters of a machine with its effects, starting from its values."""
+        free = self._free(machine)
+        theta = self._theta(machine, free)
+        current = fit(machine, free, self._data, "one_step", theta=theta, iterations=_ITERATIONS)
+        if self._mode == "one_step":
+            return current
+        candidates = [
+            fit(
+                machine, free, self._data, "simulation", theta=start, iterations=_ITERATIONS, longest_step=POLISH_STEP
+            )
+            for start in (theta, current.theta)
+        ]
+        return min(candidates, key=lambda candidate: candidate.cost)
+
+    def _free(self, machine: Machine) -> tuple[FreeParameter, ...]:
+        """Return the free parameters: those of the declared machine, and those of all effects."""
+        declared = {f.name: f for f in default_free_parameters(self._result.declared.machine, effects=False)}
+        free = [declared.get(f.name, f) for f in default_free_parameters(machine, effects=False)]
+        if self._scales is None:
+            empty = Fit(machine, (), np.zeros(0), 0.0, 1, self._mode, np.zeros((0, 0)))
+            self._scales = typical_scales(empty, self._data)
+        for effect in machine.effects:
+            free += effect_parameters(effect, machine, self._scales)
+        return tuple(free)
+
+    @staticmethod
+    def _theta(machine: Machine, free: Sequence[FreeParameter]) -> np.ndarray[Any, np.dtype[np.float64]]:
+        """Return the theta of the machine's present values."""
+        values = machine.parameters
+        return np.array([f.theta(values[f.name]) for f in free])
+
+    def held_out(self, machine: Machine) -> dict[str, float]:
+        """Return the simulation error on the held-out runs in units of the noise, by channel."""
+        data: Dataset = refine_encoder_offsets(self._result.held_out, machine, self._result.fitted)
+        errors = channel_errors(machine, data)
+        return {channel: e.noise_ratio for channel, e in errors.items() if e.noise_ratio is not None}
