@@ -4,8 +4,8 @@ python -m benchmarks.formulas            # identify every rig, propose formulas,
 python -m benchmarks.formulas NAME ...   # some rigs only
 
 Each rig hides a force or a friction against one variable, which the library of effects lacks, in the independent
-simulator. `hframe identify` is restricted to tables (`max_effects=0`); the search for effects of the library is measured
-by `benchmarks.identification`. Formula and table are compared on the held-out runs.
+simulator. Identification is restricted to tables (`max_effects=0`); `benchmarks.identification` measures the search for
+effects of the library. Formula and table are compared on the held-out runs.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from tests.rigs.hidden_effects import Build, HiddenEffect, change_site
 from tests.rigs.recording_sessions import Session, record
 
 FOLDER = Path("out/formulas")
-RUNS = 6  # of 2 s; one is held out
+RUNS = 12  # of 2 s; three are held out
 WITHIN = 1.2  # acceptance: error of the formula over that of the table
 
 

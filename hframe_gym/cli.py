@@ -25,7 +25,7 @@ from .cli_support import (
     value_errors_as_input_errors,
 )
 from .errors import InputError
-from .registry import load_plugins
+from .registry import PLUGIN_VARIABLE, load_plugins
 
 app = typer.Typer(
     help="H-frame stages: simulate, identify from measured data, train and evaluate controllers.",
@@ -34,6 +34,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
+effects_app = typer.Typer()
+app.add_typer(effects_app, name="effects")
 console = Console(soft_wrap=True)
 
 
@@ -127,7 +129,7 @@ def identify(
 
     Example:  hframe identify examples/rig_a --out out/rig_a
     """
-    from .cli_support import identification_table
+    from .cli_support import identification_table, proposed_formulas
     from .data_validation import recording_warnings
     from .identification import identify as run_identification
     from .identification import write_result
@@ -143,7 +145,7 @@ def identify(
     for finding in findings:
         _log(finding)
     result = run_identification(recordings, declared, held_out=hold_out or (), log=_log)
-    write_result(result, out, findings)
+    write_result(result, out, findings, proposed_formulas(result, _log))
     contents, channels = result.as_json(), list(declared.output_channels)
     console.print(identification_table(contents, channels))
     _log(verdict_sentence(contents, channels))
@@ -279,8 +281,8 @@ def machines() -> None:
     console.print(machine_table())
 
 
-@app.command()
-def effects() -> None:
+@effects_app.callback(invoke_without_command=True)
+def effects(context: typer.Context) -> None:
     """List the effects that identification can find; a force is in N at x or y and in Nm at a motor.
 
     Example:  hframe effects
@@ -288,8 +290,39 @@ def effects() -> None:
     from .cli_support import effect_table
 
     load_plugins()
-    console.print(effect_table())
-    _log("If none of them fits: smooth_force[VARIABLE] and smooth_friction[VARIABLE], lookup tables.")
+    if context.invoked_subcommand is None:
+        console.print(effect_table())
+        _log("If none of them fits: smooth_force[VARIABLE] and smooth_friction[VARIABLE], lookup tables.")
+
+
+@effects_app.command("new")
+def new_effect(
+    name: Annotated[str, typer.Argument(help="Name of the effect: lower-case letters, digits, underscores.")],
+    folder: Annotated[Path, typer.Option("--from", help="A folder that `hframe identify` wrote, with a table.")],
+    out: Annotated[Path | None, typer.Option(help="Python file to write (default: NAME.py).")] = None,
+    formula: Annotated[int, typer.Option(min=0, help="Number of the formula (default: the recommended one).")] = 0,
+    table: Annotated[str, typer.Option(help="Label of the table (default: the first one).")] = "",
+) -> None:
+    """Write the formula that is proposed for a table as an effect, a Python file to review.
+
+    Example:  hframe effects new rail_catch --from out/rig
+    """
+    from .effects.formulas import write_effect_file
+    from .identification.formulas import formulas_of_folder
+
+    proposed = formulas_of_folder(folder, name, table)
+    for number, p in enumerate(proposed, start=1):
+        error = f", {p.noise_ratio:.3g} times the noise on held-out runs" if p.held_out else ""
+        mark = " (recommended)" if p.recommended else ""
+        _log(
+            f"{number}. {p.effect.text}: {p.effect.formula.name}, {p.effect.formula.complexity} parameters{error}{mark}"
+        )
+    if formula > len(proposed):
+        raise InputError(f"--formula {formula}: there are {len(proposed)}")
+    chosen = proposed[formula - 1] if formula else next(p for p in proposed if p.recommended)
+    path = out or Path(f"{name}.py")
+    write_effect_file(chosen.effect, path)
+    _log(f"wrote {path}; use it with {PLUGIN_VARIABLE}={path} in the environment of a command")
 
 
 @app.command()

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.markup import escape
 from rich.table import Table
@@ -16,6 +16,10 @@ from .effects import EFFECTS
 from .errors import InputError
 from .machine import BUILTIN_MACHINES, mode_frequencies
 from .registry import load_plugins
+
+if TYPE_CHECKING:
+    from .identification import IdentificationResult
+    from .identification.formulas import TableComparison
 
 INPUT_AT_FAULT, INTERNAL_ERROR = 2, 1
 DEBUG_VARIABLE = "HFRAME_DEBUG"  # if set, errors keep their traceback
@@ -177,6 +181,25 @@ def identification_table(report: Mapping[str, Any], channels: Sequence[str]) -> 
     if "force_error" in errors[0]:
         table.add_row("force, relative", *(f"{100 * e['force_error']:.2f} %" for e in errors))
     return table
+
+
+def proposed_formulas(result: IdentificationResult, log: Callable[[str], None]) -> tuple[TableComparison, ...]:
+    """Propose formulas for the tables of an identified machine, where scikit-learn is installed.
+
+    Args:
+        result: Result of `identify`.
+        log: Called with a line of text for every formula, or with the reason why there is none.
+
+    Returns:
+        One comparison of formulas with the table per table; empty without tables or without scikit-learn.
+    """
+    from .identification.formulas import compare_formulas
+
+    try:
+        return compare_formulas(result, log)
+    except ImportError as error:
+        log(f"no formulas proposed for the tables: {error}")
+        return ()
 
 
 def score_table(scores: Mapping[str, Any]) -> Table:

@@ -10,26 +10,31 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ..effects import EFFECTS
 from ..effects.formulas import Curve, Formula, FormulaEffect, fit_formulas, terms_of
 from ..effects.smooth_table import KNOTS, TABLE_FAMILY
+from ..errors import InputError
 from ..machine import AppliedEffect, Machine
 from .candidates import effect_parameters
 from .dataset import Dataset, TypicalScales, refine_encoder_offsets
-from .estimation import Fit, fit
+from .estimation import Fit, fit, prediction_cost
 from .forward_selection import typical_scales
 from .free_parameters import FreeParameter, default_free_parameters
-from .prediction import POLISH_STEP, Mode
+from .prediction import POLISH_STEP, SEARCH_STEP, Mode
 from .residual import channel_errors
 from .result import IdentificationResult
+from .saved_result import SavedResult, load_result
 
 NAME = "proposed"
-_MAX_FORMULAS = 4
+_MAX_FORMULAS = 3
 _ITERATIONS = 12
 _CLOSE = 1.1  # A simpler formula is recommended if its error on the fitted runs is below this times the smallest.
 
@@ -124,6 +129,89 @@ def _curve(machine: Machine, table: AppliedEffect) -> Curve:
     return Curve(knots, values, covariance)
 
 
+def formulas_of_folder(folder: Path, name: str, table: str = "") -> tuple[ProposedFormula, ...]:
+    """Return the formulas for a table of a saved identification, as effects with a name.
+
+    The formulas are those that `hframe identify` compared on the held-out runs. A folder without them has the table
+    with its covariance; the formulas are then fitted to the table alone and have no errors.
+
+    Args:
+        folder: Folder that `write_result` wrote.
+        name: Name of the new effect, a Python identifier in lower case that no effect has.
+        table: Label of the table, for example "smooth_force[position of x]@x". Default: the first one.
+
+    Returns:
+        Formulas by increasing complexity; exactly one is recommended.
+
+    Raises:
+        InputError: If the folder has no result or no such table, or the name cannot be used.
+        ImportError: If the formulas must be fitted and scikit-learn is not installed.
+    """
+    saved = load_result(folder)
+    tables = {e.label: e for e in tables_of(saved.machine)}
+    if not tables:
+        raise InputError(f"{folder}: the identified machine has no table for which a formula could be proposed")
+    label = table or next(iter(tables))
+    if label not in tables:
+        raise InputError(f"--table {label}: no such table; the identified machine has {', '.join(tables)}")
+    if name in EFFECTS:
+        raise InputError(f"{name}: an effect of this name exists; choose another name")
+    entries = [e for t in saved.report["proposed_formulas"] if t["table"] == label for e in t["formulas"]]
+    if entries:
+        proposed = tuple(_from_json(entry, saved.machine, tables[label]) for entry in entries)
+    else:
+        proposed = propose_formulas(saved.machine, tables[label])
+    typical = _typical(saved, tables[label].site)
+    renamed = []
+    for p in proposed:
+        try:
+            effect = dataclasses.replace(p.effect, name=name, typical=typical, notes=_notes(p, saved, label))
+        except ValueError as error:
+            raise InputError(str(error)) from None
+        renamed.append(dataclasses.replace(p, effect=effect))
+    return tuple(renamed)
+
+
+def _from_json(entry: dict[str, Any], machine: Machine, table: AppliedEffect) -> ProposedFormula:
+    """Return a formula from its entry in report.json."""
+    variable = table.definition.against.partition(" of ")[0]
+    terms = {term.name: term for term in terms_of(variable, force=True)}
+    try:
+        chosen = tuple(terms[name] for name in entry["terms"])
+    except KeyError as error:
+        raise InputError(f"report.json: proposed_formulas has an unknown term {error}") from None
+    amplitudes, shapes = tuple(entry["amplitudes"]), tuple(tuple(shape) for shape in entry["shapes"])
+    counts = [len(term.shapes) for term in chosen]
+    if len(amplitudes) != sum(len(term.columns) for term in chosen) or [len(shape) for shape in shapes] != counts:
+        raise InputError("report.json: a formula of proposed_formulas has too few or too many parameters")
+    formula = Formula(chosen, amplitudes, shapes, entry["curve_error"])
+    effect = FormulaEffect(NAME, formula, table, machine)
+    return ProposedFormula(effect, entry["fitted"], entry["held_out"], entry["recommended"])
+
+
+def _typical(saved: SavedResult, site: str) -> dict[str, float]:
+    """Return the travel and the top speed of a coordinate in the runs, as far as the folder has them."""
+    sizes = {}
+    position, velocity = (saved.curves.get(f"coverage/{kind} of {site}") for kind in ("position", "velocity"))
+    if position is not None:
+        sizes["position"] = max(float(np.ptp(position)), 1e-9)
+    if velocity is not None:
+        sizes["speed"] = max(float(np.percentile(np.abs(velocity), 99)), 1e-9)
+    return sizes
+
+
+def _notes(proposed: ProposedFormula, saved: SavedResult, label: str) -> tuple[str, ...]:
+    """Return what the file of an effect says about its accuracy."""
+    if not proposed.held_out:
+        return ("It was fitted to the table alone; identify the machine with it to see its error on held-out runs.",)
+    entry = next(t for t in saved.report["proposed_formulas"] if t["table"] == label)
+    table_error = float(np.mean(list(entry["held_out"].values())))
+    return (
+        f"Error on the held-out runs: {proposed.noise_ratio:.3g} times the sensors' noise with this formula of "
+        f"{proposed.effect.formula.complexity} parameters, {table_error:.3g} with the table of {KNOTS} values.",
+    )
+
+
 @dataclass(frozen=True)
 class TableComparison:
     """Formulas for one table, and the table itself, each fitted to the same runs.
@@ -182,28 +270,24 @@ def compare_formulas(
 
 
 def _compare(result: IdentificationResult, table: AppliedEffect, log: Callable[[str], None]) -> TableComparison:
-    """Fit a table and its formulas to the fitted runs, and evaluate them on the held-out runs."""
-    machine = result.after.machine
-    proposals = propose_formulas(machine, table)
-    log(f"formulas for {table.label}, error on the held-out runs in units of the noise")
-    refit = _Refit(result)
-    with_table = refit.fit(machine)
-    table_errors = refit.held_out(with_table.machine)
-    log(f"  table of {KNOTS} values: {np.mean(list(table_errors.values())):.4g}")
+    """Fit the formulas for a table to the fitted runs in its place, and evaluate all on the held-out runs."""
+    machine, refit = result.after.machine, _Refit(result)
+    errors, held_out = refit.error(machine), refit.held_out(machine)
+    log(f"formulas for {table.label}; error on the held-out runs in units of the noise:")
+    log(f"  table of {KNOTS} values: {np.mean(list(held_out.values())):.4g}")
     formulas = []
-    for proposal in proposals:
+    for proposal in propose_formulas(machine, table):
         applied = proposal.effect.applied()
-        others = tuple(applied if e.label == table.label else e for e in with_table.machine.effects)
-        fitted = refit.fit(with_table.machine.replace(effects=others, uncertainty=None))
+        others = tuple(applied if e.label == table.label else e for e in machine.effects)
+        fitted = refit.fit(machine.replace(effects=others, uncertainty=None), acceptable=errors**2)
         effect = next(e for e in fitted.machine.effects if e.name == applied.name)
         updated = dataclasses.replace(proposal.effect, formula=_with_values(proposal.effect, effect))
-        errors = refit.held_out(fitted.machine)
-        formulas.append(ProposedFormula(updated, math.sqrt(fitted.chi2), errors))
+        formulas.append(ProposedFormula(updated, math.sqrt(fitted.chi2), refit.held_out(fitted.machine)))
         log(f"  {updated.formula.name}, {updated.formula.complexity} parameters: {formulas[-1].noise_ratio:.4g}")
     limit = _CLOSE * min(f.fitted or math.inf for f in formulas)
     simplest = next(f for f in formulas if (f.fitted or math.inf) <= limit)
     chosen = tuple(dataclasses.replace(f, recommended=f is simplest) for f in formulas)
-    return TableComparison(table, math.sqrt(with_table.chi2), table_errors, chosen)
+    return TableComparison(table, errors, held_out, chosen)
 
 
 def _with_values(effect: FormulaEffect, applied: AppliedEffect) -> Formula:
@@ -228,6 +312,7 @@ class _Refit:
         self._result = result
         self._data = refine_encoder_offsets(result.fitted, result.after.machine)
         self._mode = self._deciding_mode()
+        self._step = POLISH_STEP if self._mode == "simulation" else SEARCH_STEP
         self._scales: TypicalScales | None = None
 
     def _deciding_mode(self) -> Mode:
@@ -239,20 +324,27 @@ class _Refit:
         drift = np.array(rmse) / np.maximum(np.nanstd(outputs, axis=0), 1e-12)
         return "simulation" if drift.max() < self._result.criteria.max_drift else "one_step"
 
-    def fit(self, machine: Machine) -> Fit:
-        """Fit all parameters of a machine with its effects, starting from its values."""
+    def error(self, machine: Machine) -> float:
+        """Return the error of a machine on the fitted runs in units of the noise, in the mode that decides."""
+        cost = prediction_cost(machine, self._data, self._mode, longest_step=self._step)
+        return math.sqrt(cost / self._data.count)
+
+    def fit(self, machine: Machine, *, acceptable: float) -> Fit:
+        """Fit all parameters of a machine with its effects, starting from its values.
+
+        Where the fit in simulation does not reach an acceptable chi-squared per sample, because the start was too far,
+        it is repeated from a fit of the one-step prediction.
+        """
         free = self._free(machine)
-        theta = self._theta(machine, free)
-        current = fit(machine, free, self._data, "one_step", theta=theta, iterations=_ITERATIONS)
-        if self._mode == "one_step":
-            return current
-        candidates = [
-            fit(
-                machine, free, self._data, "simulation", theta=start, iterations=_ITERATIONS, longest_step=POLISH_STEP
-            )
-            for start in (theta, current.theta)
-        ]
-        return min(candidates, key=lambda candidate: candidate.cost)
+        values = machine.parameters
+        theta = np.array([f.theta(values[f.name]) for f in free])
+        run = partial(fit, machine, free, self._data, iterations=_ITERATIONS)
+        best = run(self._mode, theta=theta, longest_step=self._step)
+        if self._mode == "simulation" and best.chi2 > acceptable:
+            closer = run("one_step", theta=theta, longest_step=SEARCH_STEP)
+            again = run(self._mode, theta=closer.theta, longest_step=self._step)
+            best = min(best, again, key=lambda candidate: candidate.cost)
+        return best
 
     def _free(self, machine: Machine) -> tuple[FreeParameter, ...]:
         """Return the free parameters: those of the declared machine, and those of all effects."""
@@ -264,12 +356,6 @@ class _Refit:
         for effect in machine.effects:
             free += effect_parameters(effect, machine, self._scales)
         return tuple(free)
-
-    @staticmethod
-    def _theta(machine: Machine, free: Sequence[FreeParameter]) -> np.ndarray[Any, np.dtype[np.float64]]:
-        """Return the theta of the machine's present values."""
-        values = machine.parameters
-        return np.array([f.theta(values[f.name]) for f in free])
 
     def held_out(self, machine: Machine) -> dict[str, float]:
         """Return the simulation error on the held-out runs in units of the noise, by channel."""

@@ -16,6 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from ...atomic_files import write_text
+from ...errors import InputError
 from ...machine import AppliedEffect, Effect, EffectParameter, Machine
 from ..smooth_table import HOOK_OF_KIND
 from .regression import Formula
@@ -25,6 +27,7 @@ _ARGUMENT = {"position": "q", "velocity": "v", "time": "t"}
 _WIDTH_FACTORS = (0.5, 1.0, 2.0)
 _CENTERS = 4  # Values over the range of the variable at which a search starts, besides the identified one.
 _LARGE = 1e6
+_LINE = 120  # Largest length of a line of code.
 _FUNCTIONS = ("absolute", "cos", "exp", "maximum", "sin", "sqrt")
 _REGISTRATION = """
 # Delete this line and the import of register_effect where the file moves into the folder hframe_gym/effects.
@@ -156,7 +159,10 @@ class FormulaEffect:
                 scale = 0.3 if unit.isalpha() else max(_rounded(abs(value)), 1e-6)
                 yield EffectParameter(name, unit, -_LARGE, _LARGE, scale=scale, role="amplitude"), value
             for role, value in zip(term.shapes, shapes, strict=True):
-                yield self._shape_parameter(names[role], role, value, dict(zip(term.shapes, shapes, strict=True))), value
+                yield (
+                    self._shape_parameter(names[role], role, value, dict(zip(term.shapes, shapes, strict=True))),
+                    value,
+                )
 
     def _shape_parameter(self, name: str, role: str, value: float, shapes: Mapping[str, float]) -> EffectParameter:
         """Return the declaration of a shape parameter with starting values for a search."""
@@ -166,7 +172,7 @@ class FormulaEffect:
             return EffectParameter(name, unit, 1e-6, _LARGE, scale=0.1, role="period")
         if role == "center":
             knots = [v for k, v in self.table.parameters.items() if k.startswith("k")]
-            grid = [value, *np.linspace(min(knots), max(knots), _CENTERS + 2)[1:-1]]
+            grid = [value, *np.linspace(min(knots), max(knots), _CENTERS + 2)[1:-1].tolist()]
             scale = _rounded(shapes.get("width", 0.1 * (max(knots) - min(knots))) / size)
             lower = -_LARGE
         else:
@@ -213,9 +219,11 @@ class FormulaEffect:
                 '    """Return the path traveled since the start of the run; dq: distance of the step."""\n'
                 "    return z + absolute(dq)"
             )
-        functions.append(self._predicate_source("fits_site", "machine, site", f"""machine.coordinate(site).kind == "{self._kind}\""""))  # fmt: skip
+        same_kind = f'machine.coordinate(site).kind == "{self._kind}"'
+        functions.append(self._predicate_source("fits_site", "machine, site", same_kind))
         if against:
-            functions.append(self._predicate_source("fits", "machine", f'"{coordinate}" in machine.coordinate_names'))
+            present = f'"{coordinate}" in machine.coordinate_names'
+            functions.append(self._predicate_source("fits", "machine", present if coordinate else "True"))
         code = "\n\n\n".join([*([body] if body else []), *functions])
         names = [name for name in _FUNCTIONS if re.search(rf"\b{name}\(", code)]
         head = [f'"""{self._docstring()}"""', ""]
@@ -278,10 +286,17 @@ class FormulaEffect:
         ]
         text = "EFFECT = Effect(\n" + "".join(f"    {line},\n" for line in lines) + "    parameters=(\n"
         for parameter, _ in self._parameters():
-            grid = "" if parameter.grid == (0.0,) else f", grid=({', '.join(map(repr, parameter.grid))},)"
-            role = "" if parameter.role == "shape" else f', role="{parameter.role}"'
-            limits = f"{parameter.lower:g}, {parameter.upper:g}, scale={parameter.scale!r}"
-            text += f'        EffectParameter("{parameter.name}", "{parameter.unit}", {limits}{role}{grid}),\n'
+            limits = f"{parameter.lower:g}, {parameter.upper:g}".replace("e-06", "e-6").replace("e+06", "e6")
+            arguments = [f'"{parameter.name}", "{parameter.unit}", {limits}, scale={parameter.scale!r}']
+            if parameter.role != "shape":
+                arguments.append(f'role="{parameter.role}"')
+            if parameter.grid != (0.0,):
+                end = ",)" if len(parameter.grid) == 1 else ")"
+                arguments.append(f"grid=({', '.join(map(repr, parameter.grid))}{end}")
+            line = f"        EffectParameter({', '.join(arguments)}),\n"
+            if len(line) > _LINE:
+                line = "        EffectParameter(\n            " + ", ".join(arguments) + "\n        ),\n"
+            text += line
         return text + "    ),\n)\n"
 
 
@@ -293,10 +308,14 @@ def write_effect_file(effect: FormulaEffect, path: Path) -> None:
         path: Python file; it must not exist.
 
     Raises:
-        FileExistsError: If the file exists.
+        InputError: If the file exists or cannot be written.
     """
-    with path.open("x", encoding="utf-8") as file:
-        file.write(effect.source())
+    if path.exists():
+        raise InputError(f"{path}: the file exists; remove it or choose another name with --out")
+    try:
+        write_text(path, effect.source())
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror})") from None
 
 
 def _rounded(value: float) -> float:

@@ -8,6 +8,7 @@ knots to which they were not fitted.
 
 from __future__ import annotations
 
+import dataclasses
 import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -25,7 +26,9 @@ _FINE_POINTS = 16  # Points between two knots where a formula is compared with t
 _ERROR_FLOOR = 0.01  # Standard deviation of every ordinate relative to the curve's, for what straight pieces hide.
 _FOLDS = 4  # Every fourth knot is left out in turn.
 _MAX_TERMS = 3
-_MAX_SINGLES = 8  # First terms that are extended by further ones.
+_MAX_SINGLES = 6  # First terms that are extended by further ones.
+_POOR = 5.0  # A fit to all knots with this times the smallest error is not validated.
+_HOPELESS = 3.0  # A formula with this times the smallest error of the left-out knots is not proposed.
 _CLEAR_GAIN = 0.85  # A formula with more parameters must reduce the error of the left-out knots to this fraction.
 
 
@@ -115,7 +118,7 @@ class Formula:
         return np.asarray(np.concatenate(columns, axis=1) @ np.array(self.amplitudes))
 
 
-def fit_formulas(curve: Curve, terms: Sequence[Term], count: int = 4) -> tuple[Formula, ...]:
+def fit_formulas(curve: Curve, terms: Sequence[Term], count: int = 3) -> tuple[Formula, ...]:
     """Propose formulas for a curve: the best of each complexity that is worth its parameters.
 
     Args:
@@ -124,26 +127,24 @@ def fit_formulas(curve: Curve, terms: Sequence[Term], count: int = 4) -> tuple[F
         count: Largest number of formulas.
 
     Returns:
-        Formulas by increasing complexity, each with a clearly smaller error of left-out knots than those before
-        (Pareto front), and close rivals of the last.
+        Formulas by increasing complexity: those that have a clearly smaller error of the left-out knots than all
+        simpler ones (Pareto front), and if there are fewer than `count`, rivals of the last that are no more complex.
 
     Raises:
         ImportError: If scikit-learn is not installed; the message names the extra `formulas`.
     """
-    search = _Search(curve, terms)
-    formulas = search.run()
-    formulas.sort(key=lambda f: (f.complexity, f.error))
+    formulas = sorted(_Search(curve, terms).run(), key=lambda f: (f.complexity, f.error))
+    smallest = min(f.error for f in formulas)
     front: list[Formula] = []
-    for formula in formulas:
+    rivals: list[Formula] = []
+    for formula in (f for f in formulas if f.error < _HOPELESS * smallest):
         if not front or formula.error < _CLEAR_GAIN * min(f.error for f in front):
-            front = [f for f in front if f.complexity < formula.complexity] + [formula]
-    best = front[-1]
-    rivals = [f for f in formulas if f not in front and f.complexity <= best.complexity + 1]
-    rivals.sort(key=lambda f: f.error)
-    # A formula far from the best is no proposal, however simple.
-    front = front[-count:] if len(front) > 1 else front
-    chosen = front[-max(2, count - 1) :] + rivals[:1]
-    return tuple(sorted(chosen, key=lambda f: (f.complexity, f.error))[-count:])
+            front.append(formula)
+        else:
+            rivals.append(formula)
+    rivals = sorted((f for f in rivals if f.complexity <= front[-1].complexity), key=lambda f: f.error)
+    chosen = front[-count:] + rivals[: max(0, count - len(front))]
+    return tuple(sorted(chosen, key=lambda f: (f.complexity, f.error)))
 
 
 class _Search:
@@ -181,8 +182,16 @@ class _Search:
             supports[(atom[0].name,)] = [atom]
             for support in self._extended(atom):
                 supports.setdefault(tuple(sorted(term.name for term, _ in support)), support)
-        fitted = [self._fit([t for t, _ in support], [s for _, s in support]) for support in supports.values()]
-        return [formula for formula in fitted if np.isfinite(formula.error)]
+        fits = []
+        for support in supports.values():
+            terms = tuple(term for term, _ in support)
+            amplitudes, shapes = self._solve(terms, [shape for _, shape in support], self._all, self._whitening)
+            missing = self._whitening @ self._columns(terms, shapes) @ amplitudes - self._target
+            fits.append(
+                (float(np.linalg.norm(missing)), Formula(terms, tuple(amplitudes.tolist()), tuple(shapes), 0.0))
+            )
+        smallest = min(size for size, _ in fits)
+        return [self._validated(formula) for size, formula in fits if size <= _POOR * smallest]
 
     def _singles(self) -> list[tuple[float, tuple[Term, tuple[float, ...]]]]:
         """Return the best starting values of each term alone, by the squared error that it leaves."""
@@ -224,18 +233,15 @@ class _Search:
         fine = [t.values(self._curve.fine, np.array(s)) for t, s in zip(terms, shapes, strict=True)]
         return np.asarray(self._curve.projection @ np.concatenate(fine, axis=1))
 
-    def _fit(self, terms: Sequence[Term], start: Sequence[tuple[float, ...]]) -> Formula:
-        """Fit a formula to all knots, then to all but each fold in turn for its error."""
-        amplitudes, shapes = self._solve(terms, start, self._all, self._whitening)
-        squares = 0.0
+    def _validated(self, formula: Formula) -> Formula:
+        """Return a formula with its error: that of each fold of knots after a fit to the other folds."""
+        squares, variance = 0.0, np.diag(self._curve.error_covariance)
         for fold in range(_FOLDS):
             rows = np.arange(len(self._all)) % _FOLDS != fold
-            part_amplitudes, part_shapes = self._solve(terms, shapes, rows, self._curve.whitening(rows))
-            missing = self._curve.values - self._columns(terms, part_shapes) @ part_amplitudes
-            variance = np.diag(self._curve.error_covariance)
+            amplitudes, shapes = self._solve(formula.terms, formula.shapes, rows, self._curve.whitening(rows))
+            missing = self._curve.values - self._columns(formula.terms, shapes) @ amplitudes
             squares += float(np.sum(missing[~rows] ** 2 / variance[~rows]))
-        error = float(np.sqrt(squares / len(self._all)))
-        return Formula(tuple(terms), tuple(amplitudes.tolist()), tuple(shapes), error)
+        return dataclasses.replace(formula, error=float(np.sqrt(squares / len(self._all))))
 
     def _solve(
         self, terms: Sequence[Term], start: Sequence[tuple[float, ...]], rows: NDArray[np.bool_], whitening: Array
@@ -253,7 +259,7 @@ class _Search:
         def amplitudes_of(shapes: Sequence[tuple[float, ...]]) -> tuple[Array, Array]:
             columns = whitening @ self._columns(terms, shapes)[rows]
             amplitudes = np.linalg.lstsq(columns, target, rcond=1e-9)[0]
-            return amplitudes, columns @ amplitudes - target
+            return np.asarray(amplitudes, float), columns @ amplitudes - target
 
         flat = np.array([value for shape in start for value in shape], float)
         if not roles:
@@ -262,7 +268,7 @@ class _Search:
         limits = np.array([self._bounds[role] for role in roles])
         lower, upper = np.where(log[:, None], np.log(np.where(log[:, None], limits, 1.0)), limits / self._span).T
         x0 = np.clip(x0, lower + 1e-9, upper - 1e-9)
-        best = least_squares(lambda x: amplitudes_of(shapes_of(x))[1], x0, bounds=(lower, upper), max_nfev=60)
+        best = least_squares(lambda x: amplitudes_of(shapes_of(x))[1], x0, bounds=(lower, upper), max_nfev=40)
         shapes = shapes_of(best.x)
         return amplitudes_of(shapes)[0], shapes
 

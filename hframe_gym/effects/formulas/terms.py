@@ -136,7 +136,7 @@ def _cosine(u: Any, period: Any, order: int) -> Any:
 
 @dataclass(frozen=True)
 class Term:
-    """One summand of a formula: amplitudes times columns, which are functions of the variable u and of shape parameters.
+    """One summand of a formula: amplitudes times columns, functions of the variable u and of shape parameters.
 
     Attributes:
         name: Name of the term in plain words, for example "magnetic catch".
