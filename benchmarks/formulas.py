@@ -49,7 +49,7 @@ def _kinds() -> dict[str, tuple[str, Build]]:
         ),
         "lifting cable": ("smooth_force[position of y]@y", partial(y, spring_square=80.0, spring_rest=-0.15)),
         "warm-up": ("smooth_friction[time]@x", partial(x, friction_cold=1.5)),
-        "bent rail": ("smooth_friction[position of y]@x", partial(x, friction_cross_position=6.0)),
+        "bent rail": ("smooth_friction[position of y]@x", partial(x, friction_cross_position=10.0)),
         "stale grease": (
             "smooth_friction[path of x]@x",
             partial(x, friction_stale=2.0, friction_stale_path=0.15),

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..effects import EFFECTS
 from ..effects.formulas import Curve, Formula, FormulaEffect, fit_formulas, terms_of
@@ -33,6 +34,7 @@ from .residual import channel_errors
 from .result import IdentificationResult
 from .saved_result import SavedResult, load_result
 
+Array = NDArray[np.float64]
 NAME = "proposed"
 _MAX_FORMULAS = 3
 _ITERATIONS = 12
@@ -126,7 +128,15 @@ def _curve(machine: Machine, table: AppliedEffect) -> Curve:
     if uncertainty is not None and set(names) <= set(uncertainty.names):
         index = [uncertainty.names.index(name) for name in names]
         covariance = uncertainty.covariance[np.ix_(index, index)]
-    return Curve(knots, values, covariance)
+    return Curve(knots, values, covariance, _absorbed(table, knots))
+
+
+def _absorbed(table: AppliedEffect, knots: Array) -> Array:
+    """Return the curves that the coordinate's Coulomb and viscous friction can represent, shape (knots, curves)."""
+    of_speed = table.definition.against == f"velocity of {table.site}"
+    if table.name.startswith("smooth_friction"):
+        return np.stack([np.ones_like(knots), *([np.abs(knots)] if of_speed else [])], axis=1)
+    return np.stack([knots], axis=1) if of_speed else np.zeros((len(knots), 0))
 
 
 def formulas_of_folder(folder: Path, name: str, table: str = "") -> tuple[ProposedFormula, ...]:

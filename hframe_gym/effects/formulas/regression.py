@@ -9,8 +9,9 @@ knots to which they were not fitted.
 from __future__ import annotations
 
 import dataclasses
+import math
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -23,12 +24,13 @@ from .terms import Term
 
 Array = NDArray[np.float64]
 _FINE_POINTS = 16  # Points between two knots where a formula is compared with the straight pieces of the table.
-_ERROR_FLOOR = 0.01  # Standard deviation of every ordinate relative to the curve's, for what straight pieces hide.
+_ERROR_FLOOR = 0.02  # Standard deviation of every ordinate relative to the curve's, for what straight pieces hide.
+_ABSORBED = 30.0  # Standard deviation, relative to the curve's, of what other parameters can represent.
 _FOLDS = 4  # Every fourth knot is left out in turn.
 _MAX_TERMS = 3
 _MAX_SINGLES = 6  # First terms that are extended by further ones.
-_POOR = 5.0  # A fit to all knots with this times the smallest error is not validated.
-_HOPELESS = 3.0  # A formula with this times the smallest error of the left-out knots is not proposed.
+_POOR = 8.0  # A fit to all knots with this times the smallest error is not validated.
+_HOPELESS = 4.0  # A formula with this times the smallest error of the left-out knots is not proposed.
 _CLEAR_GAIN = 0.85  # A formula with more parameters must reduce the error of the left-out knots to this fraction.
 
 
@@ -40,17 +42,22 @@ class Curve:
         knots: Increasing values of the variable, shape (k,).
         values: Ordinates, N or Nm, shape (k,).
         covariance: Covariance of the ordinates, shape (k, k).
+        absorbed: Curves at the knots that other parameters of the machine can represent, for example a constant friction
+            level; no formula needs to explain them, shape (k, m).
     """
 
     knots: Array
     values: Array
     covariance: Array
+    absorbed: Array
 
     @cached_property
     def error_covariance(self) -> Array:
-        """Covariance of the ordinates plus a floor for the error of a table of straight pieces, shape (k, k)."""
+        """Covariance of the ordinates, with a floor and with large errors along `absorbed`, shape (k, k)."""
         deviation = float(np.std(self.values)) or 1.0
-        return self.covariance + (_ERROR_FLOOR * deviation) ** 2 * np.eye(len(self.values))
+        floor = (_ERROR_FLOOR * deviation) ** 2 * np.eye(len(self.values))
+        free = self.absorbed / np.maximum(np.abs(self.absorbed).max(axis=0, initial=0.0), 1e-300)
+        return self.covariance + floor + (_ABSORBED * deviation) ** 2 * (free @ free.T)
 
     @cached_property
     def fine(self) -> Array:
@@ -64,6 +71,17 @@ class Curve:
         hats = np.stack([np.interp(self.fine, self.knots, row) for row in np.eye(len(self.knots))], axis=1)
         spacing = np.gradient(self.fine)[:, None]
         return np.asarray(np.linalg.solve(hats.T @ (spacing * hats), (spacing * hats).T))
+
+    def projected(self, function: Callable[[Array], Array]) -> Array:
+        """Return the ordinates with which a table of these knots is closest to a function.
+
+        Args:
+            function: Function of an array of values of the variable.
+
+        Returns:
+            Ordinates, in the unit of the function, shape (k,); (k, columns) if the function returns columns.
+        """
+        return np.asarray(self.projection @ function(self.fine))
 
     def whitening(self, rows: NDArray[np.bool_]) -> Array:
         """Return the matrix that makes the errors of some ordinates independent with variance 1.
@@ -175,32 +193,32 @@ class _Search:
                     self._dictionary.append((term, shape, self._whitening @ columns))
 
     def run(self) -> list[Formula]:
-        """Return fitted formulas of one to three terms, the best one of every combination of terms."""
-        first = self._singles()
+        """Return validated formulas of one to three terms, at most one of every combination of terms."""
+        fits = sorted((self._fitted([start]) for start in self._starts()), key=lambda fit: fit[0])
         supports: dict[tuple[str, ...], list[tuple[Term, tuple[float, ...]]]] = {}
-        for _, atom in first[:_MAX_SINGLES]:
-            supports[(atom[0].name,)] = [atom]
-            for support in self._extended(atom):
-                supports.setdefault(tuple(sorted(term.name for term, _ in support)), support)
-        fits = []
-        for support in supports.values():
-            terms = tuple(term for term, _ in support)
-            amplitudes, shapes = self._solve(terms, [shape for _, shape in support], self._all, self._whitening)
-            missing = self._whitening @ self._columns(terms, shapes) @ amplitudes - self._target
-            fits.append(
-                (float(np.linalg.norm(missing)), Formula(terms, tuple(amplitudes.tolist()), tuple(shapes), 0.0))
-            )
+        for _, single in fits[:_MAX_SINGLES]:
+            for support in self._extended((single.terms[0], single.shapes[0])):
+                if len(support) > 1:
+                    supports.setdefault(tuple(sorted(term.name for term, _ in support)), support)
+        fits += [self._fitted(support) for support in supports.values()]
         smallest = min(size for size, _ in fits)
         return [self._validated(formula) for size, formula in fits if size <= _POOR * smallest]
 
-    def _singles(self) -> list[tuple[float, tuple[Term, tuple[float, ...]]]]:
-        """Return the best starting values of each term alone, by the squared error that it leaves."""
+    def _starts(self) -> list[tuple[Term, tuple[float, ...]]]:
+        """Return the best starting values of each term alone."""
         best: dict[str, tuple[float, tuple[Term, tuple[float, ...]]]] = {}
         for term, shape, columns in self._dictionary:
             left = self._left(columns)
             if term.name not in best or left < best[term.name][0]:
                 best[term.name] = (left, (term, shape))
-        return sorted(best.values(), key=lambda entry: entry[0])
+        return [start for _, start in best.values()]
+
+    def _fitted(self, support: Sequence[tuple[Term, tuple[float, ...]]]) -> tuple[float, Formula]:
+        """Return the error that a formula leaves at all knots, and the formula, from starting values of its terms."""
+        terms = tuple(term for term, _ in support)
+        amplitudes, shapes = self._solve(terms, [shape for _, shape in support], self._all, self._whitening)
+        missing = self._whitening @ self._columns(terms, shapes) @ amplitudes - self._target
+        return float(np.linalg.norm(missing)), Formula(terms, tuple(amplitudes.tolist()), tuple(shapes), math.inf)
 
     def _left(self, columns: Array) -> float:
         """Return the squared error after the best fit of whitened columns."""
@@ -230,17 +248,24 @@ class _Search:
 
     def _columns(self, terms: Sequence[Term], shapes: Sequence[Sequence[float]]) -> Array:
         """Return the ordinates of the tables closest to the columns of some terms, shape (k, columns)."""
-        fine = [t.values(self._curve.fine, np.array(s)) for t, s in zip(terms, shapes, strict=True)]
-        return np.asarray(self._curve.projection @ np.concatenate(fine, axis=1))
+        pairs = list(zip(terms, shapes, strict=True))
+        return self._curve.projected(lambda u: np.concatenate([t.values(u, np.array(s)) for t, s in pairs], axis=1))
 
     def _validated(self, formula: Formula) -> Formula:
-        """Return a formula with its error: that of each fold of knots after a fit to the other folds."""
-        squares, variance = 0.0, np.diag(self._curve.error_covariance)
+        """Return a formula with its error: that of each fold of knots, given the other folds, to which it is fitted.
+
+        The errors of a table's ordinates are correlated, so the missing part of the fitted knots predicts that of the
+        left-out ones (conditional mean of a Gaussian); what is left is in units of its conditional deviation.
+        """
+        squares, covariance = 0.0, self._curve.error_covariance
         for fold in range(_FOLDS):
-            rows = np.arange(len(self._all)) % _FOLDS != fold
-            amplitudes, shapes = self._solve(formula.terms, formula.shapes, rows, self._curve.whitening(rows))
+            kept = np.arange(len(self._all)) % _FOLDS != fold
+            amplitudes, shapes = self._solve(formula.terms, formula.shapes, kept, self._curve.whitening(kept))
             missing = self._curve.values - self._columns(formula.terms, shapes) @ amplitudes
-            squares += float(np.sum(missing[~rows] ** 2 / variance[~rows]))
+            gain = np.linalg.solve(covariance[np.ix_(kept, kept)], covariance[np.ix_(kept, ~kept)]).T
+            surprise = missing[~kept] - gain @ missing[kept]
+            conditional = covariance[np.ix_(~kept, ~kept)] - gain @ covariance[np.ix_(kept, ~kept)]
+            squares += float(surprise @ np.linalg.solve(conditional, surprise))
         return dataclasses.replace(formula, error=float(np.sqrt(squares / len(self._all))))
 
     def _solve(

@@ -186,7 +186,7 @@ class Term:
         sets: list[tuple[float, ...]] = [()]
         for role in self.shapes:
             if role == "center":
-                values = np.linspace(low, high, 25)
+                values = np.linspace(low - 0.5 * span, high + 0.5 * span, 49)
             elif role == "width":
                 values = span * np.geomspace(0.02, 1.5, 10)
             else:
