@@ -106,7 +106,8 @@ def propose_formulas(machine: Machine, table: AppliedEffect) -> tuple[ProposedFo
         table: One of `tables_of(machine)`.
 
     Returns:
-        Formulas by increasing complexity; the one with the smallest error of left-out knots is recommended.
+        Formulas by increasing complexity; the simplest whose error of left-out knots is below one standard deviation, or
+        close to the smallest, is recommended.
 
     Raises:
         ImportError: If scikit-learn is not installed; the message names the extra `formulas`.
@@ -114,8 +115,9 @@ def propose_formulas(machine: Machine, table: AppliedEffect) -> tuple[ProposedFo
     variable = table.definition.against.partition(" of ")[0]
     terms = terms_of(variable, force=table.name.startswith("smooth_force"))
     formulas = fit_formulas(_curve(machine, table), terms, _MAX_FORMULAS)
-    best = min(formulas, key=lambda formula: formula.error)
-    return tuple(ProposedFormula(FormulaEffect(NAME, f, table, machine), recommended=f is best) for f in formulas)
+    limit = max(1.0, _CLOSE * min(formula.error for formula in formulas))
+    simplest = next(formula for formula in formulas if formula.error <= limit)
+    return tuple(ProposedFormula(FormulaEffect(NAME, f, table, machine), recommended=f is simplest) for f in formulas)
 
 
 def _curve(machine: Machine, table: AppliedEffect) -> Curve:
@@ -292,10 +294,14 @@ def _compare(result: IdentificationResult, table: AppliedEffect, log: Callable[[
         fitted = refit.fit(machine.replace(effects=others, uncertainty=None), acceptable=errors**2)
         effect = next(e for e in fitted.machine.effects if e.name == applied.name)
         updated = dataclasses.replace(proposal.effect, formula=_with_values(proposal.effect, effect))
-        formulas.append(ProposedFormula(updated, math.sqrt(fitted.chi2), refit.held_out(fitted.machine)))
+        predicted = refit.held_out(fitted.machine)
+        if not np.isfinite([fitted.chi2, *predicted.values()]).all():
+            log(f"  {updated.formula.name}: the simulation diverges")
+            continue
+        formulas.append(ProposedFormula(updated, math.sqrt(fitted.chi2), predicted))
         log(f"  {updated.formula.name}, {updated.formula.complexity} parameters: {formulas[-1].noise_ratio:.4g}")
-    limit = _CLOSE * min(f.fitted or math.inf for f in formulas)
-    simplest = next(f for f in formulas if (f.fitted or math.inf) <= limit)
+    limit = _CLOSE * min((f.fitted or math.inf for f in formulas), default=math.inf)
+    simplest = next((f for f in formulas if (f.fitted or math.inf) <= limit), None)
     chosen = tuple(dataclasses.replace(f, recommended=f is simplest) for f in formulas)
     return TableComparison(table, errors, held_out, chosen)
 

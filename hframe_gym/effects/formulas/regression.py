@@ -31,6 +31,9 @@ _MAX_TERMS = 3
 _MAX_SINGLES = 6  # First terms that are extended by further ones.
 _POOR = 8.0  # A fit to all knots with this times the smallest error is not validated.
 _HOPELESS = 4.0  # A formula with this times the smallest error of the left-out knots is not proposed.
+_EXPLAINED = 0.5  # Error, in standard deviations, at which nothing is left that further parameters could explain.
+# Pairs of terms of which one with an offset or another center can be written by the other.
+_REDUNDANT = ({"square", "parabola"}, {"step", "slow step"}, {"decay", "slow decay"}, {"bump", "resonance"})
 _CLEAR_GAIN = 0.85  # A formula with more parameters must reduce the error of the left-out knots to this fraction.
 
 
@@ -42,8 +45,8 @@ class Curve:
         knots: Increasing values of the variable, shape (k,).
         values: Ordinates, N or Nm, shape (k,).
         covariance: Covariance of the ordinates, shape (k, k).
-        absorbed: Curves at the knots that other parameters of the machine can represent, for example a constant friction
-            level; no formula needs to explain them, shape (k, m).
+        absorbed: Curves at the knots that other parameters of the machine can represent, for example a constant
+            friction level; no formula needs to explain them, shape (k, m).
     """
 
     knots: Array
@@ -156,7 +159,8 @@ def fit_formulas(curve: Curve, terms: Sequence[Term], count: int = 3) -> tuple[F
     front: list[Formula] = []
     rivals: list[Formula] = []
     for formula in (f for f in formulas if f.error < _HOPELESS * smallest):
-        if not front or formula.error < _CLEAR_GAIN * min(f.error for f in front):
+        least = min((f.error for f in front), default=math.inf)
+        if least > _EXPLAINED and formula.error < _CLEAR_GAIN * least:
             front.append(formula)
         else:
             rivals.append(formula)
@@ -198,7 +202,7 @@ class _Search:
         supports: dict[tuple[str, ...], list[tuple[Term, tuple[float, ...]]]] = {}
         for _, single in fits[:_MAX_SINGLES]:
             for support in self._extended((single.terms[0], single.shapes[0])):
-                if len(support) > 1:
+                if len(support) > 1 and not any(pair <= {t.name for t, _ in support} for pair in _REDUNDANT):
                     supports.setdefault(tuple(sorted(term.name for term, _ in support)), support)
         fits += [self._fitted(support) for support in supports.values()]
         smallest = min(size for size, _ in fits)
