@@ -76,8 +76,6 @@ class ProposedFormula:
             "terms": [term.name for term in formula.terms],
             "formula": effect.text,
             "parameters": effect.values,
-            "amplitudes": list(formula.amplitudes),
-            "shapes": [list(shape) for shape in formula.shapes],
             "complexity": formula.complexity,
             "curve_error": formula.error,
             "fitted": self.fitted,
@@ -106,8 +104,8 @@ def propose_formulas(machine: Machine, table: AppliedEffect) -> tuple[ProposedFo
         table: One of `tables_of(machine)`.
 
     Returns:
-        Formulas by increasing complexity; the simplest whose error of left-out knots is below one standard deviation, or
-        close to the smallest, is recommended.
+        Formulas by increasing complexity; the simplest whose error of left-out knots is below one standard
+        deviation, or close to the smallest, is recommended.
 
     Raises:
         ImportError: If scikit-learn is not installed; the message names the extra `formulas`.
@@ -173,11 +171,10 @@ def formulas_of_folder(folder: Path, name: str, table: str = "") -> tuple[Propos
         proposed = tuple(_from_json(entry, saved.machine, tables[label]) for entry in entries)
     else:
         proposed = propose_formulas(saved.machine, tables[label])
-    typical = _typical(saved, tables[label].site)
     renamed = []
     for p in proposed:
         try:
-            effect = dataclasses.replace(p.effect, name=name, typical=typical, notes=_notes(p, saved, label))
+            effect = dataclasses.replace(p.effect, name=name, notes=_notes(p, saved, label))
         except ValueError as error:
             raise InputError(str(error)) from None
         renamed.append(dataclasses.replace(p, effect=effect))
@@ -188,28 +185,13 @@ def _from_json(entry: dict[str, Any], machine: Machine, table: AppliedEffect) ->
     """Return a formula from its entry in report.json."""
     variable = table.definition.against.partition(" of ")[0]
     terms = {term.name: term for term in terms_of(variable, force=True)}
-    try:
-        chosen = tuple(terms[name] for name in entry["terms"])
-    except KeyError as error:
-        raise InputError(f"report.json: proposed_formulas has an unknown term {error}") from None
-    amplitudes, shapes = tuple(entry["amplitudes"]), tuple(tuple(shape) for shape in entry["shapes"])
-    counts = [len(term.shapes) for term in chosen]
-    if len(amplitudes) != sum(len(term.columns) for term in chosen) or [len(shape) for shape in shapes] != counts:
-        raise InputError("report.json: a formula of proposed_formulas has too few or too many parameters")
-    formula = Formula(chosen, amplitudes, shapes, entry["curve_error"])
+    chosen = tuple(terms[name] for name in entry["terms"] if name in terms)
+    formula = Formula(chosen, (), (), entry["curve_error"])
+    if len(chosen) != len(entry["terms"]) or formula.complexity != len(entry["parameters"]):
+        raise InputError("report.json: a formula of proposed_formulas has an unknown term or lacks parameters")
+    formula = formula.with_values(entry["parameters"].values())
     effect = FormulaEffect(NAME, formula, table, machine)
     return ProposedFormula(effect, entry["fitted"], entry["held_out"], entry["recommended"])
-
-
-def _typical(saved: SavedResult, site: str) -> dict[str, float]:
-    """Return the travel and the top speed of a coordinate in the runs, as far as the folder has them."""
-    sizes = {}
-    position, velocity = (saved.curves.get(f"coverage/{kind} of {site}") for kind in ("position", "velocity"))
-    if position is not None:
-        sizes["position"] = max(float(np.ptp(position)), 1e-9)
-    if velocity is not None:
-        sizes["speed"] = max(float(np.percentile(np.abs(velocity), 99)), 1e-9)
-    return sizes
 
 
 def _notes(proposed: ProposedFormula, saved: SavedResult, label: str) -> tuple[str, ...]:
@@ -293,7 +275,9 @@ def _compare(result: IdentificationResult, table: AppliedEffect, log: Callable[[
         others = tuple(applied if e.label == table.label else e for e in machine.effects)
         fitted = refit.fit(machine.replace(effects=others, uncertainty=None), acceptable=errors**2)
         effect = next(e for e in fitted.machine.effects if e.name == applied.name)
-        updated = dataclasses.replace(proposal.effect, formula=_with_values(proposal.effect, effect))
+        updated = dataclasses.replace(
+            proposal.effect, formula=proposal.effect.formula.with_values(effect.parameters.values())
+        )
         predicted = refit.held_out(fitted.machine)
         if not np.isfinite([fitted.chi2, *predicted.values()]).all():
             log(f"  {updated.formula.name}: the simulation diverges")
@@ -304,17 +288,6 @@ def _compare(result: IdentificationResult, table: AppliedEffect, log: Callable[[
     simplest = next((f for f in formulas if (f.fitted or math.inf) <= limit), None)
     chosen = tuple(dataclasses.replace(f, recommended=f is simplest) for f in formulas)
     return TableComparison(table, errors, held_out, chosen)
-
-
-def _with_values(effect: FormulaEffect, applied: AppliedEffect) -> Formula:
-    """Return the formula of an effect with the parameter values of a later fit."""
-    formula, values = effect.formula, iter(applied.parameters.values())
-    amplitudes: list[float] = []
-    shapes: list[tuple[float, ...]] = []
-    for term in formula.terms:  # the parameters of an effect are in the order of the terms, amplitudes first
-        amplitudes += [next(values) for _ in term.columns]
-        shapes.append(tuple(next(values) for _ in term.shapes))
-    return dataclasses.replace(formula, amplitudes=tuple(amplitudes), shapes=tuple(shapes))
 
 
 class _Refit:

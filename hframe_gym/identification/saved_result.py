@@ -92,8 +92,6 @@ class _FormulaEntry(_Entry):
     terms: list[str]
     formula: str
     parameters: dict[str, FiniteFloat]
-    amplitudes: list[FiniteFloat]
-    shapes: list[list[FiniteFloat]]
     complexity: int
     curve_error: FiniteFloat
     fitted: FiniteFloat | None

@@ -107,7 +107,7 @@ def test_a_written_effect_is_registered_and_simulates(
 ) -> None:
     variable = table.partition("[")[2].split()[0].rstrip("]")
     formula = formula_of(next(t for t in terms_of(variable, force=True) if t.name == term))
-    effect = FormulaEffect("trial_effect", formula, table_at(hframe, table, site), hframe, {"position": 0.3})
+    effect = FormulaEffect("trial_effect", formula, table_at(hframe, table, site), hframe)
     path = tmp_path / "trial_effect.py"
     write_effect_file(effect, path)
     with pytest.raises(InputError, match="the file exists"):

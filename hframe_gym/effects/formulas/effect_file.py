@@ -10,7 +10,7 @@ import keyword
 import re
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -44,8 +44,6 @@ class FormulaEffect:
         formula: The formula with its fitted parameters.
         table: The table at its site.
         machine: Machine with the table.
-        typical: Typical sizes at the site by unit key ("position", "speed", ...), to which the starting values of a
-            search are relative. A missing key means 1.
         notes: Sentences about the origin and the accuracy, for the docstring of the file.
     """
 
@@ -53,7 +51,6 @@ class FormulaEffect:
     formula: Formula
     table: AppliedEffect
     machine: Machine
-    typical: Mapping[str, float] = field(default_factory=dict)
     notes: Sequence[str] = ()
 
     def __post_init__(self) -> None:
@@ -167,19 +164,18 @@ class FormulaEffect:
     def _shape_parameter(self, name: str, role: str, value: float, shapes: Mapping[str, float]) -> EffectParameter:
         """Return the declaration of a shape parameter with starting values for a search."""
         unit = self._shape_unit()
-        size = self.typical.get(unit, 1.0)
         if role == "period" and self._argument == "q":
             return EffectParameter(name, unit, 1e-6, _LARGE, scale=0.1, role="period")
         if role == "center":
             knots = [v for k, v in self.table.parameters.items() if k.startswith("k")]
             grid = [value, *np.linspace(min(knots), max(knots), _CENTERS + 2)[1:-1].tolist()]
-            scale = _rounded(shapes.get("width", 0.1 * (max(knots) - min(knots))) / size)
+            scale = _rounded(shapes.get("width", 0.1 * (max(knots) - min(knots))))
             lower = -_LARGE
         else:
             grid, scale, lower = [factor * value for factor in _WIDTH_FACTORS], 1.0, 1e-6
         if len(self.formula.terms) > 1:
             grid = [value]  # the combinations of several terms would be too many
-        return EffectParameter(name, unit, lower, _LARGE, scale, tuple(_rounded(g / size) for g in grid))
+        return EffectParameter(name, unit, lower, _LARGE, scale, tuple(map(_rounded, grid)))
 
     def _variable_unit(self) -> tuple[str, str]:
         """Return the unit of the variable, and its key in `machine.UNITS` where it has the unit of the site."""
@@ -192,9 +188,13 @@ class FormulaEffect:
         return (f"{unit}/s" if key == "speed" else unit), (key if kind == self._kind else "")
 
     def _shape_unit(self) -> str:
-        """Return the unit, or its key, of a shape parameter."""
+        """Return the unit of a shape parameter, or a key for it.
+
+        Starting values are relative to the typical value of the unit on the machine. The unit has none here, so that
+        they are absolute; "m" alone would be the extension of belts.
+        """
         unit, key = self._variable_unit()
-        return key or unit
+        return "absolute position" if key == "position" else unit
 
     def _amplitude_unit(self, power: float) -> str:
         """Return the unit, or its key, of an amplitude whose column is a power of the variable."""

@@ -126,6 +126,23 @@ class Formula:
         """Number of parameters."""
         return sum(term.complexity for term in self.terms)
 
+    def with_values(self, values: Iterable[float]) -> Formula:
+        """Return a copy with other parameters.
+
+        Args:
+            values: Amplitudes, then shapes, of one term after the other, as in the parameters of its effect.
+
+        Returns:
+            The formula with these parameters and the same error.
+        """
+        left = iter(values)
+        amplitudes: list[float] = []
+        shapes: list[tuple[float, ...]] = []
+        for term in self.terms:
+            amplitudes += [next(left) for _ in term.columns]
+            shapes.append(tuple(next(left) for _ in term.shapes))
+        return dataclasses.replace(self, amplitudes=tuple(amplitudes), shapes=tuple(shapes))
+
     def __call__(self, u: Array) -> Array:
         """Evaluate the formula.
 
