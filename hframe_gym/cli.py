@@ -25,7 +25,6 @@ from .cli_support import (
     value_errors_as_input_errors,
 )
 from .errors import InputError
-from .registry import PLUGIN_VARIABLE, load_plugins
 
 app = typer.Typer(
     help="H-frame stages: simulate, identify from measured data, train and evaluate controllers.",
@@ -34,8 +33,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
-effects_app = typer.Typer()
-app.add_typer(effects_app, name="effects")
+app.add_typer(effects_app := typer.Typer(), name="effects")
 console = Console(soft_wrap=True)
 
 
@@ -287,10 +285,9 @@ def effects(context: typer.Context) -> None:
 
     Example:  hframe effects
     """
-    from .cli_support import effect_table
-
-    load_plugins()
     if context.invoked_subcommand is None:
+        from .cli_support import effect_table
+
         console.print(effect_table())
         _log("If none of them fits: smooth_force[VARIABLE] and smooth_friction[VARIABLE], lookup tables.")
 
@@ -300,29 +297,16 @@ def new_effect(
     name: Annotated[str, typer.Argument(help="Name of the effect: lower-case letters, digits, underscores.")],
     folder: Annotated[Path, typer.Option("--from", help="A folder that `hframe identify` wrote, with a table.")],
     out: Annotated[Path | None, typer.Option(help="Python file to write (default: NAME.py).")] = None,
-    formula: Annotated[int, typer.Option(min=0, help="Number of the formula (default: the recommended one).")] = 0,
+    formula: Annotated[int, typer.Option(min=0, help="Number of the formula (0: the recommended one).")] = 0,
     table: Annotated[str, typer.Option(help="Label of the table (default: the first one).")] = "",
 ) -> None:
     """Write the formula that is proposed for a table as an effect, a Python file to review.
 
     Example:  hframe effects new rail_catch --from out/rig
     """
-    from .effects.formulas import write_effect_file
-    from .identification.formulas import formulas_of_folder
+    from .cli_support import write_new_effect
 
-    proposed = formulas_of_folder(folder, name, table)
-    for number, p in enumerate(proposed, start=1):
-        error = f", {p.noise_ratio:.3g} times the noise on held-out runs" if p.held_out else ""
-        mark = " (recommended)" if p.recommended else ""
-        _log(
-            f"{number}. {p.effect.text}: {p.effect.formula.name}, {p.effect.formula.complexity} parameters{error}{mark}"
-        )
-    if formula > len(proposed):
-        raise InputError(f"--formula {formula}: there are {len(proposed)}")
-    chosen = proposed[formula - 1] if formula else next(p for p in proposed if p.recommended)
-    path = out or Path(f"{name}.py")
-    write_effect_file(chosen.effect, path)
-    _log(f"wrote {path}; use it with {PLUGIN_VARIABLE}={path} in the environment of a command")
+    write_new_effect(folder, name, out or Path(f"{name}.py"), formula, table, _log)
 
 
 @app.command()

@@ -15,7 +15,7 @@ from typer.core import TyperCommand
 from .effects import EFFECTS
 from .errors import InputError
 from .machine import BUILTIN_MACHINES, mode_frequencies
-from .registry import load_plugins
+from .registry import PLUGIN_VARIABLE, load_plugins
 
 if TYPE_CHECKING:
     from .identification import IdentificationResult
@@ -202,6 +202,36 @@ def proposed_formulas(result: IdentificationResult, log: Callable[[str], None]) 
         return ()
 
 
+def write_new_effect(folder: Path, name: str, path: Path, number: int, table: str, log: Callable[[str], None]) -> None:
+    """List the formulas proposed for a table of a saved identification and write one as an effect.
+
+    Args:
+        folder: Folder that `hframe identify` wrote.
+        name: Name of the new effect.
+        path: Python file to write; it must not exist.
+        number: Number of the formula in the list, from 1; 0 for the recommended one.
+        table: Label of the table; empty for the first one.
+        log: Called with a line of text for every formula and for the file.
+
+    Raises:
+        InputError: If the folder has no such table or formula, or the name or the file cannot be used.
+    """
+    from .effects.formulas import write_effect_file
+    from .identification.formulas import formulas_of_folder
+
+    proposed = formulas_of_folder(folder, name, table)
+    for index, p in enumerate(proposed, start=1):
+        error = f", {p.noise_ratio:.3g} times the noise on held-out runs" if p.held_out else ""
+        form = p.effect.formula
+        mark = " (recommended)" if p.recommended else ""
+        log(f"{index}. {p.effect.text}: {form.name}, {form.complexity} parameters{error}{mark}")
+    if number > len(proposed):
+        raise InputError(f"--formula {number}: the formulas are numbered from 1 to {len(proposed)}")
+    chosen = proposed[number - 1] if number else next(p for p in proposed if p.recommended)
+    write_effect_file(chosen.effect, path)
+    log(f"wrote {path}; review it, then use it with {PLUGIN_VARIABLE}={path} in the environment of a command")
+
+
 def score_table(scores: Mapping[str, Any]) -> Table:
     """Format the scores of controllers as a table.
 
@@ -287,7 +317,9 @@ def effect_table() -> Table:
 
     Returns:
         Table with one row per effect: name, site (the kind of component it acts on), parameters with units, formula.
+        Plugins are loaded first.
     """
+    load_plugins()
     table = Table("effect", "site", "parameters", "formula")
     name_column = table.columns[0]
     name_column.no_wrap, name_column.min_width = True, max(map(len, EFFECTS))

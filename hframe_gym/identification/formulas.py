@@ -1,9 +1,8 @@
 """Formulas for the tables of an identified machine, compared with the tables on the held-out runs.
 
-A table (a force or friction level that is interpolated between knots of one variable) explains a residual without
-naming a cause. Sparse regression proposes closed forms for it. Each form then takes the place of the table, and all
-parameters of the machine are fitted again to the fitted runs, so that a formula is compared by the error of the
-simulated machine and not only by the shape of the curve.
+A table (a force or friction level that is interpolated between knots of one variable) names no cause. Sparse regression
+proposes closed forms for it. Each form then takes the place of the table, and all parameters of the machine are fitted
+again, so that a formula is compared by the error of the simulated machine and not only by the shape of the curve.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from ..effects.smooth_table import KNOTS, TABLE_FAMILY
 from ..errors import InputError
 from ..machine import AppliedEffect, Machine
 from .candidates import effect_parameters
-from .dataset import Dataset, TypicalScales, refine_encoder_offsets
+from .dataset import TypicalScales, refine_encoder_offsets
 from .estimation import Fit, fit, prediction_cost
 from .forward_selection import typical_scales
 from .free_parameters import FreeParameter, default_free_parameters
@@ -142,8 +141,8 @@ def _absorbed(table: AppliedEffect, knots: Array) -> Array:
 def formulas_of_folder(folder: Path, name: str, table: str = "") -> tuple[ProposedFormula, ...]:
     """Return the formulas for a table of a saved identification, as effects with a name.
 
-    The formulas are those that `hframe identify` compared on the held-out runs. A folder without them has the table
-    with its covariance; the formulas are then fitted to the table alone and have no errors.
+    They are those that `hframe identify` compared on the held-out runs. In a folder without them, formulas are fitted
+    to the table alone and have no errors.
 
     Args:
         folder: Folder that `write_result` wrote.
@@ -247,7 +246,7 @@ def compare_formulas(
 ) -> tuple[TableComparison, ...]:
     """Propose formulas for every table of an identification and fit each one in place of its table.
 
-    Formula and table are fitted to the fitted runs in the same way; the held-out runs are only predicted.
+    The table keeps its identified values; formulas are fitted to the same runs. Held-out runs are only predicted.
 
     Args:
         result: Result of `identify`.
@@ -308,9 +307,8 @@ class _Refit:
         """Return simulation unless the simulation of the corrected machine drifts away."""
         errors = channel_errors(self._result.after.machine, self._data)
         outputs = np.concatenate([run.outputs for run in self._data.runs])
-        channels = self._result.after.machine.output_channels
-        rmse = [errors[channel].rmse or 0.0 for channel in channels]
-        drift = np.array(rmse) / np.maximum(np.nanstd(outputs, axis=0), 1e-12)
+        rmse = np.array([errors[c].rmse or 0.0 for c in self._result.after.machine.output_channels])
+        drift = rmse / np.maximum(np.nanstd(outputs, axis=0), 1e-12)
         return "simulation" if drift.max() < self._result.criteria.max_drift else "one_step"
 
     def error(self, machine: Machine) -> float:
@@ -348,6 +346,5 @@ class _Refit:
 
     def held_out(self, machine: Machine) -> dict[str, float]:
         """Return the simulation error on the held-out runs in units of the noise, by channel."""
-        data: Dataset = refine_encoder_offsets(self._result.held_out, machine, self._result.fitted)
-        errors = channel_errors(machine, data)
+        errors = channel_errors(machine, refine_encoder_offsets(self._result.held_out, machine, self._result.fitted))
         return {channel: e.noise_ratio for channel, e in errors.items() if e.noise_ratio is not None}
