@@ -29,6 +29,8 @@ class SelectionCriteria:
             because the residual of the observer is correlated.
         min_total_gain: Smallest gain summed over all samples, chi-squared. It protects short recordings, where chance
             explains a larger fraction of the residual.
+        min_chance_gain: Smallest gain summed over all samples in units of the long-run variance of the remaining
+            residual: what the best of some hundred candidates with a few parameters reaches by chance.
         min_gain_fraction: Smallest gain relative to the excess of chi-squared per sample over 1, where that excess is
             small.
         large_excess: Excess of chi-squared per sample over 1 from which `min_gain_fraction_large_excess` applies.
@@ -91,6 +93,7 @@ class SelectionCriteria:
     min_gain_simulation: float = 0.003
     min_gain_one_step: float = 0.01
     min_total_gain: float = 200.0
+    min_chance_gain: float = 30.0
     min_gain_fraction: float = 0.02
     large_excess: float = 3.0
     min_gain_fraction_large_excess: float = 0.1
