@@ -29,8 +29,9 @@ from .free_parameters import default_free_parameters
 from .model_error import drive_force, effect_force, fit_with_model_error, polish
 from .nonparametric import add_tables
 from .prediction import POLISH_STEP, SEARCH_BANDWIDTH
-from .residual import channel_errors, force_error, is_white, rank_dependences
-from .result import IdentificationResult, ModelEvaluation, PredictionErrors, RejectedEffect, Verdict
+from .recording_simulation import evaluate_held_out
+from .residual import force_error, is_white, rank_dependences
+from .result import IdentificationResult, RejectedEffect, Verdict
 from .sensor_properties import Range, blank_saturated, range_effects, saturation_ranges
 from .trial_fits import without_effect
 
@@ -97,6 +98,7 @@ def identify(
     criteria = criteria or SelectionCriteria()
     log = log or (lambda line: None)
     kept = hold_out(recordings, held_out)
+    measured = recordings
     recordings = [_cleaned(recording, machine, log) for recording in recordings]
     everything, ranges = _prepare(recordings, machine, criteria, log)
     validation = with_all_measurements(everything.with_runs(kept), recordings)
@@ -109,7 +111,7 @@ def identify(
     log("searching for effects")
     outcome = _Search(base, before, data, criteria, log).run()
     outcome = _without_unconfirmed(outcome, before, data, validation, log)
-    result = _result(outcome, machine, before, ranges, data, validation, criteria)
+    result = _result(outcome, machine, before, ranges, data, validation, measured, criteria)
     log(f"verdict: {result.verdict}")
     return dataclasses.replace(result, seconds=time.perf_counter() - began)
 
@@ -188,6 +190,7 @@ def _result(
     ranges: dict[str, Range],
     data: Dataset,
     validation: Dataset,
+    recordings: Sequence[Recording],
     criteria: SelectionCriteria,
 ) -> IdentificationResult:
     """Evaluate declared, refitted and corrected machine on the held-out runs, and propose an experiment."""
@@ -196,9 +199,9 @@ def _result(
     corrected, selected = _corrected(after, selected, ranges, refined, f"{machine.name}-identified")
     refitted = before.machine.replace(name=f"{machine.name}-refitted")
     declared_evaluation, refitted_evaluation, corrected_evaluation = (
-        ModelEvaluation(m, _errors(m, refine_encoder_offsets(validation, m, data)))
-        for m in (machine, refitted, corrected)
+        evaluate_held_out(m, data, validation, recordings) for m in (machine, refitted, corrected)
     )
+    corrected = corrected_evaluation.machine
     experiments = (
         design_discriminating_experiment(after, corrected, s.effect.label, s.rival_effects, refined) for s in selected
     )
@@ -311,11 +314,6 @@ class _Search:
         """Return whether a fit leaves only the sensors' noise, or a negligible part of the initial residual."""
         criteria = self._criteria
         return after.chi2 < max(criteria.explained_chi2, criteria.explained_fraction * self._base.chi2)
-
-
-def _errors(machine: Machine, data: Dataset) -> PredictionErrors:
-    """Return the errors of a machine on a data set."""
-    return PredictionErrors(channel_errors(machine, data), force_error(machine, data))
 
 
 def _held_out_gain(selected: SelectedEffect, machine: Machine, validation: Dataset, bandwidth: float) -> float:
