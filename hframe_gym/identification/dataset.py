@@ -141,6 +141,24 @@ def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:
     return Dataset(runs, np.array(noise), quanta, behind_belts(machine), zeros)
 
 
+def with_known_positions(data: Dataset) -> tuple[Dataset, tuple[str, ...]]:
+    """Leave out the runs whose initial position cannot be determined.
+
+    Args:
+        data: Data set.
+
+    Returns:
+        data: Copy without these runs; the given one if no run would remain.
+        warnings: One sentence for each run that was left out.
+    """
+    located = [run.name for run in data.runs if run.initial.position_known]
+    if not located or len(located) == len(data.runs):
+        return data, ()
+    reason = "is not used: no sensor with a known zero determines its initial position"
+    warnings = tuple(f"{run.name} {reason}." for run in data.runs if run.name not in located)
+    return data.with_runs(located), warnings
+
+
 def with_all_measurements(data: Dataset, recordings: Sequence[Recording]) -> Dataset:
     """Return a data set with all measurements, including the saturated ones that a fit leaves out.
 

@@ -15,7 +15,7 @@ from ..machine import Machine
 from ..recordings import Recording, without_outliers
 from ..registry import load_plugins
 from .criteria import SelectionCriteria
-from .dataset import Dataset, prepare, refine_encoder_offsets, with_all_measurements
+from .dataset import Dataset, prepare, refine_encoder_offsets, with_all_measurements, with_known_positions
 from .estimation import Fit, fit, prediction_cost, with_uncertainty
 from .experiment_design import design_discriminating_experiment
 from .forward_selection import (
@@ -101,8 +101,9 @@ def identify(
     measured = recordings
     recordings = [_cleaned(recording, machine, log) for recording in recordings]
     everything, ranges = _prepare(recordings, machine, criteria, log)
-    validation = with_all_measurements(everything.with_runs(kept), recordings)
-    data = everything.with_runs([r.name for r in recordings if r.name not in kept])
+    validation, excluded = with_known_positions(everything.with_runs(kept))
+    validation = with_all_measurements(validation, recordings)
+    data, unused = with_known_positions(everything.with_runs([r.name for r in recordings if r.name not in kept]))
     log(f"fitting {machine.name} to {len(data.runs)} runs, {len(validation.runs)} held out")
     base = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
     log(f"refitted machine: {_describe(base)}")
@@ -113,7 +114,7 @@ def identify(
     outcome = _without_unconfirmed(outcome, before, data, validation, log)
     result = _result(outcome, machine, before, ranges, data, validation, measured, criteria)
     log(f"verdict: {result.verdict}")
-    return dataclasses.replace(result, seconds=time.perf_counter() - began)
+    return dataclasses.replace(result, seconds=time.perf_counter() - began, excluded=(*unused, *excluded))
 
 
 def _cleaned(recording: Recording, machine: Machine, log: Log) -> Recording:

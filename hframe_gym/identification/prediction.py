@@ -42,7 +42,7 @@ _LONGEST_OBSERVER_PERIOD = 5e-3  # s; limits the observer gains of slowly sample
 # Fraction of the motors' Coulomb friction that typically remains as belt tension when the stage has come to rest.
 _HELD_FRICTION = 0.1
 _SMALLEST_HELD_ANGLE = 1e-6  # rad; keeps the column of a motor without friction away from zero
-_UNMEASURED_POSITION = 1e-4  # m; error of a position that follows from later measurements
+_UNMEASURED_POSITION = 2e-4  # m; error of a position that follows from later measurements
 _BLOCK_S = 4e-3  # s; measurements respond more slowly than this to mechanical effects
 
 

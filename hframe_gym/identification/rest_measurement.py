@@ -20,6 +20,8 @@ from .encoder_zeros import EncoderZeros
 Array = NDArray[np.float64]
 # Weights of encoders that are used only where no laser measures: behind stretched belts, and with an unknown zero.
 _STRETCHED_WEIGHT, _FALLBACK_WEIGHT = 1e-3, 1e-6
+# m; typical stretch of the belts at full voltage or speed, and the part of it that a linear model leaves.
+_TYPICAL_STRETCH, _STRETCH_RESIDUAL = 0.3e-3, 0.1e-3
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,7 @@ class InitialState:
         offsets_refined: Whether a fitted machine has corrected the encoders' zeros.
         position_measured: Whether sensors with a known zero measure the position at rest.
         lasers_measured: Whether sensors with a fixed zero alone measure the position at rest.
+        position_known: Whether these sensors determine the position at rest, if necessary by later measurements.
         reading: Measurements at rest minus the known zeros, in the sensors' units, NaN where there is none, shape
             (sensors,).
         position_from_reading: Matrix that computes the positions of unstretched belts from `reading` (with 0 instead
@@ -50,6 +53,7 @@ class InitialState:
     offsets_refined: bool = False
     position_measured: bool = True
     lasers_measured: bool = True
+    position_known: bool = True
     reading: Array = field(default_factory=lambda: np.zeros(0))
     position_from_reading: Array = field(default_factory=lambda: np.zeros((0, 0)))
     warnings: tuple[str, ...] = field(default=())
@@ -144,6 +148,7 @@ def estimate_initial_state(recording: Recording, machine: Machine, zeros: Encode
         zeros.stretched,
         position_measured=position_measured,
         lasers_measured=lasers_measured,
+        position_known=position_measured or _rank(seen[(fixed | known) & usable]) == _rank(seen),
         reading=reading,
         position_from_reading=position_from_reading,
         warnings=warnings,
@@ -174,8 +179,8 @@ def _rank(rows: Array) -> int:
 def _later_measurements(recording: Recording, at_rest: Array, machine: Machine, rigid: Array) -> Array:
     """Return what each sensor would have measured at rest, from its later rows (sensors,); NaN where they do not tell.
 
-    The encoders measure the displacement since then; the median over all rows is insensitive to the stretch of the
-    belts.
+    The encoders measure the displacement since then, and the belts between them and the tool stretch as the drives
+    pull. A linear regression on voltages, speeds and directions of the motors removes this stretch.
     """
     unknown = np.full(len(machine.sensors), np.nan)
     encoders = np.array([s.incremental for s in machine.sensors]) & np.isfinite(at_rest)
@@ -185,8 +190,18 @@ def _later_measurements(recording: Recording, at_rest: Array, machine: Machine, 
     turned = recording.outputs[:, encoders] - at_rest[encoders]  # (n, encoders)
     displacement = turned @ np.linalg.pinv(seen[encoders]).T @ seen.T  # (n, sensors)
     start = recording.outputs - displacement
-    for j in np.flatnonzero(np.isfinite(start).any(axis=0)):
-        unknown[j] = np.nanmedian(start[:, j])
+    speed = np.gradient(np.nan_to_num(turned), axis=0)
+    pull = np.hstack([recording.inputs, speed, np.sign(speed)])  # (n, regressors), 0 at rest
+    pull /= np.maximum(np.abs(pull).max(axis=0), 1e-12)
+    regressors = np.hstack([np.ones((len(pull), 1)), pull])
+    # Ridge: motions that do not tell the stretch from the position show a small stretch.
+    prior = _STRETCH_RESIDUAL / _TYPICAL_STRETCH * np.eye(regressors.shape[1])[1:]
+    for j in range(len(machine.sensors)):
+        rows = np.isfinite(start[:, j])
+        if rows.any():
+            middle = np.median(start[rows, j])
+            target = np.concatenate([start[rows, j] - middle, np.zeros(len(prior))])
+            unknown[j] = middle + np.linalg.lstsq(np.vstack([regressors[rows], prior]), target, rcond=None)[0][0]
     return unknown
 
 

@@ -139,6 +139,7 @@ class IdentificationResult:
         seconds: Duration of the identification, s.
         experiment: Run that would distinguish the leading effect from its rival, where there is one.
         criteria: Decision thresholds that were used.
+        excluded: One sentence for each run that was neither fitted nor held out.
     """
 
     verdict: Verdict
@@ -156,6 +157,7 @@ class IdentificationResult:
     seconds: float
     experiment: ExperimentDesign | None = None
     criteria: SelectionCriteria = field(default_factory=SelectionCriteria)
+    excluded: tuple[str, ...] = ()
 
     @property
     def explained(self) -> float:
@@ -172,7 +174,7 @@ class IdentificationResult:
     def initial_state_warnings(self) -> tuple[str, ...]:
         """What could not be determined about the initial states of the runs, one sentence each, without repetitions."""
         fitted = [warning for run in self.fitted.runs for warning in run.initial.warnings]
-        return tuple(dict.fromkeys([*fitted, *self.after.warnings]))
+        return tuple(dict.fromkeys([*self.excluded, *fitted, *self.after.warnings]))
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of report.json, schema 1.
