@@ -18,11 +18,12 @@ from ..dynamics import effect_forces, stiffness_matrix
 from ..machine import Machine, rest_state
 from ..recordings import Recording
 from .encoder_zeros import EncoderZeros, zero_tolerance
-from .rest_measurement import InitialState, estimate_initial_state
+from .rest_measurement import InitialState, estimate_initial_state, rigid_basis
 
 Array = NDArray[np.float64]
 _INVERSION_STEPS = 4  # Each leaves a few hundredths of the error.
 _INVERSION_TOLERANCE = 1e-6  # m
+_ENCODER_WEIGHT = 1e-3  # of encoders beside lasers, which determine the position where they can
 _STRETCH_STEPS = 2  # The force at rest changes little with the stretch of the belts.
 
 
@@ -67,10 +68,18 @@ def _switched_on_anew(machine: Machine, alone: InitialState, zeros: EncoderZeros
     """
     moved = np.zeros(len(machine.sensors), np.bool_)
     fixed = np.array([not s.incremental for s in machine.sensors])
-    if not alone.lasers_measured and not np.isfinite(alone.reading[fixed]).all():
-        return moved  # Neither at rest nor later do the lasers measure the position.
-    equilibrium = static_equilibrium(machine, _without_measurement_effects(machine, alone, alone.position.copy()))
     tolerance = zero_tolerance(machine, zeros, quanta)
+    if not alone.position_known:
+        # One laser cannot tell which encoder it contradicts.
+        rigid = rigid_basis(machine)
+        checked = (zeros.known | fixed) & np.isfinite(alone.reading)
+        reading = (alone.reading - np.where(zeros.known, zeros.offset, 0.0))[checked]
+        seen = (machine.sensor_matrix @ rigid)[checked]
+        weight = np.where(fixed[checked], 1.0, _ENCODER_WEIGHT)
+        position = np.linalg.lstsq(weight[:, None] * seen, weight * reading, rcond=None)[0]
+        contradicted = np.any(np.abs(reading - seen @ position)[~fixed[checked]] > tolerance[checked][~fixed[checked]])
+        return zeros.known & contradicted
+    equilibrium = static_equilibrium(machine, _without_measurement_effects(machine, alone, alone.position.copy()))
     for j in np.flatnonzero(zeros.known & np.isfinite(alone.reading)):
         i = machine.coordinate_names.index(machine.sensors[j].coordinate)
         row = machine.sensors[j].row[machine.sensors[j].coordinate]

@@ -10,8 +10,8 @@ import pytest
 
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
-from hframe_gym.identification import initial_state_of_recording, prepare, simulate_recording
-from hframe_gym.identification.dataset import with_encoder_zeros
+from hframe_gym.identification import estimate_initial_state, initial_state_of_recording, prepare, simulate_recording
+from hframe_gym.identification.dataset import with_encoder_zeros, with_known_positions
 from hframe_gym.identification.recording_simulation import evaluate_held_out
 from hframe_gym.machine import Machine, rest_state
 from hframe_gym.recordings import Recording, load_machine, save_machine
@@ -132,3 +132,52 @@ def test_errors_of_a_machine_that_diverges_are_reported(hframe: Machine, session
     light = hframe.replace(coordinates=tuple(dataclasses.replace(c, mass=1e-9) for c in hframe.coordinates))
     evaluation = evaluate_held_out(light, data, data.with_runs(["run_3"]), session)
     assert set(evaluation.held_out.channels) == set(hframe.output_channels)
+
+
+def test_later_measurements_locate_a_start_in_spite_of_stretched_belts(hframe: Machine) -> None:
+    """The laser sees the stage only while the drives pull it, which stretches the belts by tenths of a millimeter."""
+    time_s = np.arange(600) * 1e-3
+    inputs = np.where((time_s[:, None] > 0.1) & (time_s[:, None] < 0.4), (5.0, -4.0), 0.0)
+    outputs = simulate(hframe, time_s, inputs, rest_state(hframe, (0.09, 0.01))).outputs
+    inside = np.abs(outputs[:, 2]) < 0.05
+    assert 20 < inside.sum() < 500
+    outputs[~inside, 2] = np.nan
+    run = Recording("run", time_s, inputs, outputs)
+    initial = estimate_initial_state(run, hframe)
+    assert initial.position_known
+    assert not initial.lasers_measured
+    assert abs(initial.position[0] - 0.09) < 0.2e-3
+    # With the machine, the simulation corrects what is left.
+    limited = hframe.with_effects(EFFECTS["sensor_range"].at("x_m", low=-0.05, high=0.05))
+    saturated = dataclasses.replace(run, outputs=np.where(np.isnan(outputs), 0.05, outputs))
+    assert abs(initial_state_of_recording(limited, saturated).position[0] - 0.09) < 20e-6
+
+
+def without_x(run: Recording) -> Recording:
+    """Return a run in which the laser of x measures nothing."""
+    return dataclasses.replace(run, outputs=run.outputs * [1.0, 1.0, np.nan, 1.0])
+
+
+def test_a_laser_that_measures_checks_the_zeros_where_another_one_does_not(
+    hframe: Machine, identified: Machine
+) -> None:
+    initial = initial_state_of_recording(identified, without_x(record(hframe, 0)))
+    assert initial.offset_known.tolist() == [True, True, False, False]
+    np.testing.assert_allclose(initial.state[:2], STARTS[0], atol=45e-6)
+    # One of the encoders, it is unknown which, was switched on anew.
+    initial = initial_state_of_recording(identified, without_x(record(hframe, 0, zeros=ZEROS + np.array([0.0, 0.7]))))
+    assert not initial.offset_known.any()
+    assert not initial.position_known
+    assert len(initial.warnings) == 2
+
+
+def test_runs_that_nothing_locates_are_left_out(hframe: Machine) -> None:
+    """The encoders were switched on anew for each run."""
+    session = [record(hframe, k, zeros=ZEROS + np.array([k, -2.0 * k])) for k in range(3)]
+    lost = without_x(session[0])
+    data, warnings = with_known_positions(prepare([lost, *session[1:3]], hframe))
+    assert [run.name for run in data.runs] == ["run_1", "run_2"]
+    assert warnings == ("run_0 is not used: no sensor with a known zero determines its initial position.",)
+    data, warnings = with_known_positions(prepare([lost], hframe))
+    assert [run.name for run in data.runs] == ["run_0"]
+    assert warnings == ()
