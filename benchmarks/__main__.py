@@ -23,6 +23,7 @@ IN_RESULTS: dict[str, tuple[str, ...]] = {
     "env_bits": (),
     "env_soak": (),
     "identification": ("examples", "all"),
+    "formulas": (),
     "real_machines": ("all",),
     "controllers": (),
     "bound": (),

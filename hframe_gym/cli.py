@@ -21,12 +21,12 @@ from .cli_support import (
     FAULT_FOUND,
     CommandWithChoices,
     describe_failure,
+    print_warning,
     require_folder,
     task_with_path,
     value_errors_as_input_errors,
 )
 from .errors import InputError
-from .registry import load_plugins
 
 app = typer.Typer(
     help="H-frame stages: simulate, identify from measured data, train and evaluate controllers.",
@@ -35,8 +35,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
+app.add_typer(effects_app := typer.Typer(), name="effects")
 console = Console(soft_wrap=True)
-
 
 MachineOption = Annotated[str, typer.Option(help="A machine.json or a built-in name (see `hframe machines`).")]
 OutOption = Annotated[Path, typer.Option(help="Folder for the results; created if it does not exist.")]
@@ -135,8 +135,8 @@ def identify(
 
     Example:  hframe identify examples/rig_a --out out/rig_a
     """
-    from .cli_support import identification_table
-    from .data_validation import check_before_fit, group_findings, refuse_faults
+    from .cli_support import check_recordings_before_fit, proposed_formulas
+    from .cli_tables import identification_table
     from .identification import identify as run_identification
     from .identification import write_result
     from .identification.report import build_report, verdict_sentence
@@ -147,13 +147,9 @@ def identify(
     declared = load_machine(machine)
     require_folder(out)
     recordings = load_recordings(runs_dir, declared)
-    findings = check_before_fit(recordings, declared)
-    for finding in group_findings(findings):
-        _log(str(finding))
-    if not force:
-        refuse_faults(findings, runs_dir)
+    findings = check_recordings_before_fit(recordings, declared, None if force else runs_dir, _log)
     result = run_identification(recordings, declared, held_out=hold_out or (), log=_log)
-    write_result(result, out, [str(finding) for finding in findings])
+    write_result(result, out, findings, proposed_formulas(result, _log))
     contents, channels = result.as_json(), list(declared.output_channels)
     console.print(identification_table(contents, channels))
     _log(verdict_sentence(contents, channels))
@@ -248,7 +244,7 @@ def evaluate(
 
     Example:  hframe evaluate pid textbook-pid --episodes 64 --out out/scores
     """
-    from .cli_support import score_table, unknown_bound_reasons
+    from .cli_tables import score_table, unknown_bound_reasons
     from .evaluation import evaluate as run_evaluation
     from .evaluation import write_scores
     from .recordings import load_machine
@@ -284,22 +280,39 @@ def machines() -> None:
 
     Example:  hframe machines
     """
-    from .cli_support import machine_table
+    from .cli_tables import machine_table
 
     console.print(machine_table())
 
 
-@app.command()
-def effects() -> None:
+@effects_app.callback(invoke_without_command=True)
+def effects(context: typer.Context) -> None:
     """List the effects that identification can find; a force is in N at x or y and in Nm at a motor.
 
     Example:  hframe effects
     """
-    from .cli_support import effect_table
+    if context.invoked_subcommand is None:
+        from .cli_tables import effect_table
 
-    load_plugins()
-    console.print(effect_table())
-    _log("If none of them fits: smooth_force[VARIABLE] and smooth_friction[VARIABLE], lookup tables.")
+        console.print(effect_table())
+        _log("If none of them fits: smooth_force[VARIABLE] and smooth_friction[VARIABLE], lookup tables.")
+
+
+@effects_app.command("new")
+def new_effect(
+    name: Annotated[str, typer.Argument(help="Name of the effect: lower-case letters, digits, underscores.")],
+    folder: Annotated[Path, typer.Option("--from", help="A folder that `hframe identify` wrote, with a table.")],
+    out: Annotated[Path | None, typer.Option(help="Python file to write (default: NAME.py).")] = None,
+    formula: Annotated[int, typer.Option(min=0, help="Number of the formula (0: the recommended one).")] = 0,
+    table: Annotated[str, typer.Option(help="Label of the table (default: the first one).")] = "",
+) -> None:
+    """Write the formula that is proposed for a table as an effect, a Python file to review.
+
+    Example:  hframe effects new rail_catch --from out/rig
+    """
+    from .cli_support import write_new_effect
+
+    write_new_effect(folder, name, out or Path(f"{name}.py"), formula, table, _log)
 
 
 @app.command()
@@ -316,22 +329,15 @@ def kernel(
     sys.stdout.write(kernel_source_text(load_machine(machine)))
 
 
-def _print_warning(message: Warning | str, *_args: Any, **_keywords: Any) -> None:
-    """Print a warning of the library as one line on standard error."""
-    print(f"hframe: warning: {message}", file=sys.stderr)
-
-
 def main() -> None:
-    """Run the `hframe` command with the arguments of the process.
-
-    Exceptions are printed as one line on standard error, unless the variable `DEBUG_VARIABLE` is set.
+    """Run the `hframe` command; exceptions are printed as one line, unless the variable `DEBUG_VARIABLE` is set.
 
     Raises:
         SystemExit: With exit code 0 (success), 1 (internal error) or 2 (faulty input or arguments).
     """
     with warnings.catch_warnings():
         warnings.simplefilter("always", UserWarning)
-        warnings.showwarning = _print_warning
+        warnings.showwarning = print_warning
         try:
             app()
         except Exception as error:

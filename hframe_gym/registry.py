@@ -2,17 +2,21 @@
 
 A part that is defined outside the package is available to every command and to `gym.make` without any change inside the
 package: a name of the form `package.module:name` imports the module first, and modules that installed packages declare
-as entry points of the group `hframe_gym.plugins` are imported when a name is not registered yet.
+as entry points of the group `hframe_gym.plugins`, or that the environment variable `HFRAME_PLUGINS` lists, are imported
+when a name is not registered yet.
 """
 
 from __future__ import annotations
 
 import importlib
+import os
 import pkgutil
+import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from importlib.metadata import entry_points
+from pathlib import Path
 from typing import Generic, TypeVar
 
 from .errors import InputError
@@ -20,23 +24,52 @@ from .errors import InputError
 T = TypeVar("T")
 P = TypeVar("P")
 PLUGIN_GROUP = "hframe_gym.plugins"
+PLUGIN_VARIABLE = "HFRAME_PLUGINS"
 
 
 @cache
 def load_plugins() -> None:
-    """Import the plugins of installed packages; later calls do nothing.
+    """Import the plugins of installed packages and those that the environment names; later calls do nothing.
 
-    A plugin is a module that registers effects, controllers, tasks or other parts when it is imported; a package
-    declares it as an entry point of the group `hframe_gym.plugins`.
+    A plugin is a module that registers effects, controllers, tasks or other parts when it is imported. A package
+    declares it as an entry point of the group `hframe_gym.plugins`; the environment variable `HFRAME_PLUGINS` lists
+    names of modules or Python files, separated like the folders of PATH.
+
+    Raises:
+        InputError: If a plugin of `HFRAME_PLUGINS` cannot be imported.
 
     Warns:
-        UserWarning: If a plugin cannot be imported; the other plugins are still imported.
+        UserWarning: If a plugin of a package cannot be imported; the other plugins are still imported.
     """
+    for name in filter(None, os.environ.get(PLUGIN_VARIABLE, "").split(os.pathsep)):
+        import_plugin(name)
     for plugin in entry_points(group=PLUGIN_GROUP):
         try:
             plugin.load()
         except Exception as error:  # a broken third-party package must not disable the commands
             warnings.warn(f"plugin {plugin.name} ({plugin.value}) was not loaded: {error}", stacklevel=2)
+
+
+def import_plugin(name: str) -> None:
+    """Import a plugin by the name of its module or the path of its file.
+
+    Args:
+        name: Name of a module, or path of a Python file. The file's folder is added to `sys.path`, so that other
+            processes can import the module as well.
+
+    Raises:
+        InputError: If the module cannot be imported.
+    """
+    module = name
+    if name.endswith(".py"):
+        path = Path(name).resolve()
+        module = path.stem
+        if str(path.parent) not in sys.path:
+            sys.path.append(str(path.parent))
+    try:
+        importlib.import_module(module)
+    except Exception as error:
+        raise InputError(f"{PLUGIN_VARIABLE}: plugin {name!r} cannot be imported: {error}") from error
 
 
 def import_modules(package: str, path: Iterable[str], *, skip: tuple[str, ...] = ()) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from hframe_gym import cli, cli_support
+from hframe_gym import cli, cli_tables
 from hframe_gym.effects import EFFECTS
 from hframe_gym.errors import InputError
 from hframe_gym.identification import simulate_recording
@@ -250,14 +250,14 @@ def broken_table() -> None:
 def test_an_internal_error_is_one_line_with_exit_code_1(
     hframe_command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hframe_gym.cli_support.effect_table", broken_table)
+    monkeypatch.setattr("hframe_gym.cli_tables.effect_table", broken_table)
     assert_refused(hframe_command("effects"), "internal error", "HFRAME_DEBUG=1", "KeyError: 'a defect'", code=1)
 
 
 def test_debugging_shows_the_traceback_of_an_internal_error(
     hframe_command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hframe_gym.cli_support.effect_table", broken_table)
+    monkeypatch.setattr("hframe_gym.cli_tables.effect_table", broken_table)
     monkeypatch.setenv("HFRAME_DEBUG", "1")
     with pytest.raises(KeyError, match="a defect"):
         hframe_command("effects")
@@ -324,14 +324,14 @@ def test_evaluate_follows_a_path(hframe_command: Command, tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("metric", ["settling_s", "contour_mm"])
 def test_scores_are_not_cut_on_80_columns(metric: str) -> None:
-    success = {band: {"1mm": 1.0, "0.2mm": 0.998, "0.05mm": 0.125}[band] for band in cli_support.BANDS}
-    keys = cli_support.BANDS if metric == "settling_s" else ("rms", "max")
+    success = {band: {"1mm": 1.0, "0.2mm": 0.998, "0.05mm": 0.125}[band] for band in cli_tables.BANDS}
+    keys = cli_tables.BANDS if metric == "settling_s" else ("rms", "max")
     errors = {key: {"mean": 1.2345 + i} for i, key in enumerate(keys)}
     score = {"success": success, metric: errors, "tracking_mm": errors}
     names = ("pid", "my_package.my_controllers:a-controller")
     scores = {"task": "reach", "episodes": 512, "machine": "hframe", "randomize": "default", "sensors": "state"}
     console = Console(width=80, record=True, file=io.StringIO())
-    console.print(cli_support.score_table({**scores, "seed": 0, "controllers": dict.fromkeys(names, score)}))
+    console.print(cli_tables.score_table({**scores, "seed": 0, "controllers": dict.fromkeys(names, score)}))
     text = console.export_text()
     assert "…" not in text
     assert max(map(len, text.splitlines())) <= 80

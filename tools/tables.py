@@ -85,6 +85,20 @@ def real_machines_xl330(results: dict[str, Any]) -> str:
     return markdown(["XL330", *next(iter(results["rms_rad"].values()))], rows)
 
 
+def formulas(results: dict[str, Any]) -> str:
+    """Format the rigs with a force or friction outside the library: table and proposed formula."""
+    rows = []
+    for name, rig in results["rigs"].items():
+        if "formula" not in rig:
+            rows.append([name, ", ".join(rig["tables"]) or "no table", *[""] * 5])
+            continue
+        seconds = f"{rig['seconds']['formulas']:.0f} s"
+        errors = (f"{rig[key]:.3g}" for key in ("table_error", "formula_error"))
+        rows.append([name, f"`{rig['tables'][0]}`", rig["terms"], f"{rig['complexity']}", *errors, seconds])
+    header = ["hidden", "table", "formula", "parameters", "error: table", "error: formula", "time for formulas"]
+    return markdown(header, rows)
+
+
 def identification_set(results: dict[str, Any]) -> str:
     """Format the rigs of a set: hidden effects, identified effects, errors and time."""
     rows = [
@@ -258,6 +272,7 @@ TABLES: dict[str, Callable[[dict[str, Any]], str]] = {
     "identify_examples": identify_examples,
     "identification": identification,
     **{f"identification_{name}": identification_set for name in IDENTIFICATION_SETS},
+    "formulas": formulas,
     "env_speed": env_speed,
     "her": her,
     "bound": bound,

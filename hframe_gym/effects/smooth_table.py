@@ -15,6 +15,7 @@ from ..dynamics.elementwise import absolute, where
 from ..machine import Effect, EffectParameter
 
 KNOTS = 24
+TABLE_FAMILY = "smooth_table"
 HOOK_OF_KIND = {"smooth_force": "force", "smooth_friction": "coulomb"}
 _KNOT_NAMES = tuple(f"k{i:02d}" for i in range(KNOTS))
 _VALUE_NAMES = tuple(f"f{i:02d}" for i in range(KNOTS))
@@ -89,7 +90,7 @@ def definition(name: str) -> Effect:
     parameters += [EffectParameter(f, "force", -1e6, 1e6, scale=0.3, role="amplitude") for f in _VALUE_NAMES]
     return Effect(
         name=name,
-        family="smooth_table",
+        family=TABLE_FAMILY,
         site="coordinate",
         formula=f"{'f' if hook == 'force' else 'F - Fc'} = table of {against}",
         source="this recording",

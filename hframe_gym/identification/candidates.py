@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..effects import EFFECTS, effect_sites
+from ..effects.smooth_table import TABLE_FAMILY
 from ..machine import AppliedEffect, Effect, Machine
 from .dataset import Dataset, TypicalScales
 from .free_parameters import FreeParameter
@@ -207,7 +208,9 @@ def effect_parameters(effect: AppliedEffect, machine: Machine, scales: TypicalSc
             continue
         name, value = f"{effect.label}.{p.name}", effect.parameters[p.name]
         size = p.scale * at_site.get(p.unit, 1.0)
-        if effect.definition.against:  # The values of a curve; its smoothness acts on the values themselves.
+        if (
+            effect.definition.family == TABLE_FAMILY
+        ):  # The values of a curve; its smoothness acts on the values themselves.
             free.append(
                 FreeParameter(name, 0.0, prior=10.0, scale=size, lower=p.lower, upper=p.upper, along=effect.label)
             )

@@ -29,6 +29,8 @@ class SelectionCriteria:
             because the residual of the observer is correlated.
         min_total_gain: Smallest gain summed over all samples, chi-squared. It protects short recordings, where chance
             explains a larger fraction of the residual.
+        min_chance_gain: Smallest gain summed over all samples in units of the long-run variance of the remaining
+            residual: what the best of some hundred candidates with a few parameters reaches by chance.
         min_gain_fraction: Smallest gain relative to the excess of chi-squared per sample over 1, where that excess is
             small.
         large_excess: Excess of chi-squared per sample over 1 from which `min_gain_fraction_large_excess` applies.
@@ -48,6 +50,11 @@ class SelectionCriteria:
         max_full_fits: Number of screened candidates that are fitted together with all parameters of the machine, per
             step.
         min_promise: Smallest linearized gain relative to the best candidate's for which a full fit is tried.
+        rival_promise: Smallest linearized gain, relative to that of a candidate which explains the data, for which
+            another candidate is fitted as its possible rival.
+        min_structural_promise: Smallest linearized gain of a structural candidate relative to the best fitted gain of
+            the others.
+        min_promised_force_ratio: As `min_force_ratio`, for the linearized size of a candidate that is not fitted yet.
         linear_gain_ratio: Ratio of linearized to fitted gain that is still expected; screened gains below this times
             the minimum gain are not fitted.
         one_step_floor: Chi-squared per sample that a correct model reaches in one-step prediction; quantization keeps
@@ -86,6 +93,7 @@ class SelectionCriteria:
     min_gain_simulation: float = 0.003
     min_gain_one_step: float = 0.01
     min_total_gain: float = 200.0
+    min_chance_gain: float = 30.0
     min_gain_fraction: float = 0.02
     large_excess: float = 3.0
     min_gain_fraction_large_excess: float = 0.1
@@ -100,6 +108,9 @@ class SelectionCriteria:
     max_effects: int = 5
     max_full_fits: int = 5
     min_promise: float = 0.4
+    rival_promise: float = 0.8
+    min_structural_promise: float = 0.1
+    min_promised_force_ratio: float = 0.5
     linear_gain_ratio: float = 0.6
     one_step_floor: float = 1.1
     structural_remainder: float = 0.2

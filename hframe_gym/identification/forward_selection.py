@@ -18,7 +18,7 @@ from ..machine import AppliedEffect, Machine
 from .criteria import SelectionCriteria
 from .dataset import Dataset
 from .estimation import Fit, with_uncertainty
-from .model_error import effect_force, fit_with_model_error, leave_one_out_gain, residue_force
+from .model_error import effect_force, fit_with_model_error, leave_one_out_gain, long_run_variance, residue_force
 from .prediction import SEARCH_BANDWIDTH
 from .trial_fits import converge, trial_fits, without_effect
 
@@ -179,14 +179,16 @@ class EffectSearch:
             return "has no effect on the error"
         if _uncertain(current, effect, data, criteria):
             return "has an amplitude that may be zero"
-        return self._unconfirmed(reduced, current) or self._too_small(current, effect)
+        return (
+            self._unconfirmed(reduced, current) or self._by_chance(reduced, current) or self._too_small(current, effect)
+        )
 
     def _doubt(self, current: Fit, trial: Fit) -> str:
         """Return why a candidate may not exist although it reduces the error, "" if nothing speaks against it."""
         # While other effects are missing, a fit without one run says little about the machine; `prune` repeats the test
         # beside all effects.
         unconfirmed = self._unconfirmed(current, trial) if current.chi2 < self._criteria.explained_chi2 else ""
-        return unconfirmed or self._too_small(trial, trial.machine.effects[-1])
+        return unconfirmed or self._by_chance(current, trial) or self._too_small(trial, trial.machine.effects[-1])
 
     def _unconfirmed(self, without: Fit, with_effect: Fit) -> str:
         """Return that an effect describes single runs rather than the machine, "" if other runs confirm it."""
@@ -196,6 +198,13 @@ class EffectSearch:
         if confirmed >= self._criteria.min_confirmed_fraction * gain:
             return ""
         return f"is not confirmed by runs that it was not fitted to ({100 * confirmed / gain:.0f} % of the gain)"
+
+    def _by_chance(self, without: Fit, with_effect: Fit) -> str:
+        """Return that chance may explain the gain because the remaining error is correlated, "" if it cannot."""
+        variance = long_run_variance(with_effect, self._data)
+        if without.cost - with_effect.cost >= self._criteria.min_chance_gain * variance:
+            return ""
+        return "reduces the error by no more than chance may, since the remaining error is correlated in time"
 
     def _too_small(self, fitted: Fit, effect: AppliedEffect) -> str:
         """Return that an effect is smaller than what remains unexplained beside it, "" if it is larger."""

@@ -32,6 +32,7 @@ from .prediction import (
     observer_gains,
     predict,
     prediction_error,
+    residuals,
     sensor_bandwidths,
 )
 
@@ -39,6 +40,7 @@ Array = NDArray[np.float64]
 
 # Bandwidths that are compared, rad/s. The likelihood changes little between neighbors.
 BANDWIDTHS = (SEARCH_BANDWIDTH, 30.0, 15.0, 7.0, 3.0, SIMULATION)
+_CORRELATION_S = 0.05  # s; longer than the correlation of a sensor's noise
 _SEARCH_STEP_NARROW = 0.25e-3  # s; a narrow observer does not forgive the error of longer integration steps
 
 
@@ -142,11 +144,11 @@ def residue_force(fitted: Fit, data: Dataset) -> float:
 
 
 def effect_force(machine: Machine, effect: AppliedEffect, data: Dataset) -> float:
-    """Return the size of the force that an effect adds to its machine during the recordings.
+    """Return the size of the force that an effect adds to a machine during the recordings.
 
     Args:
-        machine: Machine with the effect.
-        effect: One of its effects.
+        machine: Machine with or without the effect; the motion is predicted without it.
+        effect: The effect.
         data: Runs over which the machine is predicted.
 
     Returns:
@@ -156,11 +158,12 @@ def effect_force(machine: Machine, effect: AppliedEffect, data: Dataset) -> floa
     if effect.definition.structure or effect.definition.measurement or effect.definition.measurement_delay:
         return np.inf
     without = machine.replace(effects=tuple(e for e in machine.effects if e.label != effect.label))
+    with_effect = without.with_effects(effect)
 
     def of_run(run: PreparedRecording) -> Array:
-        motion = predict(machine, run, SEARCH_BANDWIDTH, period=data.period, states=True)
+        motion = predict(without, run, SEARCH_BANDWIDTH, period=data.period, states=True)
         record = (run.time_s, motion.positions[0], motion.velocities[0], run.inputs)
-        change: Array = net_forces(machine, *record) - net_forces(without, *record)
+        change: Array = net_forces(with_effect, *record) - net_forces(without, *record)
         return change.reshape(-1, len(machine.coordinates)) / machine.travel_per_unit
 
     return _size(np.concatenate(list(map_runs(of_run, data))))
@@ -183,6 +186,32 @@ def drive_force(machine: Machine, data: Dataset) -> float:
 def _size(force: Array) -> float:
     """Return the root mean square over rows of the norm over coordinates of forces (n, coordinates)."""
     return float(np.sqrt(np.mean(np.sum(force**2, axis=1))))
+
+
+def long_run_variance(fitted: Fit, data: Dataset) -> float:
+    """Return the variance of sums of the residual over 50 ms, relative to that of white noise of the assumed size.
+
+    It is 1 for white noise. A residual that is correlated in time has fewer independent values, so that chance reduces
+    the cost by that many times more.
+
+    Args:
+        fitted: Fitted machine with its bandwidth.
+        data: Runs that were fitted.
+
+    Returns:
+        Largest ratio of all sensors, at least 1.
+    """
+    rows = max(1, round(_CORRELATION_S / data.period))
+    sensors = len(fitted.machine.sensors)
+
+    def of_run(run: PreparedRecording) -> Array:
+        motion = predict(
+            fitted.machine, run, fitted.bandwidth, period=data.period, longest_step=search_step(fitted.bandwidth)
+        )
+        return residuals(run, data, motion.readings, rows)[0].reshape(-1, sensors)  # (blocks, sensors)
+
+    sums = np.concatenate(list(map_runs(of_run, data)))
+    return max(1.0, float(np.max(np.mean(sums**2, axis=0))))
 
 
 def leave_one_out_gain(without: Fit, with_effect: Fit, data: Dataset) -> float:

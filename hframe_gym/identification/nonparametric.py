@@ -50,7 +50,8 @@ def table_candidates(
     """Propose the tables that explain most of the missing force.
 
     Several tables per coordinate are needed because a force on one coordinate also appears in the missing force of the
-    others, and one against time because a position that differs between runs correlates with time.
+    others, one against time because a position that differs between runs correlates with time, and one against the
+    position of the coordinate because refitted friction can hide a force along the way in the missing force.
 
     Args:
         machine: Current machine.
@@ -59,7 +60,8 @@ def table_candidates(
         criteria: Decision thresholds; `max_tables_per_coordinate` limits the number.
 
     Returns:
-        For each coordinate the best tables and one against time; each has one basis function per knot.
+        For each coordinate the best tables, one against time and one against its position; each has one basis function
+        per knot.
     """
     motion_and_force = missing_force(machine, data)
     variables = table_variables(machine, data)
@@ -80,7 +82,9 @@ def table_candidates(
     chosen: list[Table] = []
     for site in motion_and_force:
         at_site = [table for _, table in ranked if table.site == site]
-        chosen += at_site[:count] + [table for table in at_site[count:] if table.effect.endswith("[time]")][:1]
+        chosen += at_site[:count]
+        for variable in ("time", f"position of {site}"):
+            chosen += [table for table in at_site[count:] if table.effect.endswith(f"[{variable}]")][:1]
     return [_candidate(table, scales) for table in chosen]
 
 

@@ -114,7 +114,7 @@ def verdict_sentence(report: Mapping[str, Any], channels: Sequence[str]) -> str:
 
 def _remainder(report: Mapping[str, Any]) -> str:
     """Return a sentence about the error that the machine of the verdict leaves, "" if it is the sensors' noise."""
-    left = report["left"]
+    left = report.get("left")
     if left is None or left < _NOTICEABLE_ERROR:
         return ""
     return (

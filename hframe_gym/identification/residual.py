@@ -213,8 +213,8 @@ def rank_dependences(machine: Machine, data: Dataset) -> list[Dependence]:
         data: Measured runs.
 
     Returns:
-        Pairs of coordinate and variable that explain more than 5 % of the variance of the force residual, strongest
-        first.
+        Pairs of coordinate and variable that explain more than 5 % of the variance of the force residual, those that
+        explain the largest force at the belt first.
     """
     force = np.concatenate([smooth_force_residual(machine, run, data) for run in data.runs])
     by_run = [dependence_variables(machine, run, data) for run in data.runs]
@@ -224,7 +224,9 @@ def rank_dependences(machine: Machine, data: Dataset) -> list[Dependence]:
         for i, coordinate in enumerate(machine.coordinate_names)
         for name, values in variables.items()
     ]
-    return sorted((d for d in dependences if d.explained > _MINIMUM_DEPENDENCE), key=lambda d: -d.explained)
+    power = dict(zip(machine.coordinate_names, np.var(force / machine.travel_per_unit, axis=0), strict=True))  # N^2
+    noticeable = (d for d in dependences if d.explained > _MINIMUM_DEPENDENCE)
+    return sorted(noticeable, key=lambda d: -d.explained * power[d.coordinate])
 
 
 def _correlation_ratio(values: Array, variable: Array) -> float:

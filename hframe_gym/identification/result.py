@@ -12,7 +12,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,9 @@ from .dataset import Dataset
 from .experiment_design import FILE, ExperimentDesign
 from .forward_selection import SelectedEffect
 from .residual import ChannelError, Dependence, dependence_variables, simulation_error, smooth_force_residual
+
+if TYPE_CHECKING:
+    from .formulas import TableComparison
 
 Array = NDArray[np.float64]
 Verdict = Literal["effect_found", "no_effect", "unexplained"]
@@ -223,7 +226,12 @@ class IdentificationResult:
         }
 
 
-def write_result(result: IdentificationResult, folder: Path, warnings: Sequence[str] = ()) -> None:
+def write_result(
+    result: IdentificationResult,
+    folder: Path,
+    warnings: Sequence[str] = (),
+    formulas: Sequence[TableComparison] = (),
+) -> None:
     """Write all files of a result except the plots and report.html, which `build_report` adds.
 
     Each file appears completely or not at all; report.json is written last.
@@ -232,6 +240,7 @@ def write_result(result: IdentificationResult, folder: Path, warnings: Sequence[
         result: Result of `identify`.
         folder: Folder to write to; created if it does not exist.
         warnings: Findings about the recordings, one line of text each, which report.json repeats.
+        formulas: Formulas that may replace the tables of the corrected machine, see `formulas.compare_formulas`.
     """
     folder.mkdir(parents=True, exist_ok=True)
     save_machine(result.declared.machine, folder / "declared.json")
@@ -244,7 +253,9 @@ def write_result(result: IdentificationResult, folder: Path, warnings: Sequence[
         result.experiment.write(folder / FILE, result.declared.machine)
     else:
         (folder / FILE).unlink(missing_ok=True)
-    report = result.as_json() | {"warnings": [*warnings, *result.initial_state_warnings]}
+    proposed = [comparison.as_json() for comparison in formulas]
+    warnings = [*warnings, *result.initial_state_warnings]
+    report = result.as_json() | {"warnings": warnings, "proposed_formulas": proposed}
     write_text(folder / "report.json", json.dumps(report, indent=1, allow_nan=False) + "\n")
 
 

@@ -96,6 +96,29 @@ class _ConsideredEntry(_Entry):
     reason: str
 
 
+class _FormulaEntry(_Entry):
+    """A formula that may replace a table."""
+
+    terms: list[str]
+    formula: str
+    parameters: dict[str, FiniteFloat]
+    complexity: int
+    curve_error: FiniteFloat
+    fitted: FiniteFloat | None
+    held_out: dict[str, FiniteFloat]
+    recommended: bool
+
+
+class _TableEntry(_Entry):
+    """A table with the formulas proposed for it."""
+
+    table: str
+    complexity: int
+    fitted: FiniteFloat
+    held_out: dict[str, FiniteFloat]
+    formulas: list[_FormulaEntry]
+
+
 class _Report(_Entry):
     """Content of report.json that the report uses."""
 
@@ -113,6 +136,7 @@ class _Report(_Entry):
     next_experiment: _Experiment | None
     seconds: FiniteFloat
     warnings: list[str] = []
+    proposed_formulas: list[_TableEntry] = []
 
 
 @dataclass(frozen=True)
@@ -217,6 +241,9 @@ def _check_report(saved: SavedResult, path: Path) -> None:
     for effect in saved.report["effects"]:
         if f"{effect['name']}@{effect['site']}" not in labels:
             raise _damaged(path, f"effect {effect['name']} at {effect['site']} is not in machine.json")
+    for table in saved.report["proposed_formulas"]:
+        if table["table"] not in labels:
+            raise _damaged(path, f"proposed_formulas: {table['table']} is not in machine.json")
     for dependence in saved.report["residual"]["depends_on"]:
         names = {dependence["coordinate"], dependence["variable"].partition(" of ")[2] or dependence["coordinate"]}
         if not names <= set(machine.coordinate_names):

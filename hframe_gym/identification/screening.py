@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from ..dynamics import Equations, net_forces
 from ..dynamics.simulation import Motion, parameter_batch
 from ..effects import EFFECTS, effect_sites
+from ..effects.smooth_table import TABLE_FAMILY
 from ..machine import AppliedEffect, Effect, Machine
 from .dataset import Dataset, PreparedRecording, TypicalScales
 from .estimation import Fit
@@ -207,7 +208,7 @@ def _score(candidate: Candidate, information: Array, gradient: Array, before: Ar
     if not np.all(np.isfinite(information)) or not np.any(np.diag(information) > _MIMICKED * before):
         return nothing
     ridge = _RIDGE * np.diag(np.maximum(np.diag(information), 1e-300))
-    if candidate.effect.against:
+    if candidate.effect.family == TABLE_FAMILY:
         ridge += chi2 * second_difference_penalty(len(gradient))
     if candidate.fixed:
         amounts: Array = np.ones_like(gradient)

@@ -11,7 +11,7 @@ from .criteria import SelectionCriteria
 from .dataset import Dataset, TypicalScales, scales_of_motion
 from .estimation import Fit, fit
 from .free_parameters import FreeParameter, default_free_parameters
-from .model_error import search_step
+from .model_error import effect_force, residue_force, search_step
 from .prediction import POLISH_STEP, SEARCH_BANDWIDTH, map_runs, predict
 from .residual import missing_force
 from .screening import ScoredCandidate, screen, screen_structures
@@ -40,24 +40,45 @@ def trial_fits(current: Fit, data: Dataset, enough: float, criteria: SelectionCr
         missing_force(current.machine, data),
         slow_friction=current.bandwidth < SEARCH_BANDWIDTH,
     )
-    promising = _promising(screen(current, proposed, data), enough * data.count, criteria)
-    trials = [fit_with_candidate(current, scored, scales, data) for scored in promising]
     floor = criteria.one_step_floor if current.bandwidth >= SEARCH_BANDWIDTH else 1.0
-    if not any(t.chi2 - floor < criteria.structural_remainder * (current.chi2 - floor) for t in trials):
-        any_useful = max((current.cost - t.cost for t in trials), default=0.0) >= enough * data.count
-        machines = screen_structures(current, data, scales, enough if any_useful else 0.0)
+    trials: list[Fit] = []
+    explained, best_promise = False, 0.0
+    for scored in _promising(current, screen(current, proposed, data), data, enough, criteria):
+        # Where a candidate explains the data, only those that may be its rivals are fitted as well.
+        if scored.gain > criteria.rival_promise * best_promise:
+            trials.append(fit_with_candidate(current, scored, scales, data))
+            if trials[-1].chi2 - floor < criteria.structural_remainder * (current.chi2 - floor) and not explained:
+                explained, best_promise = True, scored.gain
+    if not explained:
+        useful = max((current.cost - t.cost for t in trials), default=0.0) / data.count
+        least = max(enough, criteria.min_structural_promise * useful) if useful >= enough else 0.0
+        machines = screen_structures(current, data, scales, least)
         trials += [_replace(current, machine, scales, data) for machine in machines]
     return trials
 
 
-def _promising(ranked: list[ScoredCandidate], enough: float, criteria: SelectionCriteria) -> list[ScoredCandidate]:
-    """Return the few best candidates, one shape of each effect and site, that may reduce the cost by enough."""
+def _promising(
+    current: Fit, ranked: list[ScoredCandidate], data: Dataset, enough: float, criteria: SelectionCriteria
+) -> list[ScoredCandidate]:
+    """Return the few best candidates, one shape of each effect and site, that may reduce the cost by enough.
+
+    Candidates with less force than what would remain unexplained beside them are left out before anything is fitted.
+    """
     best: dict[str, ScoredCandidate] = {}
-    least = max(criteria.linear_gain_ratio * enough, criteria.min_promise * ranked[0].gain if ranked else 0.0)
+    least = criteria.linear_gain_ratio * enough * data.count
+    if ranked:
+        least = max(least, criteria.min_promise * ranked[0].gain)
+    residue = residue_force(current, data)
     for scored in ranked:
-        if scored.gain > least:
-            best.setdefault(scored.candidate.label, scored)
-    return list(best.values())[: criteria.max_full_fits]
+        if scored.gain <= least or len(best) == criteria.max_full_fits:
+            break
+        if scored.candidate.label in best:
+            continue
+        remaining = residue * np.sqrt(max(1.0 - scored.gain / current.cost, 0.0))
+        size = effect_force(current.machine, scored.candidate.applied(scored.amounts), data)
+        if size >= criteria.min_promised_force_ratio * remaining:
+            best[scored.candidate.label] = scored
+    return list(best.values())
 
 
 def fit_with_candidate(current: Fit, scored: ScoredCandidate, scales: TypicalScales, data: Dataset) -> Fit:

@@ -20,6 +20,7 @@ CoordinateKind = Literal["linear", "rotary"]
 UNITS: dict[CoordinateKind, dict[str, str]] = {
     "linear": {
         "position": "m",
+        "absolute position": "m",
         "speed": "m/s",
         "mass": "kg",
         "force": "N",
@@ -30,6 +31,7 @@ UNITS: dict[CoordinateKind, dict[str, str]] = {
     },
     "rotary": {
         "position": "rad",
+        "absolute position": "rad",
         "speed": "rad/s",
         "mass": "kg m^2",
         "force": "Nm",

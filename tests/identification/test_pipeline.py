@@ -57,7 +57,7 @@ def test_each_decision_is_reported_in_words(result: IdentificationResult, log: l
     assert result.effects
     text = "\n".join(log)
     assert "stribeck_friction@x reduces chi-squared per sample from " in text
-    assert "(one-step prediction)" in text
+    assert "(observer of 60 rad/s)" in text
     assert log[-1] == "verdict: effect_found"
 
 

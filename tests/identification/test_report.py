@@ -63,6 +63,8 @@ def result_of(
         after=last,
         effects=tuple(SelectedEffect(e, rivals, 1.0, AXIS) for e in after.effects),
         gains={e.label: gain for e in after.effects},
+        sizes={e.label: 0.1 for e in after.effects},
+        considered=(),
         dependence=(Dependence("velocity of x", "x", 0.8),),
         white=True,
         fitted=data.with_runs(["run_0", "run_1"]),

@@ -84,6 +84,8 @@ def dry_level(
         level += c.friction_cross_speed * abs(z[n + (i ^ 1)])
     if c.friction_cold != 0.0:
         level *= 1.0 + c.friction_cold * math.exp(-t / stage.warm_up_s)
+    if c.friction_stale != 0.0:
+        level *= 1.0 + c.friction_stale * math.exp(-z[3 * n + 2 + i] / c.friction_stale_path)
     return max(level, 0.0)
 
 
@@ -96,6 +98,7 @@ def _force_of_coordinate(
     bristle, cable = 2 * n + 2 + i, 3 * n + 2 + i
     force = c.constant_force - c.viscous * (1.0 + c.viscous_asymmetry * np.sign(v)) * v
     force -= c.quadratic_drag * v * abs(v) + c.spring_stiffness * (q - c.spring_rest)
+    force -= c.spring_square * (q - c.spring_rest) ** 2
     if c.wave_force != 0.0:
         harmonic = c.wave_second * math.sin(2.0 * c.wave_number * q)
         force += c.wave_force * (math.sin(c.wave_number * q + c.wave_phase) + harmonic)
@@ -110,6 +113,8 @@ def _force_of_coordinate(
         w, travel = z[cable], c.hysteresis_travel
         dz[cable] = v - 0.5 * (abs(v) * abs(w) * w + v * w * w) / travel**2
         force -= c.hysteresis_force * w / travel
+    if c.friction_stale != 0.0:
+        dz[cable] = abs(v)  # the path traveled, in place of a cable's state
     return force
 
 

@@ -89,6 +89,9 @@ class Rig:
     friction_cross_position: PerCoordinate = OFF
     friction_cross_speed: PerCoordinate = OFF
     friction_cold: PerCoordinate = OFF  # a in F (1 + a exp(-t/tau)), t on the session's clock
+    # a in F (1 + a exp(-s/d)), s: path traveled since the start of the run; not together with a cable chain.
+    friction_stale: PerCoordinate = OFF
+    friction_stale_path: PerCoordinate = (0.1, 0.1, 5.0, 5.0)  # d, m and rad
     warm_up_s: float = 40.0  # tau
     friction_per_run: float = 0.0  # relative increase of every Coulomb level from one run to the next
     # Presliding (LuGre; Dahl without damping and Stribeck): z' = v - s0 |v| z / F(v), friction force s0 z + s1 z'.
@@ -103,6 +106,7 @@ class Rig:
     quadratic_drag: PerCoordinate = OFF  # c in -c v |v|
     spring_stiffness: PerCoordinate = OFF  # k in -k (q - q0), a trailing cable
     spring_rest: PerCoordinate = OFF  # q0
+    spring_square: PerCoordinate = OFF  # k2 in -k2 (q - q0)^2, a cable that lifts off
     wave_force: PerCoordinate = OFF  # A in A sin(n q + p): cogging of a motor, magnets along a rail
     wave_number: PerCoordinate = (40.0, 40.0, 10.0, 10.0)  # n, rad/m; periods per revolution of the belt pulley
     wave_phase: PerCoordinate = OFF  # p, rad

@@ -45,10 +45,19 @@ CART = {
     "bent rail": ({"friction_cross_position": 6.0}, lambda t, q, v: -6.0 * 0.1),  # x rests at 0.1 m
     "drag": ({"quadratic_drag": 20.0}, lambda t, q, v: -20.0 * v * v),
     "spring": ({"spring_stiffness": 60.0, "spring_rest": 0.03}, lambda t, q, v: -60.0 * (q - 0.03)),
+    "lifting cable": ({"spring_square": 80.0, "spring_rest": -0.1}, lambda t, q, v: -80.0 * (q + 0.1) ** 2),
+    "stale grease": (  # in one direction from y = 0 the path is y
+        {"friction_stale": 2.0, "friction_stale_path": 0.05},
+        lambda t, q, v: -0.4 * 2.0 * math.exp(-q / 0.05),
+    ),
     "asymmetry": ({"viscous_asymmetry": 0.3}, lambda t, q, v: -0.3 * B * v),
     "magnets": (
         {"wave_force": 2.5, "wave_number": 196.0, "wave_phase": 0.4},
         lambda t, q, v: 2.5 * math.sin(196.0 * q + 0.4),
+    ),
+    "second harmonic": (
+        {"wave_force": 1.0, "wave_second": 2.0, "wave_number": 98.0, "wave_phase": 0.4},
+        lambda t, q, v: math.sin(98.0 * q + 0.4) + 2.0 * math.sin(2.0 * 98.0 * q),
     ),
     "catch": (
         {"catch_force": 6.0, "catch_position": 0.04, "catch_width": 0.01},

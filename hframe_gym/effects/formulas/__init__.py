@@ -1,0 +1,7 @@
+"""Formulas for an unexplained force or friction: closed forms, sparse regression, and the file of a new effect."""
+
+from .effect_file import FormulaEffect, write_effect_file
+from .regression import Curve, Formula, fit_formulas
+from .terms import Term, terms_of
+
+__all__ = ["Curve", "Formula", "FormulaEffect", "Term", "fit_formulas", "terms_of", "write_effect_file"]

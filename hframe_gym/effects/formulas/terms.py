@@ -1,0 +1,257 @@
+"""Closed forms of one variable from which formulas for an unexplained force or friction are built.
+
+The shapes are those that machines produce: springs, stops, magnets, periodic rails, warm-up and friction laws. Every
+shape is a function of the elementary functions of `dynamics.elementwise`, so the same text serves the fit, the compiled
+simulation and the file that `hframe effects new` writes. Powers with a fitted exponent are absent, because compiled
+simulations have no logarithm.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...dynamics.elementwise import absolute, cos, exp, maximum, sin, sqrt
+
+Array = NDArray[np.float64]
+ShapeRole = Literal["center", "width", "period"]
+_HARMONICS = 3
+
+
+def bump(u, center, width):  # type: ignore[no-untyped-def]
+    """Return a Gaussian bump of height 1; u, center and width have the same unit."""
+    z = (u - center) / width
+    return exp(-0.5 * z * z)
+
+
+def catch(u, center, width):  # type: ignore[no-untyped-def]
+    """Return a pull toward the center, the slope of a Gaussian well: +1 at center - width, -1 at center + width."""
+    z = (u - center) / width
+    return -z * exp(0.5 - 0.5 * z * z)
+
+
+def resonance(u, center, width):  # type: ignore[no-untyped-def]
+    """Return a bump with wide flanks (Lorentz curve) of height 1; width: half the width at half the height."""
+    z = (u - center) / width
+    return 1.0 / (1.0 + z * z)
+
+
+def wide_catch(u, center, width):  # type: ignore[no-untyped-def]
+    """Return a pull toward the center with wide flanks: +1 at center - width, -1 at center + width."""
+    z = (u - center) / width
+    return -2.0 * z / (1.0 + z * z)
+
+
+def step(u, center, width):  # type: ignore[no-untyped-def]
+    """Return a smooth step from -1 to +1, tanh((u - center) / width)."""
+    return 1.0 - 2.0 / (1.0 + exp(2.0 * (u - center) / width))
+
+
+def slow_step(u, center, width):  # type: ignore[no-untyped-def]
+    """Return a smooth step from -1 to +1 with slow ends, z / sqrt(1 + z^2) with z = (u - center) / width."""
+    z = (u - center) / width
+    return z / sqrt(1.0 + z * z)
+
+
+def ramp_above(u, center):  # type: ignore[no-untyped-def]
+    """Return the distance beyond a contact at the center, zero before it."""
+    return maximum(u - center, 0.0)
+
+
+def ramp_below(u, center):  # type: ignore[no-untyped-def]
+    """Return the distance before a contact at the center, zero beyond it."""
+    return maximum(center - u, 0.0)
+
+
+def parabola(u, center):  # type: ignore[no-untyped-def]
+    """Return the square of the distance from the center."""
+    return (u - center) * (u - center)
+
+
+def decay(u, width):  # type: ignore[no-untyped-def]
+    """Return an exponential decay from 1 at u = 0; width: time or path constant."""
+    return exp(-absolute(u) / width)
+
+
+def hyperbola(u, width):  # type: ignore[no-untyped-def]
+    """Return 1 / (1 + |u| / width), a slow decay from 1 at u = 0."""
+    return 1.0 / (1.0 + absolute(u) / width)
+
+
+def stribeck(u, width):  # type: ignore[no-untyped-def]
+    """Return the Stribeck curve exp(-(u / width)^2)."""
+    return exp(-(u / width) * (u / width))
+
+
+def _constant(u: Any) -> Any:
+    """Return 1 for every value of the variable."""
+    return 0.0 * u + 1.0
+
+
+def _line(u: Any) -> Any:
+    """Return the variable."""
+    return u
+
+
+def _square(u: Any) -> Any:
+    """Return the square of the variable."""
+    return u * u
+
+
+def _cube(u: Any) -> Any:
+    """Return the cube of the variable."""
+    return u * u * u
+
+
+def _size(u: Any) -> Any:
+    """Return the size of the variable."""
+    return absolute(u)
+
+
+def _signed_square(u: Any) -> Any:
+    """Return the square of the variable with its sign."""
+    return u * absolute(u)
+
+
+def _root(u: Any) -> Any:
+    """Return the square root of the variable's size."""
+    return sqrt(absolute(u))
+
+
+def _sine(u: Any, period: Any, order: int) -> Any:
+    """Return the sine of a harmonic of a period."""
+    return sin(2.0 * math.pi * order * u / period)
+
+
+def _cosine(u: Any, period: Any, order: int) -> Any:
+    """Return the cosine of a harmonic of a period."""
+    return cos(2.0 * math.pi * order * u / period)
+
+
+@dataclass(frozen=True)
+class Term:
+    """One summand of a formula: amplitudes times columns, functions of the variable u and of shape parameters.
+
+    Attributes:
+        name: Name of the term in plain words, for example "magnetic catch".
+        columns: Functions (u, *shapes) -> value at amplitude 1, one for each amplitude.
+        expressions: Text of each column, with {u} and the names of the shapes in braces.
+        shapes: Role of each shape parameter: "center" (a value of the variable), "width" (positive, in the unit of the
+            variable) or "period" (positive, in that unit).
+        powers: Power of the variable's unit in each column; the amplitude has the unit of force / variable**power.
+        helper: Function that the expressions call; its source is copied into a written effect. None: no function.
+    """
+
+    name: str
+    columns: tuple[Callable[..., Any], ...]
+    expressions: tuple[str, ...]
+    shapes: tuple[ShapeRole, ...] = ()
+    powers: tuple[int | float, ...] = (0,)
+    helper: Callable[..., Any] | None = None
+
+    @property
+    def complexity(self) -> int:
+        """Number of parameters: amplitudes and shapes."""
+        return len(self.columns) + len(self.shapes)
+
+    def values(self, u: Array, shapes: Array) -> Array:
+        """Evaluate the columns of the term at amplitude 1.
+
+        Args:
+            u: Values of the variable, shape (n,).
+            shapes: Shape parameters in the order of `shapes`, in the unit of the variable.
+
+        Returns:
+            Columns, shape (n, columns).
+        """
+        return np.stack([np.asarray(column(u, *shapes), float) for column in self.columns], axis=1)
+
+    def grid(self, low: float, high: float) -> list[tuple[float, ...]]:
+        """Return the starting values of a search for the shape parameters.
+
+        Args:
+            low: Smallest value of the variable in the data.
+            high: Largest value of the variable in the data.
+
+        Returns:
+            Sets of shape parameters, one tuple of len(shapes) values each; a single empty one for a term without shape.
+        """
+        span = high - low
+        sets: list[tuple[float, ...]] = [()]
+        for role in self.shapes:
+            if role == "center":
+                values = np.linspace(low - 0.5 * span, high + 0.5 * span, 49)
+            elif role == "width":
+                values = span * np.geomspace(0.02, 1.5, 10)
+            else:
+                values = span / np.arange(0.5, 10.01, 0.25)
+            sets = [(*shape, float(value)) for shape in sets for value in values]
+        return sets
+
+
+def _shaped(name: str, function: Callable[..., Any], *shapes: ShapeRole, power: int = 0) -> Term:
+    """Return a term of one column that calls a function of this module."""
+    arguments = ", ".join("{" + role + "}" for role in shapes)
+    return Term(name, (function,), (f"{function.__name__}({{u}}, {arguments})",), shapes, (power,), function)
+
+
+def _periodic(harmonics: int) -> Term:
+    """Return a periodic term: sine and cosine of the first harmonics."""
+    orders = range(1, harmonics + 1)
+    functions = [partial(f, order=order) for order in orders for f in (_sine, _cosine)]
+    expressions = [f"{f}({2 * order} * math.pi * {{u}} / {{period}})" for order in orders for f in ("sin", "cos")]
+    name = "periodic" if harmonics == 1 else f"periodic with {harmonics} harmonics"
+    return Term(name, tuple(functions), tuple(expressions), ("period",), (0,) * (2 * harmonics))
+
+
+_OFFSET = Term("constant", (_constant,), ("1.0",))
+_POLYNOMIALS = (
+    Term("line", (_line,), ("{u}",), powers=(1,)),
+    Term("square", (_square,), ("{u} * {u}",), powers=(2,)),
+    Term("cube", (_cube,), ("{u} * {u} * {u}",), powers=(3,)),
+)
+_SIGNED_SQUARE = Term("signed square", (_signed_square,), ("{u} * absolute({u})",), powers=(2,))
+_SIZE = Term("size", (_size,), ("absolute({u})",), powers=(1,))
+_ROOT = Term("root", (_root,), ("sqrt(absolute({u}))",), powers=(0.5,))
+_STEPS = (_shaped("step", step, "center", "width"), _shaped("slow step", slow_step, "center", "width"))
+_BUMPS = (_shaped("bump", bump, "center", "width"), _shaped("resonance", resonance, "center", "width"))
+_CATCHES = (
+    _shaped("magnetic catch", catch, "center", "width"),
+    _shaped("wide magnetic catch", wide_catch, "center", "width"),
+)
+_RAMPS = (
+    _shaped("contact above", ramp_above, "center", power=1),
+    _shaped("contact below", ramp_below, "center", power=1),
+)
+_PARABOLA = _shaped("parabola", parabola, "center", power=2)
+_WAVES = tuple(_periodic(h + 1) for h in range(_HARMONICS))
+_DECAYS = (_shaped("decay", decay, "width"), _shaped("slow decay", hyperbola, "width"))
+_STRIBECK = _shaped("Stribeck", stribeck, "width")
+
+_OF_VARIABLE: dict[str, tuple[Term, ...]] = {
+    "position": (*_POLYNOMIALS, _PARABOLA, _SIZE, *_WAVES, *_BUMPS, *_CATCHES, *_STEPS, *_RAMPS),
+    "velocity": (*_POLYNOMIALS, _SIGNED_SQUARE, _SIZE, _ROOT, *_DECAYS, _STRIBECK, *_STEPS, *_RAMPS),
+    "path": (*_POLYNOMIALS[:2], _ROOT, *_DECAYS, *_STEPS, _WAVES[0]),
+    "time": (*_POLYNOMIALS[:2], _ROOT, *_DECAYS, *_STEPS, *_WAVES[:2], *_BUMPS[:1]),
+}
+
+
+def terms_of(variable: str, *, force: bool) -> tuple[Term, ...]:
+    """Return the terms that a formula of a variable may contain.
+
+    Args:
+        variable: "position", "velocity", "path" or "time".
+        force: True for a force, which may be constant; False for a friction level, whose constant is the declared
+            Coulomb friction.
+
+    Returns:
+        Terms, simplest first.
+    """
+    terms = _OF_VARIABLE[variable]
+    return (_OFFSET, *terms) if force else terms
