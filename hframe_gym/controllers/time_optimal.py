@@ -243,7 +243,7 @@ class _SymbolicModel:
             (j, values[f"{e.label}.I"])
             for j, d in enumerate(machine.drives)
             for e in machine.effects
-            if e.definition.current and e.site == d.name
+            if e.definition.current and d.name in e.components(machine)
         ]
         self._start, self._count = start, len(machine.coordinates)
         arguments = [ca.SX.sym("z", 2 * self._count), ca.SX.sym("u", len(machine.drives)), ca.SX.sym("t")]
@@ -286,10 +286,9 @@ class _SymbolicModel:
         equations, n = self._equations, self._count
         travel = ca.vertsplit(state[:n])
         states = {}
-        for k, effect in enumerate(equations.machine.effects):
-            if effect.definition.next_state:
-                i = equations.machine.coordinate_names.index(equations.machine.coordinate_of_site(effect.site))
-                states[k] = (travel[i] - self._start[i]) * equations.per_radius(i)
+        for k in equations.states:
+            i = equations.instances[k].coordinate
+            states[k] = (travel[i] - self._start[i]) * equations.per_radius(i)
         return MotionPoint(travel, ca.vertsplit(state[n:]), time, states)
 
 

@@ -37,8 +37,8 @@ class ForceBalance(NamedTuple):
         forces: Sum of all forces on each coordinate except viscous and Coulomb friction. The integrator keeps it
             constant over a step.
         coulomb: Coulomb friction force F (magnitude) of each coordinate; zero where an effect replaces it.
-        arguments: By index of the effect in the machine, the arguments that its formula `next_state` takes at this
-            point: "level", the Coulomb friction force, N or Nm, or "i", the current of the drive, A.
+        arguments: By index in `instances`, the arguments that the formula `next_state` of an effect takes at this point:
+            "level", the Coulomb friction force, N or Nm, or "i", the current of the drive, A.
     """
 
     forces: list[Value]
@@ -70,7 +70,7 @@ class Equations(BeltEquations):
         """
         result = []
         for j, (drive, voltage) in enumerate(zip(self.machine.drives, voltages, strict=True)):
-            for _, e in self.effects_at("voltage", drive.name, "drives"):  # "drives": the effect acts on all of them
+            for _, e in self.effects_at("voltage", drive.name):
                 voltage = self.evaluate(e, "voltage", {"V": voltage})
             result.append(named("voltage", j, voltage))
         return result
@@ -138,7 +138,7 @@ class Equations(BeltEquations):
         Returns:
             forces: Sum of all forces on each coordinate except viscous and Coulomb friction, along its belt travel, N.
             coulomb: Coulomb friction force (magnitude) of each coordinate, N.
-            arguments: Friction forces and currents that `next_state` takes, by index of the effect.
+            arguments: Friction forces and currents that `next_state` takes, by index in `instances`.
         """
         arguments: dict[int, dict[str, Value]] = {}
         totals, levels = [], []
@@ -171,19 +171,19 @@ class Equations(BeltEquations):
 
     def _force_of(self, k: int, i: int, point: MotionPoint) -> Value:
         """Return the force of effect k along the belt travel of coordinate i, N."""
-        effect = self.machine.effects[k]
+        effect = self.instances[k].effect
         return self.evaluate(effect, "force", self._with_state(k, i, point)) * self.per_radius(i)
 
     def _with_guarded_forces(self, forces: list[Value], point: MotionPoint) -> list[Value]:
         """Add the forces that vanish for most machines; a kernel evaluates them only where one of them acts."""
-        guarded = [k for k, e in enumerate(self.machine.effects) if e.definition.force and e.definition.active_region]
+        guarded = [k for k, e in enumerate(self.instances) if e.effect.definition.force and e.effect.definition.active_region]
         if not guarded:
             return forces
-        coordinates = [self._effect_coordinates[k] for k in guarded]
+        coordinates = [self.instances[k].coordinate for k in guarded]
 
         def active() -> Value:
             regions = [
-                self.evaluate(self.machine.effects[k], "active_region", self._quantities(k, i, point))
+                self.evaluate(self.instances[k].effect, "active_region", self._quantities(k, i, point))
                 for k, i in zip(guarded, coordinates, strict=True)
             ]
             condition = regions[0]
@@ -211,7 +211,7 @@ class Equations(BeltEquations):
         Returns:
             forces: Sum of all forces on each coordinate except viscous and Coulomb friction, along its belt travel, N.
             coulomb: Coulomb friction force (magnitude) of each coordinate, N.
-            arguments: Friction forces and currents that `next_state` takes, by index of the effect.
+            arguments: Friction forces and currents that `next_state` takes, by index in `instances`.
         """
         motor_voltages = self.motor_voltages(voltages)
         forces = self.belt_forces(point, self.belt_states(point))
@@ -289,7 +289,7 @@ class Equations(BeltEquations):
         Returns:
             Delay of each drive, s, in the machine's order; 0 without delay.
         """
-        return [self._delay("delay", d.name, "drives") for d in self.machine.drives]
+        return [self._delay("delay", d.name) for d in self.machine.drives]
 
     def measurement_delays(self) -> list[Value]:
         """Return the delay from reading to measurement of each sensor, the sum over its effects.
@@ -299,9 +299,9 @@ class Equations(BeltEquations):
         """
         return [self._delay("measurement_delay", s.channel) for s in self.machine.sensors]
 
-    def _delay(self, hook: str, *sites: str) -> Value:
+    def _delay(self, hook: str, component: str) -> Value:
         delay: Value = 0.0
-        for _, e in self.effects_at(hook, *sites):
+        for _, e in self.effects_at(hook, component):
             delay = delay + self.evaluate(e, hook, {})
         return delay
 
@@ -321,7 +321,7 @@ class Equations(BeltEquations):
             velocities: Velocities, m/s or rad/s, of the same shape; None: at rest.
             time_s: Time since the machine was switched on, s, shape (...).
             effect_states: State of each effect that has one (bristle deflection, motor current, ...), in its unit, by
-                the index of the effect in the machine; None: all zero.
+                its index in `instances`; None: all zero.
 
         Returns:
             The point: lists of belt travel, m, and its rate, m/s, with one array of shape (...) per coordinate.
