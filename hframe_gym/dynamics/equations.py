@@ -176,7 +176,9 @@ class Equations(BeltEquations):
 
     def _with_guarded_forces(self, forces: list[Value], point: MotionPoint) -> list[Value]:
         """Add the forces that vanish for most machines; a kernel evaluates them only where one of them acts."""
-        guarded = [k for k, e in enumerate(self.instances) if e.effect.definition.force and e.effect.definition.active_region]
+        guarded = [
+            k for k, e in enumerate(self.instances) if e.effect.definition.force and e.effect.definition.active_region
+        ]
         if not guarded:
             return forces
         coordinates = [self.instances[k].coordinate for k in guarded]
