@@ -25,9 +25,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .belts import BeltEquations, combination
+from ..machine import argument_names
+from .belts import BeltEquations
 from .elementwise import fma, maximum, named, sign, update_if_any
 from .parameterized_machine import MotionPoint, Value
+from .signals import SignalEquations
 
 
 class ForceBalance(NamedTuple):
@@ -37,7 +39,7 @@ class ForceBalance(NamedTuple):
         forces: Sum of all forces on each coordinate except viscous and Coulomb friction. The integrator keeps it
             constant over a step.
         coulomb: Coulomb friction force F (magnitude) of each coordinate; zero where an effect replaces it.
-        arguments: By index in `instances`, the arguments that the formula `next_state` of an effect takes at this point:
+        arguments: By index in `instances`, the arguments that the formula `next_state` of an effect takes there:
             "level", the Coulomb friction force, N or Nm, or "i", the current of the drive, A.
     """
 
@@ -46,7 +48,7 @@ class ForceBalance(NamedTuple):
     arguments: dict[int, dict[str, Value]]
 
 
-class Equations(BeltEquations):
+class Equations(BeltEquations, SignalEquations):
     """Equations of motion of one machine.
 
     All forces act along the belt travel of a coordinate: N on a carriage, torque / radius (N) on a pulley.
@@ -58,22 +60,6 @@ class Equations(BeltEquations):
     """
 
     # -- drives ----------------------------------------------------------------------------------------------------
-
-    def motor_voltages(self, voltages: Sequence[Value]) -> list[Value]:
-        """Apply the effects of the amplifiers (offset, gain error, dead band, ...) to the commanded voltages.
-
-        Args:
-            voltages: Commanded voltage of each drive, V, after its delay.
-
-        Returns:
-            Voltage at the terminals of each motor, V, in the machine's order.
-        """
-        result = []
-        for j, (drive, voltage) in enumerate(zip(self.machine.drives, voltages, strict=True)):
-            for _, e in self.effects_at("voltage", drive.name):
-                voltage = self.evaluate(e, "voltage", {"V": voltage})
-            result.append(named("voltage", j, voltage))
-        return result
 
     def add_drive_forces(self, forces: Sequence[Value], motor_voltages: Sequence[Value]) -> list[Value]:
         """Add the drive forces due to voltage, N Kt V / (R r) for gear ratio N and pulley radius r.
@@ -164,9 +150,11 @@ class Equations(BeltEquations):
     def _coulomb_level(self, i: int, point: MotionPoint) -> Value:
         """Return the Coulomb friction force of coordinate i with its effects, N; never negative."""
         level = self.coulomb(i)
-        effects = list(self.effects_on("coulomb", i))
+        # Effects that scale the friction force come after those that add to it.
+        effects = sorted(self.effects_on("coulomb", i), key=lambda e: "level" in argument_names(e[1].definition.coulomb))
         for k, e in effects:
-            level = level + self.evaluate(e, "coulomb", self._with_state(k, i, point)) * self.per_radius(i)
+            quantities = {**self._with_state(k, i, point), "level": level * self.radius(i)}
+            level = level + self.evaluate(e, "coulomb", quantities) * self.per_radius(i)
         return maximum(level, 0.0) if effects else level
 
     def _force_of(self, k: int, i: int, point: MotionPoint) -> Value:
@@ -255,57 +243,6 @@ class Equations(BeltEquations):
             Second derivative of the belt travel of each coordinate, m/s^2 (radius * angular acceleration of a pulley).
         """
         return [force / self.mass(i) for i, force in enumerate(self.net_forces(point, voltages, direction))]
-
-    # -- sensors and delays ----------------------------------------------------------------------------------------
-
-    def sensor_readings(self, positions: Sequence[Value]) -> list[Value]:
-        """Return the reading of every sensor, without delay, noise and resolution.
-
-        Args:
-            positions: Position of each coordinate, m or rad.
-
-        Returns:
-            Reading of every sensor with the effects on it (scale, skew, ...), m or rad (unit of its channel).
-        """
-        names = self.machine.coordinate_names
-        readings = []
-        for j, sensor in enumerate(self.machine.sensors):
-            terms = []
-            for key in sensor.row:  # a key is a coordinate, or a product of two such as "y*yaw"
-                factors = [key] if key in names else key.split("*")
-                value = positions[names.index(factors[0])]
-                for factor in factors[1:]:
-                    value = value * positions[names.index(factor)]
-                terms.append(value)
-            reading = combination(dict(enumerate(sensor.row.values())), terms)
-            across = self.machine.other_axis(sensor.coordinate)  # skew depends on the other carriage's position
-            quantities = {"across": positions[names.index(across)] if across else 0.0}
-            for _, e in self.effects_at("measurement", sensor.channel):
-                reading = self.evaluate(e, "measurement", {"r": reading, **quantities})
-            readings.append(named("reading", j, reading))
-        return readings
-
-    def voltage_delays(self) -> list[Value]:
-        """Return the delay from commanded to effective voltage of each drive, the sum over its effects.
-
-        Returns:
-            Delay of each drive, s, in the machine's order; 0 without delay.
-        """
-        return [self._delay("delay", d.name) for d in self.machine.drives]
-
-    def measurement_delays(self) -> list[Value]:
-        """Return the delay from reading to measurement of each sensor, the sum over its effects.
-
-        Returns:
-            Delay of each sensor, s, in the machine's order; 0 without delay.
-        """
-        return [self._delay("measurement_delay", s.channel) for s in self.machine.sensors]
-
-    def _delay(self, hook: str, component: str) -> Value:
-        delay: Value = 0.0
-        for _, e in self.effects_at(hook, component):
-            delay = delay + self.evaluate(e, hook, {})
-        return delay
 
     # -- arrays ----------------------------------------------------------------------------------------------------
 

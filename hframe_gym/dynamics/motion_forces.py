@@ -20,7 +20,7 @@ from .parameterized_machine import MotionPoint
 
 Array = NDArray[np.float64]
 # The flow of a bristle state over a distance without turning point is exact, so few steps suffice.
-_FRICTION_STATE_STRIDE = 5
+_BRISTLE_STATE_STRIDE = 5
 
 
 def belt_states(machine: Machine, positions: ArrayLike, velocities: ArrayLike | None = None) -> list[BeltState]:
@@ -189,8 +189,9 @@ def effect_states(
         motor_voltages = equations.motor_voltages(voltages)
         arguments = equations.force_balance(point, motor_voltages, [0.0] * len(point.travel)).arguments.get(k, {})
         rows = np.arange(len(time_s))
-        if effect.definition.friction:  # a bristle; `_FRICTION_STATE_STRIDE` gives the reason
-            rows = np.unique(np.append(rows[::_FRICTION_STATE_STRIDE], rows[-1]))
+        if argument_names(effect.definition.next_state) != ("z", "dq") and not effect.definition.current:
+            # A bristle; `_BRISTLE_STATE_STRIDE` gives the reason.
+            rows = np.unique(np.append(rows[::_BRISTLE_STATE_STRIDE], rows[-1]))
         states[k] = _integrated(equations, k, point, arguments, time_s, rows)
     return states
 

@@ -92,6 +92,13 @@ _CASES = (
         {"bristle_stiffness": _x(1e4), "bristle_damping": _x(60.0)},
     ),
     Case(
+        "friction_warm_up",
+        "machine",
+        {"a": 0.9, "tau": 0.5},
+        {"friction_cold": (0.9,) * 4, "warm_up_s": 0.5},
+    ),
+    Case("dahl_hysteresis", "x", {"F": 2.2, "L": 6e-3}, {"dahl_force": _x(2.2), "dahl_travel": _x(6e-3)}),
+    Case(
         "cogging",
         "motor1",
         {"A": 0.03, "n": 23.6, "p": 0.5},

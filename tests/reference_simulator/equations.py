@@ -110,6 +110,9 @@ def _force_of_coordinate(
         w, travel = z[cable], c.hysteresis_travel
         dz[cable] = v - 0.5 * (abs(v) * abs(w) * w + v * w * w) / travel**2
         force -= c.hysteresis_force * w / travel
+    if c.dahl_force != 0.0:
+        dz[cable] = v - abs(v) * z[cable] / c.dahl_travel
+        force -= c.dahl_force * z[cable] / c.dahl_travel
     return force
 
 

@@ -16,7 +16,9 @@ _OF_DRIVE = ["drive_gain", "voltage_offset_V", "dead_band_V", "current_limit_A",
 _OF_DRIVE += ["heating_loss", "heating_s", "current_ripple", "current_ripple_order"]
 _OF_BELTS = ["belt_play_m", "belt_damping_s", "belt_pretension_N", "belt_hardening", "belt_energy_force"]
 _OF_STAGE = ["warm_up_s", *_OF_BELTS, "frame_w", "frame_zeta", "frame_ratio"]
-_DIVISORS = dict.fromkeys(("stribeck_velocity", "friction_wavelength", "hysteresis_travel", "catch_width"), 1.0)
+_DIVISORS = dict.fromkeys(
+    ("stribeck_velocity", "friction_wavelength", "hysteresis_travel", "dahl_travel", "catch_width"), 1.0
+)
 COORDINATE = np.dtype([(name, "f8") for name in [*_OF_COORDINATE, "radius", "eccentricity_m", "eccentricity_phase"]])
 DRIVE = np.dtype([("coordinate", "i8"), ("gain", "f8"), ("emf", "f8"), ("ohm", "f8"), *((n, "f8") for n in _OF_DRIVE)])
 LINK = np.dtype([("first", "i8"), ("second", "i8"), ("stiffness", "f8"), ("viscous", "f8"), ("half_gap", "f8")])

@@ -97,6 +97,9 @@ class Rig:
     # Hysteresis of a cable chain (Bouc-Wen, n = 2): z' = v - (|v| |z| z + v z^2) / (2 Z^2), force -F z/Z.
     hysteresis_force: PerCoordinate = OFF  # F
     hysteresis_travel: PerCoordinate = (0.005, 0.005, 0.25, 0.25)  # Z, m and rad
+    # Hysteresis after Dahl, in place of the former: z' = v - |v| z / Z, force -F z/Z.
+    dahl_force: PerCoordinate = OFF  # F
+    dahl_travel: PerCoordinate = (0.005, 0.005, 0.25, 0.25)  # Z, m and rad
 
     constant_force: PerCoordinate = OFF
     viscous_asymmetry: PerCoordinate = OFF  # a: coefficient b (1 + a) forward, b (1 - a) backward
