@@ -25,9 +25,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..machine import argument_names
+from ..machine import AppliedEffect, argument_names
 from .belts import BeltEquations
-from .elementwise import fma, maximum, named, sign, update_if_any
+from .elementwise import absolute, copysign, fma, maximum, minimum, named, sign, update_if_any, where
 from .parameterized_machine import MotionPoint, Value
 from .signals import SignalEquations
 
@@ -137,7 +137,7 @@ class Equations(BeltEquations, SignalEquations):
                 force = force - self.evaluate(e, "friction", quantities) * self.per_radius(i)
                 level = 0.0
             for k, e in self.effects_on("force", i):
-                if not e.definition.active_region:
+                if not e.definition.active_region and not _needs_net_force(e):
                     force = force + self._force_of(k, i, point)
             for j, drive in enumerate(self.machine.drives):
                 if self.drive_coordinates[j] == i and any(self.effects_at("current", drive.name)):
@@ -145,13 +145,16 @@ class Equations(BeltEquations, SignalEquations):
                     force = force + change * self.per_radius(i)
             totals.append(force)
             levels.append(level)
-        return ForceBalance(self._with_guarded_forces(totals, point), levels, arguments)
+        totals = self._with_guarded_forces(totals, point)
+        return ForceBalance(self._with_reactions(totals, levels, point), levels, arguments)
 
     def _coulomb_level(self, i: int, point: MotionPoint) -> Value:
         """Return the Coulomb friction force of coordinate i with its effects, N; never negative."""
         level = self.coulomb(i)
         # Effects that scale the friction force come after those that add to it.
-        effects = sorted(self.effects_on("coulomb", i), key=lambda e: "level" in argument_names(e[1].definition.coulomb))
+        effects = sorted(
+            self.effects_on("coulomb", i), key=lambda e: "level" in argument_names(e[1].definition.coulomb)
+        )
         for k, e in effects:
             quantities = {**self._with_state(k, i, point), "level": level * self.radius(i)}
             level = level + self.evaluate(e, "coulomb", quantities) * self.per_radius(i)
@@ -190,6 +193,21 @@ class Equations(BeltEquations, SignalEquations):
         touched = list(dict.fromkeys(coordinates))
         updated = dict(zip(touched, update_if_any(active, [forces[i] for i in touched], update), strict=True))
         return [updated.get(i, force) for i, force in enumerate(forces)]
+
+    def _with_reactions(self, forces: list[Value], levels: Sequence[Value], point: MotionPoint) -> list[Value]:
+        """Add the forces of the effects that depend on the net force on the coordinate at their site."""
+        result = list(forces)
+        for k, instance in enumerate(self.instances):
+            if _needs_net_force(instance.effect):
+                site, i = self.machine.coordinate_names.index(instance.component), instance.coordinate
+                v, level = point.speed[site], levels[site]
+                static = minimum(maximum(forces[site], -level), level)
+                friction = where(absolute(v) > 0.0, copysign(level, v), static)
+                net = forces[site] - self.viscous(site, copysign(1.0, v)) * v - friction
+                quantities = {"net": net * self.radius(site), "m": self.mass(i) * self.radius(i) * self.radius(i)}
+                force = self.evaluate(instance.effect, "force", {**self._with_state(k, i, point), **quantities})
+                result[i] = result[i] + force * self.per_radius(i)
+        return result
 
     def balance(self, point: MotionPoint, voltages: Sequence[Value]) -> ForceBalance:
         """Return the sum of belt, drive and effect forces at a point, and the Coulomb friction force separately.
@@ -285,3 +303,8 @@ class Equations(BeltEquations, SignalEquations):
             Forces, N, or torques, Nm (force * radius), shape (..., coordinates).
         """
         return np.stack(np.broadcast_arrays(*(f * self.radius(i) for i, f in enumerate(forces))), axis=-1)
+
+
+def _needs_net_force(effect: AppliedEffect) -> bool:
+    """Return whether the force of an effect depends on the net force on the coordinate at its site."""
+    return effect.definition.force is not None and "net" in argument_names(effect.definition.force)

@@ -114,7 +114,8 @@ def _random_motions(machine: Machine) -> tuple[Array, Array]:
     rated = np.array([drive.rated_voltage for drive in machine.drives])
     signs = _random_telegraph(len(rated))
     time_s = _PERIOD * np.arange(signs.shape[1])
-    motion = simulate_batch(machine, time_s, signs * rated, readings=False)
+    inputs = np.multiply(signs, rated, dtype=np.float64)
+    motion = simulate_batch(machine, time_s, inputs, readings=False)
     return motion.positions, np.abs(motion.velocities) * machine.travel_per_unit
 
 

@@ -81,7 +81,7 @@ class Effect:
     are the effect's parameters and the quantities of the table's last column:
 
     hook                returns                                                      arguments
-    force               force added to the coordinate, N or Nm                       q, v, t, z, u
+    force               force added to the coordinate, N or Nm                       q, v, t, z, u, m, net
     active_region       where the force may differ from zero (default: everywhere)   q, v, t
     coulomb             change of the Coulomb friction force, N or Nm (sum >= 0)     q, v, t, z, u, level
     friction            dry friction force that replaces Coulomb friction, N or Nm   q, v, t, z, level
@@ -102,9 +102,11 @@ class Effect:
     Symbols: q, v: position and speed of the coordinate in its unit; t: time since the machine was switched on, s; u:
     the variable that `against` names; z: the effect's state, zero when the simulation starts; b: viscous coefficient
     without the effect, Ns/m or Nms; direction: sign of the motion; V: voltage, V; level: Coulomb friction force of the
-    coordinate with the effects on it, N or Nm; i: current by Ohm's law, A; s, rate, k: extension (m), its rate (m/s) and stiffness (N/m) of a
-    belt; r: ideal measurement; across: position of the other linear coordinate, m; dt: length of a step, s; dq:
-    distance that the coordinate moves in dt; per_radius: 1/radius of the pulley, 1/m.
+    coordinate with the effects on it, N or Nm; i: current by Ohm's law, A; s, rate, k: extension (m), its rate (m/s)
+    and stiffness (N/m) of a belt; r: ideal measurement; across: position of the other linear coordinate, m; m: mass of
+    the coordinate, kg or kg m^2; net: net force on the coordinate at the site, where `structure` has added another one,
+    N or Nm; dt: length of a step, s; dq: distance that the coordinate moves in dt; per_radius: 1/radius of the pulley,
+    1/m.
 
     Attributes:
         name: Unique name.
@@ -261,8 +263,9 @@ class AppliedEffect:
         """
         if self.site == "machine" and not self.definition.structure:
             return machine.coordinate_names
-        shared = {"drives": machine.drives, "belts": machine.belts}
-        return tuple(c.name for c in shared[self.site]) if self.site in shared else (self.site,)
+        if self.site == "drives":
+            return tuple(d.name for d in machine.drives)
+        return tuple(b.name for b in machine.belts) if self.site == "belts" else (self.site,)
 
     def with_parameters(self, parameters: Mapping[str, float]) -> AppliedEffect:
         """Return a copy of the effect with other parameter values.

@@ -13,7 +13,7 @@ import numpy as np
 
 from hframe_gym.effects import EFFECTS
 from hframe_gym.machine import AppliedEffect
-from tests.reference_simulator import Rig, Yaw, simulate
+from tests.reference_simulator import Frame, Rig, Yaw, simulate
 from tests.reference_simulator.sensors import Sensors
 
 START = (0.08, -0.05)  # position of the tool at the start of a run, m
@@ -125,6 +125,12 @@ _CASES = (
         "machine",
         {"J": 0.06, "k": 4000.0, "c": 0.6, "w": 0.3},
         {"yaw": Yaw(inertia=0.06, stiffness=4000.0, viscous=0.6, half_width_m=0.3)},
+    ),
+    Case(
+        "frame_resonance",
+        "x",
+        {"f0": 19.0, "zeta": 0.05, "r": 0.05},
+        {"frame": Frame(hertz=19.0, damping=0.05, mass_ratio=0.05)},
     ),
     # The idlers of the simulator have half of the inertia and friction of each motor.
     Case(

@@ -16,8 +16,8 @@ pytestmark = pytest.mark.unit
 
 EVERY_EFFECT = pytest.mark.parametrize("effect", EFFECTS.values(), ids=EFFECTS)
 WITH_AMPLITUDE = {name: case for name, case in CASES.items() if EFFECTS[name].amplitudes}
-QUANTITIES = {*"qvtzubViskr", "direction", "rate", "across", "dq", "dt", "level", "per_radius"}
-PLAIN_UNITS = {"1", "s", "V", "A", "m", "rad", "N", "1/m^2", "kg m^2", "Nm/rad", "Nms"}
+QUANTITIES = {*"qvtzubViskrm", "net", "direction", "rate", "across", "dq", "dt", "level", "per_radius"}
+PLAIN_UNITS = {"1", "s", "V", "A", "m", "rad", "N", "1/m^2", "kg m^2", "Nm/rad", "Nms", "Hz"}
 
 
 @EVERY_EFFECT
