@@ -203,8 +203,12 @@ class Equations(BeltEquations, SignalEquations):
                 v, level = point.speed[site], levels[site]
                 static = minimum(maximum(forces[site], -level), level)
                 friction = where(absolute(v) > 0.0, copysign(level, v), static)
-                net = forces[site] - self.viscous(site, copysign(1.0, v)) * v - friction
-                quantities = {"net": net * self.radius(site), "m": self.mass(i) * self.radius(i) * self.radius(i)}
+                friction = friction + self.viscous(site, copysign(1.0, v)) * v
+                quantities = {
+                    "m": self.mass(i) * self.radius(i) * self.radius(i),
+                    "net": (forces[site] - friction) * self.radius(site),
+                    "friction": friction * self.radius(site),
+                }
                 force = self.evaluate(instance.effect, "force", {**self._with_state(k, i, point), **quantities})
                 result[i] = result[i] + force * self.per_radius(i)
         return result

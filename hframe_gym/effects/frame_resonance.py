@@ -2,7 +2,9 @@
 
 The coordinate `frame` is the displacement f of the frame, in m (an angle at a radius of 1 m), that the sensor adds to
 the position of the carriage. The frame is much heavier than the carriage, so that it does not act back on it. r is the
-ratio of the carriage's mass to that of the frame; its sign tells whether the sensor is on the frame or beside it.
+ratio of the carriage's mass to that of the frame; it is negative for a sensor on the frame and positive for one beside
+it. The frame carries the motors. Where it carries the rails too, friction acts inside it (s = 0); where the rails stand
+on the ground, the frame bears the force of the belts without the friction (s = 1).
 """
 
 import dataclasses
@@ -11,7 +13,7 @@ import math
 from ..machine import AppliedEffect, Coordinate, Effect, EffectParameter, Machine
 
 
-def force(q, v, m, net, f0, zeta, r):  # type: ignore[no-untyped-def]
+def force(q, v, m, net, friction, f0, zeta, r, s):  # type: ignore[no-untyped-def]
     """Compute the force on the frame, referred to the mass of the carriage.
 
     Args:
@@ -19,15 +21,17 @@ def force(q, v, m, net, f0, zeta, r):  # type: ignore[no-untyped-def]
         v: Its rate, m/s.
         m: Mass of the carriage, kg.
         net: Net force on the carriage, its mass times its acceleration x'', N.
+        friction: Friction force on the carriage, N, positive against positive motion.
         f0: Natural frequency of the frame, Hz.
         zeta: Damping ratio of the frame.
         r: Ratio of the masses of carriage and frame.
+        s: Fraction of the friction that the ground bears, 0 to 1.
 
     Returns:
-        Force m f'' = -m (w^2 f + 2 zeta w f' + r x'') with w = 2 pi f0, N.
+        Force m f'' = -m (w^2 f + 2 zeta w f') - r (m x'' + s friction) with w = 2 pi f0, N.
     """
     w = 2.0 * math.pi * f0
-    return -m * w * (w * q + 2.0 * zeta * v) - r * net
+    return -m * w * (w * q + 2.0 * zeta * v) - r * (net + s * friction)
 
 
 def fits(machine: Machine) -> bool:
@@ -83,7 +87,7 @@ EFFECT = Effect(
     name="frame_resonance",
     family="frame_resonance",
     site="coordinate",
-    formula="f'' + 2 zeta w f' + w^2 f = -r x'', w = 2 pi f0; measurement = x + f",
+    formula="f'' + 2 zeta w f' + w^2 f = -r (x'' + s F/m), w = 2 pi f0; measurement = x + f",
     source="linear oscillator with base excitation; Rankers 1997, Machine dynamics in mechatronic systems",
     force=force,
     coordinate="frame",
@@ -94,5 +98,7 @@ EFFECT = Effect(
         EffectParameter("f0", "Hz", 0.5, 500.0, scale=10.0, grid=(7.0, 9.0, 11.5, 15.0, 19.0, 24.0, 31.0, 40.0)),
         EffectParameter("zeta", "1", 0.0, 1.0, scale=0.05, grid=(0.05,)),
         EffectParameter("r", "1", -1.0, 1.0, scale=0.03, grid=(0.03, -0.03), role="amplitude"),
+        # The bounds allow for the uncertainty of 0 and 1.
+        EffectParameter("s", "1", -0.5, 1.5, scale=0.5, grid=(0.5,)),
     ),
 )

@@ -112,9 +112,8 @@ def _random_motions(machine: Machine) -> tuple[Array, Array]:
         Magnitudes of the speeds, as rates of the belt travel, m/s, of the same shape.
     """
     rated = np.array([drive.rated_voltage for drive in machine.drives])
-    signs = _random_telegraph(len(rated))
-    time_s = _PERIOD * np.arange(signs.shape[1])
-    inputs = np.multiply(signs, rated, dtype=np.float64)
+    inputs = _random_telegraph(len(rated)) * rated
+    time_s = np.arange(inputs.shape[1], dtype=np.float64) * _PERIOD
     motion = simulate_batch(machine, time_s, inputs, readings=False)
     return motion.positions, np.abs(motion.velocities) * machine.travel_per_unit
 

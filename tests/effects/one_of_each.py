@@ -129,8 +129,8 @@ _CASES = (
     Case(
         "frame_resonance",
         "x",
-        {"f0": 19.0, "zeta": 0.05, "r": 0.05},
-        {"frame": Frame(hertz=19.0, damping=0.05, mass_ratio=0.05)},
+        {"f0": 19.0, "zeta": 0.05, "r": 0.05, "s": 0.8},
+        {"frame": Frame(hertz=19.0, damping=0.05, mass_ratio=0.05, ground_friction=0.8)},
     ),
     # The idlers of the simulator have half of the inertia and friction of each motor.
     Case(

@@ -45,12 +45,14 @@ class Frame:
     """Heavy frame on soft feet, which the acceleration of the bridge excites along x.
 
     f'' = -w^2 f - 2 zeta w f' - ratio x'', with w = 2 pi hertz. The laser is mounted beside the frame, so it measures
-    x + f. The frame's motion does not act back on the much lighter stage.
+    x + f. The frame's motion does not act back on the much lighter stage. Of the friction on the bridge, the frame does
+    not bear the fraction `ground_friction`: x'' above is x'' + ground_friction * friction / mass.
     """
 
     hertz: float = 11.0
     damping: float = 0.05
     mass_ratio: float = 0.05
+    ground_friction: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -314,7 +314,7 @@ def effect(name: str, site: str, size: float) -> HiddenEffect:
         case "frame_resonance":
             ratio = size * 0.05
             build = partial(change_fields, frame=Frame(hertz=15.0, mass_ratio=ratio))
-            return _hidden(name, site, build, {"f0": 15.0, "zeta": 0.05, "r": ratio})
+            return _hidden(name, site, build, {"f0": 15.0, "zeta": 0.05, "r": ratio, "s": 0.0})
         case "lugre":
             stiffness, damping = 2e4 / size, 100.0
             build = partial(
