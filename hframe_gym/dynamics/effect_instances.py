@@ -1,7 +1,7 @@
 """Effects of a machine, listed once for each component on which they act.
 
 An effect at "drives" acts on every drive, one at "belts" on every belt, and one at "machine" on every coordinate, with
-the same parameters. Each of these instances has a state of its own, for example the current of its motor.
+the same parameters. Each of these instances has its separate state, for example the current of its motor.
 """
 
 from __future__ import annotations

@@ -114,7 +114,7 @@ class Effect:
         site: Kind of site at which the effect can act. "motor" is the coordinate of a drive, "drive" and "drives" its
             amplifier and winding: one of them or, at the site "drives", all at once. "belts" are all belts at once or
             one of them. "machine" is every coordinate at once, or the structure that `structure` changes. With several
-            components, the parameters are common and each component has a state of its own.
+            components, the parameters are common and the states separate.
         parameters: Parameters, in the order of the full parameter vector.
         formula: The equation, for tables and reports.
         source: Reference of the formula.
@@ -261,11 +261,16 @@ class AppliedEffect:
             Names of all drives at the site "drives", of all belts at "belts", of all coordinates at "machine" (the word
             "machine" itself for an effect that changes the structure); at any other site its name alone.
         """
-        if self.site == "machine" and not self.definition.structure:
-            return machine.coordinate_names
-        if self.site == "drives":
-            return tuple(d.name for d in machine.drives)
-        return tuple(b.name for b in machine.belts) if self.site == "belts" else (self.site,)
+        kind = self.definition.site
+        if kind == "machine":
+            return ("machine",) if self.definition.structure else machine.coordinate_names
+        names = {
+            "drive": tuple(d.name for d in machine.drives),
+            "drives": tuple(d.name for d in machine.drives),
+            "belts": tuple(b.name for b in machine.belts),
+        }.get(kind, ())
+        # A component that is called "drives" or "belts" comes before all of them.
+        return (self.site,) if self.site in names or not names else names
 
     def with_parameters(self, parameters: Mapping[str, float]) -> AppliedEffect:
         """Return a copy of the effect with other parameter values.
