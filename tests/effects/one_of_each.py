@@ -97,6 +97,12 @@ _CASES = (
         {"a": 0.9, "tau": 0.5},
         {"friction_cold": (0.9,) * 4, "warm_up_s": 0.5},
     ),
+    Case(
+        "bouc_wen_hysteresis",
+        "x",
+        {"F": 4.0, "L": 8e-3},
+        {"hysteresis_force": _x(4.0), "hysteresis_travel": _x(8e-3)},
+    ),
     Case("dahl_hysteresis", "x", {"F": 2.2, "L": 6e-3}, {"dahl_force": _x(2.2), "dahl_travel": _x(6e-3)}),
     Case(
         "cogging",

@@ -111,6 +111,7 @@ SITES: dict[str, tuple[str, ...]] = {
     "sensor_delay": ("x_m",),
     "presliding": ("x", "phi1"),
     "dahl_hysteresis": ("x", "y"),
+    "bouc_wen_hysteresis": ("x",),
     "friction_warm_up": ("machine",),
     "frame_resonance": ("x",),
     "lugre": ("x",),
@@ -168,7 +169,7 @@ def _outside() -> dict[str, tuple[tuple[str, ...], Build]]:
         "soft frame": (("frame_resonance@x",), partial(change_fields, frame=Frame())),
         "gear backlash": ((), partial(change_fields, backlash_rad=(0.012, 0.0))),
         "cable chain": (
-            ("presliding@x", "dahl_hysteresis@x"),
+            ("presliding@x", "dahl_hysteresis@x", "bouc_wen_hysteresis@x"),
             partial(x, hysteresis_force=4.0, hysteresis_travel=0.008),
         ),
         "hot motor": ((), partial(motor, site="motor1", heating_loss=0.02)),

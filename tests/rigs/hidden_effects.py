@@ -308,6 +308,10 @@ def effect(name: str, site: str, size: float) -> HiddenEffect:
             force, travel = size * {"x": 4.0, "y": 1.2}[site], 6e-3
             build = partial(coordinate, dahl_force=force, dahl_travel=travel)
             return _hidden(name, site, build, {"F": force, "L": travel}, forces=("F",))
+        case "bouc_wen_hysteresis":
+            force, travel = size * 4.0, 8e-3
+            build = partial(coordinate, hysteresis_force=force, hysteresis_travel=travel)
+            return _hidden(name, site, build, {"F": force, "L": travel}, forces=("F",))
         case "friction_warm_up":
             build = partial(change_fields, friction_cold=(1.5 * size,) * 4, warm_up_s=12.0)
             return _hidden(name, site, build, {"a": 1.5 * size, "tau": 12.0})

@@ -1,0 +1,50 @@
+"""A force with memory beside Coulomb friction, which springs back elastically after a reversal (Bouc 1967; Wen 1976).
+
+The force -F z of the state z (from -1 to 1, zero at the start of a run) builds up over a distance of about L:
+dz/dt = (v - (|v| |z| z + v z^2) / 2) / L. It differs from `dahl_hysteresis` in the shape of its loops: after a reversal
+the force falls along a straight line to zero, then it approaches F as tanh of the distance.
+"""
+
+from ..dynamics.elementwise import absolute, copysign, exp, maximum, minimum, where
+from ..machine import Effect, EffectParameter
+
+
+def next_state(z, dq, L):  # type: ignore[no-untyped-def]
+    """Compute the state after the distance dq without reversal.
+
+    Args:
+        z: State before, from -1 to 1.
+        dq: Distance moved, m or rad.
+        L: Characteristic distance, m or rad.
+
+    Returns:
+        State after, from -1 to 1.
+    """
+    direction = copysign(1.0, dq)
+    against, distance = z * direction, absolute(dq) / L  # `against` is negative after a reversal
+    straight = minimum(maximum(-against, 0.0), distance)  # part of the distance on the straight line to zero
+    after_straight = against + straight
+    rising = maximum(after_straight, 0.0)
+    # tanh(artanh(rising) + rest of the distance)
+    decay = (1.0 - rising) / (1.0 + rising) * exp(-2.0 * (distance - straight))
+    return direction * where(after_straight < 0.0, after_straight, (1.0 - decay) / (1.0 + decay))
+
+
+def force(z, F):  # type: ignore[no-untyped-def]
+    """Return the force -F z, N or Nm; z: state from -1 to 1, F: largest force, N or Nm."""
+    return -F * z
+
+
+EFFECT = Effect(
+    name="bouc_wen_hysteresis",
+    family="presliding",
+    site="coordinate",
+    formula="f = -F z, dz/dt = (v - (|v| |z| z + v z^2)/2)/L",
+    source="Wen 1976, J. Eng. Mech. Div. ASCE 102(2), with n = 2 and equal loop parameters",
+    force=force,
+    next_state=next_state,
+    parameters=(
+        EffectParameter("F", "force", 0.0, 1e3, scale=0.3, role="amplitude"),
+        EffectParameter("L", "position", 1e-6, 1e3, scale=0.02, grid=(0.003, 0.008, 0.02, 0.05)),
+    ),
+)
