@@ -5,7 +5,7 @@ reversal: dz/dt = (v - |v| z) / L. At constant direction z approaches the direct
 """
 
 from ..dynamics.elementwise import absolute, copysign, exp
-from ..machine import Effect, EffectParameter
+from ..machine import Effect, EffectParameter, Machine
 
 
 def next_state(z, dq, L):  # type: ignore[no-untyped-def]
@@ -13,8 +13,8 @@ def next_state(z, dq, L):  # type: ignore[no-untyped-def]
 
     Args:
         z: State before, from -1 to 1.
-        dq: Distance moved, m or rad.
-        L: Characteristic distance, m or rad.
+        dq: Distance moved, m.
+        L: Characteristic distance, m.
 
     Returns:
         State after, from -1 to 1.
@@ -24,20 +24,35 @@ def next_state(z, dq, L):  # type: ignore[no-untyped-def]
 
 
 def force(z, F):  # type: ignore[no-untyped-def]
-    """Return the force -F z, N or Nm; z: state from -1 to 1, F: largest force, N or Nm."""
+    """Return the force -F z, N; z: state from -1 to 1, F: largest force, N."""
     return -F * z
+
+
+def fits_site(machine: Machine, site: str) -> bool:
+    """Check whether the effect can act on a coordinate: a linear one, to which a cable can lead.
+
+    Args:
+        machine: The machine.
+        site: Name of the coordinate.
+
+    Returns:
+        True for a linear coordinate.
+    """
+    return machine.coordinate(site).kind == "linear"
 
 
 EFFECT = Effect(
     name="dahl_hysteresis",
-    family="presliding",
+    family="hysteresis",
     site="coordinate",
     formula="f = -F z, dz/dt = (v - |v| z)/L",
     source="Dahl 1968, A solid friction model; Dahl 1976, AIAA Journal 14(12)",
     force=force,
     next_state=next_state,
+    fits_site=fits_site,
     parameters=(
         EffectParameter("F", "force", 0.0, 1e3, scale=0.3, role="amplitude"),
-        EffectParameter("L", "position", 1e-6, 1e3, scale=0.02, grid=(0.003, 0.008, 0.02, 0.05)),
+        # A force that builds up within less than a millimeter is presliding of the dry friction itself.
+        EffectParameter("L", "position", 1e-3, 1e3, scale=0.02, grid=(0.01, 0.03, 0.08)),
     ),
 )
