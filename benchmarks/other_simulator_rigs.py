@@ -34,7 +34,7 @@ from tests.rigs.random_rigs import describe_effects
 DATA = ROOT / "benchmarks" / "data" / "other_simulator"
 CACHE = Path("out/other_simulator_rigs")
 _SOURCES = ("benchmarks/other_simulator_rigs.py", "benchmarks/rig_score.py", "benchmarks/scoring.py")
-_WARM_UP = tuple(f"smooth_friction[time]@{c}" for c in ("x", "y", "phi1", "phi2"))
+_WARM_UP = ("friction_warm_up@machine", *(f"smooth_friction[time]@{c}" for c in ("x", "y", "phi1", "phi2")))
 
 
 def _unchanged(rig: Any, sensors: Any) -> Any:

@@ -167,7 +167,7 @@ class InputInversion:
         commands = [np.linspace(-rated, rated, TABLE_POINTS) for rated in self.rated]
         for j, motor in enumerate(equations.motor_voltages(commands)):
             drive, command = machine.drives[j], commands[j]
-            if any(equations.effects_at("voltage", drive.name, "drives")):
+            if any(equations.effects_at("voltage", drive.name)):
                 if np.any(np.diff(motor) < 0.0):
                     raise InputError(
                         f"machine {machine.name!r}: drive {drive.name} gives a lower voltage for a higher command"

@@ -236,14 +236,13 @@ class _SymbolicModel:
     def __init__(self, machine: Machine, parameters: Any, start: Any, reversal_speed: float) -> None:
         values = dict(zip(machine.parameters, ca.vertsplit(parameters), strict=True))
         self._limits = _voltage_limits(Equations(machine, values))
-        motion = tuple(e for e in machine.effects if not (e.definition.voltage or e.definition.current))
-        motion = tuple(e for e in motion if e.definition.site != "sensor")
+        motion = tuple(e for e in machine.effects if e.definition.site not in ("drive", "drives", "sensor"))
         self._equations = Equations(dataclasses.replace(machine, effects=motion), values)
         self._current_limits = [
             (j, values[f"{e.label}.I"])
             for j, d in enumerate(machine.drives)
             for e in machine.effects
-            if e.definition.current and e.site == d.name
+            if e.definition.current and d.name in e.components(machine)
         ]
         self._start, self._count = start, len(machine.coordinates)
         arguments = [ca.SX.sym("z", 2 * self._count), ca.SX.sym("u", len(machine.drives)), ca.SX.sym("t")]
@@ -286,10 +285,9 @@ class _SymbolicModel:
         equations, n = self._equations, self._count
         travel = ca.vertsplit(state[:n])
         states = {}
-        for k, effect in enumerate(equations.machine.effects):
-            if effect.definition.next_state:
-                i = equations.machine.coordinate_names.index(equations.machine.coordinate_of_site(effect.site))
-                states[k] = (travel[i] - self._start[i]) * equations.per_radius(i)
+        for k in equations.states:
+            i = equations.instances[k].coordinate
+            states[k] = (travel[i] - self._start[i]) * equations.per_radius(i)
         return MotionPoint(travel, ca.vertsplit(state[n:]), time, states)
 
 
@@ -327,6 +325,8 @@ def _unsupported_because(effect: AppliedEffect) -> str:
         return "it is a dead time of the drives (the time is longer by about this delay)"
     if definition.next_state and not _integrates_displacement(effect):
         return "it has a memory"
+    if definition.force and "net" in argument_names(definition.force):
+        return "it moves a sensor, not the tool"
     if definition.current and effect.name != "current_limit":
         return "effects on the current are not supported, except for current_limit"
     hooks = [getattr(definition, name) for name in MOTION_HOOKS]

@@ -88,12 +88,12 @@ class BeltEquations(ParameterizedMachine):
         k = named("stiffness", b, k)
         linear = k * s
         tension = linear
-        for _, e in self.effects_at("tension", "belts", name):
+        for _, e in self.effects_at("tension", name):
             tension = tension + (self.evaluate(e, "tension", {"s": s, "rate": rate, "k": k}) - linear)
         tension = named("tension", b, tension)
         if per_length is None:
             return BeltState(s, rate, k, tension, 0.0, tension)
-        effects = self.effects_at("energy_slope", "belts", name)
+        effects = self.effects_at("energy_slope", name)
         slopes = [self.evaluate(e, "energy_slope", {"s": s, "k": k}) for _, e in effects]
         if slopes:  # dV/dk in place of s^2/2
             slope = slopes[0]

@@ -25,9 +25,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .belts import BeltEquations, combination
-from .elementwise import fma, maximum, named, sign, update_if_any
+from ..machine import AppliedEffect, argument_names
+from .belts import BeltEquations
+from .elementwise import absolute, copysign, fma, maximum, minimum, named, sign, update_if_any, where
 from .parameterized_machine import MotionPoint, Value
+from .signals import SignalEquations
 
 
 class ForceBalance(NamedTuple):
@@ -37,8 +39,8 @@ class ForceBalance(NamedTuple):
         forces: Sum of all forces on each coordinate except viscous and Coulomb friction. The integrator keeps it
             constant over a step.
         coulomb: Coulomb friction force F (magnitude) of each coordinate; zero where an effect replaces it.
-        arguments: By index of the effect in the machine, the arguments that its formula `next_state` takes at this
-            point: "level", the Coulomb friction force, N or Nm, or "i", the current of the drive, A.
+        arguments: By index in `instances`, the arguments that the formula `next_state` of an effect takes there:
+            "level", the Coulomb friction force, N or Nm, or "i", the current of the drive, A.
     """
 
     forces: list[Value]
@@ -46,7 +48,7 @@ class ForceBalance(NamedTuple):
     arguments: dict[int, dict[str, Value]]
 
 
-class Equations(BeltEquations):
+class Equations(BeltEquations, SignalEquations):
     """Equations of motion of one machine.
 
     All forces act along the belt travel of a coordinate: N on a carriage, torque / radius (N) on a pulley.
@@ -58,22 +60,6 @@ class Equations(BeltEquations):
     """
 
     # -- drives ----------------------------------------------------------------------------------------------------
-
-    def motor_voltages(self, voltages: Sequence[Value]) -> list[Value]:
-        """Apply the effects of the amplifiers (offset, gain error, dead band, ...) to the commanded voltages.
-
-        Args:
-            voltages: Commanded voltage of each drive, V, after its delay.
-
-        Returns:
-            Voltage at the terminals of each motor, V, in the machine's order.
-        """
-        result = []
-        for j, (drive, voltage) in enumerate(zip(self.machine.drives, voltages, strict=True)):
-            for _, e in self.effects_at("voltage", drive.name, "drives"):  # "drives": the effect acts on all of them
-                voltage = self.evaluate(e, "voltage", {"V": voltage})
-            result.append(named("voltage", j, voltage))
-        return result
 
     def add_drive_forces(self, forces: Sequence[Value], motor_voltages: Sequence[Value]) -> list[Value]:
         """Add the drive forces due to voltage, N Kt V / (R r) for gear ratio N and pulley radius r.
@@ -138,7 +124,7 @@ class Equations(BeltEquations):
         Returns:
             forces: Sum of all forces on each coordinate except viscous and Coulomb friction, along its belt travel, N.
             coulomb: Coulomb friction force (magnitude) of each coordinate, N.
-            arguments: Friction forces and currents that `next_state` takes, by index of the effect.
+            arguments: Friction forces and currents that `next_state` takes, by index in `instances`.
         """
         arguments: dict[int, dict[str, Value]] = {}
         totals, levels = [], []
@@ -151,7 +137,7 @@ class Equations(BeltEquations):
                 force = force - self.evaluate(e, "friction", quantities) * self.per_radius(i)
                 level = 0.0
             for k, e in self.effects_on("force", i):
-                if not e.definition.active_region:
+                if not e.definition.active_region and not _needs_net_force(e):
                     force = force + self._force_of(k, i, point)
             for j, drive in enumerate(self.machine.drives):
                 if self.drive_coordinates[j] == i and any(self.effects_at("current", drive.name)):
@@ -159,31 +145,38 @@ class Equations(BeltEquations):
                     force = force + change * self.per_radius(i)
             totals.append(force)
             levels.append(level)
-        return ForceBalance(self._with_guarded_forces(totals, point), levels, arguments)
+        totals = self._with_guarded_forces(totals, point)
+        return ForceBalance(self._with_reactions(totals, levels, point), levels, arguments)
 
     def _coulomb_level(self, i: int, point: MotionPoint) -> Value:
         """Return the Coulomb friction force of coordinate i with its effects, N; never negative."""
         level = self.coulomb(i)
-        effects = list(self.effects_on("coulomb", i))
+        # Effects that scale the friction force come after those that add to it.
+        effects = sorted(
+            self.effects_on("coulomb", i), key=lambda e: "level" in argument_names(e[1].definition.coulomb)
+        )
         for k, e in effects:
-            level = level + self.evaluate(e, "coulomb", self._with_state(k, i, point)) * self.per_radius(i)
+            quantities = {**self._with_state(k, i, point), "level": level * self.radius(i)}
+            level = level + self.evaluate(e, "coulomb", quantities) * self.per_radius(i)
         return maximum(level, 0.0) if effects else level
 
     def _force_of(self, k: int, i: int, point: MotionPoint) -> Value:
         """Return the force of effect k along the belt travel of coordinate i, N."""
-        effect = self.machine.effects[k]
+        effect = self.instances[k].effect
         return self.evaluate(effect, "force", self._with_state(k, i, point)) * self.per_radius(i)
 
     def _with_guarded_forces(self, forces: list[Value], point: MotionPoint) -> list[Value]:
         """Add the forces that vanish for most machines; a kernel evaluates them only where one of them acts."""
-        guarded = [k for k, e in enumerate(self.machine.effects) if e.definition.force and e.definition.active_region]
+        guarded = [
+            k for k, e in enumerate(self.instances) if e.effect.definition.force and e.effect.definition.active_region
+        ]
         if not guarded:
             return forces
-        coordinates = [self._effect_coordinates[k] for k in guarded]
+        coordinates = [self.instances[k].coordinate for k in guarded]
 
         def active() -> Value:
             regions = [
-                self.evaluate(self.machine.effects[k], "active_region", self._quantities(k, i, point))
+                self.evaluate(self.instances[k].effect, "active_region", self._quantities(k, i, point))
                 for k, i in zip(guarded, coordinates, strict=True)
             ]
             condition = regions[0]
@@ -201,6 +194,25 @@ class Equations(BeltEquations):
         updated = dict(zip(touched, update_if_any(active, [forces[i] for i in touched], update), strict=True))
         return [updated.get(i, force) for i, force in enumerate(forces)]
 
+    def _with_reactions(self, forces: list[Value], levels: Sequence[Value], point: MotionPoint) -> list[Value]:
+        """Add the forces of the effects that depend on the net force on the coordinate at their site."""
+        result = list(forces)
+        for k, instance in enumerate(self.instances):
+            if _needs_net_force(instance.effect):
+                site, i = self.machine.coordinate_names.index(instance.component), instance.coordinate
+                v, level = point.speed[site], levels[site]
+                static = minimum(maximum(forces[site], -level), level)
+                friction = where(absolute(v) > 0.0, copysign(level, v), static)
+                friction = friction + self.viscous(site, copysign(1.0, v)) * v
+                quantities = {
+                    "m": self.mass(i) * self.radius(i) * self.radius(i),
+                    "net": (forces[site] - friction) * self.radius(site),
+                    "friction": friction * self.radius(site),
+                }
+                force = self.evaluate(instance.effect, "force", {**self._with_state(k, i, point), **quantities})
+                result[i] = result[i] + force * self.per_radius(i)
+        return result
+
     def balance(self, point: MotionPoint, voltages: Sequence[Value]) -> ForceBalance:
         """Return the sum of belt, drive and effect forces at a point, and the Coulomb friction force separately.
 
@@ -211,7 +223,7 @@ class Equations(BeltEquations):
         Returns:
             forces: Sum of all forces on each coordinate except viscous and Coulomb friction, along its belt travel, N.
             coulomb: Coulomb friction force (magnitude) of each coordinate, N.
-            arguments: Friction forces and currents that `next_state` takes, by index of the effect.
+            arguments: Friction forces and currents that `next_state` takes, by index in `instances`.
         """
         motor_voltages = self.motor_voltages(voltages)
         forces = self.belt_forces(point, self.belt_states(point))
@@ -254,57 +266,6 @@ class Equations(BeltEquations):
         """
         return [force / self.mass(i) for i, force in enumerate(self.net_forces(point, voltages, direction))]
 
-    # -- sensors and delays ----------------------------------------------------------------------------------------
-
-    def sensor_readings(self, positions: Sequence[Value]) -> list[Value]:
-        """Return the reading of every sensor, without delay, noise and resolution.
-
-        Args:
-            positions: Position of each coordinate, m or rad.
-
-        Returns:
-            Reading of every sensor with the effects on it (scale, skew, ...), m or rad (unit of its channel).
-        """
-        names = self.machine.coordinate_names
-        readings = []
-        for j, sensor in enumerate(self.machine.sensors):
-            terms = []
-            for key in sensor.row:  # a key is a coordinate, or a product of two such as "y*yaw"
-                factors = [key] if key in names else key.split("*")
-                value = positions[names.index(factors[0])]
-                for factor in factors[1:]:
-                    value = value * positions[names.index(factor)]
-                terms.append(value)
-            reading = combination(dict(enumerate(sensor.row.values())), terms)
-            across = self.machine.other_axis(sensor.coordinate)  # skew depends on the other carriage's position
-            quantities = {"across": positions[names.index(across)] if across else 0.0}
-            for _, e in self.effects_at("measurement", sensor.channel):
-                reading = self.evaluate(e, "measurement", {"r": reading, **quantities})
-            readings.append(named("reading", j, reading))
-        return readings
-
-    def voltage_delays(self) -> list[Value]:
-        """Return the delay from commanded to effective voltage of each drive, the sum over its effects.
-
-        Returns:
-            Delay of each drive, s, in the machine's order; 0 without delay.
-        """
-        return [self._delay("delay", d.name, "drives") for d in self.machine.drives]
-
-    def measurement_delays(self) -> list[Value]:
-        """Return the delay from reading to measurement of each sensor, the sum over its effects.
-
-        Returns:
-            Delay of each sensor, s, in the machine's order; 0 without delay.
-        """
-        return [self._delay("measurement_delay", s.channel) for s in self.machine.sensors]
-
-    def _delay(self, hook: str, *sites: str) -> Value:
-        delay: Value = 0.0
-        for _, e in self.effects_at(hook, *sites):
-            delay = delay + self.evaluate(e, hook, {})
-        return delay
-
     # -- arrays ----------------------------------------------------------------------------------------------------
 
     def point(
@@ -321,7 +282,7 @@ class Equations(BeltEquations):
             velocities: Velocities, m/s or rad/s, of the same shape; None: at rest.
             time_s: Time since the machine was switched on, s, shape (...).
             effect_states: State of each effect that has one (bristle deflection, motor current, ...), in its unit, by
-                the index of the effect in the machine; None: all zero.
+                its index in `instances`; None: all zero.
 
         Returns:
             The point: lists of belt travel, m, and its rate, m/s, with one array of shape (...) per coordinate.
@@ -346,3 +307,8 @@ class Equations(BeltEquations):
             Forces, N, or torques, Nm (force * radius), shape (..., coordinates).
         """
         return np.stack(np.broadcast_arrays(*(f * self.radius(i) for i, f in enumerate(forces))), axis=-1)
+
+
+def _needs_net_force(effect: AppliedEffect) -> bool:
+    """Return whether the force of an effect depends on the net force on the coordinate at its site."""
+    return effect.definition.force is not None and "net" in argument_names(effect.definition.force)

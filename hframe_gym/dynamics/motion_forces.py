@@ -20,7 +20,7 @@ from .parameterized_machine import MotionPoint
 
 Array = NDArray[np.float64]
 # The flow of a bristle state over a distance without turning point is exact, so few steps suffice.
-_FRICTION_STATE_STRIDE = 5
+_BRISTLE_STATE_STRIDE = 5
 
 
 def belt_states(machine: Machine, positions: ArrayLike, velocities: ArrayLike | None = None) -> list[BeltState]:
@@ -178,19 +178,20 @@ def effect_states(
             of the parameters.
 
     Returns:
-        States by index of the effect in the machine, in the effect's unit, arrays of shape (n,), or (variants, n) for
+        States by index in `Equations.instances`, in the effect's unit, arrays of shape (n,), or (variants, n) for
         several variants of the parameters. The state of an effect on a current is its mean between a sample and the
         next, because the voltage is held that long.
     """
     states: dict[int, Array] = {}
     for k in equations.states:
-        effect = equations.machine.effects[k]
+        effect = equations.instances[k].effect
         point = equations.point(positions, velocities, time_s, states)
         motor_voltages = equations.motor_voltages(voltages)
         arguments = equations.force_balance(point, motor_voltages, [0.0] * len(point.travel)).arguments.get(k, {})
         rows = np.arange(len(time_s))
-        if effect.definition.friction:  # a bristle; `_FRICTION_STATE_STRIDE` gives the reason
-            rows = np.unique(np.append(rows[::_FRICTION_STATE_STRIDE], rows[-1]))
+        if argument_names(effect.definition.next_state) != ("z", "dq") and not effect.definition.current:
+            # A bristle; `_BRISTLE_STATE_STRIDE` gives the reason.
+            rows = np.unique(np.append(rows[::_BRISTLE_STATE_STRIDE], rows[-1]))
         states[k] = _integrated(equations, k, point, arguments, time_s, rows)
     return states
 
@@ -207,7 +208,7 @@ def _integrated(
 
     The loop is sequential, so everything that `next_state` needs is looked up before it.
     """
-    effect = equations.machine.effects[k]
+    effect = equations.instances[k].effect
     function: Any = effect.definition.next_state
     steps = _step_arguments(equations, k, point, arguments, time_s, rows)
     shape = np.broadcast_shapes((1,), *((*values.shape[:-1], 1) for values in steps.values() if values.ndim > 1))
@@ -240,7 +241,7 @@ def _step_arguments(
     rows: NDArray[np.intp],
 ) -> dict[str, Array]:
     """Return all arguments of effect k's `next_state` but its state, per step: arrays (rows,) or (variants, rows)."""
-    effect, i = equations.machine.effects[k], equations.state_coordinates[k]
+    effect, i = equations.instances[k].effect, equations.instances[k].state_coordinate
     durations = np.diff(time_s[rows])
     series: dict[str, Any] = {"dt": np.append(durations, durations[-1] if len(durations) else 0.0)}
     for name, values in arguments.items():

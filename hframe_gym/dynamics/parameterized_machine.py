@@ -9,6 +9,7 @@ from functools import cached_property
 from typing import Any
 
 from ..machine import AppliedEffect, Coordinate, Drive, Machine, argument_names
+from .effect_instances import effect_instances
 from .elementwise import named
 
 Value = Any
@@ -23,8 +24,8 @@ class MotionPoint:
         travel: Belt travel of each coordinate, m (radius * angle of a rotary one).
         speed: Rate of the belt travel, m/s.
         time: Time since the machine was switched on, s.
-        effect_states: State of each effect that has one (bristle deflection, motor current, ...), in its unit, by the
-            effect's index in the machine.
+        effect_states: State of each effect that has one (bristle deflection, motor current, ...), in its unit, by its
+            index in `ParameterizedMachine.instances`.
         elapsed: Time that has passed since `effect_states` were valid, s; None if they are those of this point.
     """
 
@@ -47,8 +48,8 @@ class ParameterizedMachine:
         extension_rows: For each belt, extension per belt travel, m/m, by index of the coordinate.
         length_rows: For each belt, change of length per belt travel, m/m, by index of the coordinate.
         drive_coordinates: For each drive, index of the coordinate that it moves.
-        states: Indices of the effects that have a state.
-        state_coordinates: For each effect, index of the coordinate whose motion changes its state; -1 for none.
+        instances: Effects, once for each component on which they act.
+        states: Indices of the instances that have a state.
     """
 
     def __init__(self, machine: Machine, values: Mapping[str, Value] | None = None) -> None:
@@ -59,24 +60,8 @@ class ParameterizedMachine:
         self.extension_rows = [{index[c]: g for c, g in b.extension.items() if g} for b in machine.belts]
         self.length_rows = [{index[c]: g for c, g in b.length.items() if g} for b in machine.belts]
         self.drive_coordinates = [index[d.coordinate] for d in machine.drives]
-        self._effect_coordinates = [index.get(self._acts_on(e), -1) for e in machine.effects]
-        # A tabulated effect over the path of a coordinate integrates that coordinate's path.
-        self.state_coordinates = [
-            index.get(e.definition.against.partition(" of ")[2], i)
-            for e, i in zip(machine.effects, self._effect_coordinates, strict=True)
-        ]
-        self.states = [k for k, e in enumerate(machine.effects) if e.definition.next_state]
-
-    def _acts_on(self, effect: AppliedEffect) -> str:
-        """Return the name of the coordinate on which an effect acts, empty for none."""
-        definition, machine = effect.definition, self.machine
-        if definition.coordinate:
-            return definition.coordinate
-        if definition.site in ("motor", "drive"):
-            return next((d.coordinate for d in machine.drives if d.name == effect.site), "")
-        if definition.site == "sensor":
-            return ""
-        return machine.coordinate_of_site(effect.site) or ""
+        self.instances = effect_instances(machine)
+        self.states = [k for k, instance in enumerate(self.instances) if instance.effect.definition.next_state]
 
     # -- parameters ------------------------------------------------------------------------------------------------
 
@@ -187,19 +172,19 @@ class ParameterizedMachine:
 
     # -- effects ---------------------------------------------------------------------------------------------------
 
-    def effects_at(self, hook: str, *sites: str) -> Iterator[tuple[int, AppliedEffect]]:
-        """Iterate over the effects that have a certain hook (formula) and act at one of the sites.
+    def effects_at(self, hook: str, component: str) -> Iterator[tuple[int, AppliedEffect]]:
+        """Iterate over the effects that have a certain hook (formula) and act on a component.
 
         Args:
             hook: Name of the hook, for example "voltage"; see `hframe_gym.machine.Effect`.
-            *sites: Names of the sites, for example "motor1" or "belts".
+            component: Name of a drive, belt, coordinate or sensor channel, for example "motor1".
 
         Yields:
-            Index of the effect in the machine, and the effect.
+            Index of the effect in `instances`, and the effect.
         """
-        for k, e in enumerate(self.machine.effects):
-            if getattr(e.definition, hook) and e.site in sites:
-                yield k, e
+        for k, instance in enumerate(self.instances):
+            if getattr(instance.effect.definition, hook) and instance.component == component:
+                yield k, instance.effect
 
     def effects_on(self, hook: str, i: int) -> Iterator[tuple[int, AppliedEffect]]:
         """Iterate over the effects that have a certain hook (formula) and act on a coordinate.
@@ -209,11 +194,11 @@ class ParameterizedMachine:
             i: Index of the coordinate.
 
         Yields:
-            Index of the effect in the machine, and the effect.
+            Index of the effect in `instances`, and the effect.
         """
-        for k, e in enumerate(self.machine.effects):
-            if getattr(e.definition, hook) and self._effect_coordinates[k] == i:
-                yield k, e
+        for k, instance in enumerate(self.instances):
+            if getattr(instance.effect.definition, hook) and instance.coordinate == i:
+                yield k, instance.effect
 
     def evaluate(self, effect: AppliedEffect, hook: str, quantities: Mapping[str, Value]) -> Value:
         """Evaluate a hook (formula) of an effect with the parameter values of this object.
@@ -262,7 +247,7 @@ class ParameterizedMachine:
         """Return the state of an effect at a point, advanced by `point.elapsed` if that is set.
 
         Args:
-            k: Index of the effect in the machine.
+            k: Index of the effect in `instances`.
             point: Belt travel and speed of every coordinate, and states of the effects.
             **arguments: Coulomb friction force `level`, N or Nm, and current `i`, A, if its `next_state` takes them.
 
@@ -274,13 +259,13 @@ class ParameterizedMachine:
         state = point.effect_states.get(k, 0.0)
         if point.elapsed is None:
             return state
-        speed = self.speed(point, self.state_coordinates[k])
+        speed = self.speed(point, self.instances[k].state_coordinate)
         quantities = {"z": state, "dq": point.elapsed * speed, "dt": point.elapsed, "v": speed, **arguments}
-        return named("effect_state", k, self.evaluate(self.machine.effects[k], "next_state", quantities))
+        return named("effect_state", k, self.evaluate(self.instances[k].effect, "next_state", quantities))
 
     def _quantities(self, k: int, i: int, point: MotionPoint) -> dict[str, Value]:
         """Return the arguments of the hooks that act on coordinate i, except for the effect's state."""
-        effect = self.machine.effects[k]
+        effect = self.instances[k].effect
         quantities = {"q": self.position(point, i), "v": self.speed(point, i), "t": point.time}
         variable, _, name = effect.definition.against.partition(" of ")
         if variable == "time":
@@ -294,7 +279,7 @@ class ParameterizedMachine:
         """Return the arguments of the hooks that act on coordinate i, with the effect's state."""
         quantities = self._quantities(k, i, point)
         quantities["z"] = self.effect_state(k, point)
-        if self.machine.effects[k].definition.against.startswith("path"):
+        if self.instances[k].effect.definition.against.startswith("path"):
             quantities["u"] = quantities["z"]
         return quantities
 
@@ -310,7 +295,7 @@ class ParameterizedMachine:
         """Return the state of an effect after a step of the integrator.
 
         Args:
-            k: Index of the effect in the machine.
+            k: Index of the effect in `instances`.
             state: State before the step, in the unit of the effect.
             arguments: Coulomb friction force `level` (N or Nm) or current `i` (A), from `ForceBalance.arguments[k]`.
             traveled: Change of the belt travel of each coordinate over the step, m.
@@ -321,6 +306,6 @@ class ParameterizedMachine:
             State after the step, in the unit of the effect.
         """
         quantities = {"z": state, "dt": dt, **arguments}
-        if (i := self.state_coordinates[k]) >= 0:
+        if (i := self.instances[k].state_coordinate) >= 0:
             quantities |= {"dq": traveled[i] * self.per_radius(i), "v": speed[i] * self.per_radius(i)}
-        return self.evaluate(self.machine.effects[k], "next_state", quantities)
+        return self.evaluate(self.instances[k].effect, "next_state", quantities)

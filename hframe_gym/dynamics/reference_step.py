@@ -33,8 +33,8 @@ class StepState:
         travel: Belt travel of each coordinate, m (radius * angle of a rotary one).
         speed: Rate of the belt travel, m/s.
         time: Time since the machine was switched on, s.
-        effect_states: State of each effect that has one (bristle deflection, motor current, ...), in its unit, by the
-            effect's index in the machine.
+        effect_states: State of each effect that has one (bristle deflection, motor current, ...), in its unit, by its
+            index in `Equations.instances`.
     """
 
     travel: Sequence[float]

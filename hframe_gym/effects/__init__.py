@@ -76,15 +76,16 @@ def get_effect(name: str) -> Effect:
 
 
 def effect_sites(effect: Effect, machine: Machine) -> tuple[str, ...]:
-    """Return the sites of a machine at which an effect can act.
+    """Return the sites of a machine at which a search tries an effect.
 
     Args:
         effect: Definition of the effect.
         machine: The machine.
 
     Returns:
-        Names of coordinates, drives or sensor channels, or one of "drives", "belts", "machine", by the kind of the
-        effect; empty if the effect cannot act on the machine.
+        Names of coordinates, drives, belts or sensor channels, and the words "drives", "belts" (all of them at once)
+        and "machine", by the kind of the effect. A word precedes the names. Empty if the effect cannot act on the
+        machine.
     """
     if effect.fits and not effect.fits(machine):
         return ()
@@ -93,9 +94,9 @@ def effect_sites(effect: Effect, machine: Machine) -> tuple[str, ...]:
         # Coordinates whose mass is tied to another parameter have the same parameters; no effect acts on one alone.
         "coordinate": tuple(c for c in machine.coordinate_names if f"{c}.mass" not in machine.ties),
         "motor": drives,
-        "drive": drives,
+        "drive": ("drives", *drives) if effect.shared and len(drives) > 1 else drives,
         "drives": ("drives",),
-        "belts": ("belts",) if machine.belts else (),
+        "belts": effect.possible_sites(machine)[: None if len(machine.belts) > 1 else 1],
         "sensor": tuple(s.channel for s in machine.sensors),
         "machine": ("machine",),
     }[effect.site]

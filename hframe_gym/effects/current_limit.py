@@ -13,6 +13,7 @@ EFFECT = Effect(
     name="current_limit",
     family="current_limit",
     site="drive",
+    shared=True,
     formula="|i| <= I",
     source="protection of amplifiers and motors",
     current=current,

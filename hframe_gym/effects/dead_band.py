@@ -17,6 +17,7 @@ EFFECT = Effect(
     name="dead_band",
     family="dead_band",
     site="drive",
+    shared=True,
     formula="V' = 0 for |V| < Vd, else V - drop Vd sign V",
     source="output stages without bias; brush contact voltage",
     voltage=voltage,

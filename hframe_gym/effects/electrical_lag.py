@@ -30,6 +30,7 @@ EFFECT = Effect(
     name="electrical_lag",
     family="electrical_lag",
     site="drive",
+    shared=True,
     formula="tau di/dt = (V - Ke N w)/R - i",
     source="equation of the armature circuit of a DC motor",
     current=current,

@@ -209,7 +209,9 @@ def _longest_delay(machine: Machine) -> float:
     """Return the longest dead time that a drive can have within the bounds of its effects, s."""
     longest = [0.0]
     for drive in machine.drives:
-        definitions = [e.definition for e in machine.effects if e.definition.delay and e.site in (drive.name, "drives")]
+        definitions = [
+            e.definition for e in machine.effects if e.definition.delay and drive.name in e.components(machine)
+        ]
         longest.append(sum(float(d.delay(*(p.upper for p in d.parameters))) for d in definitions if d.delay))
     return max(longest)
 

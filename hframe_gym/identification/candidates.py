@@ -120,10 +120,16 @@ def candidates(
         for site in effect_sites(effect, machine):
             if f"{effect.name}@{site}" in present:
                 continue
-            at_site = scales.of(machine.coordinate_of_site(site) or "")
+            at_site = _scales_at(site, machine, scales)
             for shape in _shapes(effect, site, machine, data, at_site, missing_force, slow_friction):
                 proposed.append(Candidate(effect, site, _columns(effect, shape, at_site), at_site))
     return proposed
+
+
+def _scales_at(site: str, machine: Machine, scales: TypicalScales) -> Mapping[str, float]:
+    """Return the typical sizes at a site; those of the first drive serve for all drives."""
+    component = machine.drives[0].name if site == "drives" else site
+    return scales.of(machine.coordinate_of_site(component) or "")
 
 
 def _columns(
@@ -201,7 +207,7 @@ def effect_parameters(effect: AppliedEffect, machine: Machine, scales: TypicalSc
     Returns:
         One free parameter for every parameter of the effect that is not fixed.
     """
-    at_site = scales.of(machine.coordinate_of_site(effect.site) or "")
+    at_site = _scales_at(effect.site, machine, scales)
     free = []
     for p in effect.definition.parameters:
         if p.role == "fixed":

@@ -81,9 +81,9 @@ class Effect:
     are the effect's parameters and the quantities of the table's last column:
 
     hook                returns                                                      arguments
-    force               force added to the coordinate, N or Nm                       q, v, t, z, u
+    force               force added to the coordinate, N or Nm                       q, v, t, z, u, m, net, friction
     active_region       where the force may differ from zero (default: everywhere)   q, v, t
-    coulomb             change of the Coulomb friction force, N or Nm (sum >= 0)     q, v, t, z, u
+    coulomb             change of the Coulomb friction force, N or Nm (sum >= 0)     q, v, t, z, u, level
     friction            dry friction force that replaces Coulomb friction, N or Nm   q, v, t, z, level
     viscous             viscous coefficient of the coordinate, Ns/m or Nms           b, direction (+1 or -1)
     voltage             voltage that reaches the drive, V                            V
@@ -102,14 +102,19 @@ class Effect:
     Symbols: q, v: position and speed of the coordinate in its unit; t: time since the machine was switched on, s; u:
     the variable that `against` names; z: the effect's state, zero when the simulation starts; b: viscous coefficient
     without the effect, Ns/m or Nms; direction: sign of the motion; V: voltage, V; level: Coulomb friction force of the
-    coordinate, N or Nm; i: current by Ohm's law, A; s, rate, k: extension (m), its rate (m/s) and stiffness (N/m) of a
-    belt; r: ideal measurement; across: position of the other linear coordinate, m; dt: length of a step, s; dq:
-    distance that the coordinate moves in dt; per_radius: 1/radius of the pulley, 1/m.
+    coordinate with the effects on it, N or Nm; i: current by Ohm's law, A; s, rate, k: extension (m), its rate (m/s)
+    and stiffness (N/m) of a belt; r: ideal measurement; across: position of the other linear coordinate, m; m: mass of
+    the coordinate, kg or kg m^2; net, friction: net force and friction force (dry and viscous) of the coordinate at the
+    site, where `structure` has added another one, N or Nm; dt: length of a step, s; dq: distance that the coordinate
+    moves in dt; per_radius: 1/radius of the pulley, 1/m.
 
     Attributes:
         name: Unique name.
         family: Name of the group of effects with the same physical cause that reports treat as one effect.
-        site: Kind of site at which the effect can act.
+        site: Kind of site at which the effect can act. "motor" is the coordinate of a drive, "drive" and "drives" its
+            amplifier and winding: one of them or, at the site "drives", all at once. "belts" are all belts at once or
+            one of them. "machine" is every coordinate at once, or the structure that `structure` changes. With several
+            components, the parameters are common and the states separate.
         parameters: Parameters, in the order of the full parameter vector.
         formula: The equation, for tables and reports.
         source: Reference of the formula.
@@ -118,6 +123,7 @@ class Effect:
         fits: Predicate (machine) -> bool: whether the machine has the components that the effect needs.
         fits_site: Predicate (machine, site) -> bool: whether the effect can act at that site.
         equivalent: Causes that no recording can distinguish from the effect, in words.
+        shared: Whether a search also tries an effect of the kind "drive" on all drives at once.
         refitted: Whether changed parameters of the machine can represent the effect, so that no search tests it.
         against: Variable `u` of a tabulated effect ("position of y", "velocity of y", "path of y", "time").
         coordinate: Name of the coordinate that `structure` adds, on which the force acts.
@@ -149,6 +155,7 @@ class Effect:
     fits: Callable[..., bool] | None = None
     fits_site: Callable[..., bool] | None = None
     equivalent: tuple[str, ...] = ()
+    shared: bool = False
     refitted: bool = False
     against: str = ""
     coordinate: str = ""
@@ -167,6 +174,26 @@ class Effect:
         """
         return next(p for p in self.parameters if p.name == name)
 
+    def possible_sites(self, machine: Machine) -> tuple[str, ...]:
+        """Return the sites of this effect's kind on a machine, without a check that the effect fits there.
+
+        Args:
+            machine: The machine.
+
+        Returns:
+            Names of coordinates, drives, belts or sensor channels, and the words "drives", "belts" or "machine".
+        """
+        drives = tuple(d.name for d in machine.drives)
+        return {
+            "coordinate": machine.coordinate_names,
+            "motor": drives,
+            "drive": (*drives, "drives"),
+            "drives": ("drives", *drives),
+            "belts": ("belts", *(b.name for b in machine.belts)) if machine.belts else (),
+            "sensor": machine.output_channels,
+            "machine": ("machine",),
+        }[self.site]
+
     @property
     def amplitudes(self) -> tuple[str, ...]:
         """Names of the parameters whose value zero means that the effect is absent."""
@@ -176,9 +203,10 @@ class Effect:
         """Combine the effect with a site of a machine and with parameter values.
 
         Args:
-            site: Where it acts. By the attribute `site`: name of a coordinate ("coordinate"), of a drive ("motor",
-                "drive"), a sensor channel ("sensor"), or the word "drives", "belts" or "machine" itself. Whether a
-                machine has the site is checked when the effect is added to it.
+            site: Where it acts. By the attribute `site`: name of a coordinate ("coordinate"), a drive ("motor",
+                "drive", "drives"), a belt ("belts") or a sensor channel ("sensor"), or the word "drives", "belts" or
+                "machine" for all components at once. Whether a machine has the site is checked when the effect is added
+                to it.
             **parameters: Value of every parameter of the effect, SI, within its bounds.
 
         Returns:
@@ -205,7 +233,7 @@ class AppliedEffect:
 
     Attributes:
         definition: Definition of the effect.
-        site: Name of the coordinate, drive or sensor channel, or "drives", "belts", "machine".
+        site: Name of the coordinate, drive, belt or sensor channel, or "drives", "belts", "machine".
         parameters: Values by name, SI: floats, or arrays for many variants at once.
     """
 
@@ -223,6 +251,27 @@ class AppliedEffect:
         """Name and site, "name@site": the prefix of the parameters' full names in `Machine.parameters`."""
         return f"{self.definition.name}@{self.site}"
 
+    def components(self, machine: Machine) -> tuple[str, ...]:
+        """Return the components of a machine on which the effect acts.
+
+        Args:
+            machine: Machine that has the site.
+
+        Returns:
+            Names of all drives at the site "drives", of all belts at "belts", of all coordinates at "machine" (the word
+            "machine" itself for an effect that changes the structure); at any other site its name alone.
+        """
+        kind = self.definition.site
+        if kind == "machine":
+            return ("machine",) if self.definition.structure else machine.coordinate_names
+        names = {
+            "drive": tuple(d.name for d in machine.drives),
+            "drives": tuple(d.name for d in machine.drives),
+            "belts": tuple(b.name for b in machine.belts),
+        }.get(kind, ())
+        # A component that is called "drives" or "belts" comes before all of them.
+        return (self.site,) if self.site in names or not names else names
+
     def with_parameters(self, parameters: Mapping[str, float]) -> AppliedEffect:
         """Return a copy of the effect with other parameter values.
 
@@ -235,7 +284,7 @@ class AppliedEffect:
         return dataclasses.replace(self, parameters=dict(parameters))
 
     def check_site(self, machine: Machine) -> None:
-        """Check that a machine has the coordinate, drive or sensor channel at which the effect acts.
+        """Check that a machine has the coordinate, drive, belt or sensor channel at which the effect acts.
 
         Args:
             machine: Machine to check.
@@ -243,14 +292,7 @@ class AppliedEffect:
         Raises:
             ValueError: If the machine has no such site; the message lists its sites.
         """
-        drives = tuple(d.name for d in machine.drives)
-        sites = {
-            "coordinate": machine.coordinate_names,
-            "motor": drives,
-            "drive": drives,
-            "drives": ("drives", *drives),
-            "sensor": machine.output_channels,
-        }.get(self.definition.site, (self.definition.site,))
+        sites = self.definition.possible_sites(machine)
         if self.site not in sites:
             choices = ", ".join(sites)
             raise ValueError(

@@ -311,10 +311,10 @@ class _FileReader:
             definition = get_effect(entry.name)
         except KeyError:
             raise self.error(field, f"no such effect; there are {', '.join(EFFECTS)}") from None
-        # The components in the file already contain what a structural effect adds.
-        sites = ("machine",) if definition.structure else effect_sites(definition, machine)
-        if definition.site == "drives":
-            sites = (*sites, *(d.name for d in machine.drives))
+        sites = effect_sites(definition, machine)
+        # A file may declare sites that no search tries, and already has the components that a structural effect adds.
+        if definition.structure or definition.site in ("drive", "drives"):
+            sites = definition.possible_sites(machine)
         if entry.site not in sites:
             raise self.error(field, f"site {entry.site!r} is none of {', '.join(sites) or 'this machine'}")
         try:

@@ -187,6 +187,9 @@ def test_a_small_dead_band_does_not_change_the_least_time(hframe_problem: TimeOp
         ("presliding", "x", "has a memory"),
         ("electrical_lag", "motor1", "has a memory"),
         ("belt_play", "belts", "not differentiable"),
+        ("belt_slack", "left", "not differentiable"),
+        ("electrical_lag", "drives", "memory"),
+        ("frame_resonance", "x", "moves a sensor"),
         ("belt_slack", "belts", "not differentiable"),
     ],
 )

@@ -13,7 +13,7 @@ import numpy as np
 
 from hframe_gym.effects import EFFECTS
 from hframe_gym.machine import AppliedEffect
-from tests.reference_simulator import Rig, Yaw, simulate
+from tests.reference_simulator import Frame, Rig, Yaw, simulate
 from tests.reference_simulator.sensors import Sensors
 
 START = (0.08, -0.05)  # position of the tool at the start of a run, m
@@ -92,6 +92,19 @@ _CASES = (
         {"bristle_stiffness": _x(1e4), "bristle_damping": _x(60.0)},
     ),
     Case(
+        "friction_warm_up",
+        "machine",
+        {"a": 0.9, "tau": 0.5},
+        {"friction_cold": (0.9,) * 4, "warm_up_s": 0.5},
+    ),
+    Case(
+        "bouc_wen_hysteresis",
+        "x",
+        {"F": 4.0, "L": 8e-3},
+        {"hysteresis_force": _x(4.0), "hysteresis_travel": _x(8e-3)},
+    ),
+    Case("dahl_hysteresis", "x", {"F": 2.2, "L": 6e-3}, {"dahl_force": _x(2.2), "dahl_travel": _x(6e-3)}),
+    Case(
         "cogging",
         "motor1",
         {"A": 0.03, "n": 23.6, "p": 0.5},
@@ -118,6 +131,12 @@ _CASES = (
         "machine",
         {"J": 0.06, "k": 4000.0, "c": 0.6, "w": 0.3},
         {"yaw": Yaw(inertia=0.06, stiffness=4000.0, viscous=0.6, half_width_m=0.3)},
+    ),
+    Case(
+        "frame_resonance",
+        "x",
+        {"f0": 19.0, "zeta": 0.05, "r": 0.05, "s": 0.8},
+        {"frame": Frame(hertz=19.0, damping=0.05, mass_ratio=0.05, ground_friction=0.8)},
     ),
     # The idlers of the simulator have half of the inertia and friction of each motor.
     Case(

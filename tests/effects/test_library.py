@@ -16,8 +16,8 @@ pytestmark = pytest.mark.unit
 
 EVERY_EFFECT = pytest.mark.parametrize("effect", EFFECTS.values(), ids=EFFECTS)
 WITH_AMPLITUDE = {name: case for name, case in CASES.items() if EFFECTS[name].amplitudes}
-QUANTITIES = {*"qvtzubViskr", "direction", "rate", "across", "dq", "dt", "level", "per_radius"}
-PLAIN_UNITS = {"1", "s", "V", "A", "m", "rad", "N", "1/m^2", "kg m^2", "Nm/rad", "Nms"}
+QUANTITIES = {*"qvtzubViskrm", "net", "friction", "direction", "rate", "across", "dq", "dt", "level", "per_radius"}
+PLAIN_UNITS = {"1", "s", "V", "A", "m", "rad", "N", "1/m^2", "kg m^2", "Nm/rad", "Nms", "Hz"}
 
 
 @EVERY_EFFECT
@@ -78,6 +78,24 @@ def test_effect_that_does_not_fit_has_no_site() -> None:
     axis = BUILTIN_MACHINES["axis"]()
     for name in ("belt_play", "eccentric_pulley", "bridge_yaw", "idler_inertia", "sensor_skew", "sensor_scale"):
         assert effect_sites(EFFECTS[name], axis) == ()
+
+
+def test_components_of_shared_sites(hframe: Machine) -> None:
+    """A search tries all drives or all belts first, then each of them; other effects on drives have no shared site."""
+    assert effect_sites(EFFECTS["electrical_lag"], hframe) == ("drives", "motor1", "motor2")
+    assert effect_sites(EFFECTS["belt_play"], hframe) == ("belts", "left", "right", "bottom")
+    assert effect_sites(EFFECTS["voltage_offset"], hframe) == ("motor1", "motor2")
+    assert EFFECTS["electrical_lag"].at("drives", tau=1e-3).components(hframe) == ("motor1", "motor2")
+    assert EFFECTS["belt_play"].at("left", d=1e-4).components(hframe) == ("left",)
+    assert all(not effect.shared or effect.site == "drive" for effect in EFFECTS.values())
+    axis = BUILTIN_MACHINES["axis"]()
+    assert effect_sites(EFFECTS["electrical_lag"], axis) == tuple(d.name for d in axis.drives)
+
+
+def test_unknown_belt_is_refused(hframe: Machine) -> None:
+    """The message lists the sites."""
+    with pytest.raises(ValueError, match="has no site 'middle'; choose one of belts, left, right, bottom"):
+        hframe.with_effects(EFFECTS["belt_play"].at("middle", d=1e-4))
 
 
 def test_skew_fits_linear_sensors_only(hframe: Machine) -> None:

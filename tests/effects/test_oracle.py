@@ -54,6 +54,44 @@ def test_dead_band_without_drop_is_a_switch(hframe: Machine) -> None:
     assert difference(hframe, time_s, inputs, expected) > 20 * TOLERANCE
 
 
+SHARED_BY_BOTH_DRIVES = {
+    "electrical_lag": ({"tau": 1.5e-3}, {"electrical_lag_s": (1.5e-3, 1.5e-3)}),
+    "dead_band": ({"Vd": 0.4, "drop": 1.0}, {"dead_band_V": (0.4, 0.4)}),
+    "current_limit": ({"I": 4.5}, {"current_limit_A": (4.5, 4.5)}),
+}
+
+
+@pytest.mark.parametrize("name", SHARED_BY_BOTH_DRIVES)
+def test_effect_on_both_drives(name: str, hframe: Machine) -> None:
+    """One effect at "drives" acts on both drives, each with its own current."""
+    time_s, inputs = history(13)
+    parameters, fields = SHARED_BY_BOTH_DRIVES[name]
+    positions, _ = reference.simulate(reference.Rig(**fields), time_s, inputs, START)
+    machine = hframe.with_effects(EFFECTS[name].at("drives", **parameters))
+    tolerance = SWITCHING_TOLERANCE.get(name, TOLERANCE)
+    assert difference(machine, time_s, inputs, positions[:, [2, 3, 0, 1]]) < tolerance
+
+
+def test_damping_of_one_belt(hframe: Machine) -> None:
+    """The other two belts remain without damping."""
+    time_s, inputs = history(13)
+    rig = reference.Rig(belt_damping_s=1e-3, belt_damping_factor=(0.0, 1.0, 0.0))
+    positions, _ = reference.simulate(rig, time_s, inputs, START)
+    machine = hframe.with_effects(EFFECTS["belt_damping"].at("right", c=1e-3))
+    assert difference(machine, time_s, inputs, positions[:, [2, 3, 0, 1]]) < TOLERANCE
+
+
+@pytest.mark.parametrize("name", ["belt_damping", "belt_play", "belt_slack", "belt_hardening"])
+def test_effect_on_each_belt_equals_the_effect_on_all(name: str, hframe: Machine) -> None:
+    """Three effects at single belts, against the one at "belts", which the simulator confirms."""
+    time_s, inputs = history(17, seconds=0.3)
+    case = CASES[name]
+    each = [EFFECTS[name].at(belt.name, **case.parameters) for belt in hframe.belts]
+    expected = simulate(hframe.with_effects(case.effect), time_s, inputs, rest_state(hframe, START)).outputs
+    outputs = simulate(hframe.with_effects(*each), time_s, inputs, rest_state(hframe, START)).outputs
+    np.testing.assert_allclose(outputs, expected, atol=1e-9)
+
+
 def test_damped_belt_around_an_eccentric_pulley(hframe: Machine) -> None:
     """Belt damping acts on the rate at which the eccentric pulley draws its belts."""
     time_s, inputs = history(7)

@@ -40,7 +40,9 @@ def recorded(machine: Machine, name: str = "run", rows: int = 600) -> Recording:
 @pytest.fixture
 def data(axis: Machine) -> Dataset:
     """Return a data set of one noise-free run of the axis, with noise of 1 um for its weights."""
-    return dataclasses.replace(prepare([recorded(axis)], axis), noise=np.array([1e-6]), quantum=np.array([0.0]))
+    prepared = prepare([recorded(axis)], axis)
+    runs = tuple(dataclasses.replace(run, noise=np.full_like(run.outputs, 1e-6)) for run in prepared.runs)
+    return dataclasses.replace(prepared, runs=runs, noise=np.array([1e-6]), quantum=np.array([0.0]))
 
 
 def test_observer_is_critically_damped(axis: Machine) -> None:

@@ -129,4 +129,4 @@ def test_no_candidates_give_no_scores(axis: Machine) -> None:
 
 def test_only_effects_that_replace_a_part_have_no_small_version() -> None:
     without = {name for name, effect in EFFECTS.items() if has_no_small_version(effect)}
-    assert without == {"bridge_yaw", "idler_inertia", "presliding"}
+    assert without == {"bridge_yaw", "frame_resonance", "idler_inertia", "presliding"}

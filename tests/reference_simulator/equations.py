@@ -64,6 +64,12 @@ def derivative(
     dz[frame] = z[frame + 1]
     dz[frame + 1] = -stage.frame_w * (stage.frame_w * z[frame] + 2.0 * stage.frame_zeta * z[frame + 1])
     dz[frame + 1] -= stage.frame_ratio * dz[n]
+    if stage.frame_ground != 0.0:
+        x = coordinates[0]
+        friction = force[0]  # while the bridge sticks
+        if mode[0] != 0.0:
+            friction = x.viscous * (1.0 + x.viscous_asymmetry * np.sign(z[n])) * z[n] + mode[0] * level[0]
+        dz[frame + 1] -= stage.frame_ratio * stage.frame_ground * friction / x.mass
 
 
 @njit(cache=True)
@@ -115,6 +121,9 @@ def _force_of_coordinate(
         force -= c.hysteresis_force * w / travel
     if c.friction_stale != 0.0:
         dz[cable] = abs(v)  # the path traveled, in place of a cable's state
+    if c.dahl_force != 0.0:
+        dz[cable] = v - abs(v) * z[cable] / c.dahl_travel
+        force -= c.dahl_force * z[cable] / c.dahl_travel
     return force
 
 

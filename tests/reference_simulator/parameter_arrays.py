@@ -15,9 +15,17 @@ _OF_COORDINATE = [f.name for f in dataclasses.fields(Rig) if isinstance(f.defaul
 _OF_DRIVE = ["drive_gain", "voltage_offset_V", "dead_band_V", "current_limit_A", "electrical_lag_s"]
 _OF_DRIVE += ["heating_loss", "heating_s", "current_ripple", "current_ripple_order"]
 _OF_BELTS = ["belt_play_m", "belt_damping_s", "belt_pretension_N", "belt_hardening", "belt_energy_force"]
-_OF_STAGE = ["warm_up_s", *_OF_BELTS, "frame_w", "frame_zeta", "frame_ratio"]
+_OF_STAGE = ["warm_up_s", *_OF_BELTS, "frame_w", "frame_zeta", "frame_ratio", "frame_ground"]
 _DIVISORS = dict.fromkeys(
-    ("stribeck_velocity", "friction_wavelength", "friction_stale_path", "hysteresis_travel", "catch_width"), 1.0
+    (
+        "stribeck_velocity",
+        "friction_wavelength",
+        "friction_stale_path",
+        "hysteresis_travel",
+        "dahl_travel",
+        "catch_width",
+    ),
+    1.0,
 )
 COORDINATE = np.dtype([(name, "f8") for name in [*_OF_COORDINATE, "radius", "eccentricity_m", "eccentricity_phase"]])
 DRIVE = np.dtype([("coordinate", "i8"), ("gain", "f8"), ("emf", "f8"), ("ohm", "f8"), *((n, "f8") for n in _OF_DRIVE)])
@@ -162,7 +170,7 @@ def _stage(rig: Rig) -> NDArray[Any]:
     for name in ("warm_up_s", *_OF_BELTS):
         stage[name] = getattr(rig, name)
     if rig.frame:
-        hertz, zeta, ratio = dataclasses.astuple(rig.frame)
+        hertz, zeta, ratio, stage["frame_ground"] = dataclasses.astuple(rig.frame)
         stage["frame_w"], stage["frame_zeta"], stage["frame_ratio"] = 2.0 * np.pi * hertz, zeta, ratio
     return stage
 

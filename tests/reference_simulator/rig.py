@@ -45,12 +45,14 @@ class Frame:
     """Heavy frame on soft feet, which the acceleration of the bridge excites along x.
 
     f'' = -w^2 f - 2 zeta w f' - ratio x'', with w = 2 pi hertz. The laser is mounted beside the frame, so it measures
-    x + f. The frame's motion does not act back on the much lighter stage.
+    x + f. The frame's motion does not act back on the much lighter stage. Of the friction on the bridge, the frame does
+    not bear the fraction `ground_friction`: x'' above is x'' + ground_friction * friction / mass.
     """
 
     hertz: float = 11.0
     damping: float = 0.05
     mass_ratio: float = 0.05
+    ground_friction: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -100,6 +102,9 @@ class Rig:
     # Hysteresis of a cable chain (Bouc-Wen, n = 2): z' = v - (|v| |z| z + v z^2) / (2 Z^2), force -F z/Z.
     hysteresis_force: PerCoordinate = OFF  # F
     hysteresis_travel: PerCoordinate = (0.005, 0.005, 0.25, 0.25)  # Z, m and rad
+    # Hysteresis after Dahl, in place of the former: z' = v - |v| z / Z, force -F z/Z.
+    dahl_force: PerCoordinate = OFF  # F
+    dahl_travel: PerCoordinate = (0.005, 0.005, 0.25, 0.25)  # Z, m and rad
 
     constant_force: PerCoordinate = OFF
     viscous_asymmetry: PerCoordinate = OFF  # a: coefficient b (1 + a) forward, b (1 - a) backward

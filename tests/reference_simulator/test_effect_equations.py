@@ -127,6 +127,16 @@ def test_cable_chain_hysteresis():
     assert np.abs(y - _solve(rhs, [0.0, 0.0, 0.0], time_s)[0]).max() < 1e-9
 
 
+def test_dahl_hysteresis():
+    time_s, y, _ = _cart(dahl_force=(0.0, 3.0, 0.0, 0.0))
+
+    def rhs(t, z):
+        w = z[2] / 0.005
+        return [z[1], (10.0 - B * z[1] - FC - 3.0 * w) / M, z[1] - abs(z[1]) * w]
+
+    assert np.abs(y - _solve(rhs, [0.0, 0.0, 0.0], time_s)[0]).max() < 1e-9
+
+
 def test_friction_that_depends_on_the_speed_of_the_other_axis():
     rig = Rig(constant_force=(20.0, 10.0, 0.0, 0.0), friction_cross_speed=(0.0, 4.0, 0.0, 0.0), **LOOSE)
     time_s = np.linspace(0.0, 0.3, 31)

@@ -110,6 +110,10 @@ SITES: dict[str, tuple[str, ...]] = {
     "sensor_range": ("x_m",),
     "sensor_delay": ("x_m",),
     "presliding": ("x", "phi1"),
+    "dahl_hysteresis": ("x", "y"),
+    "bouc_wen_hysteresis": ("x",),
+    "friction_warm_up": ("machine",),
+    "frame_resonance": ("x",),
     "lugre": ("x",),
 }
 PAIRS = (
@@ -162,9 +166,12 @@ def _outside() -> dict[str, tuple[tuple[str, ...], Build]]:
         "bent rail": (("smooth_friction[position of y]@x",), partial(x, friction_cross_position=6.0)),
         "y rubs when x moves": (("smooth_friction[velocity of x]@y",), partial(y, friction_cross_speed=4.0)),
         "loose payload": ((), partial(change_fields, payload=Payload())),
-        "soft frame": ((), partial(change_fields, frame=Frame())),
+        "soft frame": (("frame_resonance@x",), partial(change_fields, frame=Frame())),
         "gear backlash": ((), partial(change_fields, backlash_rad=(0.012, 0.0))),
-        "cable chain": (("presliding@x",), partial(x, hysteresis_force=4.0, hysteresis_travel=0.008)),
+        "cable chain": (
+            ("presliding@x", "dahl_hysteresis@x", "bouc_wen_hysteresis@x"),
+            partial(x, hysteresis_force=4.0, hysteresis_travel=0.008),
+        ),
         "hot motor": ((), partial(motor, site="motor1", heating_loss=0.02)),
         "commutation ripple": ((), partial(motor, site="motor2", current_ripple=0.12, current_ripple_order=35.4)),
     }

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.reference_simulator import COORDINATES, Rig, Yaw
+from tests.reference_simulator import COORDINATES, Frame, Rig, Yaw
 from tests.reference_simulator.sensors import Sensors
 from tests.rigs.excitation import MAX_VOLTAGE_V
 
@@ -304,6 +304,21 @@ def effect(name: str, site: str, size: float) -> HiddenEffect:
             stiffness = _per_kind(site, 1e4, 10.0) / size
             build = partial(coordinate, bristle_stiffness=stiffness)
             return _hidden(name, site, build, {"s0": stiffness}, forces=("s0",))
+        case "dahl_hysteresis":
+            force, travel = size * {"x": 4.0, "y": 1.2}[site], 6e-3
+            build = partial(coordinate, dahl_force=force, dahl_travel=travel)
+            return _hidden(name, site, build, {"F": force, "L": travel}, forces=("F",))
+        case "bouc_wen_hysteresis":
+            force, travel = size * 4.0, 8e-3
+            build = partial(coordinate, hysteresis_force=force, hysteresis_travel=travel)
+            return _hidden(name, site, build, {"F": force, "L": travel}, forces=("F",))
+        case "friction_warm_up":
+            build = partial(change_fields, friction_cold=(1.5 * size,) * 4, warm_up_s=12.0)
+            return _hidden(name, site, build, {"a": 1.5 * size, "tau": 12.0})
+        case "frame_resonance":
+            ratio = size * 0.05
+            build = partial(change_fields, frame=Frame(hertz=15.0, mass_ratio=ratio))
+            return _hidden(name, site, build, {"f0": 15.0, "zeta": 0.05, "r": ratio, "s": 0.0})
         case "lugre":
             stiffness, damping = 2e4 / size, 100.0
             build = partial(

@@ -427,7 +427,7 @@ def draw_outside(rng: np.random.Generator) -> DrawnEffect:
     axis = str(rng.choice(_AXES))
     small = 0.3 if axis == "y" else 1.0
     at = partial(partial, change_site, sites=COORDINATES, site=axis)
-    tables = tuple(f"smooth_friction[time]@{c}" for c in COORDINATES)
+    warm_up = ("friction_warm_up@machine", *(f"smooth_friction[time]@{c}" for c in COORDINATES))
     choices: dict[str, tuple[str, Callable[[], Build], tuple[str, ...]]] = {
         "magnetic catch": (
             axis,
@@ -441,7 +441,7 @@ def draw_outside(rng: np.random.Generator) -> DrawnEffect:
         "warm-up": (
             "machine",
             lambda: partial(change_fields, friction_cold=(1.5 * size,) * 4, warm_up_s=float(rng.uniform(10.0, 40.0))),
-            tables,
+            warm_up,
         ),
         "frame resonance": (
             "x_m",

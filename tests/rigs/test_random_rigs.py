@@ -46,7 +46,13 @@ def test_set_has_what_it_promises():
 
 
 def test_every_effect_of_the_library_is_drawn_at_admissible_sites(hframe):
-    assert set(SITES) == set(EFFECTS)
+    # Drawn as effects outside the library, from before the library had them.
+    assert set(EFFECTS) - set(SITES) == {
+        "bouc_wen_hysteresis",
+        "dahl_hysteresis",
+        "friction_warm_up",
+        "frame_resonance",
+    }
     for name, sites in SITES.items():
         assert set(sites) <= {*effect_sites(EFFECTS[name], hframe), "drives"}
 

@@ -1,0 +1,60 @@
+"""Effects of a machine, listed once for each component on which they act.
+
+An effect at "drives" acts on every drive, one at "belts" on every belt, and one at "machine" on every coordinate, with
+the same parameters. Each of these instances has its separate state, for example the current of its motor.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..machine import AppliedEffect, Machine
+
+
+@dataclass(frozen=True)
+class EffectInstance:
+    """An effect on one of the components on which it acts.
+
+    Attributes:
+        effect: The effect as the machine has it; its label gives the names of its parameters.
+        component: Name of the coordinate, drive, belt or sensor channel, or "machine" for a structural effect.
+        coordinate: Index of the coordinate on which the effect acts; -1 for none (belts, sensors).
+        state_coordinate: Index of the coordinate whose motion changes the state of the effect; -1 for none.
+    """
+
+    effect: AppliedEffect
+    component: str
+    coordinate: int
+    state_coordinate: int
+
+
+def effect_instances(machine: Machine) -> list[EffectInstance]:
+    """List the effects of a machine, once for each component on which they act.
+
+    Args:
+        machine: Machine with its effects.
+
+    Returns:
+        Instances in the order of the machine's effects, and of the components for an effect on several.
+    """
+    index = {name: i for i, name in enumerate(machine.coordinate_names)}
+    instances = []
+    for effect in machine.effects:
+        for component in effect.components(machine):
+            coordinate = index.get(_moved_coordinate(effect, component, machine), -1)
+            # A tabulated effect over the path of a coordinate integrates that coordinate's path.
+            path_of = effect.definition.against.partition(" of ")[2]
+            instances.append(EffectInstance(effect, component, coordinate, index.get(path_of, coordinate)))
+    return instances
+
+
+def _moved_coordinate(effect: AppliedEffect, component: str, machine: Machine) -> str:
+    """Return the name of the coordinate on which an effect acts at a component, empty for none."""
+    definition = effect.definition
+    if definition.coordinate:
+        return definition.coordinate
+    if definition.site in ("motor", "drive", "drives"):
+        return machine.drive(component).coordinate
+    if definition.site in ("sensor", "belts"):
+        return ""
+    return machine.coordinate_of_site(component) or ""

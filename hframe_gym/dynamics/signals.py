@@ -1,0 +1,84 @@
+"""Signals of a machine: voltages at the motors, sensor readings, and delays, with the effects on them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from .belts import combination
+from .elementwise import named
+from .parameterized_machine import ParameterizedMachine, Value
+
+
+class SignalEquations(ParameterizedMachine):
+    """Equations of the amplifiers and sensors of one machine.
+
+    Args:
+        machine: Machine with its effects.
+        values: Parameter values (floats, arrays or symbolic expressions) by full name, for example
+            "sensor_scale@x_m.g"; other parameters keep the machine's values.
+    """
+
+    def motor_voltages(self, voltages: Sequence[Value]) -> list[Value]:
+        """Apply the effects of the amplifiers (offset, gain error, dead band, ...) to the commanded voltages.
+
+        Args:
+            voltages: Commanded voltage of each drive, V, after its delay.
+
+        Returns:
+            Voltage at the terminals of each motor, V, in the machine's order.
+        """
+        result = []
+        for j, (drive, voltage) in enumerate(zip(self.machine.drives, voltages, strict=True)):
+            for _, e in self.effects_at("voltage", drive.name):
+                voltage = self.evaluate(e, "voltage", {"V": voltage})
+            result.append(named("voltage", j, voltage))
+        return result
+
+    def sensor_readings(self, positions: Sequence[Value]) -> list[Value]:
+        """Return the reading of every sensor, without delay, noise and resolution.
+
+        Args:
+            positions: Position of each coordinate, m or rad.
+
+        Returns:
+            Reading of every sensor with the effects on it (scale, skew, ...), m or rad (unit of its channel).
+        """
+        names = self.machine.coordinate_names
+        readings = []
+        for j, sensor in enumerate(self.machine.sensors):
+            terms = []
+            for key in sensor.row:  # a key is a coordinate, or a product of two such as "y*yaw"
+                factors = [key] if key in names else key.split("*")
+                value = positions[names.index(factors[0])]
+                for factor in factors[1:]:
+                    value = value * positions[names.index(factor)]
+                terms.append(value)
+            reading = combination(dict(enumerate(sensor.row.values())), terms)
+            across = self.machine.other_axis(sensor.coordinate)  # skew depends on the other carriage's position
+            quantities = {"across": positions[names.index(across)] if across else 0.0}
+            for _, e in self.effects_at("measurement", sensor.channel):
+                reading = self.evaluate(e, "measurement", {"r": reading, **quantities})
+            readings.append(named("reading", j, reading))
+        return readings
+
+    def voltage_delays(self) -> list[Value]:
+        """Return the delay from commanded to effective voltage of each drive, the sum over its effects.
+
+        Returns:
+            Delay of each drive, s, in the machine's order; 0 without delay.
+        """
+        return [self._delay("delay", d.name) for d in self.machine.drives]
+
+    def measurement_delays(self) -> list[Value]:
+        """Return the delay from reading to measurement of each sensor, the sum over its effects.
+
+        Returns:
+            Delay of each sensor, s, in the machine's order; 0 without delay.
+        """
+        return [self._delay("measurement_delay", s.channel) for s in self.machine.sensors]
+
+    def _delay(self, hook: str, component: str) -> Value:
+        delay: Value = 0.0
+        for _, e in self.effects_at(hook, component):
+            delay = delay + self.evaluate(e, hook, {})
+        return delay

@@ -1,0 +1,65 @@
+"""A force with memory beside Coulomb friction, which springs back elastically after a reversal (Bouc 1967; Wen 1976).
+
+The force -F z of the state z (from -1 to 1, zero at the start of a run) builds up over a distance of about L:
+dz/dt = (v - (|v| |z| z + v z^2) / 2) / L. It differs from `dahl_hysteresis` in the shape of its loops: after a reversal
+the force falls along a straight line to zero, then it approaches F as tanh of the distance.
+"""
+
+from ..dynamics.elementwise import absolute, copysign, exp, maximum, minimum, where
+from ..machine import Effect, EffectParameter, Machine
+
+
+def next_state(z, dq, L):  # type: ignore[no-untyped-def]
+    """Compute the state after the distance dq without reversal.
+
+    Args:
+        z: State before, from -1 to 1.
+        dq: Distance moved, m.
+        L: Characteristic distance, m.
+
+    Returns:
+        State after, from -1 to 1.
+    """
+    direction = copysign(1.0, dq)
+    against, distance = z * direction, absolute(dq) / L  # `against` is negative after a reversal
+    straight = minimum(maximum(-against, 0.0), distance)  # part of the distance on the straight line to zero
+    after_straight = against + straight
+    rising = maximum(after_straight, 0.0)
+    # tanh(artanh(rising) + rest of the distance)
+    decay = (1.0 - rising) / (1.0 + rising) * exp(-2.0 * (distance - straight))
+    return direction * where(after_straight < 0.0, after_straight, (1.0 - decay) / (1.0 + decay))
+
+
+def force(z, F):  # type: ignore[no-untyped-def]
+    """Return the force -F z, N; z: state from -1 to 1, F: largest force, N."""
+    return -F * z
+
+
+def fits_site(machine: Machine, site: str) -> bool:
+    """Check whether the effect can act on a coordinate: a linear one, to which a cable can lead.
+
+    Args:
+        machine: The machine.
+        site: Name of the coordinate.
+
+    Returns:
+        True for a linear coordinate.
+    """
+    return machine.coordinate(site).kind == "linear"
+
+
+EFFECT = Effect(
+    name="bouc_wen_hysteresis",
+    family="hysteresis",
+    site="coordinate",
+    formula="f = -F z, dz/dt = (v - (|v| |z| z + v z^2)/2)/L",
+    source="Wen 1976, J. Eng. Mech. Div. ASCE 102(2), with n = 2 and equal loop parameters",
+    force=force,
+    next_state=next_state,
+    fits_site=fits_site,
+    parameters=(
+        EffectParameter("F", "force", 0.0, 1e3, scale=0.3, role="amplitude"),
+        # A force that builds up within less than a millimeter is presliding of the dry friction itself.
+        EffectParameter("L", "position", 1e-3, 1e3, scale=0.02, grid=(0.01, 0.03, 0.08)),
+    ),
+)

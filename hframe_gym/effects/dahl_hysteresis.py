@@ -1,0 +1,58 @@
+"""A force with memory beside Coulomb friction, as of a cable or an energy chain that bends (Dahl 1968).
+
+The force -F z of the state z (from -1 to 1, zero at the start of a run) builds up over a distance of about L after each
+reversal: dz/dt = (v - |v| z) / L. At constant direction z approaches the direction exponentially with the distance.
+"""
+
+from ..dynamics.elementwise import absolute, copysign, exp
+from ..machine import Effect, EffectParameter, Machine
+
+
+def next_state(z, dq, L):  # type: ignore[no-untyped-def]
+    """Compute the state after the distance dq without reversal: it approaches the sign of dq as exp(-|dq|/L).
+
+    Args:
+        z: State before, from -1 to 1.
+        dq: Distance moved, m.
+        L: Characteristic distance, m.
+
+    Returns:
+        State after, from -1 to 1.
+    """
+    final = copysign(1.0, dq)
+    return final + (z - final) * exp(-absolute(dq) / L)
+
+
+def force(z, F):  # type: ignore[no-untyped-def]
+    """Return the force -F z, N; z: state from -1 to 1, F: largest force, N."""
+    return -F * z
+
+
+def fits_site(machine: Machine, site: str) -> bool:
+    """Check whether the effect can act on a coordinate: a linear one, to which a cable can lead.
+
+    Args:
+        machine: The machine.
+        site: Name of the coordinate.
+
+    Returns:
+        True for a linear coordinate.
+    """
+    return machine.coordinate(site).kind == "linear"
+
+
+EFFECT = Effect(
+    name="dahl_hysteresis",
+    family="hysteresis",
+    site="coordinate",
+    formula="f = -F z, dz/dt = (v - |v| z)/L",
+    source="Dahl 1968, A solid friction model; Dahl 1976, AIAA Journal 14(12)",
+    force=force,
+    next_state=next_state,
+    fits_site=fits_site,
+    parameters=(
+        EffectParameter("F", "force", 0.0, 1e3, scale=0.3, role="amplitude"),
+        # A force that builds up within less than a millimeter is presliding of the dry friction itself.
+        EffectParameter("L", "position", 1e-3, 1e3, scale=0.02, grid=(0.01, 0.03, 0.08)),
+    ),
+)

@@ -1,0 +1,63 @@
+"""Tests of the checks that an identified machine must pass before it is written."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+
+from hframe_gym.effects import EFFECTS
+from hframe_gym.identification.machine_validation import (
+    monotonic_belts,
+    stable_under_rated_voltage,
+    validation_fault,
+)
+from hframe_gym.machine import BUILTIN_MACHINES, Machine
+from tests.effects.one_of_each import CASES, Case
+
+pytestmark = pytest.mark.unit
+
+ON_BELTS = {name: case for name, case in CASES.items() if EFFECTS[name].tension}
+
+
+@pytest.mark.parametrize("name", ["hframe", "axis"])
+def test_presets_pass(name: str) -> None:
+    assert validation_fault(BUILTIN_MACHINES[name]()) == ""
+
+
+@pytest.mark.parametrize("case", ON_BELTS.values(), ids=ON_BELTS)
+def test_belts_of_the_library_pass(case: Case, hframe: Machine) -> None:
+    """Play and slack have a flat part, which is no fault."""
+    assert validation_fault(hframe.with_effects(case.effect)) == ""
+
+
+@pytest.mark.parametrize("site", ["belts", "left", "bottom"])
+def test_softening_that_turns_over_fails(site: str, hframe: Machine) -> None:
+    """The tension k s (1 + h s^2) falls from s = 1 / sqrt(-3 h) on, which is 2.6 mm here."""
+    machine = hframe.with_effects(EFFECTS["belt_hardening"].at(site, h=-5e4))
+    assert not monotonic_belts(machine)
+    assert "tension of a belt" in validation_fault(machine)
+
+
+def test_slight_softening_passes(hframe: Machine) -> None:
+    """The tension would fall from 180 mm on, where no voltage leads."""
+    machine = hframe.with_effects(EFFECTS["belt_hardening"].at("belts", h=-10.0))
+    assert validation_fault(machine) == ""
+
+
+def test_machine_that_diverges_fails(hframe: Machine) -> None:
+    """A spring that pushes away from its rest position, and drag that accelerates."""
+    spring = hframe.with_effects(EFFECTS["cable_spring"].at("x", k=-5e3, q0=0.0))
+    drag = hframe.with_effects(EFFECTS["quadratic_drag"].at("x", c=-500.0))
+    for machine in (spring, drag):
+        assert monotonic_belts(machine)
+        assert not stable_under_rated_voltage(machine)
+        assert "diverge" in validation_fault(machine)
+
+
+def test_impossible_machine_without_effects_fails(hframe: Machine) -> None:
+    """A negative mass needs no effect to diverge."""
+    x, *others = hframe.coordinates
+    assert not stable_under_rated_voltage(
+        dataclasses.replace(hframe, coordinates=(dataclasses.replace(x, mass=-1e-3), *others))
+    )
