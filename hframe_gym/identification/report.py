@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..atomic_files import write_text
 from ..errors import InputError
 from ..machine import Machine
-from .estimation import parameter_doubts
+from .parameter_diagnostics import parameter_doubts
 from .plots import TABLE_FAMILY, draw_plots
 from .saved_result import load_result
 

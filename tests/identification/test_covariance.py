@@ -7,8 +7,9 @@ import pytest
 
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import FreeParameter, fit, prepare
-from hframe_gym.identification.estimation import parameter_doubts, with_uncertainty
+from hframe_gym.identification.parameter_diagnostics import parameter_doubts
 from hframe_gym.identification.prediction import SIMULATION
+from hframe_gym.identification.uncertainty import with_uncertainty
 from hframe_gym.machine import BUILTIN_MACHINES, Coordinate, Machine, Uncertainty
 from hframe_gym.recordings import Recording
 
