@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,21 +41,25 @@ class InseparableParameters:
     combinations: tuple[dict[str, float], ...]
 
     def describe(self) -> str:
-        """Return what is determined, for example "only phi1.viscous + 0.012 motor1.Ke is determined"."""
+        """Describe what the data determine of these parameters.
+
+        Returns:
+            Clause, for example "only phi1.viscous + 1.13 motor1.Ke is determined".
+        """
         if not self.combinations:
             return f"no combination of {', '.join(self.names)} is determined"
-        sums = [_sum_text(weights) for weights in self.combinations]
+        sums = [sum_text(weights) for weights in self.combinations]
         return f"only {' and '.join(sums)} {'is' if len(sums) == 1 else 'are'} determined"
 
     def as_json(self, machine: Machine) -> dict[str, object]:
-        """Return an entry of the list `not_separable` in report.json.
+        """Return these parameters as an entry of the list `not_separable` in report.json.
 
         Args:
             machine: Identified machine with its uncertainty.
 
         Returns:
-            Names of the parameters, and for each combination that is determined its weights by parameter name, its
-            value and its standard deviation, in the unit of its first parameter.
+            "parameters": names of the parameters. "determined": for each combination that the data determine, "weights"
+            by parameter name, and its "value" and standard deviation "std" in the unit of its first parameter.
         """
         return {
             "parameters": list(self.names),
@@ -65,8 +70,15 @@ class InseparableParameters:
         }
 
 
-def _sum_text(weights: dict[str, float]) -> str:
-    """Return a weighted sum of parameters as text, the weights to three digits."""
+def sum_text(weights: Mapping[str, float]) -> str:
+    """Format a weighted sum of parameters, for example "phi1.viscous + 1.13 motor1.Ke".
+
+    Args:
+        weights: Weight by full parameter name; a weight of 1 is not written.
+
+    Returns:
+        Text with weights to three digits.
+    """
     text = ""
     for name, weight in weights.items():
         sign = (" + " if weight > 0.0 else " - ") if text else ("" if weight > 0.0 else "-")
@@ -119,7 +131,7 @@ def inseparable_parameters(machine: Machine, declared: Machine) -> tuple[Insepar
         if len(members) > 1:
             combinations = tuple(
                 _determined_sum(free, members, rows, pivots, np.where(member, directions, 0.0), unit, names)
-                for free in members
+                for free in members.tolist()
                 if free not in pivots
             )
             groups.append(InseparableParameters(tuple(names[i] for i in members), combinations))
