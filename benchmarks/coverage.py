@@ -10,12 +10,17 @@ start of the effect, in the steps that `identify` takes once the effect is named
 
 from __future__ import annotations
 
+import argparse
 import time
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
+from rich.console import Console
+from rich.table import Table
 
+from benchmarks.random_rigs_summary import coverage
+from benchmarks.results_file import write_results
 from benchmarks.rig_score import intervals
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import fit, hold_out, prepare
@@ -142,3 +147,56 @@ def score(fitted: Fitted) -> dict[str, Any]:
         "seconds": time.perf_counter() - began,
         "intervals": intervals(rig, machine),
     }
+
+
+def summarize(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return the coverage over all rigs, clean ones, ones with residue, and by kind of parameter."""
+    groups = {
+        "all": rows,
+        "clean": [r for r in rows if not r["residue"]],
+        "residue": [r for r in rows if r["residue"]],
+    }
+    content = {name: coverage(some, lambda i: True) for name, some in groups.items()}
+    for kind in _KINDS:
+        content[kind] = coverage(rows, lambda i, kind=kind: i["name"].endswith(f".{kind}") and not i["effect"])
+    content["effects"] = coverage(rows, lambda i: i["effect"])
+    return content
+
+
+def show(console: Console, content: dict[str, Any]) -> None:
+    """Print the coverage as a table."""
+    table = Table("parameters", "values", "inside 68 %", "inside 95 %", "root mean square error / std")
+    for name, found in content.items():
+        if found["parameters"]:
+            numbers = f"{found['68']:.0%}", f"{found['95']:.0%}", f"{found['rms']:.2f}"
+            table.add_row(name, str(found["parameters"]), *numbers)
+    console.print(table)
+
+
+def line(row: dict[str, Any]) -> str:
+    """Format a rig in one line, with the parameters that are off by more than three standard deviations."""
+    off = ", ".join(f"{i['name']} {i['z']:+.1f}" for i in row["intervals"] if abs(i["z"]) > 3.0)
+    return f"{row['rig']} {row['truth']}: chi2 {row['chi2']:.3g} at {row['bandwidth']:g} rad/s; off: {off or 'none'}"
+
+
+def main() -> None:
+    """Fit the rigs that the command line names, and print and write the coverage of their intervals."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seed", type=int, default=SEED)
+    parser.add_argument("--count", type=int, default=COUNT)
+    parser.add_argument("--rigs", action="store_true", help="print a line for each rig")
+    arguments = parser.parse_args()
+    console = Console(width=150)
+    rows = []
+    for rig in suitable_rigs(arguments.seed, arguments.count):
+        rows.append(score(fit_rig(rig)))
+        if arguments.rigs:
+            console.print(line(rows[-1]), highlight=False, markup=False, soft_wrap=True)
+    content = summarize(rows)
+    show(console, content)
+    if (arguments.seed, arguments.count) == (SEED, COUNT):
+        write_results("coverage", {"summary": content, "rigs": rows}, seed=SEED)
+
+
+if __name__ == "__main__":
+    main()

@@ -31,12 +31,17 @@ class _RunPart(NamedTuple):
     Attributes:
         information: Products of the responses to the directions in each block, shape (b, k, k).
         scores: Products of the responses and the residual in each block, shape (b, k).
-        delay: Product of the responses and the response to a delay of the inputs by one standard deviation, shape (k,).
+        delay_products: Products of the response to a delay of the inputs by one sampling period with the responses,
+            shape (k,).
+        delay_information: Square sum of the response to that delay.
+        delay_score: Product of the response to that delay and the residual.
     """
 
     information: Array
     scores: Array
-    delay: Array
+    delay_products: Array
+    delay_information: float
+    delay_score: float
 
 
 def with_uncertainty(fitted: Fit, data: Dataset) -> Machine:
@@ -48,7 +53,8 @@ def with_uncertainty(fitted: Fit, data: Dataset) -> Machine:
       a block, and also for few blocks: the residual of each block is corrected for what the fit took from it (estimator
       CR2 of cluster-robust variances). No smaller variance is reported than white noise of the assumed size causes.
     - The prior's. Directions in the space of the parameters that the data do not determine keep its spread.
-    - That of an unknown delay of 0.5 % of a sampling period between inputs and measurements.
+    - That of a delay between inputs and measurements that the machine lacks: the delay that the residual shows, and
+      another of 0.5 % of a sampling period.
 
     Responses are central differences along the principal axes of the fit's information, over one standard deviation
     each. Differences along single parameters would give two parameters of the same influence (viscous friction and
@@ -82,8 +88,9 @@ def with_uncertainty(fitted: Fit, data: Dataset) -> Machine:
     white = directions @ inverse @ directions.T
     inflation = np.sqrt(np.maximum(np.diag(white) / np.maximum(np.diag(covariance), 1e-300), 1.0))
     covariance *= np.outer(inflation, inflation)
-    of_delay = directions @ inverse @ np.sum([part.delay for part in parts], axis=0)
-    covariance += np.outer(of_delay, of_delay)
+    of_delay = directions @ inverse @ np.sum([part.delay_products for part in parts], axis=0)  # per sampling period
+    delay_variance = _DELAY_STD**2 + _estimated_delay(parts, inverse) ** 2
+    covariance += delay_variance * np.outer(of_delay, of_delay)
     slopes = np.array([f.slope(t) for f, t in zip(fitted.free, fitted.theta, strict=True)])
     covariance *= np.outer(slopes, slopes)
     uncertainty = Uncertainty(tuple(f.name for f in fitted.free), (covariance + covariance.T) / 2)
@@ -140,11 +147,29 @@ def _linearize(fitted: Fit, run: PreparedRecording, data: Dataset, directions: A
         rows = projection(rows)
     k = len(fitted.free)
     responses = (rows[1 : k + 1] - rows[k + 1 : 2 * k + 1]) / 2.0  # (k, rows)
-    delay = (rows[-1] - rows[0]) * (_DELAY_STD / _DELAY_DIFFERENCE)
+    delay = (rows[-1] - rows[0]) / _DELAY_DIFFERENCE
     size = max(1, round(_BLOCK_S / data.period)) * len(machine.sensors)
     blocks = [slice(first, first + size) for first in range(0, rows.shape[1], size)]
     return _RunPart(
         np.array([responses[:, block] @ responses[:, block].T for block in blocks]),
         np.array([responses[:, block] @ rows[0, block] for block in blocks]),
         responses @ delay,
+        float(delay @ delay),
+        float(delay @ rows[0]),
     )
+
+
+def _estimated_delay(parts: list[_RunPart], inverse: Array) -> float:
+    """Return the delay of the inputs, in sampling periods, by which the residual of the fit would be least.
+
+    Args:
+        parts: Linearized residual of every run.
+        inverse: Inverse of the information with the prior, along the directions, shape (k, k).
+    """
+    products, scores = (
+        np.sum(values, axis=0)
+        for values in zip(*((p.delay_products, p.scores.sum(axis=0)) for p in parts), strict=True)
+    )
+    information = sum(part.delay_information for part in parts) - products @ inverse @ products
+    score = sum(part.delay_score for part in parts) - products @ inverse @ scores
+    return float(-score / (max(information, 0.0) + 1.0 / _DELAY_STD**2))
