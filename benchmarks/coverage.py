@@ -59,8 +59,10 @@ class Fitted(NamedTuple):
 
 
 def suitable(rig: RandomRig) -> bool:
-    """Return whether a rig has at most one effect, of the library, that a fit can start beside."""
+    """Return whether a rig has at most one effect, of the library, and no run of another machine (changed gain)."""
     effects = rig.hidden_effects
+    if rig.residue.bad_gain is not None:
+        return False
     return rig.kind in ("none", "library") and len(effects) <= 1 and not any(e.name in _EXCLUDED for e in effects)
 
 
