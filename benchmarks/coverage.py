@@ -26,12 +26,11 @@ from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import fit, hold_out, prepare
 from hframe_gym.identification.candidates import effect_parameters
 from hframe_gym.identification.dataset import Dataset, refine_encoder_offsets
-from hframe_gym.identification.estimation import Fit
+from hframe_gym.identification.estimation import Fit, with_uncertainty
 from hframe_gym.identification.free_parameters import default_free_parameters
 from hframe_gym.identification.model_error import fit_with_model_error, polish
 from hframe_gym.identification.prediction import SEARCH_BANDWIDTH
 from hframe_gym.identification.trial_fits import typical_scales
-from hframe_gym.identification.uncertainty import with_uncertainty
 from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect, Machine
 from hframe_gym.recordings import without_outliers
 from tests.rigs.random_effects import library_parameters

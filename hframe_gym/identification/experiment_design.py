@@ -27,12 +27,11 @@ from ..dynamics.simulation import Motion
 from ..machine import AppliedEffect, Machine
 from .candidates import effect_parameters
 from .dataset import Dataset, TypicalScales
-from .estimation import Fit, fit
+from .estimation import Fit, fit, with_uncertainty
 from .linearization import NormalEquations, forward_differences
 from .model_error import search_step
 from .prediction import POLISH_STEP, SEARCH_STEP
 from .trial_fits import typical_scales
-from .uncertainty import with_uncertainty
 
 Array = NDArray[np.float64]
 

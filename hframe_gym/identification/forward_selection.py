@@ -17,11 +17,10 @@ from numpy.typing import NDArray
 from ..machine import AppliedEffect, Machine
 from .criteria import SelectionCriteria
 from .dataset import Dataset
-from .estimation import Fit
+from .estimation import Fit, with_uncertainty
 from .model_error import effect_force, fit_with_model_error, leave_one_out_gain, long_run_variance, residue_force
 from .prediction import SEARCH_BANDWIDTH
 from .trial_fits import converge, trial_fits, without_effect
-from .uncertainty import with_uncertainty
 
 Array = NDArray[np.float64]
 Log = Callable[[str], None]

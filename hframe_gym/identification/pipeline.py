@@ -16,7 +16,7 @@ from ..recordings import Recording, without_outliers
 from ..registry import load_plugins
 from .criteria import SelectionCriteria
 from .dataset import Dataset, prepare, refine_encoder_offsets, with_all_measurements
-from .estimation import Fit, fit, prediction_cost
+from .estimation import Fit, fit, prediction_cost, with_uncertainty
 from .experiment_design import design_discriminating_experiment
 from .forward_selection import (
     ConsideredEffect,
@@ -33,7 +33,6 @@ from .residual import channel_errors, force_error, is_white, rank_dependences
 from .result import IdentificationResult, ModelEvaluation, PredictionErrors, RejectedEffect, Verdict
 from .sensor_properties import Range, blank_saturated, range_effects, saturation_ranges
 from .trial_fits import without_effect
-from .uncertainty import with_uncertainty
 
 _HOLD_OUT_EVERY = 4  # Every fourth run is held out.
 _MAX_DEPENDENCES = 6  # Variables that the report lists for the residual force.

@@ -12,6 +12,7 @@ from hframe_gym.cli import app
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, FreeParameter, default_free_parameters, fit, prepare
+from hframe_gym.identification.estimation import with_uncertainty
 from hframe_gym.identification.experiment_design import (
     MINIMUM_SIGMA,
     ExperimentDesign,
@@ -19,7 +20,6 @@ from hframe_gym.identification.experiment_design import (
     separate_machines,
 )
 from hframe_gym.identification.prediction import SIMULATION
-from hframe_gym.identification.uncertainty import with_uncertainty
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, Uncertainty
 from hframe_gym.recordings import Recording, load_recording
 
