@@ -31,13 +31,8 @@ class SelectionCriteria:
             explains a larger fraction of the residual.
         min_chance_gain: Smallest gain summed over all samples in units of the long-run variance of the remaining
             residual: what the best of some hundred candidates with a few parameters reaches by chance.
-        min_gain_fraction: Smallest gain relative to the excess of chi-squared per sample over 1, where that excess is
-            small.
-        large_excess: Excess of chi-squared per sample over 1 from which `min_gain_fraction_large_excess` applies.
-        min_gain_fraction_large_excess: As `min_gain_fraction`, for a large excess: an effect that removes less is a
-            substitute for the true one.
-        min_gain_fraction_unverified: Smallest gain relative to chi-squared per sample where the simulation drifts and
-            therefore cannot verify the effect.
+        min_gain_fraction: Smallest gain relative to the excess of chi-squared per sample over 1: an effect that removes
+            less is a substitute for the true one.
         rival_gain_fraction: Fraction of the best candidate's gain above which another candidate counts as its rival.
         rival_gain_margin: Difference of chi-squared per sample below which two candidates are rivals.
         noise_level: Chi-squared per sample at which the search stops, because nothing but noise is left.
@@ -45,7 +40,6 @@ class SelectionCriteria:
         min_confirmed_fraction: Smallest fraction of an effect's gain that remains if the parameters are fitted to the
             other runs (leave-one-run-out).
         min_force_ratio: Smallest force of an effect relative to the force that remains unexplained beside it.
-        min_standard_deviations: Smallest amplitude of an effect in units of its robust standard deviation.
         max_effects: Largest number of effects that the forward selection adds.
         max_full_fits: Number of screened candidates that are fitted together with all parameters of the machine, per
             step.
@@ -71,8 +65,6 @@ class SelectionCriteria:
         cross_validation_blocks: Number of blocks into which a single run is divided for cross-validation.
         max_drift: Simulation error relative to the standard deviation of the signal from which one-step prediction
             decides instead.
-        max_simulation_chi2: Chi-squared per sample up to which a simulation is close enough to the data for a separate
-            search.
         explained_chi2: Chi-squared per sample below which the model explains the data.
         explained_fraction: Fraction of the initial chi-squared per sample below which the model explains the data,
             where the initial value is large.
@@ -94,17 +86,13 @@ class SelectionCriteria:
     min_gain_one_step: float = 0.01
     min_total_gain: float = 200.0
     min_chance_gain: float = 30.0
-    min_gain_fraction: float = 0.02
-    large_excess: float = 3.0
-    min_gain_fraction_large_excess: float = 0.1
-    min_gain_fraction_unverified: float = 0.01
+    min_gain_fraction: float = 0.1
     rival_gain_fraction: float = 0.97
     rival_gain_margin: float = 0.002
     noise_level: float = 1.01
     min_trial_gain: float = 0.5
     min_confirmed_fraction: float = 0.3
     min_force_ratio: float = 1.0
-    min_standard_deviations: float = 4.0
     max_effects: int = 5
     max_full_fits: int = 5
     min_promise: float = 0.4
@@ -121,7 +109,6 @@ class SelectionCriteria:
     max_table_cross_validation: float = 0.4
     cross_validation_blocks: int = 8
     max_drift: float = 0.3
-    max_simulation_chi2: float = 50.0
     explained_chi2: float = 1.5
     explained_fraction: float = 1e-4
     max_table_cost_fraction: float = 0.02

@@ -14,9 +14,10 @@ from ..recordings import Recording, fill_gaps
 from .free_parameters import typical_force
 from .initial_state import encoder_zero_errors, model_initial_state, refine_offsets
 from .rest_measurement import InitialState, behind_belts, common_encoder_zeros, estimate_initial_state
-from .sensor_properties import sensor_noise, sensor_quantum
+from .sensor_properties import clock_jitter, sensor_noise, sensor_quantum, smooth_speed
 
 Array = NDArray[np.float64]
+_MIN_SPEED_ROWS = 11  # measured rows that a speed needs
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,8 @@ class PreparedRecording:
         outputs: Measurements minus the sensors' zeros (readings at position 0), in the sensors' units, shape
             (n, sensors); NaN where not measured.
         initial: Measured initial state.
+        noise: Standard deviation of each measurement, in the sensors' units, shape (n, sensors): the sensor's noise and
+            the jitter of the clock times the speed.
         rows: Mask of the rows that enter the residual, shape (n,). None: all.
     """
 
@@ -38,6 +41,7 @@ class PreparedRecording:
     inputs: Array
     outputs: Array
     initial: InitialState
+    noise: Array
     rows: NDArray[np.bool_] | None = None
 
     @property
@@ -131,11 +135,43 @@ def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:
         sensor_noise(channel, rows, quantum, sensor.noise)
         for channel, quantum, sensor in zip(channels, quanta, machine.sensors, strict=True)
     ]
+    jitter = _common_jitter(recordings, machine, noise)
     runs = tuple(
-        PreparedRecording(r.name, r.time_s, r.inputs, r.outputs - state.offset, state)
+        PreparedRecording(
+            r.name, r.time_s, r.inputs, r.outputs - state.offset, state, _noise_by_row(r, np.array(noise), jitter)
+        )
         for r, state in zip(recordings, initial, strict=True)
     )
     return Dataset(runs, np.array(noise), quanta, behind_belts(machine))
+
+
+def _common_jitter(recordings: Sequence[Recording], machine: Machine, noise: Sequence[float]) -> float:
+    """Return the jitter of the clock, s, that all encoders show, or all sensors where there are no encoders.
+
+    Encoders resolve it best. A single channel that vibrates does not make the clock jitter.
+    """
+    encoders = [j for j, sensor in enumerate(machine.sensors) if sensor.incremental]
+    measured = np.isfinite(np.concatenate([r.outputs for r in recordings])).any(axis=0)
+    times = [recording.time_s for recording in recordings]
+    return min(
+        (
+            clock_jitter(times, [recording.outputs[:, j] for recording in recordings], noise[j])
+            for j in encoders or range(len(machine.sensors))
+            if measured[j]
+        ),
+        default=0.0,
+    )
+
+
+def _noise_by_row(recording: Recording, noise: Array, jitter: float) -> Array:
+    """Return the standard deviation of each measurement (n, sensors) for a clock with jitter, s."""
+    by_row = np.tile(noise, (len(recording.time_s), 1))
+    for j, values in enumerate(recording.outputs.T):
+        measured = np.isfinite(values)
+        if jitter > 0.0 and np.count_nonzero(measured) > _MIN_SPEED_ROWS:
+            speed = smooth_speed(recording.time_s[measured], values[measured])
+            by_row[measured, j] = np.hypot(noise[j], jitter * speed)
+    return by_row
 
 
 def with_all_measurements(data: Dataset, recordings: Sequence[Recording]) -> Dataset:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ..machine import AppliedEffect, Machine
 from .criteria import SelectionCriteria
 from .dataset import Dataset
-from .estimation import Fit, with_uncertainty
+from .estimation import Fit
 from .model_error import effect_force, fit_with_model_error, leave_one_out_gain, long_run_variance, residue_force
 from .prediction import SEARCH_BANDWIDTH
 from .trial_fits import converge, trial_fits, without_effect
@@ -144,9 +144,8 @@ class EffectSearch:
     def prune(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection:
         """Remove effects that fail a test beside all others, weakest first.
 
-        Later effects may make earlier ones superfluous. An effect is also removed if its amplitude is within a few
-        standard deviations of zero. Structural effects are kept, because the other effects act on the coordinates that
-        they add.
+        Later effects may make earlier ones superfluous. Structural effects are kept, because the other effects act on
+        the coordinates that they add.
 
         Args:
             current: Fit of the machine with all selected effects; its observer bandwidth is used throughout.
@@ -177,8 +176,6 @@ class EffectSearch:
         gain = reduced.cost - current.cost
         if gain < minimum_gain(current, criteria) * data.count:
             return "has no effect on the error"
-        if _uncertain(current, effect, data, criteria):
-            return "has an amplitude that may be zero"
         return (
             self._unconfirmed(reduced, current) or self._by_chance(reduced, current) or self._too_small(current, effect)
         )
@@ -251,17 +248,4 @@ def minimum_gain(current: Fit, criteria: SelectionCriteria) -> float:
     wide = current.bandwidth >= SEARCH_BANDWIDTH
     min_gain = criteria.min_gain_one_step if wide else criteria.min_gain_simulation
     excess = current.chi2 - 1.0
-    large = excess >= criteria.large_excess
-    fraction = criteria.min_gain_fraction_large_excess if large else criteria.min_gain_fraction
-    return max(min_gain, criteria.min_total_gain / current.count, fraction * excess)
-
-
-def _uncertain(current: Fit, effect: AppliedEffect, data: Dataset, criteria: SelectionCriteria) -> bool:
-    """Return whether an effect's only amplitude is within a few standard deviations of zero."""
-    names = effect.definition.amplitudes
-    if len(names) != 1:
-        return False
-    machine = with_uncertainty(current, data)
-    name = f"{effect.label}.{names[0]}"
-    std = machine.uncertainty.std(name) if machine.uncertainty else None
-    return std is not None and abs(machine.parameters[name]) < criteria.min_standard_deviations * std
+    return max(min_gain, criteria.min_total_gain / current.count, criteria.min_gain_fraction * excess)

@@ -14,6 +14,8 @@ apart:
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -121,7 +123,7 @@ def polish(fitted: Fit, data: Dataset) -> Fit:
 
 
 def residue_force(fitted: Fit, data: Dataset) -> float:
-    """Return the force by which the observer corrects the prediction: the size of what the model lacks.
+    """Return the force by which the observer corrects the prediction beyond the noise: what the model lacks.
 
     Args:
         fitted: Fitted machine with its bandwidth.
@@ -135,12 +137,15 @@ def residue_force(fitted: Fit, data: Dataset) -> float:
     velocity_gains = observer_gains(machine, data.period, bandwidth)[len(machine.coordinates) :]
     mass = np.array([c.mass for c in machine.coordinates])
 
-    def of_run(run: PreparedRecording) -> Array:
+    force_gains = velocity_gains.T / data.period * mass / machine.travel_per_unit  # (sensors, coordinates)
+
+    def of_run(run: PreparedRecording) -> tuple[Array, Array]:
         motion = predict(machine, run, bandwidth, period=data.period, longest_step=search_step(bandwidth))
         innovation = np.nan_to_num(prediction_error(run, data, motion.readings)[0])  # (n, sensors)
-        return innovation @ velocity_gains.T / data.period * mass / machine.travel_per_unit
+        return innovation @ force_gains, np.sqrt((np.isfinite(run.outputs) * run.noise**2) @ force_gains**2)
 
-    return _size(np.concatenate(list(map_runs(of_run, data))))
+    correction, noise = (np.concatenate(part) for part in zip(*map_runs(of_run, data), strict=True))
+    return math.sqrt(max(_size(correction) ** 2 - _size(noise) ** 2, 0.0))
 
 
 def effect_force(machine: Machine, effect: AppliedEffect, data: Dataset) -> float:

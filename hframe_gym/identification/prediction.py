@@ -229,7 +229,7 @@ def residuals(run: PreparedRecording, data: Dataset, measurements: Array, rows_p
     counted = measured if run.rows is None else measured & run.rows[:, None]
     with np.errstate(over="ignore", invalid="ignore"):  # parameters that make a machine diverge cost infinitely much
         error = prediction_error(run, data, measurements)
-        error *= counted / data.noise
+        error *= counted / run.noise
     batch, rows, sensors = error.shape
     if rows_per_block > 1:
         blocks = rows // rows_per_block

@@ -8,10 +8,12 @@ machine.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import savgol_filter
 
 from ..effects import EFFECTS
 from ..machine import AppliedEffect, Machine
@@ -94,12 +96,69 @@ def sensor_noise(channel: Sequence[Array], resting_rows: Sequence[int], quantum:
     return max(rounding, declared or _difference_noise(channel))
 
 
+_MIN_JITTER_ROWS = 50  # measured rows of a run
+_FIFTH_DIFFERENCE_VARIANCE = 252.0  # of white noise with variance 1: the sum of the squared binomial coefficients
+
+
 def _difference_noise(channel: Sequence[Array]) -> float:
     """Return the noise that third differences show; smooth motion has hardly any (von Neumann 1941)."""
     differences = np.concatenate([np.diff(values[np.isfinite(values)], n=3) for values in channel])
     if len(differences) == 0:
         return 1.0
     return max(1.4826 * float(np.median(np.abs(differences))) / np.sqrt(20.0), 1e-12)
+
+
+def clock_jitter(times: Sequence[Array], channel: Sequence[Array], noise: float) -> float:
+    """Estimate the jitter of the clock from a moving channel.
+
+    A measurement that is late by dt is off by dt times the speed. Fifth differences of the measurements contain the
+    noise but hardly any smooth motion; what they have beyond the noise at rest, relative to the speed, is the jitter.
+
+    Args:
+        times: Sample times by run, s, shape (n,) each.
+        channel: Measurements of the sensor by run, in its unit, shape (n,) each, NaN where not measured.
+        noise: Standard deviation of the sensor's noise at rest, in its unit.
+
+    Returns:
+        Standard deviation of the sampling time relative to the recorded time, s; 0 unless the jitter adds at least as
+        much to the noise of fast motion as the sensor has at rest, since vibrations leave smaller differences.
+    """
+    squares, speeds = [], []
+    for time_s, values in zip(times, channel, strict=True):
+        measured = np.isfinite(values)
+        if np.count_nonzero(measured) < _MIN_JITTER_ROWS:
+            continue
+        speed = smooth_speed(time_s[measured], values[measured])
+        regular = np.linspace(time_s[measured][0], time_s[measured][-1], len(speed))
+        at_regular_times = values[measured] + speed * (regular - time_s[measured])
+        squares.append(np.diff(at_regular_times, n=5) ** 2 / _FIFTH_DIFFERENCE_VARIANCE)
+        speeds.append(np.abs(speed[2:-3]))
+    if not squares:
+        return 0.0
+    square, speed = np.concatenate(squares), np.concatenate(speeds)
+    fast = speed > np.percentile(speed, 75)
+    if not fast.any() or not np.median(speed[fast]) > 0.0:
+        return 0.0
+    # The median is robust against shocks; that of a squared Gaussian variable is 0.455 times its variance.
+    variance = float(np.median(square[fast])) / 0.455 - noise**2
+    return math.sqrt(variance / float(np.median(speed[fast] ** 2))) if variance > noise**2 else 0.0
+
+
+def smooth_speed(time_s: Array, values: Array) -> Array:
+    """Estimate the speed of a channel by a least-squares parabola over eleven samples.
+
+    Args:
+        time_s: Sample times, s, shape (n,), n at least 11.
+        values: Measurements, in the sensor's unit, shape (n,), without NaN.
+
+    Returns:
+        Speed, unit/s, shape (n,).
+
+    References:
+        Savitzky and Golay (1964).
+    """
+    period = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
+    return np.asarray(savgol_filter(values, 11, 2, deriv=1, delta=period))
 
 
 def saturation_ranges(
