@@ -9,7 +9,7 @@ from scipy.special import ndtr, ndtri
 Array = NDArray[np.float64]
 _ROUNDING = 1e-12  # Fraction of a variance below which a difference of variances is rounding.
 # The largest standard normal number that a uniform number of `counter_rng` gives.
-_LARGEST_NORMAL = float(ndtri(1.0 - 0.5 * 2.0**-53))
+_LARGEST_NORMAL = -float(ndtri(0.5 * 2.0**-53))
 
 
 def pivoted_cholesky(covariance: Array, scale: Array) -> Array:
@@ -61,7 +61,7 @@ class CorrelatedSampler:
 
     def __init__(self, covariance: Array, nominal: Array, lower: Array, upper: Array) -> None:
         std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-        size = np.where(nominal != 0.0, np.abs(nominal), np.maximum(std, np.finfo(float).tiny))
+        size = np.where(nominal != 0.0, np.abs(nominal), np.where(std > 0.0, std, 1.0))
         self._factor = pivoted_cholesky(covariance, size)
         self._lowest, self._highest = np.zeros(len(nominal)), np.ones(len(nominal))  # probabilities by column
         main = self._factor**2 > 0.5 * np.sum(self._factor**2, axis=1, keepdims=True)
