@@ -1,6 +1,6 @@
 """Do the reported standard deviations hold? True parameters against their intervals, without the search for effects.
 
-    python -m benchmarks.coverage                          # 40 rigs, about 3 minutes on two cores
+    python -m benchmarks.coverage                          # 40 rigs, about 4 minutes on two cores
     python -m benchmarks.coverage --count 10 --seed 102 --rigs
 
 Random rigs (`tests.rigs.random_rigs`) with at most one effect are fitted from the declared machine and a disturbed
