@@ -10,11 +10,10 @@ from typing import Any
 
 import numpy as np
 
-import hframe_gym.identification
 from benchmarks.scoring import score_names
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
-from hframe_gym.identification import IdentificationResult, initial_state_of_recording
+from hframe_gym.identification import IdentificationResult, simulate_recording
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording, load_machine, save_machine
 from tests.reference_simulator import Array
@@ -101,7 +100,7 @@ def _mean_ratio(errors: dict[str, Any]) -> float | None:
     return float(np.mean(ratios)) if ratios else None
 
 
-def simulated(machine: Machine, recording: Recording) -> Array:
+def simulation_error(machine: Machine, recording: Recording) -> Array:
     """Simulate a machine over a recording as `hframe simulate` does, from the measurements at rest.
 
     Args:
@@ -109,19 +108,13 @@ def simulated(machine: Machine, recording: Recording) -> Array:
         recording: The run.
 
     Returns:
-        Simulated measurements, shape (n, sensors); infinite if the simulation diverges.
+        Measured minus simulated values, NaN where not measured, shape (n, sensors); infinite if the simulation
+        diverges.
     """
     try:
-        # The function that the command line uses, under whichever name the package has it.
-        function = getattr(hframe_gym.identification, "simulate_recording", None)
-        if function is not None:
-            simulation = function(machine, recording)
-            return np.asarray(getattr(simulation, "outputs", simulation), float)
-        initial = initial_state_of_recording(machine, recording)
-        trajectory = simulate(machine, recording.time_s, recording.inputs, initial.state, offset=initial.offset)
+        return simulate_recording(machine, recording).error
     except ArithmeticError:
         return np.full(recording.outputs.shape, np.inf)
-    return np.asarray(trajectory.outputs, float)
 
 
 def root_mean_square(machine: Machine, recordings: Iterable[Recording]) -> Array:
@@ -134,7 +127,7 @@ def root_mean_square(machine: Machine, recordings: Iterable[Recording]) -> Array
     Returns:
         Root mean square error by channel, in the channels' units, shape (sensors,).
     """
-    error = np.concatenate([simulated(machine, recording) - recording.outputs for recording in recordings])
+    error = np.concatenate([simulation_error(machine, recording) for recording in recordings])
     with np.errstate(invalid="ignore"):
         return np.asarray(np.sqrt(np.nanmean(error**2, axis=0)))
 

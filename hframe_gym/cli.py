@@ -76,19 +76,17 @@ def simulate(
 
     Example:  hframe simulate --machine hframe --inputs examples/rig_b/run_01.csv.gz --out predicted.csv
     """
-    from .dynamics import simulate as run_simulation
-    from .identification import initial_state_of_recording
+    from .identification import simulate_recording
     from .recordings import load_machine, load_recording, write_trajectory
 
     if not str(out).endswith((".csv", ".csv.gz")):
         raise InputError(f"--out {out}: must end in .csv or .csv.gz")
     declared = load_machine(machine)
     recording = load_recording(inputs, declared, outputs_needed=False)
-    initial = initial_state_of_recording(declared, recording)
-    for warning in initial.warnings:
+    simulation = simulate_recording(declared, recording)
+    for warning in simulation.initial.warnings:
         _log(f"warning: {warning}")
-    trajectory = run_simulation(declared, recording.time_s, recording.inputs, initial.state, offset=initial.offset)
-    write_trajectory(out, trajectory, recording.inputs, declared)
+    write_trajectory(out, simulation.trajectory, recording.inputs, declared)
     _log(f"wrote {out}: {len(recording.time_s)} rows of {declared.name}")
 
 

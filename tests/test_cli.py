@@ -15,10 +15,9 @@ import pytest
 from rich.console import Console
 
 from hframe_gym import cli, cli_tables
-from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.errors import InputError
-from hframe_gym.identification import initial_state_of_recording
+from hframe_gym.identification import simulate_recording
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import load_recording, machine_to_dict
 
@@ -84,8 +83,7 @@ def test_simulate_starts_where_identification_starts(hframe_command: Command, tm
     source = ROOT / "examples/rig_b/run_01.csv.gz"
     hframe_command("simulate", "--inputs", source, "--out", tmp_path / "p.csv")
     recording = load_recording(source, hframe)
-    initial = initial_state_of_recording(hframe, recording)
-    expected = simulate(hframe, recording.time_s, recording.inputs, initial.state, offset=initial.offset)
+    expected = simulate_recording(hframe, recording)
     np.testing.assert_allclose(
         load_recording(tmp_path / "p.csv", hframe).outputs, expected.outputs, rtol=1e-6, atol=1e-9
     )

@@ -5,8 +5,8 @@ from .dataset import Dataset, PreparedRecording, prepare
 from .estimation import Fit, fit
 from .forward_selection import EffectSearch, SelectedEffect
 from .free_parameters import FreeParameter, default_free_parameters
-from .initial_state import initial_state_of_recording
 from .pipeline import hold_out, identify
+from .recording_simulation import SimulatedRecording, initial_state_of_recording, simulate_recording
 from .rest_measurement import InitialState, estimate_initial_state
 from .result import IdentificationResult, write_result
 from .screening import screen
@@ -21,6 +21,7 @@ __all__ = [
     "PreparedRecording",
     "SelectedEffect",
     "SelectionCriteria",
+    "SimulatedRecording",
     "default_free_parameters",
     "estimate_initial_state",
     "fit",
@@ -29,5 +30,6 @@ __all__ = [
     "initial_state_of_recording",
     "prepare",
     "screen",
+    "simulate_recording",
     "write_result",
 ]

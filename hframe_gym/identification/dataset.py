@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from ..machine import Machine
 from ..recordings import Recording, fill_gaps
+from .encoder_zeros import EncoderZeros, common_encoder_zeros
 from .free_parameters import typical_force
-from .initial_state import encoder_zero_errors, model_initial_state, refine_offsets
-from .rest_measurement import InitialState, behind_belts, common_encoder_zeros, estimate_initial_state
+from .initial_state import encoder_zero_errors, measured_initial_state, model_initial_state, refine_offsets
+from .rest_measurement import InitialState, behind_belts, estimate_initial_state
 from .sensor_properties import clock_jitter, sensor_noise, sensor_quantum, smooth_speed
 
 Array = NDArray[np.float64]
@@ -73,12 +74,14 @@ class Dataset:
         noise: Standard deviations of the sensors' noise, in their units, shape (sensors,).
         quantum: Quantization steps of the sensors, in their units, 0 where there is none, shape (sensors,).
         behind_belts: True for encoders on pulleys, which elastic belts separate from the tool, shape (sensors,).
+        zeros: Zeros of the encoders that kept them in all runs. None: unknown.
     """
 
     runs: tuple[PreparedRecording, ...]
     noise: Array
     quantum: Array
     behind_belts: NDArray[np.bool_]
+    zeros: EncoderZeros | None = None
 
     @property
     def count(self) -> int:
@@ -129,7 +132,7 @@ def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:
     quanta = np.array([sensor_quantum(c, s.resolution) for c, s in zip(channels, machine.sensors, strict=True)])
     separate = [estimate_initial_state(recording, machine) for recording in recordings]
     zeros = common_encoder_zeros(separate, machine, quanta)
-    initial = [estimate_initial_state(recording, machine, zeros) for recording in recordings]
+    initial = [measured_initial_state(recording, machine, zeros, quanta) for recording in recordings]
     rows = [state.resting_rows for state in initial]
     noise = [
         sensor_noise(channel, rows, quantum, sensor.noise)
@@ -142,7 +145,25 @@ def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:
         )
         for r, state in zip(recordings, initial, strict=True)
     )
-    return Dataset(runs, np.array(noise), quanta, behind_belts(machine))
+    return Dataset(runs, np.array(noise), quanta, behind_belts(machine), zeros)
+
+
+def with_known_positions(data: Dataset) -> tuple[Dataset, tuple[str, ...]]:
+    """Leave out the runs whose initial position cannot be determined.
+
+    Args:
+        data: Data set.
+
+    Returns:
+        data: Copy without these runs; the given one if no run would remain.
+        warnings: One sentence for each run that was left out.
+    """
+    located = [run.name for run in data.runs if run.initial.position_known]
+    if not located or len(located) == len(data.runs):
+        return data, ()
+    reason = "is not used: no sensor with a known zero determines its initial position"
+    warnings = tuple(f"{run.name} {reason}." for run in data.runs if run.name not in located)
+    return data.with_runs(located), warnings
 
 
 def _common_jitter(recordings: Sequence[Recording], machine: Machine, noise: Sequence[float]) -> float:
@@ -210,7 +231,24 @@ def refine_encoder_offsets(data: Dataset, machine: Machine, reference: Dataset |
         dataclasses.replace(run, initial=refine_offsets(run.initial, machine, errors), outputs=run.outputs - errors)
         for run in data.runs
     )
-    return dataclasses.replace(data, runs=tuple(corrected))
+    zeros = data.zeros and data.zeros._replace(offset=data.zeros.offset + errors)
+    return dataclasses.replace(data, runs=tuple(corrected), zeros=zeros)
+
+
+def with_encoder_zeros(machine: Machine, data: Dataset) -> Machine:
+    """Write the zeros of the encoders, which all runs of a session determined, to the sensors of a machine.
+
+    `recording_simulation.simulate_recording` then determines the same initial state from a single run.
+
+    Args:
+        machine: Machine that was fitted to the runs; its effects refine the zeros.
+        data: Data set with the runs.
+
+    Returns:
+        Copy with the zeros; the machine itself if none are known.
+    """
+    zeros = refine_encoder_offsets(data, machine).zeros
+    return machine if zeros is None else zeros.in_machine(machine)
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,7 @@
 `rest_measurement` estimates the position from the measurements alone. A machine with effects knows more: an effect on a
 reading is inverted, and pulleys are in static equilibrium with the forces that act at rest.
 
-Every command takes its initial states from here: identification from `model_initial_state`, ``hframe simulate`` from
-`initial_state_of_recording`.
+Fits take their initial states from here; `recording_simulation` determines that of a single run for every command.
 """
 
 from __future__ import annotations
@@ -15,24 +14,78 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..dynamics import effect_forces, simulate_batch, stiffness_matrix
+from ..dynamics import effect_forces, stiffness_matrix
 from ..machine import Machine, rest_state
 from ..recordings import Recording
-from .criteria import SelectionCriteria
-from .rest_measurement import (
-    InitialState,
-    count_resting_rows,
-    estimate_initial_state,
-    max_zero_means,
-    rigid_basis,
-    sensor_zero_error,
-)
-from .sensor_properties import blank_saturated, sensor_noise, sensor_quantum
+from .encoder_zeros import EncoderZeros, zero_tolerance
+from .rest_measurement import InitialState, estimate_initial_state, rigid_basis
 
 Array = NDArray[np.float64]
-_POSITION_CORRECTIONS = 3  # Simulations that refine a position which no sensor measures at rest.
 _INVERSION_STEPS = 4  # Each leaves a few hundredths of the error.
 _INVERSION_TOLERANCE = 1e-6  # m
+_ENCODER_WEIGHT = 1e-3  # of encoders beside lasers, which determine the position where they can
+_STRETCH_STEPS = 2  # The force at rest changes little with the stretch of the belts.
+
+
+def measured_initial_state(recording: Recording, machine: Machine, zeros: EncoderZeros, quanta: Array) -> InitialState:
+    """Estimate the initial state of a run with the zeros of its session, where the run agrees with them.
+
+    The zero of an encoder is not used if its measurement at rest differs from that in static equilibrium by more than
+    friction can maintain: the encoder was switched on anew.
+
+    Args:
+        recording: The run; saturated measurements are NaN.
+        machine: Machine with the rig's coordinates, belts and sensors, and its effects.
+        zeros: Zeros of the encoders in the session.
+        quanta: Quanta of the sensors, in their units, shape (sensors,).
+
+    Returns:
+        Initial state; `warnings` names the encoders whose zero was not used.
+    """
+    alone = estimate_initial_state(recording, machine)
+    if not zeros.known.any() or not machine.belts:
+        return alone
+    moved = _switched_on_anew(machine, alone, zeros, quanta)
+    initial = estimate_initial_state(recording, machine, zeros.without(moved))
+    if not moved.any():
+        return initial
+    channels = ", ".join(np.array(machine.output_channels)[moved])
+    warning = (
+        f"{recording.name}: {channels} does not count from its zero in the other runs, so the encoder was switched on "
+        "anew; the belts are assumed to be in static equilibrium at rest."
+    )
+    return dataclasses.replace(initial, warnings=(*initial.warnings, warning))
+
+
+def _switched_on_anew(machine: Machine, alone: InitialState, zeros: EncoderZeros, quanta: Array) -> NDArray[np.bool_]:
+    """Mark the encoders (sensors,) whose zero a run contradicts.
+
+    Args:
+        machine: Machine with belts.
+        alone: Initial state that was measured without these zeros.
+        zeros: Zeros of the encoders in the session.
+        quanta: Quanta of the sensors, in their units, shape (sensors,).
+    """
+    moved = np.zeros(len(machine.sensors), np.bool_)
+    fixed = np.array([not s.incremental for s in machine.sensors])
+    tolerance = zero_tolerance(machine, zeros, quanta)
+    if not alone.position_known:
+        # One laser cannot tell which encoder it contradicts.
+        rigid = rigid_basis(machine)
+        checked = (zeros.known | fixed) & np.isfinite(alone.reading)
+        reading = (alone.reading - np.where(zeros.known, zeros.offset, 0.0))[checked]
+        seen = (machine.sensor_matrix @ rigid)[checked]
+        weight = np.where(fixed[checked], 1.0, _ENCODER_WEIGHT)
+        position = np.linalg.lstsq(weight[:, None] * seen, weight * reading, rcond=None)[0]
+        contradicted = np.any(np.abs(reading - seen @ position)[~fixed[checked]] > tolerance[checked][~fixed[checked]])
+        return zeros.known & contradicted
+    equilibrium = static_equilibrium(machine, _without_measurement_effects(machine, alone, alone.position.copy()))
+    for j in np.flatnonzero(zeros.known & np.isfinite(alone.reading)):
+        i = machine.coordinate_names.index(machine.sensors[j].coordinate)
+        row = machine.sensors[j].row[machine.sensors[j].coordinate]
+        angle = concentric_angle(machine, i, (alone.reading[j] - zeros.offset[j]) / row)
+        moved[j] = abs(row) * abs(angle - equilibrium[i]) > tolerance[j]
+    return moved
 
 
 def static_equilibrium(machine: Machine, position: Array) -> Array:
@@ -119,18 +172,34 @@ def encoder_angles(machine: Machine, initial: InitialState) -> dict[int, float]:
     angles: dict[int, float] = {}
     for j in np.flatnonzero(initial.offset_known):
         i = machine.coordinate_names.index(machine.sensors[j].coordinate)
-        angles[i] = measured = float(initial.state[i])
-        for e in machine.effects:
-            if e.definition.rest_angle_offset and machine.coordinate_of_site(e.site) == machine.coordinate_names[i]:
-                angles[i] += float(e("rest_angle_offset", q=measured, per_radius=1.0 / machine.travel_per_unit[i]))
+        angles[i] = concentric_angle(machine, i, float(initial.state[i]))
     return angles
 
 
-def position_from_measurements(machine: Machine, initial: InitialState) -> Array:
-    """Return the positions at rest for which the machine's lasers would give the measured values.
+def concentric_angle(machine: Machine, index: int, angle: float) -> float:
+    """Convert the angle of an eccentric pulley at rest to that of a concentric one with the same belt travel.
 
-    Effects on the measurements (skew, scale) are inverted iteratively. A measurement beyond the end of a sensor's range
-    has no inverse; that position, which other sensors determined, is kept.
+    Args:
+        machine: Machine with its effects.
+        index: Index of the pulley in `Machine.coordinates`.
+        angle: Measured angle, rad.
+
+    Returns:
+        Angle, rad; the given one for a pulley without eccentricity.
+    """
+    converted = angle
+    for e in machine.effects:
+        if e.definition.rest_angle_offset and machine.coordinate_of_site(e.site) == machine.coordinate_names[index]:
+            converted += float(e("rest_angle_offset", q=angle, per_radius=1.0 / machine.travel_per_unit[index]))
+    return converted
+
+
+def position_from_measurements(machine: Machine, initial: InitialState) -> Array:
+    """Return the positions at rest for which the machine's sensors would give the measured values.
+
+    Effects on the measurements of lasers (skew, scale) are inverted iteratively. A measurement beyond the end of a
+    sensor's range has no inverse; that position, which other sensors determined, is kept. Where encoders replace a
+    laser, their angles are corrected for eccentric pulleys and for belts that forces stretch at rest.
 
     Args:
         machine: Machine with its effects.
@@ -139,12 +208,40 @@ def position_from_measurements(machine: Machine, initial: InitialState) -> Array
     Returns:
         Positions in the coordinates' units, shape (coordinates,).
     """
-    position = initial.position.copy()
+    if initial.lasers_measured or not machine.effects:
+        return _without_measurement_effects(machine, initial, initial.position.copy())
+    encoders = [j for j, s in enumerate(machine.sensors) if s.incremental and np.isfinite(initial.reading[j])]
+    stretch = np.zeros(len(machine.sensors))  # rad
+    position = initial.position
+    for _ in range(_STRETCH_STEPS):
+        reading = np.nan_to_num(initial.reading)
+        for j in encoders:
+            i = machine.coordinate_names.index(machine.sensors[j].coordinate)
+            row = machine.sensors[j].row[machine.sensors[j].coordinate]
+            reading[j] = row * concentric_angle(machine, i, reading[j] / row) - stretch[j]
+        unstretched = initial.position_from_reading @ reading
+        position = _without_measurement_effects(machine, initial, unstretched)
+        at_rest = rest_state(machine, position[_linear(machine)[: len(position)]])
+        held = static_equilibrium(machine, position) - at_rest[: len(machine.coordinates)]
+        stretch = machine.sensor_matrix @ held
+    return position
+
+
+def _linear(machine: Machine) -> NDArray[np.bool_]:
+    """Mark the linear coordinates."""
+    return np.array([c.kind == "linear" for c in machine.coordinates])
+
+
+def _without_measurement_effects(machine: Machine, initial: InitialState, position: Array) -> Array:
+    """Invert the effects on the measurements of lasers in positions (coordinates,), in place."""
     names = machine.coordinate_names
     for e in machine.effects:
         if not e.definition.measurement or machine.sensor(e.site).incremental:
             continue
         sensor = machine.sensor(e.site)
+        j = machine.output_channels.index(e.site)
+        if len(initial.reading) and not np.isfinite(initial.reading[j]):
+            continue  # Encoders determined this position.
         i, other = names.index(sensor.coordinate), machine.other_axis(sensor.coordinate)
         measured, across = float(position[i]), position[names.index(other)] if other else 0.0
         inverse = measured
@@ -161,6 +258,8 @@ def encoder_zero_errors(machine: Machine, initial: Sequence[InitialState]) -> Ar
     `common_encoder_zeros` assumes that the belts are unstretched on average. A force that acts at rest, from a cable or
     a tilt, stretches them in one direction, and a machine with that force predicts by how much. The error is the median
     over the runs of the measured angle minus the angle in static equilibrium; friction adds to it in either direction.
+    Runs whose position the encoders determined, because a laser measures nothing at rest, say nothing about the zeros
+    and are used only if there are no others.
 
     Args:
         machine: Fitted machine.
@@ -172,9 +271,10 @@ def encoder_zero_errors(machine: Machine, initial: Sequence[InitialState]) -> Ar
     errors = np.zeros(len(machine.sensors))
     if not machine.belts:
         return errors
+    located = [state for state in initial if state.lasers_measured] or initial
     runs = [
         (encoder_angles(machine, state), static_equilibrium(machine, position_from_measurements(machine, state)))
-        for state in initial
+        for state in located
     ]
     for j, sensor in enumerate(machine.sensors):
         i = machine.coordinate_names.index(sensor.coordinate)
@@ -195,60 +295,15 @@ def refine_offsets(initial: InitialState, machine: Machine, errors: Array) -> In
     Returns:
         Corrected copy, marked by `offsets_refined=True`.
     """
-    state = initial.state.copy()
-    for j in np.flatnonzero(errors):
+    state, reading = initial.state.copy(), initial.reading
+    if len(reading):
+        reading = reading - errors
+        if not initial.lasers_measured:
+            position = initial.position_from_reading @ np.nan_to_num(reading)
+            state[: len(position)] = position
+    for j in np.flatnonzero(initial.offset_known):
         sensor = machine.sensors[j]
-        state[machine.coordinate_names.index(sensor.coordinate)] -= errors[j] / sensor.row[sensor.coordinate]
-    return dataclasses.replace(initial, state=state, offset=initial.offset + errors, offsets_refined=True)
-
-
-def initial_state_of_recording(machine: Machine, recording: Recording) -> InitialState:
-    """Determine the initial state from which a machine is simulated over a recording.
-
-    This is the initial state that identification uses, for a single run: measurements beyond a sensor's range do not
-    count, effects on readings are inverted, pulleys are in static equilibrium. The offsets are those of the simulation
-    from that state, so that `simulate(..., offset=initial.offset)` minus the recording is the error that identification
-    reports.
-
-    Args:
-        machine: Machine, declared or identified.
-        recording: The run; outputs may be missing.
-
-    Returns:
-        Initial state of the machine and the sensors' offsets; `warnings` lists what could not be determined. If the
-            simulation diverges, the offsets are those of the measurements at rest.
-    """
-    criteria = SelectionCriteria()
-    rows = count_resting_rows(recording)
-    channels = [[recording.outputs[:, j]] for j in range(len(machine.sensors))]
-    quanta = np.array([sensor_quantum(c, s.resolution) for c, s in zip(channels, machine.sensors, strict=True)])
-    noise = [sensor_noise(c, [rows], q, s.noise) for c, q, s in zip(channels, quanta, machine.sensors, strict=True)]
-    ends = {e.site: (e.parameters["low"], e.parameters["high"]) for e in machine.effects if e.name == "sensor_range"}
-    usable = blank_saturated(recording, ends, machine, np.array(noise), criteria)
-    initial = estimate_initial_state(usable, machine)
-    state = model_initial_state(machine, initial)
-    measured = np.isfinite(recording.outputs)
-
-    def readings(state: Array) -> Array:
-        return simulate_batch(machine, recording.time_s, recording.inputs, start=state, states=False).readings
-
-    if not initial.position_measured:
-        for _ in range(_POSITION_CORRECTIONS):
-            state = _corrected_position(machine, state, usable.outputs - readings(state)[0])
-    error = np.where(measured, recording.outputs - readings(state), 0.0)
-    if not np.isfinite(error).all():
-        return dataclasses.replace(initial, state=state)
-    offset = sensor_zero_error(error, measured, rows, max_zero_means(machine, quanta))[0, 0]
-    return dataclasses.replace(initial, state=state, offset=offset)
-
-
-def _corrected_position(machine: Machine, state: Array, error: Array) -> Array:
-    """Return the state moved rigidly by the median error (n, sensors) of the sensors with a fixed zero."""
-    fixed = np.array([not s.incremental for s in machine.sensors]) & np.isfinite(error).any(axis=0)
-    if not fixed.any():
-        return state
-    rigid = rigid_basis(machine)
-    mean = np.array([np.nanmedian(error[:, j]) for j in np.flatnonzero(fixed)])
-    moved = state.copy()
-    moved[: len(rigid)] += rigid @ np.linalg.lstsq(machine.sensor_matrix[fixed] @ rigid, mean, rcond=1e-9)[0]
-    return moved
+        i = machine.coordinate_names.index(sensor.coordinate)
+        state[i] = initial.state[i] - errors[j] / sensor.row[sensor.coordinate]
+    offset = initial.offset + errors
+    return dataclasses.replace(initial, state=state, reading=reading, offset=offset, offsets_refined=True)

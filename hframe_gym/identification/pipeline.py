@@ -15,7 +15,7 @@ from ..machine import Machine
 from ..recordings import Recording, without_outliers
 from ..registry import load_plugins
 from .criteria import SelectionCriteria
-from .dataset import Dataset, prepare, refine_encoder_offsets, with_all_measurements
+from .dataset import Dataset, prepare, refine_encoder_offsets, with_all_measurements, with_known_positions
 from .estimation import Fit, fit, prediction_cost, with_uncertainty
 from .experiment_design import design_discriminating_experiment
 from .forward_selection import (
@@ -29,8 +29,9 @@ from .free_parameters import default_free_parameters
 from .model_error import drive_force, effect_force, fit_with_model_error, polish
 from .nonparametric import add_tables
 from .prediction import POLISH_STEP, SEARCH_BANDWIDTH
-from .residual import channel_errors, force_error, is_white, rank_dependences
-from .result import IdentificationResult, ModelEvaluation, PredictionErrors, RejectedEffect, Verdict
+from .recording_simulation import evaluate_held_out
+from .residual import force_error, is_white, rank_dependences
+from .result import IdentificationResult, RejectedEffect, Verdict
 from .sensor_properties import Range, blank_saturated, range_effects, saturation_ranges
 from .trial_fits import without_effect
 
@@ -97,10 +98,12 @@ def identify(
     criteria = criteria or SelectionCriteria()
     log = log or (lambda line: None)
     kept = hold_out(recordings, held_out)
+    measured = recordings
     recordings = [_cleaned(recording, machine, log) for recording in recordings]
     everything, ranges = _prepare(recordings, machine, criteria, log)
-    validation = with_all_measurements(everything.with_runs(kept), recordings)
-    data = everything.with_runs([r.name for r in recordings if r.name not in kept])
+    validation, excluded = with_known_positions(everything.with_runs(kept))
+    validation = with_all_measurements(validation, recordings)
+    data, unused = with_known_positions(everything.with_runs([r.name for r in recordings if r.name not in kept]))
     log(f"fitting {machine.name} to {len(data.runs)} runs, {len(validation.runs)} held out")
     base = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
     log(f"refitted machine: {_describe(base)}")
@@ -109,9 +112,9 @@ def identify(
     log("searching for effects")
     outcome = _Search(base, before, data, criteria, log).run()
     outcome = _without_unconfirmed(outcome, before, data, validation, log)
-    result = _result(outcome, machine, before, ranges, data, validation, criteria)
+    result = _result(outcome, machine, before, ranges, data, validation, measured, criteria)
     log(f"verdict: {result.verdict}")
-    return dataclasses.replace(result, seconds=time.perf_counter() - began)
+    return dataclasses.replace(result, seconds=time.perf_counter() - began, excluded=(*unused, *excluded))
 
 
 def _cleaned(recording: Recording, machine: Machine, log: Log) -> Recording:
@@ -188,6 +191,7 @@ def _result(
     ranges: dict[str, Range],
     data: Dataset,
     validation: Dataset,
+    recordings: Sequence[Recording],
     criteria: SelectionCriteria,
 ) -> IdentificationResult:
     """Evaluate declared, refitted and corrected machine on the held-out runs, and propose an experiment."""
@@ -196,9 +200,9 @@ def _result(
     corrected, selected = _corrected(after, selected, ranges, refined, f"{machine.name}-identified")
     refitted = before.machine.replace(name=f"{machine.name}-refitted")
     declared_evaluation, refitted_evaluation, corrected_evaluation = (
-        ModelEvaluation(m, _errors(m, refine_encoder_offsets(validation, m, data)))
-        for m in (machine, refitted, corrected)
+        evaluate_held_out(m, data, validation, recordings) for m in (machine, refitted, corrected)
     )
+    corrected = corrected_evaluation.machine
     experiments = (
         design_discriminating_experiment(after, corrected, s.effect.label, s.rival_effects, refined) for s in selected
     )
@@ -311,11 +315,6 @@ class _Search:
         """Return whether a fit leaves only the sensors' noise, or a negligible part of the initial residual."""
         criteria = self._criteria
         return after.chi2 < max(criteria.explained_chi2, criteria.explained_fraction * self._base.chi2)
-
-
-def _errors(machine: Machine, data: Dataset) -> PredictionErrors:
-    """Return the errors of a machine on a data set."""
-    return PredictionErrors(channel_errors(machine, data), force_error(machine, data))
 
 
 def _held_out_gain(selected: SelectedEffect, machine: Machine, validation: Dataset, bandwidth: float) -> float:

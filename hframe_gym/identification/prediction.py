@@ -26,7 +26,7 @@ from ..dynamics import simulate_batch
 from ..dynamics.simulation import Motion, threads
 from ..machine import Machine
 from .dataset import Dataset, PreparedRecording
-from .rest_measurement import sensor_zero_error
+from .rest_measurement import rigid_basis, sensor_zero_error
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
@@ -42,6 +42,7 @@ _LONGEST_OBSERVER_PERIOD = 5e-3  # s; limits the observer gains of slowly sample
 # Fraction of the motors' Coulomb friction that typically remains as belt tension when the stage has come to rest.
 _HELD_FRICTION = 0.1
 _SMALLEST_HELD_ANGLE = 1e-6  # rad; keeps the column of a motor without friction away from zero
+_UNMEASURED_POSITION = 2e-4  # m; error of a position that follows from later measurements
 _BLOCK_S = 4e-3  # s; measurements respond more slowly than this to mechanical effects
 
 
@@ -292,11 +293,12 @@ def initial_state_projection(
     longest_step: float = SEARCH_STEP,
     rows_per_block: int = 1,
 ) -> InitialStateProjection | None:
-    """Return the projection that removes the unknown initial belt stretch of a run.
+    """Return the projection that removes the unknown initial belt stretch of a run, and an unmeasured position.
 
     Static friction holds an unknown stretch in the belts when a run begins, which encoders behind belts do not
     resolve.  Its effect on the measurements is one column per motor and run; with a Gaussian prior of the size that
-    friction can hold, the column is eliminated from residual and Jacobian alike (variable projection).
+    friction can hold, the column is eliminated from residual and Jacobian alike (variable projection). A run whose
+    position no laser measures at rest has further columns, one per rigid motion.
 
     Args:
         machine: Machine that predicts.
@@ -318,15 +320,28 @@ def initial_state_projection(
     if not held_angles:
         return None
     state = run.initial_state(machine) if initial_state is None else initial_state
-    initial_states = np.tile(state, (len(held_angles) + 1, 1))
-    for k, (name, angle) in enumerate(held_angles.items(), start=1):
-        initial_states[k, machine.coordinate_names.index(name)] += angle
+    displacements = np.zeros((len(held_angles), len(machine.coordinates)))
+    for k, (name, angle) in enumerate(held_angles.items()):
+        displacements[k, machine.coordinate_names.index(name)] = angle
+    if not run.initial.lasers_measured:
+        displacements = np.vstack([displacements, _rigid_displacements(machine, run, held_angles)])
+    initial_states = np.tile(state, (len(displacements) + 1, 1))
+    initial_states[1:, : displacements.shape[1]] += displacements
     motion = predict(
         machine, run, bandwidth, period=data.period, initial_state=initial_states, longest_step=longest_step
     )
     residual = residuals(run, data, motion.readings, rows_per_block)
-    columns = (residual[1:] - residual[0]).T  # (rows, motors), in units of the prior's standard deviation
+    columns = (residual[1:] - residual[0]).T  # (rows, displacements), in units of the prior's standard deviation
     if not np.all(np.isfinite(columns)):
         return None
     directions, sizes, _ = np.linalg.svd(columns, full_matrices=False)
     return InitialStateProjection(directions, 1.0 - 1.0 / np.sqrt(1.0 + sizes**2))
+
+
+def _rigid_displacements(machine: Machine, run: PreparedRecording, held_angles: dict[str, float]) -> Array:
+    """Return rigid motions of the size by which a position that no laser measures may be wrong, (k, coordinates)."""
+    travel = [angle * machine.coordinate(name).travel_per_unit for name, angle in held_angles.items()]
+    size = max(travel) if run.initial.position_measured else _UNMEASURED_POSITION
+    rigid = rigid_basis(machine)
+    linear = [c.kind == "linear" for c in machine.coordinates]
+    return np.asarray(size * (rigid / np.linalg.norm(rigid[linear], axis=0)).T)

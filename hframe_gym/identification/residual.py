@@ -7,6 +7,7 @@ measurements.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -85,7 +86,23 @@ def channel_errors(machine: Machine, data: Dataset) -> dict[str, ChannelError]:
     Returns:
         Error by name of the output channel.
     """
-    error = np.concatenate(list(map_runs(lambda run: simulation_error(machine, run, data), data)))
+    return errors_by_channel(
+        list(map_runs(lambda run: simulation_error(machine, run, data), data)), machine, data.noise
+    )
+
+
+def errors_by_channel(by_run: Sequence[Array], machine: Machine, noise: Array) -> dict[str, ChannelError]:
+    """Return the root mean square of simulation errors for every output channel.
+
+    Args:
+        by_run: Errors by run, in the sensors' units, NaN where not measured, shape (n, sensors) each.
+        machine: Machine with the sensors.
+        noise: Standard deviations of the sensors' noise, in their units, shape (sensors,).
+
+    Returns:
+        Error by name of the output channel.
+    """
+    error = np.concatenate(by_run)
     errors = {}
     for j, channel in enumerate(machine.output_channels):
         column = error[:, j][np.isfinite(error[:, j])]
@@ -93,7 +110,7 @@ def channel_errors(machine: Machine, data: Dataset) -> dict[str, ChannelError]:
             errors[channel] = ChannelError(None, None)
             continue
         rmse = float(np.sqrt(np.mean(column**2)))
-        errors[channel] = ChannelError(rmse, rmse / float(data.noise[j]))
+        errors[channel] = ChannelError(rmse, rmse / float(noise[j]))
     return errors
 
 

@@ -7,9 +7,7 @@ known. The zero of a sensor is its measurement at rest minus the reading that th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,13 +15,13 @@ from scipy.linalg import null_space
 
 from ..machine import Machine
 from ..recordings import Recording
+from .encoder_zeros import EncoderZeros
 
 Array = NDArray[np.float64]
-_MIN_RUNS_FOR_ZERO = (
-    3  # Runs needed to tell an encoder that keeps its zero from one that was switched on for every run.
-)
-_FALLBACK_WEIGHT = 1e-6  # Weight of an encoder with an unknown zero: used only where no other sensor measures.
-_MIN_STRETCH = 0.1e-3  # rad; zeros that scatter by less show no stretch of the belts.
+# Weights of encoders that are used only where no laser measures: behind stretched belts, and with an unknown zero.
+_STRETCHED_WEIGHT, _FALLBACK_WEIGHT = 1e-3, 1e-6
+# m; typical stretch of the belts at full voltage or speed, and the part of it that a linear model leaves.
+_TYPICAL_STRETCH, _STRETCH_RESIDUAL = 0.3e-3, 0.1e-3
 
 
 @dataclass(frozen=True)
@@ -39,6 +37,12 @@ class InitialState:
             (sensors,).
         offsets_refined: Whether a fitted machine has corrected the encoders' zeros.
         position_measured: Whether sensors with a known zero measure the position at rest.
+        lasers_measured: Whether sensors with a fixed zero alone measure the position at rest.
+        position_known: Whether these sensors determine the position at rest, if necessary by later measurements.
+        reading: Measurements at rest minus the known zeros, in the sensors' units, NaN where there is none, shape
+            (sensors,).
+        position_from_reading: Matrix that computes the positions of unstretched belts from `reading` (with 0 instead
+            of NaN), shape (coordinates, sensors).
         warnings: What could not be measured and what is assumed instead, one sentence each.
     """
 
@@ -48,36 +52,16 @@ class InitialState:
     offset_known: NDArray[np.bool_]
     offsets_refined: bool = False
     position_measured: bool = True
+    lasers_measured: bool = True
+    position_known: bool = True
+    reading: Array = field(default_factory=lambda: np.zeros(0))
+    position_from_reading: Array = field(default_factory=lambda: np.zeros((0, 0)))
     warnings: tuple[str, ...] = field(default=())
 
     @property
     def position(self) -> Array:
         """Positions at rest, in the coordinates' units, shape (coordinates,)."""
         return self.state[: len(self.state) // 2]
-
-
-class EncoderZeros(NamedTuple):
-    """Zeros of the encoders that kept them from run to run.
-
-    Attributes:
-        offset: Zero of each sensor in its unit, NaN where it is unknown, shape (sensors,).
-        stretched: Whether the encoder measures that the belts are stretched at rest, shape (sensors,).
-    """
-
-    offset: Array
-    stretched: NDArray[np.bool_]
-
-    @classmethod
-    def unknown(cls, machine: Machine) -> EncoderZeros:
-        """Return the zeros of encoders none of which is known (all NaN).
-
-        Args:
-            machine: Machine with the sensors.
-
-        Returns:
-            Unknown zeros, one per sensor.
-        """
-        return cls(np.full(len(machine.sensors), np.nan), np.zeros(len(machine.sensors), np.bool_))
 
 
 def count_resting_rows(recording: Recording) -> int:
@@ -127,16 +111,17 @@ def estimate_initial_state(recording: Recording, machine: Machine, zeros: Encode
     """
     count = len(machine.coordinates)
     rows = count_resting_rows(recording)
-    zeros = zeros or EncoderZeros.unknown(machine)
+    zeros = zeros or EncoderZeros.of_machine(machine).without(np.ones(len(machine.sensors), np.bool_))
     at_rest = recording.outputs[settled_rows(rows)]
     measured = np.asarray(np.isfinite(at_rest).any(axis=0))
     measurement = np.array([np.nanmean(at_rest[:, j]) if measured[j] else np.nan for j in range(at_rest.shape[1])])
     site = [machine.coordinate_names.index(s.coordinate) for s in machine.sensors]
     fixed = np.array([not s.incremental for s in machine.sensors])
-    known = np.isfinite(zeros.offset)
+    known = zeros.known
     rigid = rigid_basis(machine)
     seen = machine.sensor_matrix @ rigid  # (sensors, rigid motions)
-    position_measured = _rank(seen[(fixed | known) & measured]) == _rank(seen) or not fixed.any()
+    lasers_measured = _rank(seen[fixed & measured]) == _rank(seen) or not fixed.any()
+    position_measured = lasers_measured or _rank(seen[(fixed | known) & measured]) == _rank(seen)
 
     reading = measurement - np.where(known, zeros.offset, 0.0)
     usable = measured.copy()
@@ -148,11 +133,11 @@ def estimate_initial_state(recording: Recording, machine: Machine, zeros: Encode
         usable |= replaced
         warnings = (_position_warning(recording, machine, fixed & ~measured, replaced),)
     # An angle is as accurate as a length once it is multiplied by the radius.
-    weight = np.where(fixed | (known & ~zeros.stretched), machine.travel_per_unit[site], _FALLBACK_WEIGHT)
-    position = np.zeros(count)
-    if usable.any():
-        weighted = weight[usable, None] * seen[usable]
-        position = rigid @ np.linalg.lstsq(weighted, weight[usable] * reading[usable], rcond=1e-12)[0]
+    weight = np.where(known, np.where(zeros.stretched, _STRETCHED_WEIGHT, 1.0), _FALLBACK_WEIGHT)
+    weight = np.where(usable, np.where(fixed, 1.0, weight) * machine.travel_per_unit[site], 0.0)
+    position_from_reading = rigid @ np.linalg.pinv(weight[:, None] * seen, rcond=1e-12) * weight
+    reading = np.where(usable, reading, np.nan)
+    position = position_from_reading @ np.nan_to_num(reading)
     for j in np.flatnonzero(known & measured & zeros.stretched):
         position[site[j]] = reading[j] / machine.sensors[j].row[machine.sensors[j].coordinate]
     offset = np.where(known, zeros.offset, np.where(measured, measurement - machine.sensor_matrix @ position, 0.0))
@@ -162,6 +147,10 @@ def estimate_initial_state(recording: Recording, machine: Machine, zeros: Encode
         rows,
         zeros.stretched,
         position_measured=position_measured,
+        lasers_measured=lasers_measured,
+        position_known=position_measured or _rank(seen[(fixed | known) & usable]) == _rank(seen),
+        reading=reading,
+        position_from_reading=position_from_reading,
         warnings=warnings,
     )
 
@@ -190,8 +179,8 @@ def _rank(rows: Array) -> int:
 def _later_measurements(recording: Recording, at_rest: Array, machine: Machine, rigid: Array) -> Array:
     """Return what each sensor would have measured at rest, from its later rows (sensors,); NaN where they do not tell.
 
-    The encoders measure the displacement since then; the median over all rows is insensitive to the stretch of the
-    belts.
+    The encoders measure the displacement since then, and the belts between them and the tool stretch as the drives
+    pull. A linear regression on voltages, speeds and directions of the motors removes this stretch.
     """
     unknown = np.full(len(machine.sensors), np.nan)
     encoders = np.array([s.incremental for s in machine.sensors]) & np.isfinite(at_rest)
@@ -201,8 +190,18 @@ def _later_measurements(recording: Recording, at_rest: Array, machine: Machine, 
     turned = recording.outputs[:, encoders] - at_rest[encoders]  # (n, encoders)
     displacement = turned @ np.linalg.pinv(seen[encoders]).T @ seen.T  # (n, sensors)
     start = recording.outputs - displacement
-    for j in np.flatnonzero(np.isfinite(start).any(axis=0)):
-        unknown[j] = np.nanmedian(start[:, j])
+    speed = np.gradient(np.nan_to_num(turned), axis=0)
+    pull = np.hstack([recording.inputs, speed, np.sign(speed)])  # (n, regressors), 0 at rest
+    pull /= np.maximum(np.abs(pull).max(axis=0), 1e-12)
+    regressors = np.hstack([np.ones((len(pull), 1)), pull])
+    # Ridge: motions that do not tell the stretch from the position show a small stretch.
+    prior = _STRETCH_RESIDUAL / _TYPICAL_STRETCH * np.eye(regressors.shape[1])[1:]
+    for j in range(len(machine.sensors)):
+        rows = np.isfinite(start[:, j])
+        if rows.any():
+            middle = np.median(start[rows, j])
+            target = np.concatenate([start[rows, j] - middle, np.zeros(len(prior))])
+            unknown[j] = middle + np.linalg.lstsq(np.vstack([regressors[rows], prior]), target, rcond=None)[0][0]
     return unknown
 
 
@@ -221,43 +220,6 @@ def _position_warning(
         "measures it; the encoders are assumed to count from the machine's zero, and positions without any measurement "
         "are assumed to be 0."
     )
-
-
-def common_encoder_zeros(initial: Sequence[InitialState], machine: Machine, quanta: Array) -> EncoderZeros:
-    """Find the encoders that kept their zero in all runs of a session.
-
-    If an encoder's zero differs from run to run by no more than the belt stretch that static friction can maintain, the
-    encoder kept its zero. The zeros of an encoder that was switched on anew for every run differ by far more.
-
-    Args:
-        initial: Initial states of the runs, each estimated with unknown zeros.
-        machine: Machine as declared.
-        quanta: Quanta of the sensors, in their units, shape (sensors,).
-
-    Returns:
-        Zeros of the encoders that kept them, NaN for all other sensors. All are unknown without belts or with fewer
-        than three runs.
-    """
-    zeros = EncoderZeros.unknown(machine)
-    if not machine.belts or len(initial) < _MIN_RUNS_FOR_ZERO:
-        return zeros
-    positioned = [state.offset for state in initial if state.position_measured]
-    offsets = np.array(positioned if len(positioned) >= _MIN_RUNS_FOR_ZERO else [state.offset for state in initial])
-    median = np.median(offsets, axis=0)
-    spread = 1.4826 * np.median(np.abs(offsets - median), axis=0)
-    friction = sum(c.coulomb / c.travel_per_unit for c in machine.coordinates)
-    for j, sensor in enumerate(machine.sensors):
-        c = machine.coordinate(sensor.coordinate)
-        held = 2 * friction / _mean_stiffness(machine) / c.radius
-        if sensor.incremental and c.kind == "rotary" and spread[j] < max(held, 2 * quanta[j]):
-            zeros.offset[j] = median[j]
-            zeros.stretched[j] = spread[j] > max(quanta[j], _MIN_STRETCH)
-    return zeros
-
-
-def _mean_stiffness(machine: Machine) -> float:
-    """Return the mean stiffness of the belts at zero travel, N/m."""
-    return float(np.mean([b.EA / b.rest_length for b in machine.belts]))
 
 
 def sensor_zero_error(error: Array, measured: NDArray[np.bool_], resting_rows: int, max_mean: Array) -> Array:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -71,10 +71,15 @@ class ModelEvaluation:
     Attributes:
         machine: The machine.
         held_out: Errors on the held-out runs.
+        errors: Simulation errors by name of the held-out run, in the sensors' units, NaN where not measured, shape
+            (n, sensors) each.
+        warnings: What could not be determined about the initial states of these runs, one sentence each.
     """
 
     machine: Machine
     held_out: PredictionErrors
+    errors: Mapping[str, Array] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -138,6 +143,7 @@ class IdentificationResult:
         seconds: Duration of the identification, s.
         experiment: Run that would distinguish the leading effect from its rival, where there is one.
         criteria: Decision thresholds that were used.
+        excluded: One sentence for each run that was neither fitted nor held out.
     """
 
     verdict: Verdict
@@ -155,6 +161,7 @@ class IdentificationResult:
     seconds: float
     experiment: ExperimentDesign | None = None
     criteria: SelectionCriteria = field(default_factory=SelectionCriteria)
+    excluded: tuple[str, ...] = ()
 
     @property
     def explained(self) -> float:
@@ -166,6 +173,12 @@ class IdentificationResult:
     def left(self) -> float:
         """Simulation error of the corrected machine on the held-out runs, in multiples of the sensors' noise."""
         return self.after.held_out.noise_ratio
+
+    @property
+    def initial_state_warnings(self) -> tuple[str, ...]:
+        """What could not be determined about the initial states of the runs, one sentence each, without repetitions."""
+        fitted = [warning for run in self.fitted.runs for warning in run.initial.warnings]
+        return tuple(dict.fromkeys([*self.excluded, *fitted, *self.after.warnings]))
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of report.json, schema 1.
@@ -246,7 +259,8 @@ def write_result(
     else:
         (folder / FILE).unlink(missing_ok=True)
     proposed = [comparison.as_json() for comparison in formulas]
-    report = result.as_json() | {"warnings": list(warnings), "proposed_formulas": proposed}
+    warnings = [*warnings, *result.initial_state_warnings]
+    report = result.as_json() | {"warnings": warnings, "proposed_formulas": proposed}
     write_text(folder / "report.json", json.dumps(report, indent=1, allow_nan=False) + "\n")
 
 
@@ -274,7 +288,9 @@ def plot_data(result: IdentificationResult) -> dict[str, Array]:
         curves[f"{run.name}/time_s"] = run.time_s
         curves[f"{run.name}/measured"] = run.outputs
         for name, evaluation in evaluations.items():
-            curves[f"{run.name}/{name}"] = simulation_error(evaluation.machine, run, result.held_out)
+            known = evaluation.errors.get(run.name)
+            error = simulation_error(evaluation.machine, run, result.held_out) if known is None else known
+            curves[f"{run.name}/{name}"] = error
     if result.dependence:
         strongest = result.dependence[0]
         i = result.declared.machine.coordinate_names.index(strongest.coordinate)

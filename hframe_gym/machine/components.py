@@ -241,6 +241,10 @@ class Sensor:
         noise: Standard deviation of the noise, in the channel's unit.
         resolution: Quantum, in the channel's unit; 0 for a continuous sensor.
         kind: Name in `SENSOR_KINDS`: "encoder" (incremental), "laser" (fixed zero) or a kind that a user registered.
+        zero: Measurement of an incremental sensor at position 0, in the channel's unit, if it kept this zero over the
+            recordings from which the machine was identified. None: unknown.
+        zero_std: Standard deviation by which belts that were stretched at rest scattered the measurements of that zero
+            from recording to recording, in the channel's unit. None: less than the sensor resolves.
     """
 
     channel: str
@@ -248,6 +252,8 @@ class Sensor:
     noise: float = 0.0
     resolution: float = 0.0
     kind: str = "laser"
+    zero: float | None = None
+    zero_std: float | None = None
 
     @property
     def incremental(self) -> bool:

@@ -125,6 +125,7 @@ def machine_to_dict(machine: Machine) -> dict[str, Any]:
     sensors = [
         {"channel": s.channel, "kind": s.kind, "row": dict(s.row)}
         | {key: quantity(s.channel, key, value) for key, value in s.device_parameters.items()}
+        | _zero_entry(s, machine.unit(f"{s.channel}.noise"))
         for s in machine.sensors
     ]
     effects = [
@@ -139,6 +140,14 @@ def machine_to_dict(machine: Machine) -> dict[str, Any]:
         covariance = [[float(f"{value:.9g}") for value in row] for row in machine.uncertainty.covariance]
         content["uncertainty"] = {"names": list(machine.uncertainty.names), "covariance": covariance}
     return content
+
+
+def _zero_entry(sensor: Sensor, unit: str) -> dict[str, Any]:
+    """Return the field `zero` of a sensor whose zero is known, else nothing."""
+    if sensor.zero is None:
+        return {}
+    std = {} if sensor.zero_std is None else {"std": sensor.zero_std}
+    return {"zero": {"value": sensor.zero, "unit": unit} | std}
 
 
 def _field_name(location: tuple[int | str, ...], text: str) -> str:
@@ -267,9 +276,12 @@ class _FileReader:
         if entry.range is not None and not entry.range[0] < entry.range[1]:
             raise self.error(f"{field}.range", "must be [lowest, highest]")
         unit = UNITS[coordinate_kind]["position"]
-        return Sensor(
-            entry.channel, entry.row, kind=kind, **self.values(field, entry, {"noise": unit, "resolution": unit})
-        )
+        values = self.values(field, entry, {"noise": unit, "resolution": unit})
+        if entry.zero is None:
+            return Sensor(entry.channel, entry.row, kind=kind, **values)
+        if entry.zero.unit != unit:
+            raise self.error(f"{field}.zero", f"unit is {entry.zero.unit!r}, must be {unit!r}")
+        return Sensor(entry.channel, entry.row, kind=kind, zero=entry.zero.value, zero_std=entry.zero.std, **values)
 
     def declared_effects(self, machine: Machine) -> list[EffectEntry]:
         """Return the effects that the fields `range`, `delay` and `current_limit` of sensors and drives declare."""

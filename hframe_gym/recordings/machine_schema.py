@@ -70,7 +70,9 @@ class DriveEntry(Table):
 class SensorEntry(Table):
     """One sensor, whose measurement is the sum of coordinates times coefficients in `row`.
 
-    `range` ([lowest, highest], m or rad) and `delay` declare the effects sensor_range and sensor_delay.
+    `range` ([lowest, highest], m or rad) and `delay` declare the effects sensor_range and sensor_delay. `zero` is the
+    measurement of an encoder at position 0 in the session from which the machine was identified, if it kept this zero;
+    its `std` is the scatter from run to run, where belts stretched at rest caused one.
     """
 
     channel: str
@@ -80,6 +82,7 @@ class SensorEntry(Table):
     resolution: QuantityEntry
     range: tuple[FiniteFloat, FiniteFloat] | None = None
     delay: QuantityEntry | None = None
+    zero: QuantityEntry | None = None
 
 
 class EffectEntry(Table):

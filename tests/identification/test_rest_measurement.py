@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from hframe_gym.identification import InitialState, estimate_initial_state
+from hframe_gym.identification.encoder_zeros import common_encoder_zeros
 from hframe_gym.identification.rest_measurement import (
-    common_encoder_zeros,
     count_resting_rows,
     sensor_zero_error,
     settled_rows,

@@ -8,6 +8,7 @@ import pytest
 from hframe_gym.identification import SelectionCriteria
 from hframe_gym.identification.sensor_properties import (
     blank_saturated,
+    clock_jitter,
     quantum_of,
     range_effects,
     saturation_ranges,
@@ -110,3 +111,27 @@ def test_a_coordinate_that_rests_is_not_saturated(hframe: Machine) -> None:
 def test_the_thresholds_of_saturation_can_be_set(hframe: Machine) -> None:
     strict = SelectionCriteria(min_saturated_fraction=0.9)
     assert saturation_ranges(moving_runs(), hframe, NOISE, strict) == {}
+
+
+@pytest.mark.parametrize("jitter", [0.0, 20e-6])
+def test_clock_jitter_is_estimated_from_fast_motion(jitter: float) -> None:
+    rng = np.random.default_rng(0)
+    time_s = np.arange(2000) * 1e-3
+    late = time_s + rng.normal(0.0, jitter, 2000) if jitter else time_s
+    channel = 8.0 * np.sin(9.0 * late) + rng.normal(0.0, 0.15e-3, 2000)
+    assert clock_jitter([time_s], [channel], 0.15e-3) == pytest.approx(jitter, rel=0.15)
+
+
+def test_a_vibration_is_no_clock_jitter() -> None:
+    time_s = np.arange(2000) * 1e-3
+    channel = 8.0 * np.sin(9.0 * time_s) + 1e-3 * np.sin(2 * np.pi * 60.0 * time_s)
+    channel += np.random.default_rng(0).normal(0.0, 0.15e-3, 2000)
+    assert clock_jitter([time_s], [channel], 0.15e-3) == 0.0
+
+
+def test_noise_of_a_slow_sensor_comes_from_its_measurements() -> None:
+    """A sensor that measures in every fifth row has no third differences between neighboring rows."""
+    rng = np.random.default_rng(0)
+    values = np.full(5000, np.nan)
+    values[::5] = rng.normal(0.0, 20e-6, 1000)
+    assert sensor_noise([values], [1], 0.0, 0.0) == pytest.approx(20e-6, rel=0.2)

@@ -226,3 +226,19 @@ def test_a_sensor_kind_in_the_file_imports_no_module(
         load_machine(tmp_path / "m.json")
     assert "kind_in_a_file" not in sys.modules
     assert "from-a-module" not in SENSOR_KINDS
+
+
+def test_the_zero_of_an_encoder_is_optional_and_survives_a_round_trip(hframe: Machine, tmp_path: Path) -> None:
+    assert all("zero" not in sensor for sensor in machine_to_dict(hframe)["sensors"])
+    zero = {"value": -0.31, "unit": "rad", "std": 2e-3}
+    content = machine_to_dict(hframe)
+    content["sensors"][0]["zero"] = zero
+    path = tmp_path / "machine.json"
+    path.write_text(json.dumps(content))
+    loaded = load_machine(path)
+    assert (loaded.sensors[0].zero, loaded.sensors[0].zero_std) == (-0.31, 2e-3)
+    assert machine_to_dict(loaded)["sensors"][0]["zero"] == zero
+    content["sensors"][0]["zero"] = zero | {"unit": "m"}
+    path.write_text(json.dumps(content))
+    with pytest.raises(InputError, match=r"sensors\.phi1_rad\.zero: unit is 'm', must be 'rad'"):
+        load_machine(path)

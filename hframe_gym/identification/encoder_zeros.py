@@ -1,0 +1,157 @@
+"""Zeros of the encoders of a session: measurements at position 0 with unstretched belts.
+
+An incremental encoder counts from where it was switched on. If it stayed on for a session, its zero is the same in all
+runs, which all of them together determine. An identified machine carries these zeros (`Sensor.zero`), so that a single
+run is simulated from the initial state that identification determined.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..machine import Machine
+
+if TYPE_CHECKING:
+    from .rest_measurement import InitialState
+
+Array = NDArray[np.float64]
+# Runs needed to tell an encoder that keeps its zero from one that was switched on for every run.
+_MIN_RUNS_FOR_ZERO = 3
+_MIN_STRETCH = 0.1e-3  # rad; zeros that scatter by less show no stretch of the belts.
+_MAX_SCATTER = 4.0  # Standard deviations of the scatter from run to run within which an encoder kept its zero.
+
+
+class EncoderZeros(NamedTuple):
+    """Zeros of the encoders that kept them from run to run.
+
+    Attributes:
+        offset: Zero of each sensor in its unit, NaN where it is unknown, shape (sensors,).
+        spread: Standard deviation of the zero from run to run, in the sensor's unit, by which belts were stretched at
+            rest; 0 where the encoder does not resolve it, shape (sensors,).
+    """
+
+    offset: Array
+    spread: Array
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """Sensors whose zero is known, shape (sensors,)."""
+        return np.isfinite(self.offset)
+
+    @property
+    def stretched(self) -> NDArray[np.bool_]:
+        """Sensors that measure by how much the belts are stretched at rest, shape (sensors,)."""
+        return self.known & (self.spread > 0.0)
+
+    @classmethod
+    def of_machine(cls, machine: Machine) -> EncoderZeros:
+        """Return the zeros that a machine's sensors declare.
+
+        Args:
+            machine: Machine; identified ones have zeros, see `machine.Sensor`.
+
+        Returns:
+            Zeros, unknown (NaN) for sensors without one.
+        """
+        return cls(
+            np.array([np.nan if s.zero is None else s.zero for s in machine.sensors], float),
+            np.array([s.zero_std or 0.0 for s in machine.sensors], float),
+        )
+
+    def in_machine(self, machine: Machine) -> Machine:
+        """Write the zeros to the sensors of a machine.
+
+        Args:
+            machine: Machine with these sensors.
+
+        Returns:
+            Copy with the zeros, and without one for sensors whose zero is unknown.
+        """
+        return machine.replace(
+            sensors=tuple(
+                dataclasses.replace(
+                    sensor,
+                    zero=float(self.offset[j]) if self.known[j] else None,
+                    zero_std=float(self.spread[j]) if self.stretched[j] else None,
+                )
+                for j, sensor in enumerate(machine.sensors)
+            )
+        )
+
+    def without(self, sensors: NDArray[np.bool_]) -> EncoderZeros:
+        """Forget the zeros of some sensors.
+
+        Args:
+            sensors: Mask of the sensors, shape (sensors,).
+
+        Returns:
+            Copy in which the zeros of these sensors are unknown.
+        """
+        return EncoderZeros(np.where(sensors, np.nan, self.offset), np.where(sensors, 0.0, self.spread))
+
+
+def common_encoder_zeros(initial: Sequence[InitialState], machine: Machine, quanta: Array) -> EncoderZeros:
+    """Find the encoders that kept their zero in all runs of a session.
+
+    If an encoder's zero differs from run to run by no more than the belt stretch that static friction can maintain, the
+    encoder kept its zero. The zeros of an encoder that was switched on anew for every run differ by far more.
+
+    Args:
+        initial: Initial states of the runs, each estimated with unknown zeros.
+        machine: Machine as declared.
+        quanta: Quanta of the sensors, in their units, shape (sensors,).
+
+    Returns:
+        Zeros of the encoders that kept them, NaN for all other sensors. Without belts or with fewer than three runs,
+        they are those that the machine declares.
+    """
+    zeros = EncoderZeros.of_machine(machine)
+    if not machine.belts or len(initial) < _MIN_RUNS_FOR_ZERO:
+        return zeros
+    zeros = zeros.without(np.ones(len(machine.sensors), np.bool_))
+    positioned = [state.offset for state in initial if state.position_measured]
+    offsets = np.array(positioned if len(positioned) >= _MIN_RUNS_FOR_ZERO else [state.offset for state in initial])
+    median = np.median(offsets, axis=0)
+    spread = 1.4826 * np.median(np.abs(offsets - median), axis=0)
+    limit = np.maximum(max_held_angle(machine), 2 * quanta)
+    for j, sensor in enumerate(machine.sensors):
+        rotary = machine.coordinate(sensor.coordinate).kind == "rotary"
+        if sensor.incremental and rotary and spread[j] < limit[j]:
+            zeros.offset[j] = median[j]
+            zeros.spread[j] = spread[j] if spread[j] > max(quanta[j], _MIN_STRETCH) else 0.0
+    return zeros
+
+
+def max_held_angle(machine: Machine) -> Array:
+    """Return the largest deviation of each encoder that static friction can maintain by stretched belts.
+
+    Args:
+        machine: Machine with belts.
+
+    Returns:
+        Deviations of the angles from those of unstretched belts, rad, shape (sensors,); 0 for sensors on linear
+        coordinates.
+    """
+    friction = sum(c.coulomb / c.travel_per_unit for c in machine.coordinates)
+    stiffness = float(np.mean([b.EA / b.rest_length for b in machine.belts]))
+    coordinates = [machine.coordinate(s.coordinate) for s in machine.sensors]
+    return np.array([2 * friction / stiffness / c.radius if c.kind == "rotary" else 0.0 for c in coordinates])
+
+
+def zero_tolerance(machine: Machine, zeros: EncoderZeros, quanta: Array) -> Array:
+    """Return by how much the zero of an encoder in one run may differ from that of the session.
+
+    Args:
+        machine: Machine with belts.
+        zeros: Zeros of the session.
+        quanta: Quanta of the sensors, in their units, shape (sensors,).
+
+    Returns:
+        Largest differences of an encoder that was not switched on anew, in the sensors' units, shape (sensors,).
+    """
+    return np.asarray(2 * max_held_angle(machine) + _MAX_SCATTER * zeros.spread + 2 * quanta)

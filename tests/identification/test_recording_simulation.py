@@ -1,0 +1,183 @@
+"""Tests of the simulation of a recording: stored zeros of encoders, dropped samples, outliers, the held-out errors."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hframe_gym.dynamics import simulate
+from hframe_gym.effects import EFFECTS
+from hframe_gym.identification import estimate_initial_state, initial_state_of_recording, prepare, simulate_recording
+from hframe_gym.identification.dataset import with_encoder_zeros, with_known_positions
+from hframe_gym.identification.recording_simulation import evaluate_held_out
+from hframe_gym.machine import Machine, rest_state
+from hframe_gym.recordings import Recording, load_machine, save_machine
+
+pytestmark = pytest.mark.unit
+RADIUS = 0.0194
+QUANTUM = 5.2e-4  # rad
+ZEROS = np.array([0.31, -0.22])  # rad
+# rad; friction holds it at rest
+STRETCH = np.array([[1.0, 0.5], [-1.0, 1.0], [0.5, -1.0], [0.0, 0.0], [-0.5, -0.5]]) * 30e-6 / RADIUS
+STARTS = ((0.02, -0.05), (0.06, 0.03), (-0.05, -0.02), (0.0, 0.04), (0.04, -0.01))
+
+
+def record(machine: Machine, k: int, start: tuple[float, float] | None = None, zeros: np.ndarray = ZEROS) -> Recording:
+    """Return a noisy run of a machine that starts with belts that friction holds stretched."""
+    rng = np.random.default_rng(k)
+    time_s = np.arange(600) * 1e-3
+    inputs = np.where((time_s[:, None] > 0.1) & (time_s[:, None] < 0.4), rng.uniform(-3.0, 3.0, 2), 0.0)
+    state = rest_state(machine, start or STARTS[k])
+    state[2:4] += STRETCH[k]
+    ideal = simulate(machine, time_s, inputs, state).outputs
+    encoders = np.round((ideal[:, :2] + zeros) / QUANTUM) * QUANTUM
+    return Recording(
+        f"run_{k}", time_s, inputs, np.hstack([encoders, ideal[:, 2:] + rng.normal(0.0, 20e-6, (len(time_s), 2))])
+    )
+
+
+@pytest.fixture
+def session(hframe: Machine) -> list[Recording]:
+    """Return the runs of a session over which the encoders stayed on."""
+    return [record(hframe, k) for k in range(len(STARTS))]
+
+
+@pytest.fixture
+def identified(hframe: Machine, session: list[Recording]) -> Machine:
+    """Return the machine with the zeros of the session."""
+    return with_encoder_zeros(hframe, prepare(session, hframe))
+
+
+def test_the_zeros_of_a_session_travel_in_the_machine_file(identified: Machine, tmp_path: Path) -> None:
+    path = tmp_path / "machine.json"
+    save_machine(identified, path)
+    written = load_machine(path)
+    assert written == identified
+    np.testing.assert_allclose([s.zero for s in written.sensors[:2]], ZEROS, atol=2 * QUANTUM)
+    assert [s.zero for s in written.sensors[2:]] == [None, None]
+
+
+def test_a_single_run_starts_with_the_stretch_that_its_session_measured(
+    hframe: Machine, identified: Machine, session: list[Recording]
+) -> None:
+    data = prepare(session, hframe)
+    for k, run in enumerate(session):
+        expected = data.runs[k].initial_state(hframe)
+        np.testing.assert_allclose(initial_state_of_recording(identified, run).state, expected, atol=1e-9)
+        # Without the zeros, the belts are assumed to be unstretched.
+        alone = initial_state_of_recording(hframe, run).state
+        assert STRETCH[k].any() == (np.abs(RADIUS * (alone - expected)[2:4]).max() > 5e-6)
+
+
+def test_a_zero_that_the_lasers_contradict_is_not_used(hframe: Machine, identified: Machine) -> None:
+    run = record(hframe, 1, zeros=ZEROS + np.array([0.0, 0.7]))
+    initial = initial_state_of_recording(identified, run)
+    assert initial_state_of_recording(identified, record(hframe, 1)).offset_known.tolist() == [True, True, False, False]
+    assert initial.offset_known.tolist() == [True, False, False, False]
+    assert "phi2_rad does not count from its zero in the other runs" in initial.warnings[0]
+    np.testing.assert_allclose(initial.state[:2], STARTS[1], atol=20e-6)
+    assert initial_state_of_recording(identified, record(hframe, 1)).warnings == ()
+
+
+def test_encoders_locate_a_start_that_a_laser_does_not_measure(hframe: Machine, identified: Machine) -> None:
+    """The pulley is eccentric, and the laser is out of range in the complete run."""
+    pulley = EFFECTS["eccentric_pulley"].at("motor2", e=0.2e-3, p=0.7)
+    rig = hframe.with_effects(pulley)
+    limited = identified.with_effects(pulley, EFFECTS["sensor_range"].at("x_m", low=-0.05, high=0.05))
+    run = record(rig, 1, start=(0.09, 0.01), zeros=np.array([s.zero for s in identified.sensors[:2]]))
+    run.outputs[:, 2] = np.minimum(run.outputs[:, 2], 0.05)
+    # `record` starts a round pulley at its angle; the eccentric one measures less by the lag.
+    lag = 0.2e-3 * np.sin((0.09 - 0.01) / RADIUS + STRETCH[1, 1] + 0.7) / RADIUS
+    run.outputs[:, 1] -= lag
+    initial = initial_state_of_recording(limited, run)
+    # The belts are stretched by 30 um; the encoders cannot tell this from the position.
+    np.testing.assert_allclose(initial.state[:2], (0.09, 0.01), atol=45e-6)
+
+
+def test_dropped_samples_and_outliers_do_not_count(hframe: Machine, session: list[Recording]) -> None:
+    run = session[0]
+    kept = np.ones(len(run.time_s), np.bool_)
+    kept[[50, 300, 301]] = False
+    outputs = run.outputs.copy()
+    outputs[400, 2] += 0.05
+    damaged = Recording(run.name, run.time_s[kept], run.inputs[kept], outputs[kept])
+    simulation = simulate_recording(hframe, damaged)
+    np.testing.assert_array_equal(simulation.trajectory.time_s, damaged.time_s)
+    assert np.flatnonzero(np.isnan(simulation.error[:, 2])).tolist() == [397]
+    np.testing.assert_allclose(simulation.outputs, simulate_recording(hframe, run).outputs[kept], atol=2e-4)
+
+
+def test_a_written_machine_has_the_errors_that_the_report_states(
+    hframe: Machine, session: list[Recording], tmp_path: Path
+) -> None:
+    data = prepare(session, hframe)
+    fitted, held_out = data.with_runs(["run_0", "run_1", "run_2"]), data.with_runs(["run_3", "run_4"])
+    cable = hframe.with_effects(EFFECTS["cable_spring"].at("y", k=2.0, q0=0.2))
+    for machine in (hframe, cable):
+        evaluation = evaluate_held_out(machine, fitted, held_out, session)
+        save_machine(evaluation.machine, tmp_path / "machine.json")
+        written = load_machine(tmp_path / "machine.json")
+        errors = [simulate_recording(written, run).error for run in session[3:]]
+        reported = [evaluation.held_out.channels[channel].rmse for channel in hframe.output_channels]
+        np.testing.assert_allclose(np.sqrt(np.mean(np.concatenate(errors) ** 2, axis=0)), reported, rtol=1e-9)
+        for run, error in zip(session[3:], errors, strict=True):
+            np.testing.assert_allclose(evaluation.errors[run.name], error, atol=1e-12)
+
+
+def test_errors_of_a_machine_that_diverges_are_reported(hframe: Machine, session: list[Recording]) -> None:
+    data = prepare(session, hframe)
+    light = hframe.replace(coordinates=tuple(dataclasses.replace(c, mass=1e-9) for c in hframe.coordinates))
+    evaluation = evaluate_held_out(light, data, data.with_runs(["run_3"]), session)
+    assert set(evaluation.held_out.channels) == set(hframe.output_channels)
+
+
+def test_later_measurements_locate_a_start_in_spite_of_stretched_belts(hframe: Machine) -> None:
+    """The laser sees the stage only while the drives pull it, which stretches the belts by tenths of a millimeter."""
+    time_s = np.arange(600) * 1e-3
+    inputs = np.where((time_s[:, None] > 0.1) & (time_s[:, None] < 0.4), (5.0, -4.0), 0.0)
+    outputs = simulate(hframe, time_s, inputs, rest_state(hframe, (0.09, 0.01))).outputs
+    inside = np.abs(outputs[:, 2]) < 0.05
+    assert 20 < inside.sum() < 500
+    outputs[~inside, 2] = np.nan
+    run = Recording("run", time_s, inputs, outputs)
+    initial = estimate_initial_state(run, hframe)
+    assert initial.position_known
+    assert not initial.lasers_measured
+    assert abs(initial.position[0] - 0.09) < 0.2e-3
+    # With the machine, the simulation corrects what is left.
+    limited = hframe.with_effects(EFFECTS["sensor_range"].at("x_m", low=-0.05, high=0.05))
+    saturated = dataclasses.replace(run, outputs=np.where(np.isnan(outputs), 0.05, outputs))
+    assert abs(initial_state_of_recording(limited, saturated).position[0] - 0.09) < 20e-6
+
+
+def without_x(run: Recording) -> Recording:
+    """Return a run in which the laser of x measures nothing."""
+    return dataclasses.replace(run, outputs=run.outputs * [1.0, 1.0, np.nan, 1.0])
+
+
+def test_a_laser_that_measures_checks_the_zeros_where_another_one_does_not(
+    hframe: Machine, identified: Machine
+) -> None:
+    initial = initial_state_of_recording(identified, without_x(record(hframe, 0)))
+    assert initial.offset_known.tolist() == [True, True, False, False]
+    np.testing.assert_allclose(initial.state[:2], STARTS[0], atol=45e-6)
+    # One of the encoders, it is unknown which, was switched on anew.
+    initial = initial_state_of_recording(identified, without_x(record(hframe, 0, zeros=ZEROS + np.array([0.0, 0.7]))))
+    assert not initial.offset_known.any()
+    assert not initial.position_known
+    assert len(initial.warnings) == 2
+
+
+def test_runs_that_nothing_locates_are_left_out(hframe: Machine) -> None:
+    """The encoders were switched on anew for each run."""
+    session = [record(hframe, k, zeros=ZEROS + np.array([k, -2.0 * k])) for k in range(3)]
+    lost = without_x(session[0])
+    data, warnings = with_known_positions(prepare([lost, *session[1:3]], hframe))
+    assert [run.name for run in data.runs] == ["run_1", "run_2"]
+    assert warnings == ("run_0 is not used: no sensor with a known zero determines its initial position.",)
+    data, warnings = with_known_positions(prepare([lost], hframe))
+    assert [run.name for run in data.runs] == ["run_0"]
+    assert warnings == ()
