@@ -74,7 +74,7 @@ def score_rig(session: RandomSession, result: IdentificationResult, seconds: dic
         "left": report.get("left"),
         "considered": report.get("considered"),
         "unseen": {name: machine and unseen_errors(machine, session.unseen) for name, machine in machines.items()},
-        "intervals": _intervals(rig, result.after.machine) if right and rig.kind in ("none", "library") else [],
+        "intervals": intervals(rig, result.after.machine) if right and rig.kind in ("none", "library") else [],
         "stable": survives_rated_voltage(result.after.machine),
         "consistency": _consistency(session.recordings, result),
         "seconds": {name: round(value, 2) for name, value in seconds.items()},
@@ -185,7 +185,7 @@ def survives_rated_voltage(machine: Machine) -> bool:
     return True
 
 
-def _intervals(rig: RandomRig, machine: Machine) -> list[dict[str, Any]]:
+def intervals(rig: RandomRig, machine: Machine) -> list[dict[str, Any]]:
     """Return the estimates with their standard deviations and true values, for all parameters that have both."""
     rows: list[dict[str, Any]] = []
     if machine.uncertainty is None:

@@ -239,8 +239,8 @@ class RandomizeParameter:
 class RandomizeIdentified:
     """Sample the identified parameters from their joint normal distribution around the machine's values.
 
-    Samples are clipped to the limits of each parameter: the normal approximation of a poorly identified parameter has
-    a tail that no machine has.
+    The distribution is truncated at the limits of each parameter, because the normal approximation of a poorly
+    identified parameter has a tail that no machine has; see `correlated_samples.CorrelatedSampler`.
 
     Args:
         widen: Factor on the identified standard deviations.

@@ -10,10 +10,10 @@ from difflib import get_close_matches
 import numpy as np
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
 from ..errors import InputError
 from ..machine import Machine
+from .correlated_samples import CorrelatedSampler
 from .counter_rng import episode_keys, reset_uniforms
 from .domain_randomization import (
     RandomizationLike,
@@ -129,8 +129,8 @@ class RuleSampler:
         self.draws = 0
         # Index of the parameter, column of its uniform number, rule.
         self._single: list[tuple[int, int, RandomizeParameter]] = []
-        # Indices of the parameters, column of the first uniform number, factor of the covariance.
-        self._joint: list[tuple[list[int], int, Array]] = []
+        # Indices of the parameters, column of the first uniform number, joint distribution.
+        self._joint: list[tuple[list[int], int, CorrelatedSampler]] = []
         for rule in rules:
             if rule.when != when:
                 continue
@@ -138,7 +138,7 @@ class RuleSampler:
                 self._add_parameter_rule(rule)
             else:
                 self._add_identified_rule(rule, machine)
-        changed = {i for i, _, _ in self._single} | {i for indices, _, _ in self._joint for i in indices}
+        changed = {i for i, _, _ in self._single} | {i for indices, *_ in self._joint for i in indices}
         self.names = tuple(space.names[i] for i in sorted(changed))
 
     def _reserve(self, count: int) -> int:
@@ -191,13 +191,13 @@ class RuleSampler:
                 "`hframe identify`"
             )
         indices = [self._space.names.index(name) for name in uncertainty.names]
-        # Eigenvectors, because a covariance that is almost singular has no Cholesky factor.
-        variances, vectors = np.linalg.eigh(uncertainty.covariance)
-        factor = vectors * np.sqrt(np.maximum(variances, 0.0)) * rule.widen
-        self._joint.append((indices, self._reserve(len(indices)), factor))
-        reach = np.abs(factor).sum(axis=1) * float(ndtri(_EXTREME_UNIFORMS[1]))
-        self.low[indices] = np.maximum(self.low[indices] - reach, self._space.lower[indices])
-        self.high[indices] = np.minimum(self.high[indices] + reach, self._space.upper[indices])
+        nominal, lower, upper = (
+            values[indices] for values in (self._space.nominal, self._space.lower, self._space.upper)
+        )
+        joint = CorrelatedSampler(uncertainty.covariance * rule.widen**2, nominal, lower, upper)
+        self._joint.append((indices, self._reserve(len(indices)), joint))
+        self.low[indices] = np.maximum(self.low[indices] - joint.reach, lower)
+        self.high[indices] = np.minimum(self.high[indices] + joint.reach, upper)
 
     def sample(self, base: Array, uniforms: Array) -> Array:
         """Apply the rules to the parameters of k environments.
@@ -219,12 +219,8 @@ class RuleSampler:
             if column not in samples:
                 samples[column] = rule.quantile(uniforms[:, column])
             values[:, i] = self._limited(rule, i, rule.apply(values[:, i], samples[column]))
-        for indices, first, factor in self._joint:
-            normals = np.asarray(ndtri(uniforms[:, first : first + len(indices)]))
-            for row, i in enumerate(indices):
-                # Term by term: a matrix product may add in another order for another batch size.
-                for j in range(len(indices)):
-                    values[:, i] += factor[row, j] * normals[:, j]
+        for indices, first, joint in self._joint:
+            values[:, indices] += joint.deviations(uniforms[:, first : first + len(indices)])
             values[:, indices] = np.clip(values[:, indices], self._space.lower[indices], self._space.upper[indices])
         return values
 

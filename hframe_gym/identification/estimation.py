@@ -1,4 +1,4 @@
-"""Estimation of a machine's parameters, their uncertainty, and the reasons to doubt them.
+"""Estimation of a machine's parameters and of their covariance.
 
 The Levenberg-Marquardt method fits the parameters. They have a mild Gaussian prior around the declared machine, so that
 what the data do not determine stays as declared. Every iteration linearizes the residual by one batched simulation and
@@ -8,18 +8,20 @@ parameters.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..machine import Machine, Uncertainty
 from .dataset import Dataset, PreparedRecording
-from .free_parameters import FreeParameter, default_free_parameters, prior_precision, values_at
-from .linearization import NormalEquations, ResidualModel
-from .prediction import SEARCH_STEP, initial_state_projection, map_runs, predict, residuals
+from .free_parameters import FreeParameter, parameter_table, prior_precision, values_at
+from .linearization import ResidualModel
+from .prediction import POLISH_STEP, SEARCH_STEP, initial_state_projection, map_runs, predict, residuals
 
 Array = NDArray[np.float64]
 
@@ -141,25 +143,52 @@ def prediction_cost(machine: Machine, data: Dataset, bandwidth: float, *, longes
     return total if math.isfinite(total) else math.inf
 
 
-_BLOCK_S = 0.2  # s; longer than the correlation of the residual
-# Thresholds beyond which a parameter is reported as doubtful.
-_POOR_RELATIVE_STD = 0.2
-_POOR_PHASE_STD = 0.3  # rad
-_HIGH_CORRELATION = 0.95
-# A standard deviation beyond this fraction of the prior's: the data hardly added to the declared value.
-_PRIOR_DOMINATES = 0.6
-_BOUND_TOLERANCE = 1e-6  # relative
+_BLOCK_S = 0.5  # s; longer than the correlation of the residual
+_MAX_LEVERAGE = 0.99  # Fraction of the information in one block that the correction of its residual assumes at most.
+_MAX_DIFFERENCE = 0.01  # Theta; central differences over less do not notice the curvature of the exponential.
+# Standard deviation of the delay between inputs and measurements, in sampling periods. Recordings state times to no
+# better than that, and 1 % changes the identified inertia of a motor by more than the sensors' noise does.
+_DELAY_STD = 0.005
+_DELAY_DIFFERENCE = 0.05  # sampling periods
+
+
+class _RunPart(NamedTuple):
+    """Linearized residual of one run in b blocks of consecutive rows, along k directions.
+
+    Attributes:
+        information: Products of the responses to the directions in each block, shape (b, k, k).
+        scores: Products of the responses and the residual in each block, shape (b, k).
+        delay_products: Products of the response to a delay of the inputs by one sampling period with the responses,
+            shape (k,).
+        delay_information: Square sum of the response to that delay.
+        delay_score: Product of the response to that delay and the residual.
+    """
+
+    information: Array
+    scores: Array
+    delay_products: Array
+    delay_information: float
+    delay_score: float
 
 
 def with_uncertainty(fitted: Fit, data: Dataset) -> Machine:
     """Estimate the covariance of the fitted parameters and attach it to the machine.
 
-    The sandwich covariance H^-1 M H^-1 holds for residuals that are not white: H is the Fisher information with the
-    prior, M the covariance of the gradient, estimated from sums over blocks of 0.2 s, which preserve the correlation
-    inside each block. White residuals of the assumed size give M = H and so H^-1; no smaller variance is reported.
+    The covariance is the sum of three parts:
+
+    - The residual's, by the sandwich estimator over blocks of 0.5 s. It holds for residuals that are correlated inside
+      a block, and also for few blocks: the residual of each block is corrected for what the fit took from it (estimator
+      CR2 of cluster-robust variances). No smaller variance is reported than white noise of the assumed size causes.
+    - The prior's. Directions in the space of the parameters that the data do not determine keep its spread.
+    - That of a delay between inputs and measurements that the machine lacks: the delay that the residual shows, and
+      another of 0.5 % of a sampling period.
+
+    Responses are central differences along the principal axes of the fit's information, over one standard deviation
+    each. Differences along single parameters would give two parameters of the same influence (viscous friction and
+    back-EMF) a difference of influence, which is rounding and would count as information.
 
     Args:
-        fitted: Fit of the parameters.
+        fitted: Fit of k parameters.
         data: Runs that were fitted.
 
     Returns:
@@ -167,91 +196,109 @@ def with_uncertainty(fitted: Fit, data: Dataset) -> Machine:
 
     References:
         White (1982), "Maximum likelihood estimation of misspecified models".
+        Bell and McCaffrey (2002), "Bias reduction in standard errors for linear regression with multi-stage samples".
     """
-    model = ResidualModel(fitted.machine, fitted.free, data, fitted.bandwidth)
-    sensors = len(fitted.machine.sensors)
-    values_per_block = max(1, round(_BLOCK_S / data.period)) * sensors
-
-    def of_run(run: PreparedRecording) -> tuple[NormalEquations, Array]:
-        linear = model.linearize_run(run, fitted.theta)
-        scores = linear.jacobian * linear.residual  # (k, n * sensors)
-        block_scores = np.add.reduceat(scores, np.arange(0, scores.shape[1], values_per_block), axis=1)
-        return NormalEquations.from_rows(linear.jacobian, linear.residual), block_scores
-
-    parts = list(map_runs(of_run, data))
     prior = prior_precision(fitted.free)
-    inverse_hessian = np.linalg.inv(NormalEquations.total(equations for equations, _ in parts).information + prior)
-    block_scores = np.concatenate([scores for _, scores in parts], axis=1)  # (k, blocks)
-    block_scores -= block_scores.mean(axis=1, keepdims=True)
-    covariance = inverse_hessian @ (block_scores @ block_scores.T + prior) @ inverse_hessian
-    deflation = np.sqrt(np.diag(inverse_hessian) / np.maximum(np.diag(covariance), 1e-300))
-    covariance *= np.outer(np.maximum(deflation, 1.0), np.maximum(deflation, 1.0))
+    directions = _principal_directions(fitted.information, prior)
+    parts = list(map_runs(lambda run: _linearize(fitted, run, data, directions), data))
+    information = np.concatenate([part.information for part in parts])  # (blocks, k, k)
+    scores = np.concatenate([part.scores for part in parts])  # (blocks, k)
+    prior = directions.T @ prior @ directions  # from here on in multiples of the directions
+    inverse = np.linalg.inv(information.sum(axis=0) + prior)
+    eigenvalues, axes = np.linalg.eigh(inverse)
+    root = (axes * np.sqrt(np.maximum(eigenvalues, 0.0))) @ axes.T  # symmetric
+    # A fit reduces the residual of a block by the square root of 1 minus the block's fraction of the information.
+    leverage, axes = np.linalg.eigh(root @ information @ root)  # (blocks, k), (blocks, k, k)
+    along_axes = np.einsum("bij,bi->bj", axes, scores @ root) / np.sqrt(1.0 - np.clip(leverage, 0.0, _MAX_LEVERAGE))
+    changes = np.einsum("bij,bj->bi", axes, along_axes) @ root  # of the estimate by each block's residual, (blocks, k)
+    covariance = directions @ (changes.T @ changes + inverse @ prior @ inverse) @ directions.T
+    white = directions @ inverse @ directions.T
+    inflation = np.sqrt(np.maximum(np.diag(white) / np.maximum(np.diag(covariance), 1e-300), 1.0))
+    covariance *= np.outer(inflation, inflation)
+    of_delay = directions @ inverse @ np.sum([part.delay_products for part in parts], axis=0)  # per sampling period
+    delay_variance = _DELAY_STD**2 + _estimated_delay(parts, inverse) ** 2
+    covariance += delay_variance * np.outer(of_delay, of_delay)
     slopes = np.array([f.slope(t) for f, t in zip(fitted.free, fitted.theta, strict=True)])
     covariance *= np.outer(slopes, slopes)
     uncertainty = Uncertainty(tuple(f.name for f in fitted.free), (covariance + covariance.T) / 2)
     return fitted.machine.replace(uncertainty=uncertainty)
 
 
-def parameter_doubts(machine: Machine, declared: Machine) -> dict[str, list[str]]:
-    """List for each identified parameter why its value may be unreliable.
-
-    Reasons are a value at its bound, a large standard deviation, a value that the prior determines, and a correlation
-    above 0.95 with another parameter.
+def _principal_directions(information: Array, prior: Array) -> Array:
+    """Return the principal axes of the posterior of theta, in the metric of the prior.
 
     Args:
-        machine: Identified machine with its uncertainty.
-        declared: Machine as it was declared, which defines the priors.
+        information: Fisher information of theta, which need not be accurate, shape (k, k).
+        prior: Precision of the prior of theta, shape (k, k).
 
     Returns:
-        By full parameter name, phrases for the report; an empty list for a reliable parameter. Empty if the machine
-        has no uncertainty.
+        Directions, one per column, shape (k, k); each as long as one standard deviation, or shorter where the
+        residual would not be linear over that length.
     """
-    if machine.uncertainty is None:
-        return {}
-    doubts: dict[str, list[str]] = {name: [] for name in machine.uncertainty.names}
-    _add_bound_doubts(machine, doubts)
-    _add_precision_doubts(machine, machine.uncertainty, declared, doubts)
-    _add_correlation_doubts(machine.uncertainty, doubts)
-    return doubts
+    root = np.linalg.cholesky(np.linalg.inv(prior))
+    eigenvalues, axes = np.linalg.eigh(root.T @ information @ root)
+    directions = root @ axes / np.sqrt(1.0 + np.maximum(eigenvalues, 0.0))
+    longest = np.abs(directions).max(axis=0, initial=0.0)
+    shortened: Array = directions * np.minimum(1.0, _MAX_DIFFERENCE / np.maximum(longest, 1e-300))
+    return shortened
 
 
-def _add_bound_doubts(machine: Machine, doubts: dict[str, list[str]]) -> None:
-    """Add effect parameters whose value is at a bound of its range."""
-    for effect in machine.effects:
-        for p in effect.definition.parameters:
-            name, value = f"{effect.label}.{p.name}", effect.parameters[p.name]
-            tolerance = _BOUND_TOLERANCE * max(abs(value), p.scale)
-            if name in doubts and (value - p.lower < tolerance or p.upper - value < tolerance):
-                doubts[name].append("at a bound")
+def _linearize(fitted: Fit, run: PreparedRecording, data: Dataset, directions: Array) -> _RunPart:
+    """Linearize the residual of one run along directions (k, k), one per column."""
+    machine = fitted.machine
+    initial_state = run.initial_state(machine)
+    thetas = np.vstack([fitted.theta, fitted.theta + directions.T, fitted.theta - directions.T])
+    table = parameter_table(machine, fitted.free, thetas)
+
+    def residual(of_run: PreparedRecording, parameters: Array | None = None) -> Array:
+        """Return the residuals of the run, (batch, rows), from one initial state for all parameters."""
+        motion = predict(
+            machine,
+            of_run,
+            fitted.bandwidth,
+            period=data.period,
+            parameters=parameters,
+            initial_state=initial_state,
+            longest_step=POLISH_STEP,
+        )
+        return residuals(of_run, data, motion.readings)
+
+    # Zero-order-held inputs that are delayed by a fraction of a sample have this mean over each sample.
+    delayed = run.inputs.copy()
+    delayed[1:] -= _DELAY_DIFFERENCE * np.diff(run.inputs, axis=0)
+    rows = np.vstack([residual(run, table), residual(dataclasses.replace(run, inputs=delayed))])
+    # Parameters with which the simulation diverges say nothing about the residual near the fit.
+    rows = np.where(np.isfinite(rows).all(axis=1, keepdims=True), rows, rows[0])
+    projection = initial_state_projection(
+        machine, run, data, fitted.bandwidth, initial_state=initial_state, longest_step=POLISH_STEP
+    )
+    if projection is not None:
+        rows = projection(rows)
+    k = len(fitted.free)
+    responses = (rows[1 : k + 1] - rows[k + 1 : 2 * k + 1]) / 2.0  # (k, rows)
+    delay = (rows[-1] - rows[0]) / _DELAY_DIFFERENCE
+    size = max(1, round(_BLOCK_S / data.period)) * len(machine.sensors)
+    blocks = [slice(first, first + size) for first in range(0, rows.shape[1], size)]
+    return _RunPart(
+        np.array([responses[:, block] @ responses[:, block].T for block in blocks]),
+        np.array([responses[:, block] @ rows[0, block] for block in blocks]),
+        responses @ delay,
+        float(delay @ delay),
+        float(delay @ rows[0]),
+    )
 
 
-def _add_precision_doubts(
-    machine: Machine, uncertainty: Uncertainty, declared: Machine, doubts: dict[str, list[str]]
-) -> None:
-    """Add parameters with a large standard deviation, and those that the prior determines rather than the data."""
-    priors = {f.name: f for f in default_free_parameters(declared)}
-    roles = {f"{e.label}.{p.name}": p.role for e in machine.effects for p in e.definition.parameters}
-    for name, reasons in doubts.items():
-        value, std = machine.parameters[name], uncertainty.std(name) or 0.0
-        prior = priors.get(name)
-        limit = _POOR_PHASE_STD if roles.get(name) == "phase" else _POOR_RELATIVE_STD * abs(value)
-        prior_unit = 0.0 if prior is None else abs(value) if prior.scale is None else prior.scale
-        if prior is not None and std > _PRIOR_DOMINATES * prior.prior * prior_unit:
-            reasons.append("determined by the declared value more than by the data")
-        elif std > limit:
-            reasons.append("poorly determined")
+def _estimated_delay(parts: list[_RunPart], inverse: Array) -> float:
+    """Return the delay of the inputs, in sampling periods, by which the residual of the fit would be least.
 
-
-def _add_correlation_doubts(uncertainty: Uncertainty, doubts: dict[str, list[str]]) -> None:
-    """Add pairs of parameters that are almost perfectly correlated."""
-    names, covariance = uncertainty.names, uncertainty.covariance
-    std = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    correlation = covariance / np.outer(std, std)
-    np.fill_diagonal(correlation, 0.0)
-    for i, name in enumerate(names):
-        partners = [
-            f"{correlation[i, j]:+.3f} with {names[j]}"
-            for j in np.flatnonzero(np.abs(correlation[i]) > _HIGH_CORRELATION)
-        ]
-        if partners:
-            doubts[name].append(f"correlation {', '.join(partners)}")
+    Args:
+        parts: Linearized residual of every run.
+        inverse: Inverse of the information with the prior, along the directions, shape (k, k).
+    """
+    products, scores = (
+        np.sum(values, axis=0)
+        for values in zip(*((p.delay_products, p.scores.sum(axis=0)) for p in parts), strict=True)
+    )
+    information = sum(part.delay_information for part in parts) - products @ inverse @ products
+    score = sum(part.delay_score for part in parts) - products @ inverse @ scores
+    return float(-score / (max(information, 0.0) + 1.0 / _DELAY_STD**2))

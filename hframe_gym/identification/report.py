@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..atomic_files import write_text
 from ..errors import InputError
 from ..machine import Machine
-from .estimation import parameter_doubts
+from .parameter_diagnostics import parameter_doubts, sum_text
 from .plots import TABLE_FAMILY, draw_plots
 from .saved_result import load_result
 
@@ -60,6 +60,7 @@ def build_report(folder: Path) -> Path:
             runs=[_run_row(report, curves, channels, run) for run in report["runs"]["held_out"]],
             effects=_effect_rows(report, machine),
             parameters=_parameter_rows(machine, saved.declared),
+            determined=_determined_sums(report, machine),
             slow=_slow_fractions(curves),
             plots={p.stem: "data:image/png;base64," + base64.b64encode(p.read_bytes()).decode() for p in plots},
         )
@@ -223,6 +224,19 @@ def _parameter_rows(machine: Machine, declared: Machine) -> list[dict[str, str]]
                 "doubt": "; ".join(doubts[name]),
             }
         )
+    return rows
+
+
+def _determined_sums(report: Mapping[str, Any], machine: Machine) -> list[dict[str, str]]:
+    """Return the parameters that the data do not separate, with what they determine of each set."""
+    rows = []
+    for group in report["not_separable"]:
+        sums = [
+            f"{sum_text(entry['weights'])} = {entry['value']:.5g} ± {entry['std']:.2g} "
+            f"{machine.unit(next(iter(entry['weights'])))}"
+            for entry in group["determined"]
+        ]
+        rows.append({"names": ", ".join(group["parameters"]), "sums": "; ".join(sums) or "no combination"})
     return rows
 
 

@@ -24,6 +24,7 @@ from .criteria import SelectionCriteria
 from .dataset import Dataset
 from .experiment_design import FILE, ExperimentDesign
 from .forward_selection import SelectedEffect
+from .parameter_diagnostics import inseparable_parameters
 from .residual import ChannelError, Dependence, dependence_variables, simulation_error, smooth_force_residual
 
 if TYPE_CHECKING:
@@ -203,6 +204,10 @@ class IdentificationResult:
             "explained": _finite_or_none(self.explained),
             "left": _finite_or_none(self.left),
             "considered": [entry.as_json() for entry in self.considered],
+            "not_separable": [
+                group.as_json(self.after.machine)
+                for group in inseparable_parameters(self.after.machine, self.declared.machine)
+            ],
             "next_experiment": self.experiment.as_json() if self.experiment else None,
             "seconds": round(self.seconds, 2),
             "criteria": self.criteria.as_json(),

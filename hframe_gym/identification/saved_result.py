@@ -119,6 +119,21 @@ class _TableEntry(_Entry):
     formulas: list[_FormulaEntry]
 
 
+class _DeterminedSum(_Entry):
+    """Weighted sum of parameters that the data determine."""
+
+    weights: dict[str, FiniteFloat]
+    value: FiniteFloat
+    std: FiniteFloat
+
+
+class _NotSeparable(_Entry):
+    """Parameters that the data do not separate."""
+
+    parameters: list[str]
+    determined: list[_DeterminedSum]
+
+
 class _Report(_Entry):
     """Content of report.json that the report uses."""
 
@@ -133,6 +148,7 @@ class _Report(_Entry):
     explained: FiniteFloat | None = None
     left: FiniteFloat | None = None
     considered: list[_ConsideredEntry] = []
+    not_separable: list[_NotSeparable] = []
     next_experiment: _Experiment | None
     seconds: FiniteFloat
     warnings: list[str] = []

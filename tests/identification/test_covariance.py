@@ -5,9 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
+from hframe_gym.envs.machine_sampler import MachineSampler
 from hframe_gym.identification import FreeParameter, fit, prepare
-from hframe_gym.identification.estimation import parameter_doubts, with_uncertainty
+from hframe_gym.identification.estimation import with_uncertainty
+from hframe_gym.identification.free_parameters import default_free_parameters
+from hframe_gym.identification.parameter_diagnostics import inseparable_parameters, parameter_doubts
 from hframe_gym.identification.prediction import SIMULATION
 from hframe_gym.machine import BUILTIN_MACHINES, Coordinate, Machine, Uncertainty
 from hframe_gym.recordings import Recording
@@ -36,17 +40,90 @@ def test_covariance_matches_the_closed_form_for_white_noise() -> None:
     time_s = np.arange(1500) * 1e-3
     inputs = np.full((1500, 1), 0.5)
     position = 0.5 * drive.gain * 0.5 * time_s**2 / 2.0
-    sigma = 1e-3
-    outputs = (position + np.random.default_rng(0).normal(0.0, sigma, 1500))[:, None]
-    outputs[0] = 0.0  # the offset of the run is that of its only row at rest
+    sigma, rng = 1e-3, np.random.default_rng(0)
+    recordings = []
+    for k in range(8):
+        outputs = (position + rng.normal(0.0, sigma, 1500))[:, None]
+        outputs[0] = 0.0  # the offset of the run is that of its only row at rest
+        recordings.append(Recording(f"run_{k}", time_s, inputs, outputs))
     machine = machine.replace(sensors=(type(machine.sensors[0])("x_m", {"x": 1.0}, noise=sigma),))
-    data = prepare([Recording("run", time_s, inputs, outputs)], machine)
+    data = prepare(recordings, machine)
     fitted = fit(machine, [FreeParameter("x.mass", 2.0, prior=1.0)], data, SIMULATION)
     uncertainty = with_uncertainty(fitted, data).uncertainty
     assert uncertainty is not None
-    std_of_mass = data.noise[0] / np.linalg.norm(position / 2.0)
-    assert uncertainty.std("x.mass") == pytest.approx(std_of_mass, rel=0.6)
+    std_of_mass = data.noise[0] / np.linalg.norm(position / 2.0) / np.sqrt(8)
+    assert uncertainty.std("x.mass") == pytest.approx(std_of_mass, rel=0.5)
     assert fitted.values["x.mass"] == pytest.approx(2.0, abs=4 * std_of_mass)
+
+
+@pytest.fixture(scope="module")
+def identified() -> Machine:
+    """Return an axis fitted to its simulation; viscous friction and back-EMF have the same effect on it."""
+    machine = BUILTIN_MACHINES["axis"]()
+    rng, time_s = np.random.default_rng(0), np.arange(800) * 1e-3
+    recordings = []
+    for k in range(4):
+        inputs = np.repeat(rng.uniform(-2.0, 2.0, (16, 1)), 50, axis=0)
+        inputs[:50] = 0.0
+        outputs = simulate(machine, time_s, inputs).outputs + rng.normal(0.0, 20e-6, (800, 1))
+        recordings.append(Recording(f"run_{k}", time_s, inputs, outputs))
+    data = prepare(recordings, machine)
+    return with_uncertainty(fit(machine, default_free_parameters(machine), data, SIMULATION), data)
+
+
+def test_inseparable_parameters_keep_the_spread_of_the_prior(identified: Machine, axis: Machine) -> None:
+    assert identified.uncertainty is not None
+    (group,) = inseparable_parameters(identified, axis)
+    assert set(group.names) == {"x.viscous", "motor.Ke"}
+    # Along viscous friction minus its equivalent in back-EMF, only the priors of 70 % and 20 % count.
+    drive = axis.drives[0]
+    viscous, back_emf = 0.7 * axis.parameters["x.viscous"], 0.2 * drive.back_emf
+    std = viscous * back_emf / np.hypot(viscous, back_emf)
+    assert identified.uncertainty.std("x.viscous") == pytest.approx(std, rel=0.15)
+    ((weights,), (entry,)) = group.combinations, group.as_json(identified)["determined"]
+    assert weights["motor.Ke"] / weights["x.viscous"] == pytest.approx(drive.back_emf / drive.Ke, rel=0.01)
+    true = sum(weight * axis.parameters[name] for name, weight in weights.items())
+    assert entry["std"] < 0.01 * true
+    assert entry["value"] == pytest.approx(true, abs=4 * entry["std"])
+    doubts = parameter_doubts(identified, axis)
+    assert doubts["x.viscous"] == doubts["motor.Ke"] == [group.describe()]
+    assert doubts["x.mass"] == []
+
+
+def test_samples_of_inseparable_parameters_keep_their_sum(identified: Machine, axis: Machine) -> None:
+    (group,) = inseparable_parameters(identified, axis)
+    (entry,) = group.as_json(identified)["determined"]
+    sampler = MachineSampler(identified, "identified", 2000)
+    for b in range(2000):
+        sampler.seed(b, np.random.default_rng(b))
+    _, _, values = sampler.sample(np.arange(2000), 0)
+    columns = [sampler.space.names.index(name) for name in entry["weights"]]
+    sums = values[:, columns] @ list(entry["weights"].values())
+    assert sums.std() == pytest.approx(entry["std"], rel=0.1)
+    assert (values[:, columns] > 0.0).all()
+
+
+def test_three_parameters_of_one_undetermined_direction(axis: Machine) -> None:
+    """Along (0.5, 1, -0.4) of the values nothing is known: the sums a - 0.5 b and c + 0.4 b are determined."""
+    machine = axis.with_effects(
+        EFFECTS["constant_force"].at("x", size=1.0), EFFECTS["voltage_offset"].at("motor", V0=1.0)
+    )
+    names = ("constant_force@x.size", "voltage_offset@motor.V0", "x.mass")
+    direction = np.array([0.5, 1.0, -0.4]) * [1.0, 1.0, axis.parameters["x.mass"]]
+    machine = machine.replace(uncertainty=Uncertainty(names, np.outer(direction, direction) + 1e-10 * np.eye(3)))
+    (group,) = inseparable_parameters(machine, axis)
+    assert set(group.names) == set(names)
+    assert len(group.combinations) == 2
+    for weights in group.combinations:
+        assert sum(weight * direction[names.index(name)] for name, weight in weights.items()) == pytest.approx(
+            0.0, abs=1e-6
+        )
+
+
+def test_separable_parameters_are_in_no_group(axis: Machine) -> None:
+    machine = with_standard_deviations(axis, {"x.mass": 0.25, "x.viscous": 0.01}, correlation=0.9)
+    assert inseparable_parameters(machine, axis) == ()
+    assert inseparable_parameters(axis, axis) == ()
 
 
 def test_no_doubt_about_well_determined_parameters(axis: Machine) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import re
 from pathlib import Path
@@ -138,6 +139,23 @@ def test_errors_by_run_are_those_of_the_machines(data: Dataset, tmp_path: Path) 
     assert before == pytest.approx(ratios[0], rel=0.02)
     assert after == pytest.approx(ratios[1], rel=0.02)
     assert after < 1.1 < 5 < before
+
+
+def test_the_page_lists_parameters_that_the_runs_do_not_separate(data: Dataset, tmp_path: Path) -> None:
+    result = result_of(data, "no_effect", AXIS)
+    machine = result.after.machine
+    viscous, emf = AXIS.parameters["x.viscous"], AXIS.parameters["motor.Ke"]
+    change = np.array([0.5 * viscous, -0.1 * emf])
+    uncertainty = Uncertainty(("x.viscous", "motor.Ke"), np.outer(change, change) + 1e-12 * np.eye(2))
+    result = dataclasses.replace(
+        result, after=dataclasses.replace(result.after, machine=machine.replace(uncertainty=uncertainty))
+    )
+    page = page_of(result, tmp_path)
+    weight = 5.0 * viscous / emf
+    assert f"x.viscous, motor.Ke: x.viscous + {weight:.3g} motor.Ke = {6.0 * viscous:.5g} ±" in page
+    (entry,) = json.loads((tmp_path / "report.json").read_text())["not_separable"]
+    assert entry["parameters"] == ["x.viscous", "motor.Ke"]
+    assert entry["determined"][0]["weights"] == pytest.approx({"x.viscous": 1.0, "motor.Ke": weight})
 
 
 def test_a_table_is_drawn_and_named_as_a_table(data: Dataset, tmp_path: Path) -> None:

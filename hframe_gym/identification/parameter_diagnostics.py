@@ -1,0 +1,293 @@
+"""Reasons to doubt identified parameters, and parameters that the data do not separate."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..machine import Machine, Uncertainty
+from .free_parameters import default_free_parameters
+
+Array = NDArray[np.float64]
+
+# Thresholds beyond which a parameter is reported as doubtful.
+_POOR_RELATIVE_STD = 0.2
+_POOR_PHASE_STD = 0.3  # rad
+_HIGH_CORRELATION = 0.95
+# A standard deviation beyond this fraction of the prior's: the data hardly added to the declared value.
+_PRIOR_DOMINATES = 0.6
+_BOUND_TOLERANCE = 1e-6  # relative
+# A combination of parameters is not determined if its variance is beyond this fraction of the prior's.
+_UNDETERMINED_VARIANCE = 0.25
+_EFFECT_PRIOR = 0.5  # Standard deviation by which an effect's parameters are scaled, relative to their value.
+# A parameter belongs to a direction that is not determined if its component in multiples of the prior's standard
+# deviation, relative to the largest, and the fraction of its variance along the direction are at least this large.
+_MIN_MEMBERSHIP = 0.1
+
+
+@dataclass(frozen=True)
+class InseparableParameters:
+    """Parameters whose single values the data do not determine, but some combinations of them.
+
+    Attributes:
+        names: Full names of the parameters.
+        combinations: Weights by parameter name of each sum of the parameters that the data do determine.
+    """
+
+    names: tuple[str, ...]
+    combinations: tuple[dict[str, float], ...]
+
+    def describe(self) -> str:
+        """Describe what the data determine of these parameters.
+
+        Returns:
+            Clause, for example "only phi1.viscous + 1.13 motor1.Ke is determined".
+        """
+        if not self.combinations:
+            return f"no combination of {', '.join(self.names)} is determined"
+        sums = [sum_text(weights) for weights in self.combinations]
+        return f"only {' and '.join(sums)} {'is' if len(sums) == 1 else 'are'} determined"
+
+    def as_json(self, machine: Machine) -> dict[str, object]:
+        """Return these parameters as an entry of the list `not_separable` in report.json.
+
+        Args:
+            machine: Identified machine with its uncertainty.
+
+        Returns:
+            "parameters": names of the parameters. "determined": for each combination that the data determine, "weights"
+            by parameter name, and its "value" and standard deviation "std" in the unit of its first parameter.
+        """
+        return {
+            "parameters": list(self.names),
+            "determined": [
+                {"weights": weights, **dict(zip(("value", "std"), _value_and_std(machine, weights), strict=True))}
+                for weights in self.combinations
+            ],
+        }
+
+
+def sum_text(weights: Mapping[str, float]) -> str:
+    """Format a weighted sum of parameters, for example "phi1.viscous + 1.13 motor1.Ke".
+
+    Args:
+        weights: Weight by full parameter name; a weight of 1 is not written.
+
+    Returns:
+        Text with weights to three digits.
+    """
+    text = ""
+    for name, weight in weights.items():
+        sign = (" + " if weight > 0.0 else " - ") if text else ("" if weight > 0.0 else "-")
+        text += sign + (name if abs(weight) == 1.0 else f"{abs(weight):.3g} {name}")
+    return text
+
+
+def _value_and_std(machine: Machine, weights: dict[str, float]) -> tuple[float, float]:
+    """Return value and standard deviation of a weighted sum of identified parameters."""
+    assert machine.uncertainty is not None
+    values = machine.parameters
+    row = np.array([weights.get(name, 0.0) for name in machine.uncertainty.names])
+    variance = float(row @ machine.uncertainty.covariance @ row)
+    return sum(weight * values[name] for name, weight in weights.items()), float(np.sqrt(max(variance, 0.0)))
+
+
+def inseparable_parameters(machine: Machine, declared: Machine) -> tuple[InseparableParameters, ...]:
+    """Find the parameters that the data do not separate.
+
+    The spectrum of the covariance, scaled by the standard deviations of the priors, shows the directions along which
+    the data did not reduce the prior's variance much. Each direction that involves several parameters leaves one
+    combination of them undetermined.
+
+    Args:
+        machine: Identified machine with its uncertainty.
+        declared: Machine as it was declared, which defines the priors.
+
+    Returns:
+        Disjoint sets of at least two parameters each; ordinates of tables are left out. Empty if the machine has no
+        uncertainty.
+    """
+    if machine.uncertainty is None:
+        return ()
+    units = _prior_std(machine, declared)
+    names = [name for name in machine.uncertainty.names if units.get(name, 0.0) > 0.0]
+    if not names:
+        return ()
+    kept = [machine.uncertainty.names.index(name) for name in names]
+    unit = np.array([units[name] for name in names])
+    scaled = machine.uncertainty.covariance[np.ix_(kept, kept)] / np.outer(unit, unit)
+    variances, axes = np.linalg.eigh(scaled)
+    undetermined = variances > _UNDETERMINED_VARIANCE
+    directions = (axes[:, undetermined] * np.sqrt(variances[undetermined])).T  # (directions, parameters)
+    directions, pivots = _row_echelon(directions)
+    # A direction's component in a parameter that the data determine otherwise is rounding.
+    member = np.abs(directions) > np.maximum(np.sqrt(_MIN_MEMBERSHIP * np.diag(scaled)), _MIN_MEMBERSHIP)
+    groups = []
+    for rows in _connected(member):
+        members = np.flatnonzero(member[rows].any(axis=0))
+        if len(members) > 1:
+            combinations = tuple(
+                _determined_sum(free, members, rows, pivots, np.where(member, directions, 0.0), unit, names)
+                for free in members.tolist()
+                if free not in pivots
+            )
+            groups.append(InseparableParameters(tuple(names[i] for i in members), combinations))
+    return tuple(groups)
+
+
+def _prior_std(machine: Machine, declared: Machine) -> dict[str, float]:
+    """Return the standard deviation of the prior of every identified parameter, in its unit; 0: not to be compared."""
+    declared_free = {f.name: f for f in default_free_parameters(declared)}
+    parameters = {
+        f"{e.label}.{p.name}": (p.role, bool(e.definition.against))
+        for e in machine.effects
+        for p in e.definition.parameters
+    }
+    stds: dict[str, float] = {}
+    for name in machine.uncertainty.names if machine.uncertainty else ():
+        value = machine.parameters[name]
+        if name in declared_free:
+            prior = declared_free[name]
+            stds[name] = prior.prior * (abs(value) if prior.scale is None else prior.scale)
+        else:
+            role, ordinate = parameters.get(name, ("shape", False))
+            stds[name] = 0.0 if ordinate else 1.0 if role == "phase" else _EFFECT_PRIOR * abs(value)
+    return stds
+
+
+def _determined_sum(
+    free: int,
+    members: NDArray[np.intp],
+    rows: list[int],
+    pivots: list[int],
+    directions: Array,
+    unit: Array,
+    names: list[str],
+) -> dict[str, float]:
+    """Return the weights of the sum of parameters that is constant along reduced directions.
+
+    Args:
+        free: Index of the parameter, no pivot, that this sum has beside pivots.
+        members: Indices of the parameters of the directions.
+        rows: Indices of the directions.
+        pivots: Index of the pivot parameter of each direction.
+        directions: Reduced directions in multiples of `unit`, shape (directions, parameters).
+        unit: Units of the parameters, shape (parameters,).
+        names: Names of the parameters.
+
+    Returns:
+        Weight by name, in the order of the parameters; the first is 1.
+    """
+    weights = {free: 1.0 / unit[free]}
+    weights |= {pivots[row]: -directions[row, free] / unit[pivots[row]] for row in rows if directions[row, free]}
+    ordered = {i: weights[i] for i in members.tolist() if i in weights}
+    first = next(iter(ordered.values()))
+    return {names[i]: float(weight / first) for i, weight in ordered.items()}
+
+
+def _row_echelon(rows: Array) -> tuple[Array, list[int]]:
+    """Reduce rows (m, k) so that each has a column with a 1 in which all others are 0.
+
+    Each row takes its largest element as its pivot, so that rows about different columns do not mix.
+
+    Args:
+        rows: Linearly independent rows.
+
+    Returns:
+        Reduced rows, shape (m, k).
+        Index of each row's pivot column.
+    """
+    reduced, pivots = rows.copy(), []
+    for i in range(len(reduced)):
+        pivot = int(np.argmax(np.abs(reduced[i])))
+        reduced[i] /= reduced[i, pivot]
+        others = np.arange(len(reduced)) != i
+        reduced[others] -= np.outer(reduced[others, pivot], reduced[i])
+        pivots.append(pivot)
+    return reduced, pivots
+
+
+def _connected(members: NDArray[np.bool_]) -> list[list[int]]:
+    """Return the indices of rows (m, k) in sets that share no column."""
+    remaining, sets = list(range(len(members))), []
+    while remaining:
+        rows = [remaining.pop(0)]
+        for row in rows:
+            linked = [other for other in remaining if np.any(members[other] & members[row])]
+            rows += linked
+            remaining = [other for other in remaining if other not in linked]
+        sets.append(sorted(rows))
+    return sets
+
+
+def parameter_doubts(machine: Machine, declared: Machine) -> dict[str, list[str]]:
+    """List for each identified parameter why its value may be unreliable.
+
+    Reasons are a value at its bound, a combination with other parameters of which the data determine only a sum, a
+    large standard deviation, a value that the prior determines, and a correlation above 0.95 with another parameter.
+
+    Args:
+        machine: Identified machine with its uncertainty.
+        declared: Machine as it was declared, which defines the priors.
+
+    Returns:
+        By full parameter name, phrases for the report; an empty list for a reliable parameter. Empty if the machine
+        has no uncertainty.
+    """
+    if machine.uncertainty is None:
+        return {}
+    doubts: dict[str, list[str]] = {name: [] for name in machine.uncertainty.names}
+    _add_bound_doubts(machine, doubts)
+    separable = dict(doubts)
+    for group in inseparable_parameters(machine, declared):
+        for name in group.names:
+            doubts[name].append(group.describe())
+            separable.pop(name)
+    _add_precision_doubts(machine, machine.uncertainty, declared, separable)
+    _add_correlation_doubts(machine.uncertainty, separable)
+    return doubts
+
+
+def _add_bound_doubts(machine: Machine, doubts: dict[str, list[str]]) -> None:
+    """Add effect parameters whose value is at a bound of its range."""
+    for effect in machine.effects:
+        for p in effect.definition.parameters:
+            name, value = f"{effect.label}.{p.name}", effect.parameters[p.name]
+            tolerance = _BOUND_TOLERANCE * max(abs(value), p.scale)
+            if name in doubts and (value - p.lower < tolerance or p.upper - value < tolerance):
+                doubts[name].append("at a bound")
+
+
+def _add_precision_doubts(
+    machine: Machine, uncertainty: Uncertainty, declared: Machine, doubts: dict[str, list[str]]
+) -> None:
+    """Add parameters with a large standard deviation, and those that the prior determines rather than the data."""
+    priors = {f.name: f for f in default_free_parameters(declared)}
+    roles = {f"{e.label}.{p.name}": p.role for e in machine.effects for p in e.definition.parameters}
+    for name, reasons in doubts.items():
+        value, std = machine.parameters[name], uncertainty.std(name) or 0.0
+        prior = priors.get(name)
+        limit = _POOR_PHASE_STD if roles.get(name) == "phase" else _POOR_RELATIVE_STD * abs(value)
+        prior_unit = 0.0 if prior is None else abs(value) if prior.scale is None else prior.scale
+        if prior is not None and std > _PRIOR_DOMINATES * prior.prior * prior_unit:
+            reasons.append("determined by the declared value more than by the data")
+        elif std > limit:
+            reasons.append("poorly determined")
+
+
+def _add_correlation_doubts(uncertainty: Uncertainty, doubts: dict[str, list[str]]) -> None:
+    """Add pairs of parameters that are almost perfectly correlated."""
+    names, covariance = uncertainty.names, uncertainty.covariance
+    std = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    correlation = covariance / np.outer(std, std)
+    np.fill_diagonal(correlation, 0.0)
+    for i, name in enumerate(names):
+        partners = [
+            f"{correlation[i, j]:+.3f} with {names[j]}"
+            for j in np.flatnonzero(np.abs(correlation[i]) > _HIGH_CORRELATION)
+        ]
+        if partners and name in doubts:
+            doubts[name].append(f"correlation {', '.join(partners)}")
