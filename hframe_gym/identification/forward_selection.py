@@ -18,6 +18,7 @@ from ..machine import AppliedEffect, Machine
 from .criteria import SelectionCriteria
 from .dataset import Dataset
 from .estimation import Fit
+from .machine_validation import validation_fault
 from .model_error import effect_force, fit_with_model_error, leave_one_out_gain, long_run_variance, residue_force
 from .prediction import SEARCH_BANDWIDTH
 from .trial_fits import converge, trial_fits, without_effect
@@ -177,7 +178,10 @@ class EffectSearch:
         if gain < minimum_gain(current, criteria) * data.count:
             return "has no effect on the error"
         return (
-            self._unconfirmed(reduced, current) or self._by_chance(reduced, current) or self._too_small(current, effect)
+            self._unconfirmed(reduced, current)
+            or validation_fault(current.machine)
+            or self._by_chance(reduced, current)
+            or self._too_small(current, effect)
         )
 
     def _doubt(self, current: Fit, trial: Fit) -> str:
@@ -185,7 +189,12 @@ class EffectSearch:
         # While other effects are missing, a fit without one run says little about the machine; `prune` repeats the test
         # beside all effects.
         unconfirmed = self._unconfirmed(current, trial) if current.chi2 < self._criteria.explained_chi2 else ""
-        return unconfirmed or self._by_chance(current, trial) or self._too_small(trial, trial.machine.effects[-1])
+        return (
+            unconfirmed
+            or validation_fault(trial.machine)
+            or self._by_chance(current, trial)
+            or self._too_small(trial, trial.machine.effects[-1])
+        )
 
     def _unconfirmed(self, without: Fit, with_effect: Fit) -> str:
         """Return that an effect describes single runs rather than the machine, "" if other runs confirm it."""
