@@ -111,7 +111,7 @@ class SelectionCriteria:
     max_drift: float = 0.3
     explained_chi2: float = 1.5
     explained_fraction: float = 1e-4
-    max_table_cost_fraction: float = 0.02
+    max_table_cost_fraction: float = 0.1
     max_partial_cost_fraction: float = 0.25
     min_saturated_fraction: float = 0.01
     second_end_factor: float = 0.2
