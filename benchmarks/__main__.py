@@ -24,6 +24,8 @@ IN_RESULTS: dict[str, tuple[str, ...]] = {
     "env_soak": (),
     "identification": ("examples", "all"),
     "formulas": (),
+    "other_simulator_rigs": (),
+    "coverage": (),
     "real_machines": ("all",),
     "controllers": (),
     "bound": (),

@@ -99,6 +99,19 @@ def formulas(results: dict[str, Any]) -> str:
     return markdown(header, rows)
 
 
+def other_simulator_rigs(results: dict[str, Any]) -> str:
+    """Format the fourteen rigs of another simulator: truth, named effects, errors on unseen runs and time."""
+    rows = []
+    for r in results["rigs"]:
+        marks = [text for text, present in (("missed", not r["complete"]), ("extra", bool(r["extra"]))) if present]
+        named = ", ".join(f"`{label}`" for label in r["named"]) or r["verdict"]
+        errors = (f"{r['unseen'][machine]['mean']:.3g}" for machine in ("before", "after"))
+        residue = "yes" if r["residue"] else ""
+        rows.append([r["hidden"], residue, named, ", ".join(marks) or "yes", *errors, f"{r['seconds']['wall']:.0f} s"])
+    header = ["hidden", "residue", "named", "right", "unseen runs: before", "after", "time"]
+    return markdown(header, rows)
+
+
 def identification_set(results: dict[str, Any]) -> str:
     """Format the rigs of a set: hidden effects, identified effects, errors and time."""
     rows = [
@@ -273,6 +286,7 @@ TABLES: dict[str, Callable[[dict[str, Any]], str]] = {
     "identification": identification,
     **{f"identification_{name}": identification_set for name in IDENTIFICATION_SETS},
     "formulas": formulas,
+    "other_simulator_rigs": other_simulator_rigs,
     "env_speed": env_speed,
     "her": her,
     "bound": bound,

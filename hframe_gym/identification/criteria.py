@@ -53,8 +53,11 @@ class SelectionCriteria:
             the minimum gain are not fitted.
         one_step_floor: Chi-squared per sample that a correct model reaches in one-step prediction; quantization keeps
             it above 1.
-        structural_remainder: Fraction of the excess over `one_step_floor` that a candidate may leave before structural
-            candidates are tried as well.
+        rival_remainder: Fraction of the excess over `one_step_floor` below which a candidate explains the data, so that
+            only its possible rivals are fitted as well.
+        structural_remainder: Fraction of that excess that every candidate must leave before structural candidates are
+            tried, whose simulations must be compiled.
+        min_structural_excess: Smallest excess of chi-squared per sample for which structural candidates are tried.
         min_table_gain: Smallest gain of a table, chi-squared per sample. A table has two dozen values and fits chance
             well.
         min_table_gain_fraction: Smallest gain of a table relative to the excess over `one_step_floor`.
@@ -101,7 +104,9 @@ class SelectionCriteria:
     min_promised_force_ratio: float = 0.5
     linear_gain_ratio: float = 0.6
     one_step_floor: float = 1.1
-    structural_remainder: float = 0.2
+    rival_remainder: float = 0.2
+    structural_remainder: float = 0.5
+    min_structural_excess: float = 0.05
     min_table_gain: float = 0.02
     min_table_gain_fraction: float = 0.2
     max_screened_tables: int = 6

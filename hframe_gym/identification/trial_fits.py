@@ -42,14 +42,18 @@ def trial_fits(current: Fit, data: Dataset, enough: float, criteria: SelectionCr
     )
     floor = criteria.one_step_floor if current.bandwidth >= SEARCH_BANDWIDTH else 1.0
     trials: list[Fit] = []
-    explained, best_promise = False, 0.0
+    remainder, best_promise = (
+        1.0,
+        0.0,
+    )  # of the excess over the floor, and linearized gain of the candidate that explains it
     for scored in _promising(current, screen(current, proposed, data), data, enough, criteria):
         # Where a candidate explains the data, only those that may be its rivals are fitted as well.
         if scored.gain > criteria.rival_promise * best_promise:
             trials.append(fit_with_candidate(current, scored, scales, data))
-            if trials[-1].chi2 - floor < criteria.structural_remainder * (current.chi2 - floor) and not explained:
-                explained, best_promise = True, scored.gain
-    if not explained:
+            remainder = min(remainder, (trials[-1].chi2 - floor) / max(current.chi2 - floor, 1e-9))
+            if remainder < criteria.rival_remainder:
+                best_promise = max(best_promise, scored.gain)
+    if remainder > criteria.structural_remainder and current.chi2 - floor > criteria.min_structural_excess:
         useful = max((current.cost - t.cost for t in trials), default=0.0) / data.count
         least = max(enough, criteria.min_structural_promise * useful) if useful >= enough else 0.0
         machines = screen_structures(current, data, scales, least)
