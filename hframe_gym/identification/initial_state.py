@@ -145,7 +145,8 @@ def model_initial_state(machine: Machine, initial: InitialState) -> Array:
         Positions, then velocities (zero), in the coordinates' units, shape (2 * coordinates,).
     """
     if not machine.belts:
-        return initial.state
+        added = len(machine.coordinates) - len(initial.position)  # coordinates of structural effects, at rest at 0
+        return np.concatenate([np.pad(half, (0, added)) for half in np.split(initial.state, 2)])
     measured = position_from_measurements(machine, initial)
     position = static_equilibrium(machine, measured)
     if initial.offsets_refined or np.array_equal(measured, initial.position):

@@ -34,6 +34,8 @@ FIELDS = (
     "bristle_damping",
     "hysteresis_force",
     "hysteresis_travel",
+    "dahl_force",
+    "dahl_travel",
     "constant_force",
     "viscous_asymmetry",
     "quadratic_drag",
@@ -86,6 +88,8 @@ FIELDS = (
     BRISTLE_DAMPING,
     HYSTERESIS_FORCE,
     HYSTERESIS_TRAVEL,
+    DAHL_FORCE,
+    DAHL_TRAVEL,
     CONSTANT_FORCE,
     VISCOUS_ASYMMETRY,
     QUADRATIC_DRAG,
@@ -266,6 +270,10 @@ def _move(i: int, t: float, h: float, state: Array, force: float, p: Array) -> N
         w = state[HYSTERESIS + i] / travel  # from -1 to 1
         force -= p[HYSTERESIS_FORCE, i] * w
         state[HYSTERESIS + i] += h * (v - 0.5 * w * (math.fabs(v * w) + v * w))
+    if p[DAHL_FORCE, i] != 0.0:  # in place of the hysteresis above, with the same state
+        z, travel = state[HYSTERESIS + i], p[DAHL_TRAVEL, i]
+        state[HYSTERESIS + i] = (z + h * v) / (1.0 + h * math.fabs(v) / travel)
+        force -= p[DAHL_FORCE, i] * z / travel
     if p[BRISTLE_STIFFNESS, i] != 0.0:
         # dz/dt = v - s0 |v| z / F, implicit in z.
         z = state[BRISTLE + i]

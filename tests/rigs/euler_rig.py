@@ -13,9 +13,9 @@ from tests.reference_simulator import Array, Rig
 # Fields of a rig that the Euler simulator lacks; they must have their default value.
 _MISSING = (
     "friction_cross_position", "friction_cross_speed", "friction_per_run", "heating_loss", "current_ripple",
-    "backlash_rad", "idlers", "payload", "length_follows",
+    "backlash_rad", "idlers", "payload", "length_follows", "spring_square", "friction_stale",
 )  # fmt: skip
-_YAW_DIVISORS = ("stribeck_velocity", "friction_wavelength", "hysteresis_travel", "catch_width")
+_YAW_DIVISORS = ("stribeck_velocity", "friction_wavelength", "hysteresis_travel", "dahl_travel", "catch_width")
 
 
 def euler_parameters(rig: Rig) -> Array:
@@ -33,6 +33,8 @@ def euler_parameters(rig: Rig) -> Array:
     for name in _MISSING:
         if getattr(rig, name) != getattr(Rig(), name):
             raise ValueError(f"the Euler simulator has no {name}")
+    if rig.frame and rig.frame.ground_friction:
+        raise ValueError("the Euler simulator has no friction of the frame's ground")
     values: dict[str, Any] = {name: getattr(rig, name) for name in FIELDS if hasattr(rig, name)}
     for name in _YAW_DIVISORS:
         values[name] = (*values[name], 1.0)
