@@ -44,7 +44,7 @@ def trial_fits(current: Fit, data: Dataset, enough: float, criteria: SelectionCr
         missing_force(current.machine, data),
         slow_friction=current.bandwidth < SEARCH_BANDWIDTH,
     )
-    # Chi-squared per sample that a correct model reaches; the observer's corrections repeat quantization errors.
+    # Chi-squared per sample of a correct model; in one-step prediction, quantization keeps it above 1.
     floor = criteria.one_step_floor if current.bandwidth >= SEARCH_BANDWIDTH else 1.0
     trials: list[Fit] = []
     explained, best_promise = False, 0.0
