@@ -30,8 +30,9 @@ def identification_table(report: Mapping[str, Any], channels: Sequence[str]) -> 
         channels: Names of the machine's output channels (sensors).
 
     Returns:
-        Table with one row per channel: root-mean-square error in the channel's unit, and in parentheses as a multiple
-        of the sensor noise, for the declared machine, the refitted machine, and the machine with added effects.
+        Table (rich) with one row per channel: root-mean-square error in the channel's unit, and in parentheses as a
+        multiple of the sensor noise, for the declared machine, the refitted machine, and the machine with added
+        effects. A further row has the relative error of the drives' forces, %, where the report contains it.
     """
     title = "simulation error on held-out recordings: rmse (multiple of the sensor noise)"
     table = Table(title=title, title_justify="left")
@@ -59,8 +60,9 @@ def score_table(scores: Mapping[str, Any]) -> Table:
         scores: Contents of scores.json.
 
     Returns:
-        Table with one row per controller: success in each settling band, %; then for a fixed goal mean settling times,
-        s, and their ratio to the time-optimal bound; for a path contour and tracking errors, mm.
+        Table (rich) with one row per controller: episodes that end within each settling band around the goal, %; then
+        for a fixed goal mean settling times, s, and their ratio to the shortest possible time (time-optimal bound); for
+        a path the root mean square and largest contour and tracking errors, mm.
     """
     task = scores["task"].partition("(")[0].lower()
     title = (
@@ -98,7 +100,7 @@ def _path_cells(score: Mapping[str, Any]) -> list[str]:
 
 
 def unknown_bound_reasons(scores: Mapping[str, Any]) -> list[str]:
-    """Explain why episodes have no time-optimal bound.
+    """List the reasons why the time-optimal bound (shortest possible settling time) of episodes is unknown.
 
     Args:
         scores: Contents of scores.json.
@@ -114,7 +116,8 @@ def machine_table() -> Table:
     """Format the built-in machines as a table.
 
     Returns:
-        Table with one row per machine: name, numbers of coordinates and belts, lowest belt modes in Hz, description.
+        Table (rich) with one row per machine: name, numbers of coordinates and belts, lowest natural frequencies of the
+        masses on the belts (belt modes), Hz, and description.
     """
     table = Table("name", "coordinates", "belts", "belt modes, Hz", "description")
     table.columns[0].no_wrap = True
@@ -134,8 +137,8 @@ def effect_table() -> Table:
     Names are never wrapped or truncated, so that the output can be searched in a pipe.
 
     Returns:
-        Table with one row per effect: name, site (the kind of component it acts on), parameters with units, formula.
-        Plugins are loaded first.
+        Table (rich) with one row per effect: name, site (the kind of component it acts on), parameters with units,
+        formula. Plugins are loaded first.
     """
     load_plugins()
     table = Table("effect", "site", "parameters", "formula")

@@ -133,7 +133,7 @@ class Registry(Generic[T]):
         del self._parts[name]
 
     def get(self, name: str) -> T:
-        """Look up a part by name; import plugins, or the given module, if necessary.
+        """Look up a part (class or function) by name; import plugins, or the given module, if necessary.
 
         Args:
             name: Registered name, or `package.module:name` for a part that this module registers when it is imported.
@@ -160,11 +160,18 @@ class Registry(Generic[T]):
         return tuple(self._parts)
 
     def __contains__(self, name: object) -> bool:
-        """Return whether a name is registered; import plugins before the answer is False."""
+        """Return whether a part of this name is registered; plugins are imported before the answer is False.
+
+        Args:
+            name: Name under which the part may be registered.
+
+        Returns:
+            True if it is registered.
+        """
         if name not in self._parts:
             load_plugins()
         return name in self._parts
 
     def __iter__(self) -> Iterator[str]:
-        """Iterate over the registered names in the order of registration, without importing plugins."""
+        """Return an iterator over the registered names in the order of registration; plugins are not imported."""
         return iter(self._parts)

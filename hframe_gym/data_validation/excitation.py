@@ -40,8 +40,8 @@ _MODE_POWER = 1e-3  # of the total power that should be near or above the lowest
 def check_excitation(recordings: Sequence[Recording], data: Dataset, machine: Machine) -> list[Finding]:
     """Check whether inputs and motion are rich enough for identification.
 
-    The checks cover constant inputs, inputs above the rated voltage, drive force relative to Coulomb friction, travel,
-    speed, direction, and the spectrum of the inputs relative to the lowest belt mode.
+    The checks cover constant inputs, inputs above the rated voltage, drive force relative to Coulomb friction, range of
+    positions, speed, direction, and the spectrum of the inputs relative to the lowest natural frequency of the belts.
 
     Args:
         recordings: Runs as recorded.
@@ -253,6 +253,7 @@ def cramer_rao_bounds(data: Dataset, machine: Machine, names: Sequence[str] = ()
     References:
         Ljung, System Identification (1999), section 7.4.
     """
+    # Derivatives are with respect to the logarithms of the parameters, so that bounds are relative.
     names = [n for n in (names or [f.name for f in default_free_parameters(machine)]) if machine.parameters[n] != 0.0]
     runs = tuple(
         dataclasses.replace(
@@ -265,7 +266,7 @@ def cramer_rao_bounds(data: Dataset, machine: Machine, names: Sequence[str] = ()
     at_declared = np.zeros(len(names))
 
     def normal_equations(run: PreparedRecording) -> NormalEquations:
-        """Combine forward and backward differences to central ones: a forward difference separates what is not."""
+        """Combine forward and backward differences to central ones; forward ones separate parameters by rounding."""
         rows = forward.linearize_run(run, at_declared)
         opposite = backward.linearize_run(run, at_declared)
         return NormalEquations.from_rows((rows.jacobian - opposite.jacobian) / 2, rows.residual)

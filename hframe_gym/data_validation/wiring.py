@@ -46,7 +46,7 @@ _SUSPECTS = {"linear": ((1000.0, "millimeters"), (0.001, "kilometers")), "rotary
 
 
 def sensor_motions(machine: Machine) -> Array:
-    """Return how much each sensor changes per unit of each rigid motion (motion that does not stretch belts).
+    """Return how much each sensor's measurement changes per unit of each rigid motion, which stretches no belt.
 
     Args:
         machine: Machine with sensors.
@@ -74,12 +74,13 @@ def rigid_prediction(outputs: Array, channel: int, machine: Machine) -> tuple[Ar
 
         None instead of both if the other sensors do not determine this one.
     """
-    M = sensor_motions(machine)
+    M = sensor_motions(machine)  # (sensors, rigid motions)
     others = [k for k in range(len(M)) if k != channel and np.isfinite(outputs[:, k]).any()]
     if not others or M.shape[1] == 0:
         return None
-    size = np.linalg.norm(M[others], axis=1)
+    size = np.linalg.norm(M[others], axis=1)  # makes measurements in m and in rad comparable
     scaled = M[others] / size[:, None]
+    # This sensor's row of M as a combination of the others' rows; without one, they do not determine it.
     other_weights = M[channel] @ np.linalg.pinv(scaled)
     if not np.allclose(other_weights @ scaled, M[channel], atol=1e-9 * max(1.0, float(np.abs(M[channel]).max()))):
         return None
@@ -91,7 +92,8 @@ def rigid_prediction(outputs: Array, channel: int, machine: Machine) -> tuple[Ar
 def rigid_misfit(motion: Array, machine: Machine) -> float:
     """Compute which fraction of a measured motion contradicts rigid kinematics (belts that do not stretch).
 
-    All channels are compared as belt travel; rows in which a channel is missing are left out.
+    Channels are divided by their change per unit of motion, so that angles and lengths are comparable. Rows in which a
+    channel is missing are left out.
 
     Args:
         motion: Displacements or changes of the measurements in the sensors' units, shape (n, sensors), NaN where not
@@ -108,7 +110,8 @@ def rigid_misfit(motion: Array, machine: Machine) -> float:
     rows = rows[np.isfinite(rows).all(axis=1)]
     size = np.linalg.norm(M[used], axis=1)
     scaled = rows / size
-    basis = M[used] / size[:, None]
+    basis = M[used] / size[:, None]  # (used sensors, rigid motions)
+    # Subtract the least-squares projection of each row on the rigid motions.
     residual = scaled - scaled @ np.linalg.pinv(basis).T @ basis.T
     total = float(np.sum(scaled**2))
     return float(np.sqrt(np.sum(residual**2) / total)) if total else 0.0

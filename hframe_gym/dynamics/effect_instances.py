@@ -13,7 +13,7 @@ from ..machine import AppliedEffect, Machine
 
 @dataclass(frozen=True)
 class EffectInstance:
-    """An effect on one of the components on which it acts.
+    """An effect at one component; an effect on several components (all belts) has one instance for each.
 
     Attributes:
         effect: The effect as the machine has it; its label gives the names of its parameters.
@@ -37,6 +37,7 @@ def effect_instances(machine: Machine) -> list[EffectInstance]:
     Returns:
         Instances in the order of the machine's effects, and of the components for an effect on several.
     """
+    # An unknown name, such as that of a belt or sensor, gives the index -1: no coordinate.
     index = {name: i for i, name in enumerate(machine.coordinate_names)}
     instances = []
     for effect in machine.effects:

@@ -24,12 +24,12 @@ _RIGID_EIGENVALUE = 1e-9  # eigenvalues below this fraction of the largest one b
 
 
 class StateSpace(NamedTuple):
-    """Linear model x' = A x + B u, y = C x + D u.
+    """Linear model x' = A x + B u, y = C x + D u: deviations from rest at an operating point.
 
     Attributes:
         A: System matrix, shape (states, states). States are all positions (m, rad), then all velocities (m/s, rad/s).
         B: Input matrix, shape (states, drives); inputs are voltages, V.
-        C: Output matrix, shape (sensors, states).
+        C: Output matrix, shape (sensors, states); outputs are sensor readings, m or rad.
         D: Feedthrough matrix, shape (sensors, drives); zero.
     """
 
@@ -43,10 +43,11 @@ def stiffness_matrix(machine: Machine, position: ArrayLike | None = None) -> Arr
     """Return the stiffness matrix of the belts without effects: the negative derivative of force by position.
 
     It equals G' diag(k) G with the extension G of each belt per unit of each coordinate, and the stiffness k of each
-    belt at its length in the operating point.
+    belt at its length in the operating point. Derivatives are imaginary parts after an imaginary step, which has no
+    rounding error (Squire and Trapp 1998).
 
     Args:
-        machine: Machine.
+        machine: Machine with belts; without belts the matrix is zero.
         position: One or several operating points with unstretched belts: position of every coordinate, m or rad, shape
             (..., coordinates). Default: one, at zeros.
 
@@ -65,10 +66,11 @@ def stiffness_matrix(machine: Machine, position: ArrayLike | None = None) -> Arr
 def linearize(machine: Machine, position: ArrayLike | None = None) -> StateSpace:
     """Linearize the equations of motion about rest, without Coulomb friction and effects.
 
-    The back-EMF of a drive acts as viscous friction of its coordinate.
+    The back-EMF of a drive acts as viscous friction of its coordinate. Derivatives are imaginary parts after an
+    imaginary step, which has no rounding error (Squire and Trapp 1998).
 
     Args:
-        machine: Machine.
+        machine: Machine to linearize.
         position: Operating point with unstretched belts: position of every coordinate, m or rad, shape (coordinates,).
             Default: zeros.
 
@@ -99,10 +101,10 @@ def linearize(machine: Machine, position: ArrayLike | None = None) -> StateSpace
 def mode_frequencies(machine: Machine, position: ArrayLike | None = None) -> Array:
     """Return the undamped natural frequencies: the square roots of the eigenvalues of M^-1 K over 2 pi.
 
-    M is the diagonal mass matrix, and K the stiffness of the belts without effects.
+    M is the diagonal matrix of masses and inertias, and K the stiffness of the belts without effects.
 
     Args:
-        machine: Machine.
+        machine: Machine with any number of belts.
         position: Operating point with unstretched belts: position of every coordinate, m or rad, shape (coordinates,).
             Default: zeros.
 
@@ -113,7 +115,7 @@ def mode_frequencies(machine: Machine, position: ArrayLike | None = None) -> Arr
 
     mass_matrix = np.diag([c.mass for c in machine.coordinates])
     squared = eigh(stiffness_matrix(machine, position), mass_matrix, eigvals_only=True)
-    scale = max(squared.max(), 1.0)
+    scale = max(squared.max(), 1.0)  # (rad/s)^2; eigenvalues far below it are rounding errors of rigid-body modes
     return np.sqrt(np.where(squared < _RIGID_EIGENVALUE * scale, 0.0, squared)) / (2 * np.pi)
 
 

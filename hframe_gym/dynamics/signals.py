@@ -21,11 +21,13 @@ class SignalEquations(ParameterizedMachine):
     def motor_voltages(self, voltages: Sequence[Value]) -> list[Value]:
         """Apply the effects of the amplifiers (offset, gain error, dead band, ...) to the commanded voltages.
 
+        Values are numbers, arrays or symbolic expressions.
+
         Args:
-            voltages: Commanded voltage of each drive, V, after its delay.
+            voltages: Commanded voltage of each drive, V, after its delay, in the order of the machine's drives.
 
         Returns:
-            Voltage at the terminals of each motor, V, in the machine's order.
+            Voltage at the terminals of each motor, V, in the same order.
         """
         result = []
         for j, (drive, voltage) in enumerate(zip(self.machine.drives, voltages, strict=True)):
@@ -35,13 +37,16 @@ class SignalEquations(ParameterizedMachine):
         return result
 
     def sensor_readings(self, positions: Sequence[Value]) -> list[Value]:
-        """Return the reading of every sensor, without delay, noise and resolution.
+        """Compute the reading of every sensor, with the effects on it but without delay, noise and resolution.
+
+        A reading is a sum of coordinates (or products of two) times the coefficients in the sensor's `row`. Values are
+        numbers, arrays or symbolic expressions.
 
         Args:
-            positions: Position of each coordinate, m or rad.
+            positions: Position of each coordinate, m or rad, in the machine's order.
 
         Returns:
-            Reading of every sensor with the effects on it (scale, skew, ...), m or rad (unit of its channel).
+            Reading of every sensor with the effects on it (scale, skew, ...), m or rad, in the machine's order.
         """
         names = self.machine.coordinate_names
         readings = []
@@ -62,7 +67,7 @@ class SignalEquations(ParameterizedMachine):
         return readings
 
     def voltage_delays(self) -> list[Value]:
-        """Return the delay from commanded to effective voltage of each drive, the sum over its effects.
+        """Return the delay from commanded to applied voltage of each drive: the sum over the effects on it.
 
         Returns:
             Delay of each drive, s, in the machine's order; 0 without delay.
@@ -70,7 +75,7 @@ class SignalEquations(ParameterizedMachine):
         return [self._delay("delay", d.name) for d in self.machine.drives]
 
     def measurement_delays(self) -> list[Value]:
-        """Return the delay from reading to measurement of each sensor, the sum over its effects.
+        """Return by how much the measurement of each sensor is late: the sum of the delays of the effects on it.
 
         Returns:
             Delay of each sensor, s, in the machine's order; 0 without delay.

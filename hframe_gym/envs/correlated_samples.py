@@ -15,16 +15,17 @@ _LARGEST_NORMAL = -float(ndtri(0.5 * 2.0**-53))
 def pivoted_cholesky(covariance: Array, scale: Array) -> Array:
     """Factorize a covariance matrix, which may be singular, into L L^T by the Cholesky method with pivoting.
 
-    The first column is the joint change of all parameters with the one that is known least, the second the change with
-    the one that is known least among what then remains, and so on. Parameters of which only a sum is known therefore
-    share one column.
+    The first column of L is the joint change of all parameters with the one that has the largest variance (in units of
+    `scale`), the second the change with the one of the largest remaining variance, and so on. Parameters of which only
+    a sum is known therefore share one column.
 
     Args:
         covariance: Symmetric positive semidefinite matrix of k parameters, SI, shape (k, k).
         scale: Sizes of the parameters, by which their variances are compared, SI, positive, shape (k,).
 
     Returns:
-        Factor L, SI, shape (k, k), with columns of 0 where nothing remains.
+        Factor L, SI, shape (k, k), with columns of 0 where no variance remains. Rows are in the order of the
+        parameters, so that L is triangular only after a permutation.
 
     References:
         Higham (2002), "Accuracy and Stability of Numerical Algorithms", section 10.3.
@@ -33,10 +34,10 @@ def pivoted_cholesky(covariance: Array, scale: Array) -> Array:
     variance = np.diag(scaled)
     factor, remaining = np.zeros_like(scaled), np.full(len(scaled), True)
     for column in range(len(scaled)):
-        left = np.where(remaining, variance - np.sum(factor**2, axis=1), -np.inf)
-        pivot = int(np.argmax(left))
-        if left[pivot] > _ROUNDING * variance[pivot]:
-            change = (scaled[:, pivot] - factor @ factor[pivot]) / np.sqrt(left[pivot])
+        unexplained = np.where(remaining, variance - np.sum(factor**2, axis=1), -np.inf)
+        pivot = int(np.argmax(unexplained))
+        if unexplained[pivot] > _ROUNDING * variance[pivot]:  # otherwise the parameter follows from the earlier pivots
+            change = (scaled[:, pivot] - factor @ factor[pivot]) / np.sqrt(unexplained[pivot])
             factor[:, column] = np.where(remaining, change, 0.0)
         remaining[pivot] = False
     return factor * scale[:, None]
@@ -73,10 +74,13 @@ class CorrelatedSampler:
         self.reach: Array = np.abs(self._factor).sum(axis=1) * _LARGEST_NORMAL
 
     def deviations(self, uniforms: Array) -> Array:
-        """Convert uniform random numbers to deviations.
+        """Convert uniform random numbers to correlated deviations of k parameters from their nominal values.
+
+        Each uniform number gives a truncated normal one (inverse transform); these are multiplied by the Cholesky
+        factor.
 
         Args:
-            uniforms: Random numbers in (0, 1), shape (n, k) for n samples.
+            uniforms: Independent random numbers in (0, 1), shape (n, k) for n samples.
 
         Returns:
             Deviations from the nominal values, SI, shape (n, k). Parameters that several changes contribute to may

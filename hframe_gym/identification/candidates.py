@@ -65,13 +65,13 @@ class Candidate:
         return not self.effect.amplitudes
 
     def applied(self, amounts: Sequence[float]) -> AppliedEffect:
-        """Combine the candidate's columns, each multiplied by its weight, into one effect with parameter values.
+        """Return the effect that is the weighted sum of the candidate's basis functions, with parameter values.
 
         For an effect with a phase the two weights, of the sine and of the cosine, become amplitude and phase. An effect
         without amplitudes ignores the weights.
 
         Args:
-            amounts: Dimensionless weight of each of `columns`, shape (columns,).
+            amounts: Dimensionless weight of each basis function (each entry of `columns`), shape (basis functions,).
 
         Returns:
             Effect at the site; its parameters are clipped to their bounds.
@@ -79,11 +79,11 @@ class Candidate:
         values = dict(self.columns[0])
         phase = next((p.name for p in self.effect.parameters if p.role == "phase"), None)
         names = self.effect.amplitudes
-        if phase is not None:
+        if phase is not None:  # a sin(u) + b cos(u) = sqrt(a^2 + b^2) sin(u + atan2(b, a))
             sine, cosine = amounts
             values[names[0]] *= float(np.hypot(sine, cosine))
             values[phase] = float(np.arctan2(cosine, sine))
-        elif len(names) == len(self.columns):
+        elif len(names) == len(self.columns):  # one basis function per amplitude
             values |= {n: c[n] * float(a) for n, c, a in zip(names, self.columns, amounts, strict=True)}
         bounds = {p.name: (p.lower, p.upper) for p in self.effect.parameters}
         return self.effect.at(self.site, **{n: float(np.clip(v, *bounds[n])) for n, v in values.items()})
@@ -100,17 +100,19 @@ def candidates(
     """List the library's effects that the machine lacks, at every site and with several starting values.
 
     Args:
-        machine: Current machine.
+        machine: Machine with the effects that have been selected so far.
         data: Prepared recordings.
-        scales: Typical sizes on this machine, which convert relative starting values to physical ones.
+        scales: Typical sizes of force, speed and so on, by which relative starting values are multiplied.
         missing_force: By coordinate name, an array of shape (n, 3) over all rows of all runs: position, velocity and
-            the force that the model lacks, in the coordinate's units, see `residual.missing_force`.
-        slow_friction: Whether friction that is periodic in position is tried with all long periods (see `slow_rates`)
-            in addition to the peaks of the periodogram.
+            the force that the model lacks, in the coordinate's units, see `residual.missing_force`. The periods of
+            periodic effects are those of this force (peaks of its periodogram over the position).
+        slow_friction: Whether friction that is periodic in position is also tried with all long periods, see
+            `slow_rates`.
 
     Returns:
         Candidates that add a force or change a measurement, at most 64 sets of starting values per effect and site.
-        Effects that replace a part of the model are excluded; `screening.screen_structures` tries those.
+        Excluded are effects that changed parameters of the machine can represent, and those that replace a part of the
+        model, which `screening.screen_structures` tries.
     """
     present = {e.label for e in machine.effects}
     proposed: list[Candidate] = []
@@ -194,15 +196,17 @@ def _range_shapes(j: int, data: Dataset) -> list[Mapping[str, float]]:
 
 
 def effect_parameters(effect: AppliedEffect, machine: Machine, scales: TypicalScales) -> tuple[FreeParameter, ...]:
-    """Return the free parameters with which an effect is fitted.
+    """List the parameters of an effect that a fit changes (free parameters), with their priors and bounds.
 
-    Parameters that may be zero or negative are fitted linearly, all others as logarithms, see `FreeParameter`. The
-    starting value is at theta = 0. The ordinates of a table (a curve given by its values at knots) are zero there.
+    Each follows from a dimensionless variable theta that the optimizer changes, see `FreeParameter`: the logarithm of
+    the ratio to the starting value, or for parameters that may be zero or negative the difference from it, divided by
+    a typical size. Theta is 0 at the starting value. The ordinates of a table (a curve given by its values at knots)
+    start at zero.
 
     Args:
         effect: Effect with its starting values.
         machine: Machine that it acts on.
-        scales: Typical sizes on this machine, which set the change of a linear parameter per unit of theta.
+        scales: Typical sizes on this machine, which set the change of such a parameter per unit of theta.
 
     Returns:
         One free parameter for every parameter of the effect that is not fixed.
@@ -214,15 +218,15 @@ def effect_parameters(effect: AppliedEffect, machine: Machine, scales: TypicalSc
             continue
         name, value = f"{effect.label}.{p.name}", effect.parameters[p.name]
         size = p.scale * at_site.get(p.unit, 1.0)
-        if (
-            effect.definition.family == TABLE_FAMILY
-        ):  # The values of a curve; its smoothness acts on the values themselves.
+        if effect.definition.family == TABLE_FAMILY:
+            # Centered at zero, because the prior of a smooth curve (`along`) penalizes the ordinates' own differences.
             free.append(
                 FreeParameter(name, 0.0, prior=10.0, scale=size, lower=p.lower, upper=p.upper, along=effect.label)
             )
         elif p.amplitude or p.role == "phase":
             free.append(FreeParameter(name, value, prior=10.0, scale=size, lower=p.lower, upper=p.upper))
         elif p.role in ("rate", "period"):
+            # The periodogram determines it well, so the prior is narrow.
             free.append(FreeParameter(name, value, prior=0.1, lower=p.lower, upper=p.upper))
         elif p.lower < 0.0 or value == 0.0:
             free.append(FreeParameter(name, value, prior=3.0, scale=size, lower=p.lower, upper=p.upper))
@@ -232,10 +236,10 @@ def effect_parameters(effect: AppliedEffect, machine: Machine, scales: TypicalSc
 
 
 def periodogram_peaks(motion: Array, *, friction: bool) -> Array:
-    """Return the spatial rates at which a sine of position explains most of the missing force.
+    """Find the spatial rates at which a sine of the position explains most of the missing force (periodogram).
 
-    At each rate, a sine and a cosine are fitted by least squares together with a constant, viscous and dry friction
-    (periodogram). Rates from 0.5 to 150 periods over the traveled range are searched.
+    At each rate, a sine and a cosine are fitted by least squares together with a constant, viscous and dry friction.
+    Rates from 0.5 to 150 periods over the range of the positions are searched.
 
     Args:
         motion: Position, velocity and missing force of one coordinate, in its units, one row each, shape (n, 3).
@@ -243,7 +247,8 @@ def periodogram_peaks(motion: Array, *, friction: bool) -> Array:
             force.
 
     Returns:
-        Rates, rad per unit of position, largest explained power first, at most six; none without travel.
+        Rates, rad per unit of position, shape (at most 6,): the best one of each band of rates, then the best of all,
+        by explained power. Empty if the position does not change.
 
     References:
         Lomb (1976), Least-squares frequency analysis of unequally spaced data.
@@ -253,8 +258,9 @@ def periodogram_peaks(motion: Array, *, friction: bool) -> Array:
     if travel <= 0.0:
         return np.zeros(0)
     moving = np.abs(velocity) > 0.02 * np.percentile(np.abs(velocity), 99)
-    thin = max(1, int(moving.sum()) // _MAX_ROWS)
+    thin = max(1, int(moving.sum()) // _MAX_ROWS)  # every how many rows are used
     position, velocity, force = (column[moving][::thin] for column in (position, velocity, force))
+    # Orthonormal basis of constant, viscous and dry friction, whose best fit is subtracted from the force.
     basis, _ = np.linalg.qr(np.stack([np.ones_like(position), velocity, np.sign(velocity)], axis=1))
     force = force - basis @ (basis.T @ force)
     count = int((_MAX_PERIODS - _MIN_PERIODS) * _POINTS_PER_PERIOD)
@@ -267,12 +273,12 @@ def periodogram_peaks(motion: Array, *, friction: bool) -> Array:
             for rates in np.array_split(grid, _CHUNKS)
         ]
     )
-    # First the best rate of each band, because the observer's noise grows with the rate; then the best of all.
+    # First the best rate of each band, because the noise of the missing force grows with it; then the best of all.
     band = np.searchsorted(_BAND_EDGES, grid * travel / (2 * np.pi))
     best_of_band = [np.flatnonzero(band == k)[np.argmax(power[band == k])] for k in np.unique(band)]
     peaks: list[float] = []
     for k in (*sorted(best_of_band, key=lambda k: -power[k]), *np.argsort(-power)):
-        if all(abs(grid[k] - other) > 1.5 * np.pi / travel for other in peaks):
+        if all(abs(grid[k] - other) > 1.5 * np.pi / travel for other in peaks):  # not the flank of another peak
             peaks.append(float(grid[k]))
         if len(peaks) == _MAX_RATES:
             break
@@ -280,15 +286,15 @@ def periodogram_peaks(motion: Array, *, friction: bool) -> Array:
 
 
 def slow_rates(position: Array) -> Array:
-    """Return the spatial rates of 0.5 to 6 periods over the traveled range, as closely as data can distinguish.
+    """Return spatial rates of 0.5 to 6 periods over the range of the positions, spaced as closely as data resolve.
 
-    The noise of the observer may hide such slow variations in the missing force, but a simulation reveals them.
+    Noise may hide such slow variations of friction in the missing force, but a simulation error reveals them.
 
     Args:
         position: Positions of one coordinate over all rows of all runs, in its unit, shape (n,).
 
     Returns:
-        Rates, rad per unit of position, shape (rates,); empty without travel.
+        Rates, rad per unit of position, shape (rates,); empty if the position does not change.
     """
     travel = float(np.ptp(position))
     return np.asarray(2 * np.pi / travel * _SLOW_PERIODS if travel > 0.0 else np.zeros(0))

@@ -18,7 +18,9 @@ class SelectionCriteria:
 
     Chi-squared per sample is the mean squared residual in units of the sensors' noise (1: only noise is left). The gain
     of an effect is the reduction of chi-squared per sample that it causes. The cost is chi-squared summed over all
-    samples. A table is a force or friction level that is interpolated over one variable.
+    samples. A linearized gain is predicted from the derivatives of the residual before any fit. A structural candidate
+    is an effect that adds coordinates or replaces dry friction. A table is a force or friction level that is
+    interpolated over one variable.
 
     Pass a changed copy to `identify(..., criteria=SelectionCriteria(max_effects=3))`. `print` shows all values.
 
@@ -139,9 +141,9 @@ class SelectionCriteria:
         return "\n".join(f"{name} = {value:g}" for name, value in self.as_json().items())
 
     def as_json(self) -> dict[str, float]:
-        """Return the thresholds as the entry `criteria` of report.json.
+        """Convert the thresholds to the entry `criteria` of report.json.
 
         Returns:
-            Threshold by attribute name.
+            Value of each threshold by its attribute name; the units are those of the class docstring.
         """
         return dataclasses.asdict(self)

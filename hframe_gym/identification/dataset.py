@@ -47,17 +47,18 @@ class PreparedRecording:
 
     @property
     def count(self) -> int:
-        """Number of measured values that enter the residual."""
+        """Number of measured values (rows times sensors, without missing ones) that enter the residual."""
         counted = self.outputs if self.rows is None else self.outputs[self.rows]
         return int(np.isfinite(counted).sum())
 
     def initial_state(self, machine: Machine) -> Array:
         """Return the state from which a machine is simulated over this run.
 
-        It depends on the machine, because effects may act on the sensors and on the static equilibrium at rest.
+        The measurements at rest determine it. It also depends on the machine, because effects may change what sensors
+        measure, and forces at rest stretch the belts.
 
         Args:
-            machine: Machine with its effects.
+            machine: Machine with its effects, which may add coordinates.
 
         Returns:
             Positions, then velocities (zero, at rest), in the coordinates' units, shape (2 * coordinates,).
@@ -85,7 +86,7 @@ class Dataset:
 
     @property
     def count(self) -> int:
-        """Number of measured values of all runs that enter the residual."""
+        """Number of measured values of all runs and sensors that enter the residual."""
         return sum(run.count for run in self.runs)
 
     @property
@@ -94,7 +95,7 @@ class Dataset:
         return float(np.median(np.concatenate([np.diff(run.time_s) for run in self.runs])))
 
     def with_runs(self, names: Sequence[str]) -> Dataset:
-        """Return a copy that contains only some of the runs; noise and quanta are not estimated again.
+        """Return a copy with some of the runs; noise and quantization steps are not estimated again.
 
         Args:
             names: Names of the runs to keep; names of other runs are ignored.
@@ -118,7 +119,9 @@ class Dataset:
 
 
 def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:
-    """Prepare recordings for a fit: fill gaps, estimate the initial states and the sensors' zeros, quanta and noise.
+    """Prepare recordings for a fit: fill gaps, estimate initial states and the sensors' properties.
+
+    These properties are the zeros (measurements at position 0), quantization steps (quanta) and noise.
 
     Args:
         recordings: Runs of one rig, at least one.
@@ -130,6 +133,7 @@ def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:
     recordings = [fill_gaps(recording) for recording in recordings]
     channels = [[recording.outputs[:, j] for recording in recordings] for j in range(len(machine.sensors))]
     quanta = np.array([sensor_quantum(c, s.resolution) for c, s in zip(channels, machine.sensors, strict=True)])
+    # The zeros that each run alone gives show which encoders kept theirs; those then improve the initial states.
     separate = [estimate_initial_state(recording, machine) for recording in recordings]
     zeros = common_encoder_zeros(separate, machine, quanta)
     initial = [measured_initial_state(recording, machine, zeros, quanta) for recording in recordings]
@@ -196,10 +200,10 @@ def _noise_by_row(recording: Recording, noise: Array, jitter: float) -> Array:
 
 
 def with_all_measurements(data: Dataset, recordings: Sequence[Recording]) -> Dataset:
-    """Return a data set with all measurements, including the saturated ones that a fit leaves out.
+    """Return a data set with all measurements, including those at the ends of a sensor's range that a fit leaves out.
 
     Args:
-        data: Data set prepared from recordings whose saturated measurements were removed.
+        data: Data set prepared from recordings whose saturated measurements were replaced by NaN.
         recordings: The original recordings of its runs; other runs are ignored.
 
     Returns:
@@ -211,7 +215,10 @@ def with_all_measurements(data: Dataset, recordings: Sequence[Recording]) -> Dat
 
 
 def refine_encoder_offsets(data: Dataset, machine: Machine, reference: Dataset | None = None) -> Dataset:
-    """Correct the estimated zeros of the encoders with a fitted machine, see `encoder_zero_errors`.
+    """Correct the estimated zeros (measurements at position 0) of the encoders with a fitted machine.
+
+    Zeros are first estimated as if belts were unstretched at rest. The machine's effects give the forces that stretch
+    them, see `encoder_zero_errors`.
 
     Args:
         data: Data set to correct.
@@ -236,9 +243,10 @@ def refine_encoder_offsets(data: Dataset, machine: Machine, reference: Dataset |
 
 
 def with_encoder_zeros(machine: Machine, data: Dataset) -> Machine:
-    """Write the zeros of the encoders, which all runs of a session determined, to the sensors of a machine.
+    """Write the zeros of the encoders (measurements at position 0) to the sensors of a machine.
 
-    `recording_simulation.simulate_recording` then determines the same initial state from a single run.
+    All runs of a session together determined them. With the zeros in the machine,
+    `recording_simulation.simulate_recording` determines the same initial state from a single run.
 
     Args:
         machine: Machine that was fitted to the runs; its effects refine the zeros.
@@ -267,19 +275,19 @@ class TypicalScales:
     general: Mapping[str, float]
 
     def of(self, coordinate: str) -> Mapping[str, float]:
-        """Return the sizes that apply at a coordinate, with the general ones.
+        """Return the typical sizes at a coordinate together with those that belong to no coordinate.
 
         Args:
             coordinate: Name of the coordinate; any other text, such as "", gives the general sizes only.
 
         Returns:
-            Size by key, in the coordinate's units or SI.
+            Size by key (such as "force" or "A", see the class), in the coordinate's units or SI.
         """
         return {**self.general, **self.by_coordinate.get(coordinate, {})}
 
 
 def scales_of_motion(machine: Machine, positions: Array, velocities: Array, inputs: Sequence[Array]) -> TypicalScales:
-    """Compute typical sizes from a motion: top speed, travel, largest current and belt force, typical drive force.
+    """Compute typical sizes from a motion: top speed, range of positions, largest current and belt force, drive force.
 
     Args:
         machine: Machine that moved.
@@ -295,7 +303,7 @@ def scales_of_motion(machine: Machine, positions: Array, velocities: Array, inpu
     travel = np.maximum(np.ptp(positions, axis=0), 1e-9)
     by_coordinate: dict[str, dict[str, float]] = {}
     for i, c in enumerate(machine.coordinates):
-        drive = force * c.travel_per_unit
+        drive = force * c.travel_per_unit  # N, or Nm: force at the belt times the pulley radius
         speed, distance = float(top_speed[i]), float(travel[i])
         by_coordinate[c.name] = {
             "force": drive,
@@ -308,6 +316,7 @@ def scales_of_motion(machine: Machine, positions: Array, velocities: Array, inpu
     voltages = np.concatenate(list(inputs))
     for j, d in enumerate(machine.drives):
         i = machine.coordinate_names.index(d.coordinate)
+        # Ohm's law with the back-EMF of the motor, which turns gear_ratio times as fast as the coordinate.
         current = (voltages[:, j] - d.Ke * d.gear_ratio * velocities[:, i]) / d.resistance
         by_coordinate[d.coordinate]["A"] = max(float(np.abs(current).max()), 1e-9)
     general: dict[str, float] = {}

@@ -27,7 +27,7 @@ _MAX_SCATTER = 4.0  # Standard deviations of the scatter from run to run within 
 
 
 class EncoderZeros(NamedTuple):
-    """Zeros of the encoders that kept them from run to run.
+    """Zeros (measurements at position 0) of the encoders that kept them from run to run.
 
     Attributes:
         offset: Zero of each sensor in its unit, NaN where it is unknown, shape (sensors,).
@@ -40,23 +40,23 @@ class EncoderZeros(NamedTuple):
 
     @property
     def known(self) -> NDArray[np.bool_]:
-        """Sensors whose zero is known, shape (sensors,)."""
+        """Mask of the sensors whose zero is known, shape (sensors,)."""
         return np.isfinite(self.offset)
 
     @property
     def stretched(self) -> NDArray[np.bool_]:
-        """Sensors that measure by how much the belts are stretched at rest, shape (sensors,)."""
+        """Mask of the encoders that resolve by how much belts are stretched at rest, shape (sensors,)."""
         return self.known & (self.spread > 0.0)
 
     @classmethod
     def of_machine(cls, machine: Machine) -> EncoderZeros:
-        """Return the zeros that a machine's sensors declare.
+        """Read the zeros (measurements at position 0) from the sensors of a machine.
 
         Args:
-            machine: Machine; identified ones have zeros, see `machine.Sensor`.
+            machine: Machine; the sensors of an identified one may have a zero, see `machine.Sensor`.
 
         Returns:
-            Zeros, unknown (NaN) for sensors without one.
+            Zeros of all sensors; NaN, unknown, where the machine has none.
         """
         return cls(
             np.array([np.nan if s.zero is None else s.zero for s in machine.sensors], float),
@@ -96,7 +96,7 @@ class EncoderZeros(NamedTuple):
 
 
 def common_encoder_zeros(initial: Sequence[InitialState], machine: Machine, quanta: Array) -> EncoderZeros:
-    """Find the encoders that kept their zero in all runs of a session.
+    """Find the encoders that kept their zero (measurement at position 0) in all runs of a session.
 
     If an encoder's zero differs from run to run by no more than the belt stretch that static friction can maintain, the
     encoder kept its zero. The zeros of an encoder that was switched on anew for every run differ by far more.
@@ -104,19 +104,21 @@ def common_encoder_zeros(initial: Sequence[InitialState], machine: Machine, quan
     Args:
         initial: Initial states of the runs, each estimated with unknown zeros.
         machine: Machine as declared.
-        quanta: Quanta of the sensors, in their units, shape (sensors,).
+        quanta: Quantization steps of the sensors, in their units, shape (sensors,).
 
     Returns:
-        Zeros of the encoders that kept them, NaN for all other sensors. Without belts or with fewer than three runs,
-        they are those that the machine declares.
+        Median zeros of the encoders that kept them, NaN for all other sensors. Without belts or with fewer than three
+        runs, they are those that the machine declares.
     """
     zeros = EncoderZeros.of_machine(machine)
     if not machine.belts or len(initial) < _MIN_RUNS_FOR_ZERO:
         return zeros
     zeros = zeros.without(np.ones(len(machine.sensors), np.bool_))
+    # Runs whose position is measured at rest give the better zeros; the others count only if these are too few.
     positioned = [state.offset for state in initial if state.position_measured]
     offsets = np.array(positioned if len(positioned) >= _MIN_RUNS_FOR_ZERO else [state.offset for state in initial])
-    median = np.median(offsets, axis=0)
+    median = np.median(offsets, axis=0)  # (sensors,)
+    # Standard deviation from the median absolute deviation, which single deviating runs do not change.
     spread = 1.4826 * np.median(np.abs(offsets - median), axis=0)
     limit = np.maximum(max_held_angle(machine), 2 * quanta)
     for j, sensor in enumerate(machine.sensors):
@@ -128,28 +130,30 @@ def common_encoder_zeros(initial: Sequence[InitialState], machine: Machine, quan
 
 
 def max_held_angle(machine: Machine) -> Array:
-    """Return the largest deviation of each encoder that static friction can maintain by stretched belts.
+    """Return how far static friction can keep each pulley from its angle with unstretched belts.
+
+    The friction of all coordinates together is assumed to stretch a belt of mean stiffness.
 
     Args:
         machine: Machine with belts.
 
     Returns:
-        Deviations of the angles from those of unstretched belts, rad, shape (sensors,); 0 for sensors on linear
+        Largest deviation of the pulley's angle at each sensor, rad, shape (sensors,); 0 for sensors on linear
         coordinates.
     """
-    friction = sum(c.coulomb / c.travel_per_unit for c in machine.coordinates)
-    stiffness = float(np.mean([b.EA / b.rest_length for b in machine.belts]))
+    friction = sum(c.coulomb / c.travel_per_unit for c in machine.coordinates)  # N, as a force at the belt
+    stiffness = float(np.mean([b.EA / b.rest_length for b in machine.belts]))  # N/m
     coordinates = [machine.coordinate(s.coordinate) for s in machine.sensors]
     return np.array([2 * friction / stiffness / c.radius if c.kind == "rotary" else 0.0 for c in coordinates])
 
 
 def zero_tolerance(machine: Machine, zeros: EncoderZeros, quanta: Array) -> Array:
-    """Return by how much the zero of an encoder in one run may differ from that of the session.
+    """Return by how much the zero of an encoder (measurement at position 0) in one run may differ from the session's.
 
     Args:
         machine: Machine with belts.
-        zeros: Zeros of the session.
-        quanta: Quanta of the sensors, in their units, shape (sensors,).
+        zeros: Zeros of the session (all runs together), with their standard deviations from run to run.
+        quanta: Quantization steps of the sensors, in their units, shape (sensors,).
 
     Returns:
         Largest differences of an encoder that was not switched on anew, in the sensors' units, shape (sensors,).

@@ -40,7 +40,8 @@ class Fit:
         theta: Fitted theta of each, the dimensionless variable defined by `FreeParameter`, shape (k,).
         cost: Sum of squared residuals in units of the noise, without the prior.
         count: Number of measured values.
-        bandwidth: Observer bandwidth of the predictions that were fitted, rad/s, see `prediction`.
+        bandwidth: Bandwidth of the observer that corrected the fitted predictions by the measurements, rad/s; 0 for a
+            pure simulation.
         information: Fisher information of theta without the prior, shape (k, k).
     """
 
@@ -59,7 +60,7 @@ class Fit:
 
     @property
     def values(self) -> dict[str, float]:
-        """Fitted values, SI, by full parameter name such as `x.coulomb`."""
+        """Fitted values of the free parameters, SI, by full name such as `x.coulomb`."""
         return values_at(self.free, self.theta)
 
 
@@ -76,12 +77,15 @@ def fit(
 ) -> Fit:
     """Fit free parameters of a machine to a data set by the Levenberg-Marquardt method.
 
+    Minimized is the sum of squared residuals in units of the noise plus that of the Gaussian priors. The optimizer
+    changes one dimensionless variable theta per free parameter, see `FreeParameter`.
+
     Args:
         machine: Machine that supplies the model and the values of all other parameters.
-        free: The k free parameters with their Gaussian priors.
+        free: The k free parameters with their priors.
         data: Runs to fit.
-        bandwidth: Observer bandwidth of the predictions, rad/s, see `prediction`.
-        theta: Initial guess of the free parameters' theta, shape (k,). Default: zero, their central values.
+        bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
+        theta: Initial guess of theta, shape (k,). Default: zero, the central values of the priors.
         iterations: Maximum number of iterations.
         tolerance: Relative decrease of the cost per iteration below which the search ends.
         longest_step: Maximum integration step, s.
@@ -104,6 +108,7 @@ def fit(
         cost = equations.cost + float(theta @ precision @ theta)
         hessian = information + precision
         gradient = equations.gradient + precision @ theta
+        # Steps of all dampings are simulated as one batch; the one with the lowest cost is taken.
         steps = [np.linalg.solve(hessian + damping * np.diag(np.diag(hessian)), gradient) for damping in _DAMPINGS]
         trials = np.clip(theta - np.array(steps), -bounds, bounds)  # (dampings, k)
         trial_costs = expansion.costs(trials) + np.einsum("bi,ij,bj->b", trials, precision, trials)
@@ -119,14 +124,14 @@ def fit(
 
 
 def prediction_cost(machine: Machine, data: Dataset, bandwidth: float, *, longest_step: float = SEARCH_STEP) -> float:
-    """Return the sum of a machine's squared prediction errors, each divided by the sensor's noise.
+    """Return the sum of a machine's squared prediction errors, each divided by the sensor's noise (cost).
 
-    The unknown initial stretch of the belts is projected out, as in a fit.
+    The part of the errors that an unknown initial stretch of the belts can explain is removed first, as in a fit.
 
     Args:
         machine: Machine that predicts.
         data: Runs to predict.
-        bandwidth: Observer bandwidth of the predictions, rad/s, see `prediction`.
+        bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
         longest_step: Maximum integration step, s.
 
     Returns:
@@ -179,13 +184,14 @@ def with_uncertainty(fitted: Fit, data: Dataset) -> Machine:
     - The residual's, by the sandwich estimator over blocks of 0.5 s. It holds for residuals that are correlated inside
       a block, and also for few blocks: the residual of each block is corrected for what the fit took from it (estimator
       CR2 of cluster-robust variances). No smaller variance is reported than white noise of the assumed size causes.
-    - The prior's. Directions in the space of the parameters that the data do not determine keep its spread.
+    - The prior's. Combinations of parameters that the data do not determine keep its spread.
     - That of a delay between inputs and measurements that the machine lacks: the delay that the residual shows, and
       another of 0.5 % of a sampling period.
 
-    Responses are central differences along the principal axes of the fit's information, over one standard deviation
-    each. Differences along single parameters would give two parameters of the same influence (viscous friction and
-    back-EMF) a difference of influence, which is rounding and would count as information.
+    Derivatives of the residual are central differences along the principal axes of the fit's information (directions),
+    over one standard deviation each. Differences along single parameters would give two parameters of the same
+    influence (viscous friction and back-EMF) a difference of influence, which is rounding and would count as
+    information.
 
     Args:
         fitted: Fit of k parameters.
@@ -199,7 +205,7 @@ def with_uncertainty(fitted: Fit, data: Dataset) -> Machine:
         Bell and McCaffrey (2002), "Bias reduction in standard errors for linear regression with multi-stage samples".
     """
     prior = prior_precision(fitted.free)
-    directions = _principal_directions(fitted.information, prior)
+    directions = _principal_directions(fitted.information, prior)  # (k, k), one per column
     parts = list(map_runs(lambda run: _linearize(fitted, run, data, directions), data))
     information = np.concatenate([part.information for part in parts])  # (blocks, k, k)
     scores = np.concatenate([part.scores for part in parts])  # (blocks, k)
@@ -213,11 +219,13 @@ def with_uncertainty(fitted: Fit, data: Dataset) -> Machine:
     changes = np.einsum("bij,bj->bi", axes, along_axes) @ root  # of the estimate by each block's residual, (blocks, k)
     covariance = directions @ (changes.T @ changes + inverse @ prior @ inverse) @ directions.T
     white = directions @ inverse @ directions.T
+    # No variance is smaller than that of white noise; correlations are kept.
     inflation = np.sqrt(np.maximum(np.diag(white) / np.maximum(np.diag(covariance), 1e-300), 1.0))
     covariance *= np.outer(inflation, inflation)
     of_delay = directions @ inverse @ np.sum([part.delay_products for part in parts], axis=0)  # per sampling period
     delay_variance = _DELAY_STD**2 + _estimated_delay(parts, inverse) ** 2
     covariance += delay_variance * np.outer(of_delay, of_delay)
+    # From theta to the parameters' values, by the derivative of each value with respect to its theta.
     slopes = np.array([f.slope(t) for f, t in zip(fitted.free, fitted.theta, strict=True)])
     covariance *= np.outer(slopes, slopes)
     uncertainty = Uncertainty(tuple(f.name for f in fitted.free), (covariance + covariance.T) / 2)

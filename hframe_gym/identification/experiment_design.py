@@ -68,7 +68,7 @@ class ExperimentDesign:
 
     @property
     def why(self) -> str:
-        """Purpose of the run, for the report."""
+        """Purpose and expected effect of the run in English sentences, for the report."""
         first, second = self.separates
         return (
             f"{first} and {second} explain the recordings equally well. On this run their predictions should differ by "
@@ -80,7 +80,8 @@ class ExperimentDesign:
         """Return the design, without its voltages, as the entry `next_experiment` of report.json.
 
         Returns:
-            Labels of the two effects, name of the file with the voltages, and purpose of the run.
+            "separates": labels (name@site) of the two effects; "file": name of the file with the voltages; "why":
+            purpose of the run.
         """
         return {"separates": list(self.separates), "file": FILE, "why": self.why}
 
@@ -103,15 +104,16 @@ def design_discriminating_experiment(
     """Design the run that decides between an identified effect and its best rival.
 
     Args:
-        current: Fit of the corrected machine.
-        corrected: Corrected machine with its uncertainty.
+        current: Fit of the corrected machine, which contains the identified effect.
+        corrected: The same machine with the covariance of its parameters.
         label: Label (name@site) of the identified effect.
         rivals: Other effects that explain the data equally well, with fitted parameters, best first.
         data: Runs that were fitted.
 
     Returns:
         Design of the run. None if the identified effect or every rival is structural (adds coordinates), if there is
-        no rival, or if the predictions of no simulated run differ by `MINIMUM_SIGMA`.
+        no rival, or if the two models' predictions of no simulated run differ by `MINIMUM_SIGMA` (10) standard
+        deviations of the noise.
     """
     present = {e.label: e for e in current.machine.effects}
     alternatives = [r for r in rivals if r.label not in present and not r.definition.structure]
@@ -125,11 +127,11 @@ def fit_rival(current: Fit, label: str, rival: AppliedEffect, data: Dataset, sca
     """Fit the machine again with a rival effect in place of an identified one.
 
     Args:
-        current: Fit of the corrected machine.
+        current: Fit of the corrected machine, which contains the identified effect.
         label: Label (name@site) of the effect to replace.
         rival: Effect that replaces it, with its starting values.
         data: Runs to fit.
-        scale: Typical sizes on this machine, for the rival's free parameters.
+        scale: Typical sizes on this machine, which set the scales and priors of the rival's parameters.
 
     Returns:
         The fitted machine with its uncertainty.
@@ -137,6 +139,7 @@ def fit_rival(current: Fit, label: str, rival: AppliedEffect, data: Dataset, sca
     remaining = tuple(e for e in current.machine.effects if e.label != label)
     machine = current.machine.replace(effects=remaining, uncertainty=None).with_effects(rival)
     kept = [f for f in current.free if f.name in machine.parameters and not f.name.startswith(f"{label}.")]
+    # The fit continues from the parameters of the other effects; the rival's start at their given values (theta = 0).
     kept_theta = [t for f, t in zip(current.free, current.theta, strict=True) if f in kept]
     names = {f.name for f in kept}
     added = [f for f in effect_parameters(rival, machine, scale) if f.name not in names]
@@ -153,18 +156,19 @@ def separate_machines(
 
     Args:
         first: One machine.
-        second: The other, whose parameters adapt to the new run within their uncertainty.  The machines may differ in
+        second: The other, whose parameters adapt to the new run within their uncertainty. The machines may differ in
             their effects, but not in their sensors and drives.
-        labels: Labels of the effects that distinguish them.
+        labels: Labels (name@site) of the effects that distinguish the first and the second machine.
         data: Recordings that both were fitted to. They supply the sensors' noise, the sampling period and, for a
             coordinate without a declared range, the permitted travel.
 
     Returns:
         Design of the run with the largest difference, or None if the predictions of no simulated run differ by at
-        least `MINIMUM_SIGMA` standard deviations of the noise.
+        least `MINIMUM_SIGMA` (10) standard deviations of the noise in total.
     """
     rows = round(_DURATION_S / data.period)
     time_s: Array = np.arange(rows, dtype=np.float64) * data.period
+    # Of the voltages with the largest differences, those count that a refit of the second machine cannot explain.
     finalists = [
         (inputs, _unexplained_difference(first, second, time_s, inputs, data))
         for inputs in _largest_differences(first, second, time_s, data)

@@ -64,10 +64,10 @@ class ProposedFormula:
         return float(np.mean(list(self.held_out.values()))) if self.held_out else math.nan
 
     def as_json(self) -> dict[str, Any]:
-        """Return the formula as an entry of `proposed_formulas` in report.json.
+        """Convert the formula to an entry of `proposed_formulas` in report.json.
 
         Returns:
-            Table, terms, equation, parameters, complexity (number of parameters), errors and recommendation.
+            Labels of table and terms, equation, parameters (SI), their number (complexity), errors, recommendation.
         """
         effect, formula = self.effect, self.effect.formula
         return {
@@ -84,7 +84,7 @@ class ProposedFormula:
 
 
 def tables_of(machine: Machine) -> tuple[AppliedEffect, ...]:
-    """Return the tables among a machine's effects.
+    """Return the tables (forces or friction levels interpolated over one variable) among a machine's effects.
 
     Args:
         machine: Identified machine.
@@ -96,7 +96,7 @@ def tables_of(machine: Machine) -> tuple[AppliedEffect, ...]:
 
 
 def propose_formulas(machine: Machine, table: AppliedEffect) -> tuple[ProposedFormula, ...]:
-    """Propose formulas for a table from its values and their covariance alone.
+    """Propose formulas for a table (force interpolated over one variable) from its values and their covariance.
 
     Args:
         machine: Identified machine with the table and, if known, the covariance of its parameters.
@@ -141,8 +141,8 @@ def _absorbed(table: AppliedEffect, knots: Array) -> Array:
 def formulas_of_folder(folder: Path, name: str, table: str = "") -> tuple[ProposedFormula, ...]:
     """Return the formulas for a table of a saved identification, as effects with a name.
 
-    They are those that `hframe identify` compared on the held-out runs. In a folder without them, formulas are fitted
-    to the table alone and have no errors.
+    They are those that `hframe identify` compared on held-out runs. Otherwise, formulas are fitted to the table (force
+    interpolated over one variable) alone and have no errors on runs.
 
     Args:
         folder: Folder that `write_result` wrote.
@@ -230,7 +230,7 @@ class TableComparison:
         """Return the comparison as an entry of `proposed_formulas` in report.json.
 
         Returns:
-            Label, complexity and errors of the table, and its formulas.
+            Label and complexity (number of knots) of the table, its errors in units of the noise, and its formulas.
         """
         return {
             "table": self.table.label,

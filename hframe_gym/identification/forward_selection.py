@@ -90,7 +90,7 @@ class EffectSearch:
         log: Called with a line of text for the candidates of each step, selected or not.
 
     Attributes:
-        considered: Effects that reduced the error but failed a test, by label.
+        considered: Effects that reduced the error but failed a test, by label (name@site).
     """
 
     def __init__(self, data: Dataset, criteria: SelectionCriteria, log: Log) -> None:
@@ -98,25 +98,28 @@ class EffectSearch:
         self.considered: dict[str, ConsideredEffect] = {}
 
     def run(self, current: Fit, selected: tuple[SelectedEffect, ...] = ()) -> Selection:
-        """Add one effect after another while one reduces the error by enough and passes the tests of `_doubt`.
+        """Add one effect after another while one reduces the error by enough and passes all tests.
+
+        The tests are those of `_doubt`: other runs confirm the effect, the machine stays stable, chance does not
+        explain the reduction, and the effect's force exceeds the unexplained one.
 
         Args:
             current: Fit of the machine with the effects selected so far.
             selected: Effects selected so far.
 
         Returns:
-            Fit of the machine with all effects, at the bandwidth that its remaining error requires.
+            Fit of the machine with all effects, at the observer bandwidth with the largest likelihood.
             All selected effects with their fitted parameters.
         """
         data, criteria = self._data, self._criteria
         while len(selected) < criteria.max_effects and current.chi2 > criteria.noise_level:
-            enough = minimum_gain(current, criteria)
+            enough = minimum_gain(current, criteria)  # reduction of chi-squared per sample
             trials = sorted(trial_fits(current, data, enough, criteria), key=lambda trial: trial.cost)
             best = self._best(current, trials, enough)
             if best is None:
                 break
             trials = [best, *(t for t in trials if t.machine.effects[-1].label != best.machine.effects[-1].label)]
-            effect, gain = best.machine.effects[-1], (current.cost - best.cost) / data.count
+            effect, gain = best.machine.effects[-1], (current.cost - best.cost) / data.count  # the new effect is last
             close = _rivals(trials, current, data, criteria)
             names = (*(e.label for e in close), *effect.definition.equivalent)
             selected = (*selected, SelectedEffect(effect, names, gain, current.machine, close))
@@ -143,7 +146,7 @@ class EffectSearch:
         return None
 
     def prune(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection:
-        """Remove effects that fail a test beside all others, weakest first.
+        """Remove effects that fail a test in the machine with all other effects, weakest first (recursively).
 
         Later effects may make earlier ones superfluous. Structural effects are kept, because the other effects act on
         the coordinates that they add.
@@ -224,8 +227,8 @@ def describe_gain(before: Fit, after: Fit) -> str:
     """Describe the benefit of an effect: "reduces chi-squared per sample from 98.99 to 0.79 (simulation)".
 
     Args:
-        before: Fit without the effect.
-        after: Fit with the effect, at the same observer bandwidth.
+        before: Fit without the effect; its observer bandwidth, rad/s, is stated, or "simulation" if it is 0.
+        after: Fit with the effect, at the same bandwidth.
 
     Returns:
         Text that continues a sentence whose subject is the effect.
@@ -248,12 +251,14 @@ def minimum_gain(current: Fit, criteria: SelectionCriteria) -> float:
     """Return the smallest reduction of chi-squared per sample for which an effect is selected.
 
     Args:
-        current: Fit without the effect; its bandwidth decides between the limits of simulation and prediction.
+        current: Fit without the effect. Its observer bandwidth decides between the limits of one-step prediction (60
+            rad/s) and of simulation or slower observers.
         criteria: Decision thresholds, which raise the result for short recordings and large residuals.
 
     Returns:
         Required reduction of chi-squared per sample.
     """
+    # Three limits: for the kind of prediction, for the total of few samples, for a fraction of the error beyond noise.
     wide = current.bandwidth >= SEARCH_BANDWIDTH
     min_gain = criteria.min_gain_one_step if wide else criteria.min_gain_simulation
     excess = current.chi2 - 1.0

@@ -38,7 +38,7 @@ class FreeParameter:
         scale: Change of the value per unit of theta, SI; None for a parameter that is fitted as a logarithm.
         lower: Lower bound of the value.
         upper: Upper bound of the value.
-        along: Name of the curve of which this parameter is one ordinate (empty: none).  Ordinates of one curve follow
+        along: Name of the curve of which this parameter is one ordinate (empty: none). Ordinates of one curve follow
             each other in order; the prior also penalizes their second differences.
     """
 
@@ -86,11 +86,11 @@ class FreeParameter:
 
 
 def values_at(free: Sequence[FreeParameter], theta: Array) -> dict[str, float]:
-    """Convert a vector of theta to parameter values.
+    """Convert the optimizer's variables theta to parameter values.
 
     Args:
         free: Free parameters, k of them.
-        theta: Theta of each, shape (k,).
+        theta: Dimensionless variable of each free parameter, shape (k,).
 
     Returns:
         Value, SI, by full parameter name.
@@ -99,15 +99,16 @@ def values_at(free: Sequence[FreeParameter], theta: Array) -> dict[str, float]:
 
 
 def parameter_table(machine: Machine, free: Sequence[FreeParameter], thetas: Array) -> Array:
-    """Convert a batch of theta to complete parameter vectors of the machine, as `simulate_batch` needs them.
+    """Convert the optimizer's variables theta of several simulations to complete parameter vectors of the machine.
 
     Args:
         machine: Machine that supplies all parameters that are not free.
         free: Free parameters, k of them.
-        thetas: Theta of each for every simulation of the batch, shape (batch, k).
+        thetas: Dimensionless variable of each free parameter for every simulation of a batch, shape (batch, k).
 
     Returns:
-        All parameters of the machine, SI, in the order of `Machine.parameters`, shape (batch, parameters).
+        All parameters of the machine, SI, in the order of `Machine.parameters`, shape (batch, parameters), as
+        `simulate_batch` takes them.
     """
     names = list(machine.parameters)
     table = np.tile(np.array(list(machine.parameters.values())), (len(thetas), 1))
@@ -117,13 +118,13 @@ def parameter_table(machine: Machine, free: Sequence[FreeParameter], thetas: Arr
 
 
 def second_difference_penalty(count: int) -> Array:
-    """Return the penalty matrix of the second differences of a curve's ordinates.
+    """Return the matrix P for which y^T P y is the sum of squared second differences of the ordinates y of a curve.
 
     Args:
         count: Number of ordinates.
 
     Returns:
-        D^T D with the second-difference operator D, shape (count, count).
+        P = D^T D with the second-difference operator D, shape (count, count).
     """
     second_difference = np.diff(np.eye(count), n=2, axis=0)
     penalty: Array = second_difference.T @ second_difference
@@ -131,10 +132,10 @@ def second_difference_penalty(count: int) -> Array:
 
 
 def prior_precision(free: Sequence[FreeParameter]) -> Array:
-    """Return the inverse covariance of the Gaussian prior of theta, whose mean is 0.
+    """Return the inverse covariance of the Gaussian prior of theta, the dimensionless variables of the optimizer.
 
-    The parameters are independent with the standard deviations `prior`. Second differences of the ordinates of a curve
-    have unit variance in addition, which favors smooth curves.
+    The prior's mean is 0. The parameters are independent with the standard deviations `prior`. In addition, second
+    differences of the ordinates of a curve have unit variance, which favors smooth curves.
 
     Args:
         free: Free parameters, k of them.
@@ -150,7 +151,7 @@ def prior_precision(free: Sequence[FreeParameter]) -> Array:
 
 
 def typical_force(machine: Machine) -> float:
-    """Return a typical size of forces: a tenth of the force of all drives at standstill and rated voltage.
+    """Return a typical size of forces at the belt: a tenth of the force of all drives at standstill and rated voltage.
 
     Args:
         machine: Machine with its drives.
@@ -159,7 +160,7 @@ def typical_force(machine: Machine) -> float:
         Force at the belt (torque / pulley radius for a rotary coordinate), N.
     """
     total = 0.0
-    for drive in machine.drives:
+    for drive in machine.drives:  # drive.gain: force or torque per volt at standstill
         total += drive.gain * drive.rated_voltage / machine.coordinate(drive.coordinate).travel_per_unit
     return 0.1 * total
 
@@ -167,10 +168,11 @@ def typical_force(machine: Machine) -> float:
 def default_free_parameters(machine: Machine, *, effects: bool = True) -> tuple[FreeParameter, ...]:
     """Return the parameters that identification refits by default.
 
-    These are masses, friction, belts, the gain of every drive but the first, back-EMF constants and the declared
-    effects.  Voltages determine forces only relative to the first drive's gain, which therefore stays fixed.  Back-EMF
-    acts like viscous friction, so only their sum is identifiable; it may be smaller than the declared back-EMF alone,
-    so both are free.  Friction that is declared as zero may become positive.
+    These are masses, friction, belts, the torque constant of every drive but the first, back-EMF constants and the
+    declared effects. Voltages determine forces only relative to the first drive's torque constant, which therefore
+    stays fixed. Back-EMF acts like viscous friction, so only their sum is identifiable; it may be smaller than the
+    declared back-EMF alone, so both are free. Friction that is declared as zero may become positive. Parameters that
+    the machine ties to others are left out.
 
     Args:
         machine: Declared machine.

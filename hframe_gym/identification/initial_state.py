@@ -28,16 +28,17 @@ _STRETCH_STEPS = 2  # The force at rest changes little with the stretch of the b
 
 
 def measured_initial_state(recording: Recording, machine: Machine, zeros: EncoderZeros, quanta: Array) -> InitialState:
-    """Estimate the initial state of a run with the zeros of its session, where the run agrees with them.
+    """Estimate the initial state of a run with the encoder zeros of its session, where the run agrees with them.
 
-    The zero of an encoder is not used if its measurement at rest differs from that in static equilibrium by more than
-    friction can maintain: the encoder was switched on anew.
+    A zero is the measurement at position 0; a session is all runs of a rig together. The zero of an encoder is not used
+    if its measurement at rest differs from that in static equilibrium by more than friction can maintain: the encoder
+    was switched on anew.
 
     Args:
         recording: The run; saturated measurements are NaN.
         machine: Machine with the rig's coordinates, belts and sensors, and its effects.
         zeros: Zeros of the encoders in the session.
-        quanta: Quanta of the sensors, in their units, shape (sensors,).
+        quanta: Quantization steps of the sensors, in their units, shape (sensors,).
 
     Returns:
         Initial state; `warnings` names the encoders whose zero was not used.
@@ -115,6 +116,7 @@ def static_equilibrium(machine: Machine, position: Array) -> Array:
     friction = np.array([c.coulomb for c in machine.coordinates])[linear]
     rotary = ~linear & ~np.isin(names, machine.spring_loaded)
     stiffness = stiffness_matrix(machine, at_rest)[np.ix_(linear, rotary)]
+    # The displacement beyond friction is twice that of the excess force, but not more than belts carry alone.
     carried = np.sign(force) * np.clip(2.0 * (np.abs(force) - friction), 0.0, np.abs(force))
     at_rest[rotary] += np.linalg.lstsq(stiffness, carried, rcond=None)[0]
     return at_rest
@@ -128,14 +130,14 @@ def _force_at_rest(machine: Machine, position: Array) -> Array:
 
 
 def model_initial_state(machine: Machine, initial: InitialState) -> Array:
-    """Return the state from which a machine is simulated, given the measurements at rest.
+    """Return the state from which a simulation of a machine starts, given the measurements at rest.
 
     Effects of the machine may change its static equilibrium or the sensors' readings, so the state depends on them.
 
-    Encoders with a known zero determine the angles of their pulleys; all other pulleys are in static equilibrium.
-    Until `refine_offsets` has corrected the zeros with a machine that has the effect, static equilibrium is also used
-    for an eccentric pulley, and for all pulleys if an effect changes a laser's measurement at rest: the uncorrected
-    zeros would attribute the effect to a stretch of the belts.
+    The zero of an encoder is its measurement at position 0. Encoders with a known zero determine the angles of their
+    pulleys; all other pulleys are in static equilibrium. Until `refine_offsets` has corrected the zeros with a machine
+    that has the effect, static equilibrium is also used for an eccentric pulley, and for all pulleys if an effect
+    changes a laser's measurement at rest: the uncorrected zeros would attribute the effect to a stretch of the belts.
 
     Args:
         machine: Machine with its effects; structural effects may have added coordinates.
@@ -147,6 +149,7 @@ def model_initial_state(machine: Machine, initial: InitialState) -> Array:
     if not machine.belts:
         added = len(machine.coordinates) - len(initial.position)  # coordinates of structural effects, at rest at 0
         return np.concatenate([np.pad(half, (0, added)) for half in np.split(initial.state, 2)])
+    # Encoders are not used where an effect changes the position that lasers measure and the zeros do not know it yet.
     measured = position_from_measurements(machine, initial)
     position = static_equilibrium(machine, measured)
     if initial.offsets_refined or np.array_equal(measured, initial.position):
@@ -158,7 +161,7 @@ def model_initial_state(machine: Machine, initial: InitialState) -> Array:
 
 
 def encoder_angles(machine: Machine, initial: InitialState) -> dict[int, float]:
-    """Return the angles at rest of the pulleys whose encoders kept a known zero.
+    """Return the angles at rest of the pulleys whose encoders have a known zero (measurement at position 0).
 
     For a pulley with the effect of eccentricity, the angle is converted to that of a concentric pulley with the same
     belt travel (radius * angle).
@@ -183,10 +186,10 @@ def concentric_angle(machine: Machine, index: int, angle: float) -> float:
     Args:
         machine: Machine with its effects.
         index: Index of the pulley in `Machine.coordinates`.
-        angle: Measured angle, rad.
+        angle: Measured angle of the pulley, rad.
 
     Returns:
-        Angle, rad; the given one for a pulley without eccentricity.
+        Angle of the concentric pulley, rad; the given one for a pulley without eccentricity.
     """
     converted = angle
     for e in machine.effects:
@@ -254,7 +257,7 @@ def _without_measurement_effects(machine: Machine, initial: InitialState, positi
 
 
 def encoder_zero_errors(machine: Machine, initial: Sequence[InitialState]) -> Array:
-    """Estimate the errors of the encoders' zeros from the static equilibrium of a fitted machine.
+    """Estimate the errors of the encoders' zeros (measurements at position 0) from the equilibrium of a fitted machine.
 
     `common_encoder_zeros` assumes that the belts are unstretched on average. A force that acts at rest, from a cable or
     a tilt, stretches them in one direction, and a machine with that force predicts by how much. The error is the median
@@ -279,6 +282,7 @@ def encoder_zero_errors(machine: Machine, initial: Sequence[InitialState]) -> Ar
     ]
     for j, sensor in enumerate(machine.sensors):
         i = machine.coordinate_names.index(sensor.coordinate)
+        # Measured minus predicted angle of the pulley in each run, rad.
         excess = [angles[i] - equilibrium[i] for angles, equilibrium in runs if i in angles]
         if excess:
             errors[j] = sensor.row[sensor.coordinate] * float(np.median(excess))
@@ -286,7 +290,7 @@ def encoder_zero_errors(machine: Machine, initial: Sequence[InitialState]) -> Ar
 
 
 def refine_offsets(initial: InitialState, machine: Machine, errors: Array) -> InitialState:
-    """Correct the encoder zeros of an initial state, and the pulley angles that follow from them.
+    """Correct the encoder zeros (measurements at position 0) of an initial state, and the pulley angles from them.
 
     Args:
         initial: Measured initial state.

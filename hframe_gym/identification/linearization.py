@@ -43,7 +43,7 @@ def forward_differences(values: Array, step: float = DIFFERENCE_STEP) -> Array:
 
     Args:
         values: Values at the expansion point, then with each variable increased by `step`, shape (k + 1, ...).
-        step: Increment of each variable.
+        step: Increment of each variable, in its unit.
 
     Returns:
         Derivatives with respect to each variable, shape (k, ...).
@@ -54,10 +54,12 @@ def forward_differences(values: Array, step: float = DIFFERENCE_STEP) -> Array:
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """Products of the linearized residual r + J dtheta + E amounts, summed over rows and runs.
+    """Products of the linearized residual r + J dtheta + E a, summed over rows and runs.
+
+    J holds the derivatives with respect to k parameters, E the changes by m perturbations of unit amount; a: amounts.
 
     Attributes:
-        information: J^T J, shape (k, k); the Fisher information for white noise.
+        information: J^T J, shape (k, k); Fisher information of the parameters theta for white noise.
         gradient: J^T r, shape (k,); half the gradient of the cost.
         cost: r^T r, the sum of squares in units of the noise.
         count: Number of measured values behind the cost.
@@ -89,7 +91,7 @@ class NormalEquations:
                 number of rows.
 
         Returns:
-            Inner products of all pairs of J, E and r.
+            Inner products of all pairs of J, E and r, in units of the noise squared.
         """
         parts = [jacobian, residual[None]] if responses is None else [jacobian, responses, residual[None]]
         stacked = np.vstack(parts)
@@ -124,15 +126,15 @@ class NormalEquations:
         return self.cost / self.count
 
     def eliminate_parameters(self, precision: Array) -> NormalEquations:
-        """Eliminate the free parameters by the Schur complement, so that only the amounts of the responses remain.
+        """Eliminate the k parameters by the Schur complement, so that only the amounts of the m perturbations remain.
 
-        The products of the responses are reduced by the part that a change of theta can reproduce.
+        The products of the perturbations lose the part that a change of the parameters theta can reproduce.
 
         Args:
-            precision: Inverse covariance of the prior of theta, shape (k, k).
+            precision: Inverse covariance of the parameters' prior, shape (k, k).
 
         Returns:
-            Normal equations with k = 0. `cost` and `count` are those of these normal equations.
+            Normal equations with k = 0, for m amounts. `cost` and `count` do not change.
         """
         hessian = self.information + precision
         right_side = np.column_stack([self.cross_products, self.gradient])
@@ -150,15 +152,15 @@ class NormalEquations:
 
 @dataclass(frozen=True)
 class RunLinearization:
-    """Linearized residual of one run, with the initial state projected out.
+    """Linearized residual of one run in units of the noise, without the part that the initial state explains.
 
     Attributes:
-        jacobian: J transposed, shape (k, rows).
-        responses: E transposed, shape (m, rows), or None.
-        residual: r, shape (rows,).
+        jacobian: Derivatives with respect to k parameters, shape (k, rows).
+        responses: Changes by m perturbations, shape (m, rows), or None.
+        residual: Residual at the expansion point, shape (rows,).
         initial_state: Positions, then velocities, from which the run is predicted, in the coordinates' units, shape
             (2 * coordinates,).
-        projection: Projection that was applied; None where the initial state does not matter.
+        projection: Projection that removed that part; None where the initial state does not matter.
     """
 
     jacobian: Array
@@ -173,7 +175,7 @@ class Start(NamedTuple):
 
     Attributes:
         state: Positions, then velocities, in the coordinates' units, shape (2 * coordinates,).
-        projection: Projection of what the state leaves unknown; None where it does not matter.
+        projection: Removes from residuals what an error of this state explains; None where it does not matter.
     """
 
     state: Array
@@ -192,7 +194,7 @@ class ResidualModel:
         machine: Machine that supplies everything but the free parameters.
         free: Free parameters.
         data: Runs to predict.
-        bandwidth: Observer bandwidth of the predictions, rad/s, see `prediction`.
+        bandwidth: Bandwidth of the observer that corrects predictions by measurements, rad/s; 0 for a simulation.
         longest_step: Maximum integration step, s.
         rows_per_block: How many rows are averaged into one, see `prediction.residuals`.
     """
@@ -205,10 +207,10 @@ class ResidualModel:
     rows_per_block: int = 1
 
     def machine_at(self, theta: Array) -> Machine:
-        """Return the machine with the parameter values that theta describes.
+        """Return the machine with the parameter values that the optimizer's variables theta describe.
 
         Args:
-            theta: Theta of the k free parameters (see `FreeParameter`), shape (k,).
+            theta: Dimensionless variables of the k free parameters, see `FreeParameter`, shape (k,).
 
         Returns:
             Copy of the machine with these values.
@@ -235,12 +237,12 @@ class ResidualModel:
 
         Args:
             run: Run to predict.
-            theta: Theta of the k free parameters at the expansion point, shape (k,).
-            responses: Function that returns the residual's responses to m perturbations, shape (m, rows), from the run
-                and its predicted motion. Default: none.
+            theta: Dimensionless variables of the k free parameters at the expansion point, shape (k,).
+            responses: Function that returns the changes of the residual by m perturbations, shape (m, rows), from the
+                run and its predicted motion. Default: none.
 
         Returns:
-            Jacobian, responses and residual. The unknown initial stretch of the belts is projected out of all.
+            Jacobian, responses and residual, each without the part that an unknown initial belt stretch explains.
         """
         machine = self.machine_at(theta)
         thetas = np.vstack([theta, theta + DIFFERENCE_STEP * np.eye(len(self.free))])
@@ -264,14 +266,15 @@ class ResidualModel:
         return RunLinearization(forward_differences(residual), extra, residual[0], initial_state, projection)
 
     def linearize(self, theta: Array, responses: Responses | None = None) -> Linearization:
-        """Linearize the residual of all runs and sum their normal equations.
+        """Linearize the residual of all runs.
 
         Args:
-            theta: Theta of the k free parameters at the expansion point, shape (k,).
-            responses: As in `linearize_run`.
+            theta: Dimensionless variables of the k free parameters at the expansion point, shape (k,).
+            responses: Function that returns the residual's changes by m perturbations, shape (m, rows), from a run and
+                its predicted motion. Default: none.
 
         Returns:
-            Linearization with the normal equations summed over runs.
+            Linearization with the normal equations and the initial state of each run.
         """
 
         def of_run(run: PreparedRecording) -> tuple[NormalEquations, Start]:
@@ -308,7 +311,7 @@ class Linearization:
     Attributes:
         model: Residual as a function of theta.
         machine: Machine at the expansion point.
-        by_run: Products of the linearized residual of each run, in the order of the runs.
+        by_run: Products of each run's linearized residual, in the order of the runs.
         starts: Initial state of each run at the expansion point, by run name.
     """
 
@@ -319,16 +322,16 @@ class Linearization:
 
     @property
     def normal_equations(self) -> NormalEquations:
-        """Products of the linearized residual, summed over runs."""
+        """Inner products of Jacobian, responses and residual, summed over all runs."""
         return NormalEquations.total(self.by_run)
 
     def costs(self, thetas: Array) -> Array:
         """Compute the costs of trial parameters by prediction, not from the linearization.
 
-        Initial states and projections are those of the expansion point.
+        Initial states and their projections are those of the expansion point.
 
         Args:
-            thetas: Theta of the k free parameters for each trial, shape (batch, k).
+            thetas: Dimensionless variables of the k free parameters for each trial of a batch, shape (batch, k).
 
         Returns:
             Sums of squared residuals in units of the noise, without the prior, shape (batch,); infinite where a

@@ -43,6 +43,7 @@ def monotonic_belts(machine: Machine) -> bool:
     bare = _without_effects(machine)
     positions, _ = _random_motions(bare)
     extensions = np.abs(positions @ bare.belt_matrix.T).max(axis=(0, 1))  # (belts,), m
+    # With a margin, because the effects may let the belts stretch further than without them.
     return all(_monotonic(machine, b, _REACH * s) for b, s in zip(machine.belts, extensions, strict=True))
 
 

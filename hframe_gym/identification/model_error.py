@@ -50,7 +50,7 @@ def search_step(bandwidth: float) -> float:
     """Return the integration step of the search for effects.
 
     Args:
-        bandwidth: Observer bandwidth, rad/s.
+        bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
 
     Returns:
         Maximum integration step, s; shorter for a narrow bandwidth, at which integration errors accumulate.
@@ -61,11 +61,12 @@ def search_step(bandwidth: float) -> float:
 def information_loss(fitted: Fit, data: Dataset) -> float:
     """Return minus twice the log-likelihood of the innovations per measured value, without constants.
 
-    The innovations of a steady-state Kalman filter with position gain K have 1 / (1 - K) times the variance of the
-    sensor's noise.
+    Innovations are measured minus predicted values, where an observer corrects the prediction by the measurements.
+    Those of a steady-state Kalman filter with position gain K have 1 / (1 - K) times the variance of the sensor's
+    noise. The loss makes fits at different observer bandwidths comparable.
 
     Args:
-        fitted: Fit at any bandwidth.
+        fitted: Fit at any observer bandwidth.
         data: Runs that were fitted.
 
     Returns:
@@ -75,6 +76,7 @@ def information_loss(fitted: Fit, data: Dataset) -> float:
     References:
         Ljung (1999), "System Identification", section 7.4.
     """
+    # Position gain K of a critically damped observer: twice the bandwidth times the sampling period.
     gains = 2.0 * sensor_bandwidths(fitted.machine, fitted.bandwidth) * data.period
     variance = 1.0 / (1.0 - np.minimum(gains, 0.9))  # of the innovations, relative to the noise, (sensors,)
     measured = np.sum([np.isfinite(run.outputs).sum(axis=0) for run in data.runs], axis=0)  # (sensors,)
@@ -85,16 +87,17 @@ def information_loss(fitted: Fit, data: Dataset) -> float:
 def fit_with_model_error(fitted: Fit, data: Dataset) -> Fit:
     """Fit again at the observer bandwidth that maximizes the likelihood of the data.
 
-    The simulation is compared with observers from the bandwidth of the given fit downwards while the likelihood
-    increases. It is compared first because the likelihood may have a second maximum there: an observer disturbs phases
-    in which friction holds the stage, a simulation does not.
+    An observer corrects the prediction by the measurements; the larger the error of the model, the wider the bandwidth
+    that it needs. Bandwidths below that of the given fit are tried while the likelihood increases, and the simulation
+    (no observer) in any case, because the likelihood may have a second maximum there: an observer disturbs phases in
+    which friction holds the machine at rest, a simulation does not.
 
     Args:
-        fitted: Fit at one of `BANDWIDTHS`.
+        fitted: Fit at one of the bandwidths `BANDWIDTHS`.
         data: Runs that were fitted.
 
     Returns:
-        The best fit.
+        Fit with the smallest loss, see `information_loss`.
     """
     if fitted.bandwidth == SIMULATION:
         return fitted
@@ -110,33 +113,37 @@ def fit_with_model_error(fitted: Fit, data: Dataset) -> Fit:
 
 
 def polish(fitted: Fit, data: Dataset) -> Fit:
-    """Fit again at the same bandwidth with the shortest integration step.
+    """Fit again with the shortest integration step, at the same observer bandwidth.
 
     Args:
         fitted: Fit to refine.
         data: Runs that were fitted.
 
     Returns:
-        Refined fit.
+        Fit from the parameters of the given one, without the integration error of the search.
     """
     return fit(fitted.machine, fitted.free, data, fitted.bandwidth, theta=fitted.theta, longest_step=POLISH_STEP)
 
 
 def residue_force(fitted: Fit, data: Dataset) -> float:
-    """Return the force by which the observer corrects the prediction beyond the noise: what the model lacks.
+    """Return the size of the force that the model lacks: the observer's corrections of the velocities as forces.
+
+    The observer corrects the prediction by the measurements. The part of the corrections that the sensors' noise causes
+    is subtracted.
 
     Args:
-        fitted: Fitted machine with its bandwidth.
+        fitted: Fitted machine with its observer bandwidth.
         data: Runs that were fitted.
 
     Returns:
-        Root mean square over all rows, root sum of squares over the coordinates, as a force at the belt, N.
+        Root mean square over all rows of the root sum of squares over the coordinates, as a force at the belt (torque /
+        pulley radius), N.
     """
     machine = fitted.machine
     bandwidth = max(fitted.bandwidth, BANDWIDTHS[-2])  # the narrowest observer measures it where none is needed
     velocity_gains = observer_gains(machine, data.period, bandwidth)[len(machine.coordinates) :]
     mass = np.array([c.mass for c in machine.coordinates])
-
+    # Velocity correction per sample -> acceleration -> force at the belt, per unit of each sensor's innovation.
     force_gains = velocity_gains.T / data.period * mass / machine.travel_per_unit  # (sensors, coordinates)
 
     def of_run(run: PreparedRecording) -> tuple[Array, Array]:
@@ -157,8 +164,9 @@ def effect_force(machine: Machine, effect: AppliedEffect, data: Dataset) -> floa
         data: Runs over which the machine is predicted.
 
     Returns:
-        Size as in `residue_force`, N at the belt; infinite for an effect that changes the structure of the machine or a
-        measurement, which no force describes.
+        Root mean square over all rows of the root sum of squares over the coordinates, as a force at the belt (torque /
+        pulley radius), N; infinite for an effect that changes the structure of the machine or a measurement, which no
+        force describes.
     """
     if effect.definition.structure or effect.definition.measurement or effect.definition.measurement_delay:
         return np.inf
@@ -182,7 +190,8 @@ def drive_force(machine: Machine, data: Dataset) -> float:
         data: Runs with the voltages.
 
     Returns:
-        Size as in `residue_force`, N at the belt.
+        Root mean square over all rows of the root sum of squares over the drives, as a force at the belt (torque /
+        pulley radius), N.
     """
     gains = [drive.gain / machine.coordinate(drive.coordinate).travel_per_unit for drive in machine.drives]
     return _size(np.concatenate([run.inputs for run in data.runs]) * gains)
@@ -194,17 +203,17 @@ def _size(force: Array) -> float:
 
 
 def long_run_variance(fitted: Fit, data: Dataset) -> float:
-    """Return the variance of sums of the residual over 50 ms, relative to that of white noise of the assumed size.
+    """Return the variance of sums of the residual over 50 ms, relative to that of white noise.
 
-    It is 1 for white noise. A residual that is correlated in time has fewer independent values, so that chance reduces
-    the cost by that many times more.
+    The noise is that of the sensors. The result is 1 for white noise. A residual that is correlated in time has fewer
+    independent values, so that adding an effect without cause reduces the cost by that many times more.
 
     Args:
-        fitted: Fitted machine with its bandwidth.
+        fitted: Fitted machine with its observer bandwidth.
         data: Runs that were fitted.
 
     Returns:
-        Largest ratio of all sensors, at least 1.
+        Largest ratio of all sensors, dimensionless, at least 1.
     """
     rows = max(1, round(_CORRELATION_S / data.period))
     sensors = len(fitted.machine.sensors)
@@ -220,13 +229,14 @@ def long_run_variance(fitted: Fit, data: Dataset) -> float:
 
 
 def leave_one_out_gain(without: Fit, with_effect: Fit, data: Dataset) -> float:
-    """Return the reduction of the cost of every run with parameters that the other runs determine.
+    """Return by how much an effect reduces the cost of every run if the other runs alone determine the parameters.
 
-    Both models are linearized around their fit, where leaving out one run moves the parameters by one Newton step.
+    The cost is the sum of squared residuals in units of the noise. Both models are linearized around their fit, where
+    leaving out one run moves the parameters by one Newton step.
 
     Args:
         without: Fit without the effect.
-        with_effect: Fit with it, at the same bandwidth.
+        with_effect: Fit with it, at the same observer bandwidth.
         data: Runs that were fitted.
 
     Returns:
@@ -252,15 +262,15 @@ def _leave_one_out_costs(fitted: Fit, data: Dataset) -> Array:
 
 
 def at_bandwidth(fitted: Fit, bandwidth: float, data: Dataset) -> Fit:
-    """Fit a machine again at another bandwidth.
+    """Fit a machine again at another observer bandwidth, starting from the parameters of an earlier fit.
 
     Args:
-        fitted: Fit at any bandwidth.
-        bandwidth: Observer bandwidth, rad/s.
+        fitted: Earlier fit.
+        bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
         data: Runs that were fitted.
 
     Returns:
-        The fit itself if it has that bandwidth already.
+        Fit at this bandwidth; the given one if it has that bandwidth already.
     """
     if fitted.bandwidth == bandwidth:
         return fitted

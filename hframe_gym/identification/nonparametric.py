@@ -47,16 +47,17 @@ class Table(NamedTuple):
 def table_candidates(
     machine: Machine, data: Dataset, scales: TypicalScales, criteria: SelectionCriteria
 ) -> list[Candidate]:
-    """Propose the tables that explain most of the missing force.
+    """Propose the tables (forces or friction levels over one variable) that explain most of the missing force.
 
-    Several tables per coordinate are needed because a force on one coordinate also appears in the missing force of the
-    others, one against time because a position that differs between runs correlates with time, and one against the
-    position of the coordinate because refitted friction can hide a force along the way in the missing force.
+    The missing force is the one that the model needs in addition to follow the measurements. Several tables per
+    coordinate are needed because a force on one coordinate also appears in the missing force of the others, one against
+    time because a position that differs between runs correlates with time, and one against the position of the
+    coordinate because refitted friction can hide a force along the way in the missing force.
 
     Args:
-        machine: Current machine.
+        machine: Machine with the effects that have been selected so far.
         data: Prepared recordings.
-        scales: Typical sizes on this machine, which set the unit of the ordinates.
+        scales: Typical sizes on this machine; that of the force is the unit of the ordinates.
         criteria: Decision thresholds; `max_tables_per_coordinate` limits the number.
 
     Returns:
@@ -74,6 +75,7 @@ def table_candidates(
         travel_per_unit = float(machine.travel_per_unit[machine.coordinate_names.index(site)])
         mean_square = float(np.mean(force**2)) * travel_per_unit**-2
         for name, values in variables.items():
+            # A force acts independently of the direction of motion, a friction level against it.
             for kind, curve in (("smooth_force", force), ("smooth_friction", -force * direction)):
                 fraction, knots = _curve(values, curve, symmetric=name.startswith("velocity"))
                 ranked.append((fraction * mean_square, Table(f"{kind}[{name}]", site, knots)))
@@ -89,10 +91,12 @@ def table_candidates(
 
 
 def table_variables(machine: Machine, data: Dataset) -> dict[str, Array]:
-    """Return the variables that a table may depend on, from the one-step prediction of all runs.
+    """Return the variables that a table (force interpolated over one variable) may depend on.
+
+    Motions are predictions that an observer keeps at the measurements (one-step prediction).
 
     Args:
-        machine: Current machine, which predicts the motion.
+        machine: Machine that predicts the motion.
         data: Prepared recordings with n rows in total.
 
     Returns:
@@ -176,7 +180,7 @@ def add_tables(
         current: Fit of the machine with the effects selected so far; its observer bandwidth is used throughout.
         selected: Effects selected so far.
         data: Prepared recordings to fit.
-        criteria: Decision thresholds.
+        criteria: Decision thresholds, among them the smallest reduction of chi-squared per sample by a table.
         max_tables: Largest number of tables to add.
         log: Called with a line of text for every table that is fitted to all data.
 
@@ -186,6 +190,7 @@ def add_tables(
     """
     for _ in range(max_tables):
         scales = typical_scales(current, data)
+        # Best predicted reductions of chi-squared first; of those, the first that cross-validation confirms.
         ranked = screen(current, table_candidates(current.machine, data, scales, criteria), data)
         excess = current.chi2 - criteria.one_step_floor
         min_gain = max(criteria.min_table_gain, criteria.min_table_gain_fraction * excess)

@@ -52,7 +52,7 @@ class InseparableParameters:
         return f"only {' and '.join(sums)} {'is' if len(sums) == 1 else 'are'} determined"
 
     def as_json(self, machine: Machine) -> dict[str, object]:
-        """Return these parameters as an entry of the list `not_separable` in report.json.
+        """Convert these parameters to an entry of the list `not_separable` in report.json.
 
         Args:
             machine: Identified machine with its uncertainty.
@@ -104,7 +104,7 @@ def inseparable_parameters(machine: Machine, declared: Machine) -> tuple[Insepar
 
     Args:
         machine: Identified machine with its uncertainty.
-        declared: Machine as it was declared, which defines the priors.
+        declared: Machine as it was declared, whose parameters are the centers of the priors.
 
     Returns:
         Disjoint sets of at least two parameters each; ordinates of tables are left out. Empty if the machine has no
@@ -112,7 +112,7 @@ def inseparable_parameters(machine: Machine, declared: Machine) -> tuple[Insepar
     """
     if machine.uncertainty is None:
         return ()
-    units = _prior_std(machine, declared)
+    units = _prior_std(machine, declared)  # standard deviation of each parameter's prior, SI, by name
     names = [name for name in machine.uncertainty.names if units.get(name, 0.0) > 0.0]
     if not names:
         return ()
@@ -122,12 +122,14 @@ def inseparable_parameters(machine: Machine, declared: Machine) -> tuple[Insepar
     variances, axes = np.linalg.eigh(scaled)
     undetermined = variances > _UNDETERMINED_VARIANCE
     directions = (axes[:, undetermined] * np.sqrt(variances[undetermined])).T  # (directions, parameters)
+    # In row echelon form, each direction is the change of one parameter (pivot) and of those that compensate for it.
     directions, pivots = _row_echelon(directions)
     # A direction's component in a parameter that the data determine otherwise is rounding.
     member = np.abs(directions) > np.maximum(np.sqrt(_MIN_MEMBERSHIP * np.diag(scaled)), _MIN_MEMBERSHIP)
     groups = []
     for rows in _connected(member):
         members = np.flatnonzero(member[rows].any(axis=0))
+        # Each parameter of the group that is no pivot gives one sum that the directions leave unchanged.
         if len(members) > 1:
             combinations = tuple(
                 _determined_sum(free, members, rows, pivots, np.where(member, directions, 0.0), unit, names)
@@ -231,7 +233,7 @@ def parameter_doubts(machine: Machine, declared: Machine) -> dict[str, list[str]
 
     Args:
         machine: Identified machine with its uncertainty.
-        declared: Machine as it was declared, which defines the priors.
+        declared: Machine as it was declared, whose parameters are the centers of the priors.
 
     Returns:
         By full parameter name, phrases for the report; an empty list for a reliable parameter. Empty if the machine

@@ -83,7 +83,7 @@ def identify(
         machine: Machine as declared.
         held_out: Names of the runs to evaluate on. Default: every fourth, see `hold_out`.
         criteria: Decision thresholds. Default: `SelectionCriteria()`.
-        log: Called with a line of text at each stage. Default: nothing is reported.
+        log: Called with a line of text after each part of the work. Default: nothing is reported.
 
     Returns:
         Verdict, machines, selected effects and their errors on the held-out runs.

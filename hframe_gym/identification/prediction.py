@@ -47,7 +47,7 @@ _BLOCK_S = 4e-3  # s; measurements respond more slowly than this to mechanical e
 
 
 def map_runs(function: Callable[[PreparedRecording], T], data: Dataset) -> Iterator[T]:
-    """Apply a function to every run, in parallel threads.
+    """Apply a function to every run of a data set, in parallel threads.
 
     Args:
         function: Function of one run; it is called from several threads.
@@ -73,13 +73,13 @@ def _linear_algebra() -> ThreadpoolController:
 
 
 def sensor_bandwidths(machine: Machine, bandwidth: float) -> Array:
-    """Return the observer bandwidth of every sensor.
+    """Return the bandwidth with which the measurements of every sensor correct a prediction (observer bandwidth).
 
-    Lasers beside encoders only correct what these cannot measure; their noise must not disturb the prediction.
+    Lasers beside encoders only correct what these cannot measure; their larger noise must not disturb the prediction.
 
     Args:
         machine: Machine with its sensors.
-        bandwidth: Observer bandwidth of encoders, rad/s.
+        bandwidth: Observer bandwidth of encoders, rad/s; that of lasers beside encoders is 5/12 of it.
 
     Returns:
         Bandwidths, rad/s, shape (sensors,).
@@ -92,7 +92,7 @@ def sensor_bandwidths(machine: Machine, bandwidth: float) -> Array:
 def observer_gains(machine: Machine, period: float, bandwidth: float = SEARCH_BANDWIDTH) -> Array:
     """Return the gains of the Luenberger observer that feeds measurements back into a prediction.
 
-    Each sensor corrects its coordinate by a critically damped second-order observer.
+    Each sensor corrects its coordinate by an observer of second order with two equal poles at the bandwidth.
 
     Args:
         machine: Machine whose sensors are fed back.
@@ -109,6 +109,7 @@ def observer_gains(machine: Machine, period: float, bandwidth: float = SEARCH_BA
     for j, (sensor, rate) in enumerate(zip(machine.sensors, rates, strict=True)):
         name = sensor.coordinate
         i = machine.coordinate_names.index(name)
+        # Poles (s + bandwidth)^2, discretized; sensor.row: change of the measurement per unit of the coordinate.
         gains[i, j] = 2 * rate / sensor.row[name]
         gains[count + i, j] = rate**2 / period / sensor.row[name]
     return gains
@@ -132,7 +133,7 @@ def predict(
     Args:
         machine: Machine that predicts; its effects also determine the initial state.
         run: Run to predict, n samples.
-        bandwidth: Bandwidth of the observer that feeds the measurements back, rad/s; `SIMULATION` for none.
+        bandwidth: Bandwidth of the observer that corrects the prediction by the measurements, rad/s; 0 for none.
         period: Sampling period, s.
         parameters: All machine parameters, SI, in the order of `Machine.parameters`, shape (batch, parameters).
             Default: those of the machine.
@@ -177,7 +178,7 @@ def predict(
 
 
 def mechanical_rows_per_block(data: Dataset) -> int:
-    """Return how many rows may be averaged without loss, because mechanical effects act more slowly than 4 ms.
+    """Return how many rows of a recording may be averaged, as mechanical effects act more slowly than 4 ms.
 
     Args:
         data: Data set, for its sampling period.
@@ -191,7 +192,8 @@ def mechanical_rows_per_block(data: Dataset) -> int:
 def prediction_error(run: PreparedRecording, data: Dataset, measurements: Array) -> Array:
     """Return measured minus predicted values, corrected for the uncertain zeros of the sensors.
 
-    The constant part that an error of the zeros explains is subtracted, see `rest_measurement.sensor_zero_error`.
+    Subtracted is the constant part that an error of the zeros (measurements at position 0) explains, see
+    `rest_measurement.sensor_zero_error`.
 
     Args:
         run: Measured run, n samples.
@@ -216,11 +218,11 @@ def residuals(run: PreparedRecording, data: Dataset, measurements: Array, rows_p
     The constant part that an error of the sensors' zeros explains is subtracted, see `prediction_error`.
 
     Args:
-        run: Measured run, n samples.
-        data: Data set of the run, for the sensors' noise.
+        run: Measured run, n samples, with the standard deviation of each value's noise.
+        data: Data set of the run, for the sensors' quantization steps.
         measurements: Predicted values, in the sensors' units, shape (batch, n, sensors).
-        rows_per_block: How many consecutive rows are summed into one, scaled so that white noise keeps its size.
-            Inner products of residuals that change more slowly stay the same, with fewer rows to multiply.
+        rows_per_block: How many consecutive rows are summed into one and divided by the root of that number. White
+            noise keeps its size, and so do inner products of residuals that change more slowly, with fewer rows.
 
     Returns:
         Residuals, dimensionless, shape (batch, n // rows_per_block * sensors); zero where a value was not measured or
@@ -264,7 +266,7 @@ class InitialStateProjection:
 
 
 def held_belt_angles(machine: Machine) -> dict[str, float]:
-    """Return the typical motor angles by which static friction keeps the belts stretched at rest.
+    """Return by which motor angles static friction typically keeps the belts stretched at rest.
 
     Args:
         machine: Machine with or without belts.
@@ -293,18 +295,18 @@ def initial_state_projection(
     longest_step: float = SEARCH_STEP,
     rows_per_block: int = 1,
 ) -> InitialStateProjection | None:
-    """Return the projection that removes the unknown initial belt stretch of a run, and an unmeasured position.
+    """Return the projection that removes from residuals what the unknown initial belt stretch of a run explains.
 
-    Static friction holds an unknown stretch in the belts when a run begins, which encoders behind belts do not
-    resolve.  Its effect on the measurements is one column per motor and run; with a Gaussian prior of the size that
-    friction can hold, the column is eliminated from residual and Jacobian alike (variable projection). A run whose
-    position no laser measures at rest has further columns, one per rigid motion.
+    Static friction maintains an unknown stretch of the belts when a run begins, which encoders behind belts do not
+    resolve. The response of the residual to it, one vector per motor, is removed from residual and Jacobian alike
+    (variable projection), with a Gaussian prior of the size that friction can maintain. A run whose position no laser
+    measures at rest has further such vectors, one per motion that stretches no belt.
 
     Args:
         machine: Machine that predicts.
         run: Run to predict.
         data: Data set of the run.
-        bandwidth: Observer bandwidth, rad/s, see `predict`.
+        bandwidth: Bandwidth of the observer that corrects the prediction by the measurements, rad/s; 0 for none.
         initial_state: Positions, then velocities, in the coordinates' units, shape (2 * coordinates,). Default:
             `run.initial_state(machine)`.
         longest_step: Maximum integration step, s.
@@ -320,7 +322,7 @@ def initial_state_projection(
     if not held_angles:
         return None
     state = run.initial_state(machine) if initial_state is None else initial_state
-    displacements = np.zeros((len(held_angles), len(machine.coordinates)))
+    displacements = np.zeros((len(held_angles), len(machine.coordinates)))  # of the initial positions, one per row
     for k, (name, angle) in enumerate(held_angles.items()):
         displacements[k, machine.coordinate_names.index(name)] = angle
     if not run.initial.lasers_measured:

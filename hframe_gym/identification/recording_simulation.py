@@ -41,7 +41,8 @@ class SimulatedRecording(NamedTuple):
     """A machine simulated over a recording, at the n times of that recording.
 
     Attributes:
-        trajectory: Positions, velocities and sensor readings with the zeros of the recording's sensors.
+        trajectory: Positions, velocities and sensor readings; these include the zeros of the recording's sensors (their
+            measurements at position 0), so that they can be compared with the recording.
         error: Measured minus simulated values, in the sensors' units, NaN where nothing or an outlier was measured,
             shape (n, sensors).
         initial: Initial state and zeros of the sensors; its `warnings` list what could not be determined.
@@ -60,8 +61,8 @@ class SimulatedRecording(NamedTuple):
 def simulate_recording(machine: Machine, recording: Recording) -> SimulatedRecording:
     """Simulate a machine over a recording and compare it with the measurements.
 
-    The initial state is that of `initial_state_of_recording`. Samples that the logger dropped are filled in before the
-    simulation. Outliers have no influence and do not count.
+    The simulation starts from the state that the measurements at rest determine, see `initial_state_of_recording`.
+    Samples that the logger dropped are filled in before the simulation. Outliers have no influence and do not count.
 
     Args:
         machine: Machine, declared or identified.
@@ -93,9 +94,10 @@ def initial_state_of_recording(machine: Machine, recording: Recording) -> Initia
     """Determine the initial state from which a machine is simulated over a recording.
 
     Measurements beyond a sensor's range do not count, effects on readings are inverted, pulleys are in static
-    equilibrium. Encoders whose zero the machine declares measure how the belts are stretched, unless the lasers show
-    that the encoder was switched on anew. The offsets are those of the simulation from that state, so that
-    `simulate(..., offset=initial.offset)` minus the recording is the error that identification reports.
+    equilibrium. Encoders whose zero (measurement at position 0) the machine declares measure how the belts are
+    stretched, unless the lasers show that the encoder was switched on anew. The sensors' offsets are those of the
+    simulation from that state, so that `simulate(..., offset=initial.offset)` minus the recording is the error that
+    identification reports.
 
     Args:
         machine: Machine, declared or identified.
@@ -103,7 +105,7 @@ def initial_state_of_recording(machine: Machine, recording: Recording) -> Initia
 
     Returns:
         Initial state of the machine and the sensors' offsets; `warnings` lists what could not be determined. If the
-            simulation diverges, the offsets are those of the measurements at rest.
+        simulation diverges, the offsets are those of the measurements at rest.
     """
     return _initial_state(machine, fill_gaps(without_outliers(recording, machine)))
 
@@ -205,8 +207,8 @@ def evaluate_held_out(
 ) -> ModelEvaluation:
     """Simulate a machine over the held-out runs as ``hframe simulate`` does, and compare it with the measurements.
 
-    The zeros of the encoders, which the session determined, are written to the machine. Everything else about the
-    initial states follows from each recording alone.
+    The zeros of the encoders (measurements at position 0), which all fitted runs determine together, are written to the
+    machine. Everything else about the initial states follows from each recording alone.
 
     Args:
         machine: Machine to evaluate.
@@ -215,7 +217,7 @@ def evaluate_held_out(
         recordings: The recordings of these runs as they were measured; others are ignored.
 
     Returns:
-        The machine with zeros, and its errors. Where its motion diverges, they are those of the rows before.
+        The machine with these zeros and its simulation errors. Where its motion diverges, only the rows before count.
     """
     machine = with_encoder_zeros(machine, fitted)
     refined = refine_encoder_offsets(held_out, machine, fitted)
@@ -228,7 +230,7 @@ def evaluate_held_out(
             simulation = simulate_recording(machine, recording)
         except NotFiniteError:
             return simulation_error(machine, run, refined), run.initial.warnings
-        error = np.full(run.outputs.shape, np.nan)
+        error = np.full(run.outputs.shape, np.nan)  # rows that the preparation inserted in gaps stay NaN
         error[np.isin(run.time_s, recording.time_s)] = simulation.error
         return error, simulation.initial.warnings
 

@@ -80,7 +80,7 @@ def verdict_sentence(report: Mapping[str, Any], channels: Sequence[str]) -> str:
         channels: Names of the machine's output channels.
 
     Returns:
-        English sentences.
+        One or more English sentences.
     """
 
     def noise_ratio(stage: str) -> float:

@@ -61,12 +61,12 @@ class Dependence(NamedTuple):
 
 
 def simulation_error(machine: Machine, run: PreparedRecording, data: Dataset) -> Array:
-    """Return measured minus simulated values of a run, corrected for the uncertain zeros of the sensors.
+    """Simulate a run; return measured minus simulated values, corrected for the uncertain zeros of the sensors.
 
     Args:
         machine: Machine, simulated without feedback from its initial state in this run.
         run: Measured run, n samples.
-        data: Data set of the run, for sampling period and quanta.
+        data: Data set of the run, for the sampling period and the sensors' quantization steps.
 
     Returns:
         Errors in the sensors' units, NaN where not measured, shape (n, sensors).
@@ -117,9 +117,9 @@ def errors_by_channel(by_run: Sequence[Array], machine: Machine, noise: Array) -
 def force_residual(machine: Machine, run: PreparedRecording, data: Dataset) -> Array:
     """Estimate the force that would have to be added for the machine to follow the measurements.
 
-    At every sample, the observer of the one-step prediction corrects the velocities. This correction divided by the
+    An observer corrects the predicted velocities at every sample by the measurements. This correction divided by the
     sampling period is an acceleration; times the mass or inertia it is the missing force. The estimate is valid below
-    the observer's bandwidth. A missing measurement causes no correction.
+    the observer's bandwidth (60 rad/s). A missing measurement causes no correction.
 
     Args:
         machine: Machine that predicts.
@@ -131,7 +131,7 @@ def force_residual(machine: Machine, run: PreparedRecording, data: Dataset) -> A
     """
     predicted = predict(machine, run, SEARCH_BANDWIDTH, period=data.period).readings[0]
     innovation = np.nan_to_num(run.outputs - predicted)  # (n, sensors)
-    velocity_gains = observer_gains(machine, data.period)[len(machine.coordinates) :]
+    velocity_gains = observer_gains(machine, data.period)[len(machine.coordinates) :]  # (coordinates, sensors)
     mass = np.array([c.mass for c in machine.coordinates])
     return innovation @ velocity_gains.T / data.period * mass
 
@@ -153,8 +153,8 @@ def smooth_force_residual(machine: Machine, run: PreparedRecording, data: Datase
 def missing_force(machine: Machine, data: Dataset) -> dict[str, Array]:
     """Estimate the force that the model lacks along all runs, together with the motion.
 
-    The observer of the one-step prediction filters the missing force by two equal poles. This low-pass is inverted, up
-    to 40 Hz.
+    The force follows from the corrections of an observer, see `force_residual`, which are the missing force after a
+    low-pass with two equal poles. This low-pass is inverted, up to 40 Hz.
 
     Args:
         machine: Machine that predicts.
@@ -213,8 +213,8 @@ def rank_dependences(machine: Machine, data: Dataset) -> list[Dependence]:
         data: Measured runs.
 
     Returns:
-        Pairs of coordinate and variable that explain more than 5 % of the variance of the force residual, those that
-        explain the largest force at the belt first.
+        Pairs of coordinate and variable that explain more than 5 % of the variance of the force residual (the force
+        that the model lacks), sorted by the explained variance of the force at the belt, largest first.
     """
     force = np.concatenate([smooth_force_residual(machine, run, data) for run in data.runs])
     by_run = [dependence_variables(machine, run, data) for run in data.runs]
@@ -242,7 +242,7 @@ def _correlation_ratio(values: Array, variable: Array) -> float:
 
 
 def is_white(machine: Machine, data: Dataset) -> bool:
-    """Test whether the simulation error is white, that is, contains only the sensors' noise.
+    """Test whether the simulation error is white noise of the sensors' size, without correlation in time.
 
     The standard deviation of means over blocks of 20 ms decreases with the root of the block length for white noise,
     but hardly for an error that is correlated in time.

@@ -30,8 +30,8 @@ class InitialState:
 
     Attributes:
         state: Positions and velocities at rest, in the coordinates' units, shape (2 * coordinates,).
-        offset: Zeros of the sensors: measurement minus the reading computed for `state`, in the sensors' units, shape
-            (sensors,).
+        offset: Zeros of the sensors (measurements at position 0): measurement minus the reading computed for `state`,
+            in the sensors' units, shape (sensors,).
         resting_rows: Number of rows at rest at the beginning of the run.
         offset_known: True for each encoder that kept its zero in all runs and resolves the stretch of the belts, shape
             (sensors,).
@@ -82,7 +82,7 @@ def count_resting_rows(recording: Recording) -> int:
 
 
 def settled_rows(resting_rows: int) -> slice:
-    """Select the later half of the rows at rest, where a vibration from before the recording has decayed.
+    """Return the slice of the later half of the rows at rest, where a vibration from before the run has decayed.
 
     Args:
         resting_rows: Number of rows at rest at the beginning of a run, at least 1.
@@ -94,7 +94,7 @@ def settled_rows(resting_rows: int) -> slice:
 
 
 def estimate_initial_state(recording: Recording, machine: Machine, zeros: EncoderZeros | None = None) -> InitialState:
-    """Estimate the state at rest and the sensors' zeros from the measurements of one run.
+    """Estimate the state at rest and the sensors' zeros (measurements at position 0) from one run.
 
     Sensors with a fixed zero determine the position where they can, encoders where their zero is known or where nothing
     else measures. The belts are unstretched unless encoders with a known zero measure their stretch. A sensor with a
@@ -104,7 +104,7 @@ def estimate_initial_state(recording: Recording, machine: Machine, zeros: Encode
     Args:
         recording: The run; saturated measurements are NaN.
         machine: Machine with the rig's coordinates, belts and sensors.
-        zeros: Zeros of the encoders from all runs together. Default: unknown.
+        zeros: Zeros of the encoders, from all runs together. Default: unknown.
 
     Returns:
         Initial state, with warnings where the position is not measured at rest.
@@ -223,15 +223,16 @@ def _position_warning(
 
 
 def sensor_zero_error(error: Array, measured: NDArray[np.bool_], resting_rows: int, max_mean: Array) -> Array:
-    """Estimate the constant part of a prediction error that wrong zeros of the sensors explain.
+    """Estimate the constant part of a prediction error that wrong zeros (measurements at position 0) explain.
 
-    It is the mean over the settled resting rows, because a sensor counts from where it was switched on. Those rows
-    determine the zero of a quantized channel only to within its quantum, so up to half a quantum of the mean over the
-    complete run is added; not more, because in one-step prediction a constant force causes such a mean. An encoder
+    It is the mean over the later half of the rows at rest, because a sensor counts from where it was switched on. Those
+    rows determine the zero of a quantized channel only to within its quantum, so up to half a quantum of the mean over
+    the complete run is added; not more, because in one-step prediction a constant force causes such a mean. An encoder
     behind belts loses its entire mean: friction holds an unknown stretch of the belts at rest.
 
     Args:
-        error: Measured minus predicted values, in the sensors' units, 0 where not measured, shape (batch, n, sensors).
+        error: Measured minus predicted values of a batch of predictions over n samples, in the sensors' units, 0 where
+            not measured, shape (batch, n, sensors).
         measured: Whether a value was measured, shape (n, sensors).
         resting_rows: Number of rows at rest at the beginning of the run.
         max_mean: Largest part of the run's mean that may be added, in the sensors' units, see `max_zero_means`, shape
@@ -241,16 +242,17 @@ def sensor_zero_error(error: Array, measured: NDArray[np.bool_], resting_rows: i
         Errors of the zeros, in the sensors' units, shape (batch, 1, sensors).
     """
     rest = settled_rows(resting_rows)
-    count = measured.sum(axis=0)
-    at_rest = error[:, rest].sum(axis=1) / np.maximum(measured[rest].sum(axis=0), 1)
-    mean = (error.sum(axis=1) - at_rest * count) / np.maximum(count, 1)
+    count = measured.sum(axis=0)  # (sensors,)
+    at_rest = error[:, rest].sum(axis=1) / np.maximum(measured[rest].sum(axis=0), 1)  # (batch, sensors)
+    mean = (error.sum(axis=1) - at_rest * count) / np.maximum(count, 1)  # of the run, beyond the error at rest
     return np.asarray((at_rest + np.clip(mean, -max_mean, max_mean))[:, None, :])
 
 
 def max_zero_means(machine: Machine, quanta: Array) -> Array:
-    """Return how much of a run's mean prediction error may be attributed to the zero of each sensor.
+    """Return how much of a run's mean prediction error may be attributed to each sensor's zero (value at position 0).
 
-    The limit is half a quantum, and unlimited for an encoder behind elastic belts, whose initial stretch is unknown.
+    The limit is half a quantization step, and unlimited for an encoder behind elastic belts, whose initial stretch is
+    unknown.
 
     Args:
         machine: Machine with the sensors.

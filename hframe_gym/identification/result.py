@@ -55,7 +55,7 @@ class PredictionErrors:
         return float(np.sqrt(np.mean(np.square(ratios)))) if ratios else float("nan")
 
     def as_json(self) -> dict[str, Any]:
-        """Return the errors in the format of report.json.
+        """Convert the errors to the format of report.json.
 
         Returns:
             By channel name, a dictionary with rmse (channel unit) and noise_ratio; and force_error where it is defined.
@@ -101,7 +101,7 @@ class RejectedEffect:
     reason: str
 
     def as_json(self) -> dict[str, Any]:
-        """Return the entry of `considered` in report.json.
+        """Convert the rejected effect to an entry of `considered` in report.json.
 
         Returns:
             name, site, parameters, size (None if no force describes the effect), held_out_gain and reason.
@@ -165,13 +165,13 @@ class IdentificationResult:
 
     @property
     def explained(self) -> float:
-        """Fraction of the error beyond the sensors' noise on the held-out runs that the effects removed (power)."""
+        """Fraction of the squared error beyond the sensors' noise on the held-out runs that the effects removed."""
         before, after = (max(e.held_out.noise_ratio**2 - 1.0, 0.0) for e in (self.before, self.after))
         return 1.0 - after / before if self.effects and before > 0.0 else 0.0
 
     @property
     def left(self) -> float:
-        """Simulation error of the corrected machine on the held-out runs, in multiples of the sensors' noise."""
+        """Root mean square simulation error of the machine with the selected effects, in multiples of the noise."""
         return self.after.held_out.noise_ratio
 
     @property
@@ -184,7 +184,8 @@ class IdentificationResult:
         """Return the content of report.json, schema 1.
 
         Returns:
-            Plain data that JSON can hold.
+            Verdict, names of the runs, errors of the three machines, effects, residual and so on, by key, as
+            dictionaries, lists, text and numbers.
         """
         return {
             "schema": SCHEMA,
@@ -267,11 +268,13 @@ def write_result(
 def plot_data(result: IdentificationResult) -> dict[str, Array]:
     """Compute the curves that the report plots.
 
+    The residual force is the force that would have to be added for a machine to follow the measurements.
+
     Args:
         result: Result of `identify`.
 
     Returns:
-        Arrays by name.
+        Arrays by name, where RUN is the name of a held-out run with n samples.
 
         - ``RUN/time_s``: sample times of each held-out run, s, shape (n,).
         - ``RUN/measured``: its measurements, in the sensors' units, shape (n, sensors).

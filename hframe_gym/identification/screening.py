@@ -45,7 +45,10 @@ _FITTED_STRUCTURES = 3
 
 
 class Perturbation(NamedTuple):
-    """Forces and changes of measurements that the basis functions (columns) of candidates cause along a motion.
+    """Forces and changes of measurements that the basis functions of candidate effects cause along a motion.
+
+    One column is one basis function of an effect at its typical size, see `Candidate.columns`; n is the number of
+    samples.
 
     Attributes:
         force: Force on every coordinate, N or Nm, shape (columns, n, coordinates).
@@ -62,7 +65,8 @@ class ScoredCandidate(NamedTuple):
     Attributes:
         candidate: Effect, site and starting values.
         gain: Predicted reduction of chi-squared, summed over all samples.
-        amounts: Weights of its columns with which this reduction is reached, dimensionless.
+        amounts: Weights of its basis functions (`Candidate.columns`) with which this reduction is reached,
+            dimensionless.
     """
 
     candidate: Candidate
@@ -73,8 +77,11 @@ class ScoredCandidate(NamedTuple):
 def screen(fit: Fit, candidates: Sequence[Candidate], data: Dataset) -> list[ScoredCandidate]:
     """Rank candidates by their linearized reduction of chi-squared.
 
+    The residual changes in proportion to the weights of a candidate's basis functions (columns); the weights are
+    optimized together with the machine's free parameters, without any new fit.
+
     Args:
-        fit: Fit of the present machine; its observer bandwidth is used.
+        fit: Fit of the machine without the candidates; its observer bandwidth is used.
         candidates: Effects, sites and starting values to compare.
         data: Runs that were fitted.
 
@@ -94,7 +101,7 @@ def screen(fit: Fit, candidates: Sequence[Candidate], data: Dataset) -> list[Sco
     reduced = equations.eliminate_parameters(prior_precision(fit.free) + ridge)
     scored, first = [], 0
     for candidate in candidates:
-        columns = np.arange(first, first + len(candidate.columns))
+        columns = np.arange(first, first + len(candidate.columns))  # of this candidate, among all perturbations
         first += len(columns)
         before = equations.response_information[columns, columns]
         information = reduced.response_information[np.ix_(columns, columns)]
@@ -105,10 +112,10 @@ def screen(fit: Fit, candidates: Sequence[Candidate], data: Dataset) -> list[Sco
 def candidate_perturbations(
     machine: Machine, candidates: Sequence[Candidate], run: PreparedRecording, motion: Motion
 ) -> Perturbation:
-    """Compute the forces and measurement changes that candidates of typical size would cause along a motion.
+    """Compute the forces and measurement changes that candidate effects of typical size cause along a motion.
 
     This is an approximation in three respects: the motion is that of the machine without the candidate, the machine's
-    present effects do not interact with it, and forces are held from each sample to the next.
+    present effects do not interact with it, and forces are constant from each sample to the next.
 
     Args:
         machine: Machine that moves.
@@ -117,7 +124,7 @@ def candidate_perturbations(
         motion: Motion of the machine with positions and velocities, a batch of one, n samples.
 
     Returns:
-        Forces and changes of measurements by column, in the order of the candidates and of their columns.
+        Forces and changes of measurements by basis function, in the order of the candidates and of their `columns`.
     """
     # Ties refer to the parameters of effects; the machine's tables already hold their values.
     bare = dataclasses.replace(machine, effects=(), ties={})
@@ -225,7 +232,7 @@ def _score(candidate: Candidate, information: Array, gradient: Array, before: Ar
 
 
 def has_no_small_version(effect: Effect) -> bool:
-    """Return whether an effect replaces a part of the model, so that it cannot be linearized around amplitude zero.
+    """Check whether an effect replaces a part of the model, so that no small amplitude of it can be linearized.
 
     Args:
         effect: Definition of the effect.
@@ -243,7 +250,7 @@ def screen_structures(current: Fit, data: Dataset, scale: TypicalScales, minimum
     returned, structural effects with their two best starting values.
 
     Args:
-        current: Fit of the present machine; its observer bandwidth is used.
+        current: Fit of the machine without such an effect; its observer bandwidth is used.
         data: Runs that were fitted.
         scale: Typical sizes on this machine, to which the starting values are relative.
         minimum_gain: Smallest linearized reduction of chi-squared per sample of a promising effect.

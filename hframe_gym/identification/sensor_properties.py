@@ -74,7 +74,7 @@ def sensor_noise(channel: Sequence[Array], resting_rows: Sequence[int], quantum:
     Args:
         channel: Measurements of the sensor by run, each of shape (n,), NaN where not measured.
         resting_rows: Number of rows at rest at the beginning of each run.
-        quantum: Quantum of the sensor, in its unit.
+        quantum: Quantization step of the sensor, in its unit.
         declared: Declared standard deviation, in the sensor's unit; 0 where none is declared.
 
     Returns:
@@ -91,6 +91,7 @@ def sensor_noise(channel: Sequence[Array], resting_rows: Sequence[int], quantum:
             squares += float(np.sum((at_rest - np.polynomial.polynomial.polyval(grid, parabola)) ** 2))
             rows += len(at_rest) - 3
     rounding = quantum / np.sqrt(12)
+    # An estimate of zero (a channel without any noise) is replaced by the declared value or by the differences.
     if rows >= _MIN_RESTING_ROWS:
         return max(float(np.sqrt(squares / rows)), rounding) or declared or _difference_noise(channel)
     return max(rounding, declared or _difference_noise(channel))
@@ -164,7 +165,9 @@ def smooth_speed(time_s: Array, values: Array) -> Array:
 def saturation_ranges(
     recordings: Sequence[Recording], machine: Machine, noise: Array, criteria: SelectionCriteria
 ) -> dict[str, Range]:
-    """Find the sensors that saturate: many measurements lie at the outermost value while the machine moves.
+    """Find the sensors that saturate: many measurements are at the outermost value while the machine moves.
+
+    Encoders do not saturate; they show whether the machine moves.
 
     Args:
         recordings: All runs of the rig.
@@ -185,6 +188,7 @@ def saturation_ranges(
         channel = [r.outputs[:, j] for r in recordings]
         motion = [positions[:, i] for positions in travel]
         ends = [_end(channel, motion, float(noise[j]), sign, 1.0, criteria) for sign in (-1.0, 1.0)]
+        # A sensor that saturates at one end may well do so at the other; less evidence suffices there.
         if any(end is not None for end in ends):
             factor = criteria.second_end_factor
             ends = [_end(channel, motion, float(noise[j]), sign, factor, criteria) for sign in (-1.0, 1.0)]

@@ -21,7 +21,11 @@ _TRIAL_ITERATIONS, _TRIAL_TOLERANCE = 8, 1e-3  # A trial need not converge fully
 
 
 def trial_fits(current: Fit, data: Dataset, enough: float, criteria: SelectionCriteria) -> list[Fit]:
-    """Fit the most promising candidates; structural ones are tried where no other explains the data.
+    """Fit the machine with each of the most promising candidate effects, one at a time.
+
+    Effects that replace a part of the model (structural ones and those that replace dry friction) are tried where no
+    other effect explains the data. Others are ranked before by the reduction of chi-squared that linearization
+    predicts.
 
     Args:
         current: Fit without the candidates; its observer bandwidth is used.
@@ -40,6 +44,7 @@ def trial_fits(current: Fit, data: Dataset, enough: float, criteria: SelectionCr
         missing_force(current.machine, data),
         slow_friction=current.bandwidth < SEARCH_BANDWIDTH,
     )
+    # Chi-squared per sample of a correct model; in one-step prediction, quantization keeps it above 1.
     floor = criteria.one_step_floor if current.bandwidth >= SEARCH_BANDWIDTH else 1.0
     trials: list[Fit] = []
     remainder, best_promise = (
@@ -136,7 +141,7 @@ def _trial_fit(machine: Machine, free: tuple[FreeParameter, ...], theta: Array, 
 
 
 def converge(trial: Fit, data: Dataset, *, thorough: bool) -> Fit:
-    """Continue a trial until it converges.
+    """Continue the fit of a machine with a candidate effect until it converges.
 
     Args:
         trial: Fit with a candidate effect, not fully converged.
@@ -147,6 +152,7 @@ def converge(trial: Fit, data: Dataset, *, thorough: bool) -> Fit:
     Returns:
         Converged fit.
     """
+    # The second start keeps the parameters of effects (label name@site) and resets all others to theta = 0.
     of_effects = np.array(["@" in f.name for f in trial.free])
     starts = [trial.theta, np.where(of_effects, trial.theta, 0.0)][: 2 if thorough else 1]
     step = search_step(trial.bandwidth)

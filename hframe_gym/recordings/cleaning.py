@@ -38,8 +38,8 @@ _EDGE_FACTOR = 5.0  # times the largest regular step; the first and the last sam
 def fill_gaps(recording: Recording) -> Recording:
     """Insert rows for samples that the logger dropped: where a step exceeds 1.5 median sampling periods.
 
-    Inputs are held from each row until the next, so a lost row would extend the input of the row before it. The lost
-    voltages are interpolated, which is closer to those that were applied. The lost outputs are NaN.
+    Inputs are constant from each row until the next, so a lost row would extend the input of the row before it. The
+    lost voltages are interpolated, which is closer to those that were applied. The lost outputs are NaN.
 
     Args:
         recording: Run with or without gaps.
@@ -82,6 +82,7 @@ def bridge_blanks(outputs: Array, time_s: Array, longest_gap: float) -> Array:
     for values in bridged.T:
         measured = np.flatnonzero(np.isfinite(values))
         if 1 < len(measured) < len(values):
+            # Index of the measurement that follows each row, among the measured ones.
             following = np.clip(np.searchsorted(measured, rows), 1, len(measured) - 1)
             gap = time_s[measured[following]] - time_s[measured[following - 1]]  # s, around each row
             bridgeable = np.isnan(values) & (rows > measured[0]) & (rows < measured[-1]) & (gap <= longest_gap)

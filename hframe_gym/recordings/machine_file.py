@@ -88,7 +88,7 @@ def save_machine(machine: Machine, path: str | Path) -> None:
 
 
 def machine_to_dict(machine: Machine) -> dict[str, Any]:
-    """Convert a machine to the content of its machine.json.
+    """Convert a machine to the content of its machine.json, with the unit of every parameter.
 
     Args:
         machine: Machine to convert.

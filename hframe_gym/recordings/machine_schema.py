@@ -12,7 +12,7 @@ SCHEMA_VERSION = 1
 
 
 class Table(BaseModel):
-    """Base of all objects in the file: unknown fields and implicit conversions are errors."""
+    """Base class of all objects in machine.json: unknown fields and implicit type conversions are errors."""
 
     model_config = ConfigDict(extra="forbid", strict=True)
 
@@ -21,7 +21,13 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
 
 
 class QuantityEntry(Table):
-    """A value, its unit (SI, such as "kg") and, if identified, its standard deviation in that unit."""
+    """Number with its unit.
+
+    Attributes:
+        value: Value in the unit.
+        unit: SI unit, such as "kg".
+        std: Standard deviation of an identified value, in the unit. None: unknown.
+    """
 
     value: FiniteFloat
     unit: str
@@ -29,7 +35,17 @@ class QuantityEntry(Table):
 
 
 class CoordinateEntry(Table):
-    """One coordinate; only rotary ones have a `radius` (pulley), and `range` is [lowest, highest], m or rad."""
+    """One coordinate (degree of freedom) of the machine.
+
+    Attributes:
+        name: Name of the coordinate.
+        kind: "linear" or "rotary".
+        mass: Mass, kg, or moment of inertia, kg m^2.
+        viscous: Viscous friction coefficient, N s/m or Nm s/rad.
+        coulomb: Coulomb friction, N or Nm.
+        radius: Pulley radius of a rotary coordinate, m. None for a linear one.
+        range: Lowest and highest position, m or rad. None: unlimited.
+    """
 
     name: Name
     kind: CoordinateKind
@@ -41,7 +57,17 @@ class CoordinateEntry(Table):
 
 
 class BeltEntry(Table):
-    """One belt section; `extension` and `length` give its change per unit of belt travel of each coordinate."""
+    """One belt section.
+
+    Belt travel is the displacement of a linear coordinate, or radius times angle of a rotary one, m.
+
+    Attributes:
+        name: Name of the belt section.
+        EA: Young's modulus times cross-section area, N.
+        rest_length: Length with all coordinates at zero, m.
+        extension: Extension per unit of belt travel, by name of the coordinate, dimensionless.
+        length: Change of the rest length per unit of belt travel, by name of the coordinate, dimensionless.
+    """
 
     name: Name
     EA: QuantityEntry
@@ -51,7 +77,22 @@ class BeltEntry(Table):
 
 
 class DriveEntry(Table):
-    """One drive; `current_limit` and `delay` declare the effects current_limit and input_delay."""
+    """One drive: a DC motor with gear and amplifier.
+
+    Attributes:
+        name: Name of the drive.
+        channel: Column of its voltage in recordings.
+        coordinate: Name of the coordinate that it drives.
+        Kt: Torque constant of the motor, Nm/A.
+        Ke: Back-EMF constant of the motor, V s/rad.
+        resistance: Resistance of the winding, ohm.
+        gear_ratio: Speed of the motor relative to that of the coordinate, dimensionless.
+        rated_voltage: Largest voltage, V.
+        converter_bits: Bits of the digital-to-analog converter; 0 for a continuous voltage.
+        voltage_range: Full scale of the converter, V. None: the rated voltage.
+        current_limit: Largest current, A (declares the effect current_limit). None: unlimited.
+        delay: Delay of the voltage, s (declares the effect input_delay). None: no delay.
+    """
 
     name: Name
     channel: str
@@ -68,11 +109,18 @@ class DriveEntry(Table):
 
 
 class SensorEntry(Table):
-    """One sensor, whose measurement is the sum of coordinates times coefficients in `row`.
+    """One sensor, whose measurement is the sum of coordinates times coefficients.
 
-    `range` ([lowest, highest], m or rad) and `delay` declare the effects sensor_range and sensor_delay. `zero` is the
-    measurement of an encoder at position 0 in the session from which the machine was identified, if it kept this zero;
-    its `std` is the scatter from run to run, where belts stretched at rest caused one.
+    Attributes:
+        channel: Column of its measurements in recordings; the ending gives the unit, m or rad.
+        kind: Kind of the sensor, which says whether it measures absolute positions. None: follows from the coordinate.
+        row: Coefficient by name of a coordinate, or of a product of two such as "y*yaw".
+        noise: Standard deviation of the noise, m or rad.
+        resolution: Quantization step, m or rad; 0 for none.
+        range: Lowest and highest measurement, m or rad (declares the effect sensor_range). None: unlimited.
+        delay: Delay of the measurement, s (declares the effect sensor_delay). None: no delay.
+        zero: Measurement of an encoder at position 0 in the runs from which the machine was identified, if it kept this
+            zero; its `std` is the scatter from run to run, where belts stretched at rest caused one. None: unknown.
     """
 
     channel: str
@@ -86,7 +134,13 @@ class SensorEntry(Table):
 
 
 class EffectEntry(Table):
-    """One effect at its site: the name of a coordinate, drive or sensor, or "machine"."""
+    """One effect (additional physical term) of the machine.
+
+    Attributes:
+        name: Name of the effect in the library.
+        site: Name of the coordinate, drive or sensor on which it acts, or "machine".
+        parameters: Values with units, by name of the effect's parameter.
+    """
 
     name: str
     site: str
@@ -94,14 +148,32 @@ class EffectEntry(Table):
 
 
 class UncertaintyEntry(Table):
-    """Covariance matrix of the identified parameters, SI, with one row and column for each of `names`."""
+    """Uncertainty of the identified parameters.
+
+    Attributes:
+        names: Full names of k parameters, for example "x.coulomb".
+        covariance: Covariance matrix, SI, k rows of k values in the order of the names.
+    """
 
     names: list[str]
     covariance: list[list[FiniteFloat]]
 
 
 class MachineFile(Table):
-    """Content of a machine.json; `ties` sets a parameter to a factor times another: {name: [other name, factor]}."""
+    """Content of a machine.json.
+
+    Attributes:
+        schema_: Version of the format, field "schema".
+        name: Name of the machine.
+        description: Sentence about the machine.
+        coordinates: Coordinates, at least one.
+        belts: Belt sections.
+        drives: Drives, at least one.
+        sensors: Sensors, at least one.
+        effects: Effects on the machine.
+        ties: Parameters that are a factor times another one: name -> (other name, factor).
+        uncertainty: Covariance of the identified parameters. None for a declared machine.
+    """
 
     schema_: Literal[1] = Field(alias="schema")
     name: str

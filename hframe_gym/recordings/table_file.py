@@ -43,7 +43,7 @@ def read_table(path: Path) -> tuple[list[str], dict[str, Array]]:
 
 
 def refuse_rows(path: Path, name: str, column: Array, invalid: NDArray[np.bool_], reason: str) -> None:
-    """Raise an error that names the first invalid value of a column, if there is one.
+    """Check a column of a file: raise an error that names the first invalid value, if there is one.
 
     Args:
         path: File of the column, for the message.
@@ -62,7 +62,7 @@ def refuse_rows(path: Path, name: str, column: Array, invalid: NDArray[np.bool_]
 
 
 def refuse_decreasing_times(path: Path, time_s: Array) -> None:
-    """Raise an error if times are not strictly increasing.
+    """Check that times increase strictly; raise an error otherwise.
 
     Args:
         path: File of the times, for the message.

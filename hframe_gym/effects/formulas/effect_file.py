@@ -64,7 +64,7 @@ class FormulaEffect:
 
     @property
     def text(self) -> str:
-        """The equation, for example "f = A * catch(q, center, width)"."""
+        """Equation of the force f or of the Coulomb friction F - Fc, e.g. "f = A * catch(q, center, width)"."""
         left = "f" if self._hook == "force" else "F - Fc"
         return f"{left} = {self._expression}"
 
@@ -74,20 +74,20 @@ class FormulaEffect:
         return {parameter.name: value for parameter, value in self._parameters()}
 
     def definition(self) -> Effect:
-        """Create the effect without registering it.
+        """Create the effect's definition by executing the generated source, without registering it.
 
         Returns:
-            The definition that the written file contains.
+            Definition of the effect, the same as in the file that `write_effect_file` writes.
         """
         namespace: dict[str, Any] = {"__name__": f"hframe_formula_{self.name}"}
         exec(compile(self._definition_source(), f"<effect {self.name}>", "exec"), namespace)
         return namespace["EFFECT"]
 
     def applied(self) -> AppliedEffect:
-        """Combine the effect with the site of the table and the fitted parameters.
+        """Create the effect at the coordinate of the table, with the fitted parameters clipped to their bounds.
 
         Returns:
-            The effect, which can take the place of the table in the machine.
+            Effect with its parameters, which can take the place of the table in the machine.
         """
         definition = self.definition()
         bounds = {p.name: (p.lower, p.upper) for p in definition.parameters}
@@ -95,7 +95,7 @@ class FormulaEffect:
         return definition.at(self.table.site, **values)
 
     def source(self) -> str:
-        """Return the complete text of the Python file.
+        """Return the complete text of the Python file that defines and registers the effect.
 
         Returns:
             Source of a module that registers the effect when it is imported.
@@ -301,10 +301,10 @@ class FormulaEffect:
 
 
 def write_effect_file(effect: FormulaEffect, path: Path) -> None:
-    """Write the file of an effect.
+    """Write the Python file that defines and registers an effect.
 
     Args:
-        effect: Effect to write.
+        effect: Formula and name of the effect.
         path: Python file; it must not exist.
 
     Raises:

@@ -39,7 +39,7 @@ _CLEAR_GAIN = 0.85  # A formula with more parameters must reduce the error of th
 
 @dataclass(frozen=True)
 class Curve:
-    """Ordinates of a table with their uncertainty.
+    """Ordinates of a table (force interpolated between k knots of one variable) with their uncertainty.
 
     Attributes:
         knots: Increasing values of the variable, shape (k,).
@@ -56,7 +56,7 @@ class Curve:
 
     @cached_property
     def error_covariance(self) -> Array:
-        """Covariance of the ordinates, with a floor and with large errors along `absorbed`, shape (k, k)."""
+        """Covariance of the ordinates, plus a small error of each and large errors along `absorbed`, shape (k, k)."""
         deviation = float(np.std(self.values)) or 1.0
         floor = (_ERROR_FLOOR * deviation) ** 2 * np.eye(len(self.values))
         free = self.absorbed / np.maximum(np.abs(self.absorbed).max(axis=0, initial=0.0), 1e-300)
@@ -70,19 +70,23 @@ class Curve:
 
     @cached_property
     def projection(self) -> Array:
-        """Least-squares ordinates of the table that is closest to a function at `fine`, shape (k, m)."""
+        """Matrix that converts values of a function at `fine` to ordinates at the knots, shape (k, m).
+
+        The table with these ordinates, linear between the knots, has the smallest squared distance from the function.
+        """
+        # Basis functions of linear interpolation: 1 at one knot and 0 at the others.
         hats = np.stack([np.interp(self.fine, self.knots, row) for row in np.eye(len(self.knots))], axis=1)
         spacing = np.gradient(self.fine)[:, None]
         return np.asarray(np.linalg.solve(hats.T @ (spacing * hats), (spacing * hats).T))
 
     def projected(self, function: Callable[[Array], Array]) -> Array:
-        """Return the ordinates with which a table of these knots is closest to a function.
+        """Return the ordinates with which a table of these k knots is closest to a function (least squares).
 
         Args:
-            function: Function of an array of values of the variable.
+            function: Function that maps m values of the variable, shape (m,), to shape (m,) or (m, columns).
 
         Returns:
-            Ordinates, in the unit of the function, shape (k,); (k, columns) if the function returns columns.
+            Ordinates, in the unit of the function, shape (k,) or (k, columns).
         """
         return np.asarray(self.projection @ function(self.fine))
 
@@ -90,10 +94,10 @@ class Curve:
         """Return the matrix that makes the errors of some ordinates independent with variance 1.
 
         Args:
-            rows: Mask of the r ordinates, shape (k,).
+            rows: Mask of the r ordinates among all k, shape (k,).
 
         Returns:
-            Inverse Cholesky factor of their covariance, shape (r, r).
+            Inverse of the lower Cholesky factor of their covariance, shape (r, r).
         """
         factor = np.linalg.cholesky(self.error_covariance[np.ix_(rows, rows)])
         return np.asarray(np.linalg.inv(factor))
@@ -107,8 +111,8 @@ class Formula:
         terms: The summands.
         amplitudes: Amplitudes of all columns, term after term, N or Nm divided by a power of the variable's unit.
         shapes: Shape parameters by term, in the unit of the variable.
-        error: Root-mean-square error of the knots that the formula was not fitted to (cross-validation), in standard
-            deviations.
+        error: Root-mean-square error at knots that the formula was not fitted to (cross-validation), in standard
+            deviations of the table's ordinates.
     """
 
     terms: tuple[Term, ...]
@@ -118,46 +122,47 @@ class Formula:
 
     @property
     def name(self) -> str:
-        """Names of the terms joined by plus signs."""
+        """Names of the terms in plain words, joined by plus signs."""
         return " + ".join(term.name for term in self.terms)
 
     @property
     def complexity(self) -> int:
-        """Number of parameters."""
+        """Number of fitted parameters: amplitudes and shape parameters (centers, widths, periods) of all terms."""
         return sum(term.complexity for term in self.terms)
 
     def with_values(self, values: Iterable[float]) -> Formula:
         """Return a copy with other parameters.
 
         Args:
-            values: Amplitudes, then shapes, of one term after the other, as in the parameters of its effect.
+            values: Amplitudes, then shape parameters (centers, widths, periods), of one term after the other, SI, in
+                the order of the parameters of its effect.
 
         Returns:
             The formula with these parameters and the same error.
         """
-        left = iter(values)
+        remaining = iter(values)
         amplitudes: list[float] = []
         shapes: list[tuple[float, ...]] = []
         for term in self.terms:
-            amplitudes += [next(left) for _ in term.columns]
-            shapes.append(tuple(next(left) for _ in term.shapes))
+            amplitudes += [next(remaining) for _ in term.columns]
+            shapes.append(tuple(next(remaining) for _ in term.shapes))
         return dataclasses.replace(self, amplitudes=tuple(amplitudes), shapes=tuple(shapes))
 
     def __call__(self, u: Array) -> Array:
         """Evaluate the formula.
 
         Args:
-            u: Values of the variable, shape (n,).
+            u: Values of the variable (position, velocity, path or time), SI, shape (n,).
 
         Returns:
-            Force or friction, N or Nm, shape (n,).
+            Force or friction level, N or Nm, shape (n,).
         """
         columns = [term.values(u, np.array(shape)) for term, shape in zip(self.terms, self.shapes, strict=True)]
         return np.asarray(np.concatenate(columns, axis=1) @ np.array(self.amplitudes))
 
 
 def fit_formulas(curve: Curve, terms: Sequence[Term], count: int = 3) -> tuple[Formula, ...]:
-    """Propose formulas for a curve: the best of each complexity that is worth its parameters.
+    """Propose formulas for a curve: sums of terms with a small error for their number of parameters (complexity).
 
     Args:
         curve: Table with its uncertainty.
@@ -165,8 +170,9 @@ def fit_formulas(curve: Curve, terms: Sequence[Term], count: int = 3) -> tuple[F
         count: Largest number of formulas.
 
     Returns:
-        Formulas by increasing complexity: those that have a clearly smaller error of the left-out knots than all
-        simpler ones (Pareto front), and if there are fewer than `count`, rivals of the last that are no more complex.
+        Formulas by increasing complexity: those whose error at left-out knots (cross-validation) is clearly smaller
+        than that of all simpler ones (Pareto front), and if there are fewer than `count`, other formulas that are no
+        more complex than the last.
 
     Raises:
         ImportError: If scikit-learn is not installed; the message names the extra `formulas`.
@@ -177,6 +183,7 @@ def fit_formulas(curve: Curve, terms: Sequence[Term], count: int = 3) -> tuple[F
     rivals: list[Formula] = []
     for formula in (f for f in formulas if f.error < _HOPELESS * smallest):
         least = min((f.error for f in front), default=math.inf)
+        # A formula joins the front if the simpler ones leave more than the uncertainty and it is clearly better.
         if least > _EXPLAINED and formula.error < _CLEAR_GAIN * least:
             front.append(formula)
         else:

@@ -161,26 +161,28 @@ class Term:
         return len(self.columns) + len(self.shapes)
 
     def values(self, u: Array, shapes: Array) -> Array:
-        """Evaluate the columns of the term at amplitude 1.
+        """Evaluate the term's functions (columns) of the variable at amplitude 1.
 
         Args:
-            u: Values of the variable, shape (n,).
-            shapes: Shape parameters in the order of `shapes`, in the unit of the variable.
+            u: Values of the variable (position, velocity, path or time), SI, shape (n,).
+            shapes: Shape parameters (center, width, period) in the order of the attribute `shapes`, in the unit of the
+                variable.
 
         Returns:
-            Columns, shape (n, columns).
+            Value of each function, shape (n, columns).
         """
         return np.stack([np.asarray(column(u, *shapes), float) for column in self.columns], axis=1)
 
     def grid(self, low: float, high: float) -> list[tuple[float, ...]]:
-        """Return the starting values of a search for the shape parameters.
+        """Return starting values for a search of the shape parameters: all combinations of centers, widths, periods.
 
         Args:
-            low: Smallest value of the variable in the data.
-            high: Largest value of the variable in the data.
+            low: Smallest value of the variable in the data, SI.
+            high: Largest value of the variable in the data, SI.
 
         Returns:
-            Sets of shape parameters, one tuple of len(shapes) values each; a single empty one for a term without shape.
+            Sets of shape parameters, one tuple of len(shapes) values each, in the unit of the variable; a single empty
+            one for a term without shape parameters.
         """
         span = high - low
         sets: list[tuple[float, ...]] = [()]
@@ -191,6 +193,7 @@ class Term:
                 values = span * np.geomspace(0.02, 1.5, 10)
             else:
                 values = span / np.arange(0.5, 10.01, 0.25)
+            # Every set so far is extended by every value of this parameter.
             sets = [(*shape, float(value)) for shape in sets for value in values]
         return sets
 
@@ -246,12 +249,12 @@ def terms_of(variable: str, *, force: bool) -> tuple[Term, ...]:
     """Return the terms that a formula of a variable may contain.
 
     Args:
-        variable: "position", "velocity", "path" or "time".
+        variable: "position", "velocity", "path" (distance traveled since the start) or "time".
         force: True for a force, which may be constant; False for a friction level, whose constant is the declared
             Coulomb friction.
 
     Returns:
-        Terms, simplest first.
+        Terms, simplest first; for a force the constant comes before all others.
     """
     terms = _OF_VARIABLE[variable]
     return (_OFFSET, *terms) if force else terms
