@@ -131,6 +131,7 @@ def check_wiring(data: Dataset, machine: Machine) -> list[Finding]:
         Findings about all runs together, and about single runs that differ from the others; empty if no mistake is
         suspected.
     """
+    # Matrices that undo one mistake (a sign, or two swapped channels), by its description.
     output_corrections, input_corrections = _single_corrections(machine)
     inputs_as_recorded = np.eye(len(machine.drives))
     transforms = np.array([inputs_as_recorded, *input_corrections.values()])
@@ -138,7 +139,7 @@ def check_wiring(data: Dataset, machine: Machine) -> list[Finding]:
     measured = [
         _speeds(bridge_blanks(run.outputs, run.time_s, _WINDOW), run.time_s) for run in runs
     ]  # (rows, sensors) each
-    # (transforms, rows, sensors) each
+    # With the inputs as recorded and with each correction of them, (transforms, rows, sensors) each.
     simulated = [_speeds(_simulate_outputs(machine, run, transforms), run.time_s) for run in runs]
     labels = list(input_corrections)
     all_measured, all_simulated = np.concatenate(measured), np.concatenate(simulated, axis=1)

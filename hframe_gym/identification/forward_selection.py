@@ -29,7 +29,7 @@ Log = Callable[[str], None]
 
 @dataclass(frozen=True)
 class SelectedEffect:
-    """An effect of the corrected machine.
+    """An effect that the forward selection added to the machine.
 
     Attributes:
         effect: The effect with its fitted parameters.

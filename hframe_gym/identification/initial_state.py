@@ -214,6 +214,7 @@ def position_from_measurements(machine: Machine, initial: InitialState) -> Array
     if initial.lasers_measured or not machine.effects:
         return _without_measurement_effects(machine, initial, initial.position.copy())
     encoders = [j for j, s in enumerate(machine.sensors) if s.incremental and np.isfinite(initial.reading[j])]
+    # The stretch depends on the position and the position on the stretch: a few alternating steps solve both.
     stretch = np.zeros(len(machine.sensors))  # rad
     position = initial.position
     for _ in range(_STRETCH_STEPS):

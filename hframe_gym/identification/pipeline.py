@@ -75,8 +75,9 @@ def identify(
 ) -> IdentificationResult:
     """Identify the effects that a machine's model lacks.
 
-    The machine's parameters are fitted to the recordings. Effects are selected that reduce the remaining error, and
-    declared, refitted and corrected machine are evaluated by simulating the held-out runs, which nothing was fitted to.
+    The machine's parameters are fitted to the recordings. Effects are selected that reduce the remaining error. The
+    declared machine, the refitted one, and that with effects are simulated over the held-out runs, to which nothing was
+    fitted.
 
     Args:
         recordings: Runs of one rig, at least two.
@@ -105,6 +106,7 @@ def identify(
     validation = with_all_measurements(validation, recordings)
     data, unused = with_known_positions(everything.with_runs([r.name for r in recordings if r.name not in kept]))
     log(f"fitting {machine.name} to {len(data.runs)} runs, {len(validation.runs)} held out")
+    # With the widest observer bandwidth first: it tolerates a model that is still wrong.
     base = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
     log(f"refitted machine: {_describe(base)}")
     before = polish(fit_with_model_error(base, data), data)

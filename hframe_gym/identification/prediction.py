@@ -197,7 +197,7 @@ def prediction_error(run: PreparedRecording, data: Dataset, measurements: Array)
 
     Args:
         run: Measured run, n samples.
-        data: Data set of the run, for the sensors' quanta.
+        data: Data set of the run, for the sensors' quantization steps.
         measurements: Predicted values, in the sensors' units, shape (batch, n, sensors).
 
     Returns:
@@ -247,7 +247,7 @@ class InitialStateProjection:
 
     Attributes:
         directions: Orthonormal responses of the residual to s independent initial belt stretches, shape (rows, s).
-        weights: Fraction of each that is removed, from 0 (known by the prior) to 1 (unknown), shape (s,).
+        weights: Fraction of the residual along each that is removed, 0 (stretch known by the prior) to 1, shape (s,).
     """
 
     directions: Array
@@ -336,6 +336,7 @@ def initial_state_projection(
     columns = (residual[1:] - residual[0]).T  # (rows, displacements), in units of the prior's standard deviation
     if not np.all(np.isfinite(columns)):
         return None
+    # The minimum of |residual - columns w|^2 + |w|^2 over w is the squared norm of the residual projected like this.
     directions, sizes, _ = np.linalg.svd(columns, full_matrices=False)
     return InitialStateProjection(directions, 1.0 - 1.0 / np.sqrt(1.0 + sizes**2))
 

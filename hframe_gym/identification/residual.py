@@ -189,7 +189,7 @@ def dependence_variables(machine: Machine, run: PreparedRecording, data: Dataset
     """Return the variables of a run on which a missing effect may depend.
 
     Args:
-        machine: Machine whose one-step prediction supplies positions and velocities.
+        machine: Machine that predicts positions and velocities, corrected by an observer at every sample.
         run: Measured run, n samples.
         data: Data set of the run, for the sampling period.
 
@@ -289,7 +289,7 @@ def force_error(machine: Machine, data: Dataset) -> float | None:
     driven = {d.coordinate for d in machine.drives}
     if machine.belts or driven != set(machine.coordinate_names) or not driven <= set(direct):
         return None
-    squared_error, squared_force = 0.0, 0.0
+    squared_error, squared_force = 0.0, 0.0  # sums over runs, drives and samples
     for run in data.runs:
         measured = run.outputs[:, [direct[name] for name in machine.coordinate_names]]
         if not np.all(np.isfinite(measured)):

@@ -115,15 +115,15 @@ def estimate_initial_state(recording: Recording, machine: Machine, zeros: Encode
     at_rest = recording.outputs[settled_rows(rows)]
     measured = np.asarray(np.isfinite(at_rest).any(axis=0))
     measurement = np.array([np.nanmean(at_rest[:, j]) if measured[j] else np.nan for j in range(at_rest.shape[1])])
-    site = [machine.coordinate_names.index(s.coordinate) for s in machine.sensors]
+    site = [machine.coordinate_names.index(s.coordinate) for s in machine.sensors]  # coordinate of each sensor
     fixed = np.array([not s.incremental for s in machine.sensors])
     known = zeros.known
-    rigid = rigid_basis(machine)
-    seen = machine.sensor_matrix @ rigid  # (sensors, rigid motions)
+    rigid = rigid_basis(machine)  # (coordinates, motions that stretch no belt)
+    seen = machine.sensor_matrix @ rigid  # measurement per unit of each such motion, (sensors, motions)
     lasers_measured = _rank(seen[fixed & measured]) == _rank(seen) or not fixed.any()
     position_measured = lasers_measured or _rank(seen[(fixed | known) & measured]) == _rank(seen)
 
-    reading = measurement - np.where(known, zeros.offset, 0.0)
+    reading = measurement - np.where(known, zeros.offset, 0.0)  # (sensors,)
     usable = measured.copy()
     warnings: tuple[str, ...] = ()
     if not position_measured:

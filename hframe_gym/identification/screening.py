@@ -103,6 +103,7 @@ def screen(fit: Fit, candidates: Sequence[Candidate], data: Dataset) -> list[Sco
     for candidate in candidates:
         columns = np.arange(first, first + len(candidate.columns))  # of this candidate, among all perturbations
         first += len(columns)
+        # Square of each response before and after the free parameters took what they can reproduce of it.
         before = equations.response_information[columns, columns]
         information = reduced.response_information[np.ix_(columns, columns)]
         scored.append(_score(candidate, information, reduced.response_gradient[columns], before, fit.chi2))
