@@ -103,7 +103,8 @@ def fit(
         expansion = model.linearize(theta)
         equations = expansion.normal_equations
         information = equations.information
-        # A model whose error is chi2 times the noise makes its data that much less certain: the prior keeps its weight.
+        # If the mean square error is chi2 times that of the noise, the data are that much less certain; the prior is
+        # scaled by chi2 instead, so that it keeps its weight relative to the data.
         precision = prior * max(1.0, equations.chi2)
         cost = equations.cost + float(theta @ precision @ theta)
         hessian = information + precision

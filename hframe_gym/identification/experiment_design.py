@@ -91,6 +91,9 @@ class ExperimentDesign:
         Args:
             path: File to write; it appears only when it is complete.
             machine: Machine whose drives name the input columns.
+
+        Raises:
+            OSError: If the file cannot be written.
         """
         with atomic_file(path) as temporary:
             header = ",".join(["time_s", *machine.input_channels])

@@ -191,6 +191,7 @@ def concentric_angle(machine: Machine, index: int, angle: float) -> float:
         Angle of the concentric pulley, rad; the given one for a pulley without eccentricity.
     """
     converted = angle
+    # The formula of eccentricity gives the difference of the two angles, rad.
     for e in machine.effects:
         if e.definition.rest_angle_offset and machine.coordinate_of_site(e.site) == machine.coordinate_names[index]:
             converted += float(e("rest_angle_offset", q=angle, per_radius=1.0 / machine.travel_per_unit[index]))

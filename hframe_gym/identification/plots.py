@@ -44,6 +44,7 @@ def draw_plots(report: Mapping[str, Any], curves: Mapping[str, Array], machine: 
 
     Raises:
         ImportError: If matplotlib is missing.
+        OSError: If a file cannot be written.
     """
     try:
         import matplotlib

@@ -198,7 +198,7 @@ def prediction_error(run: PreparedRecording, data: Dataset, measurements: Array)
     Args:
         run: Measured run, n samples.
         data: Data set of the run, for the sensors' quantization steps.
-        measurements: Predicted values, in the sensors' units, shape (batch, n, sensors).
+        measurements: Values of a batch of predictions, in the sensors' units, shape (batch, n, sensors).
 
     Returns:
         Errors in the sensors' units, shape (batch, n, sensors); arbitrary where a value was not measured.
@@ -220,7 +220,7 @@ def residuals(run: PreparedRecording, data: Dataset, measurements: Array, rows_p
     Args:
         run: Measured run, n samples, with the standard deviation of each value's noise.
         data: Data set of the run, for the sensors' quantization steps.
-        measurements: Predicted values, in the sensors' units, shape (batch, n, sensors).
+        measurements: Values of a batch of predictions, in the sensors' units, shape (batch, n, sensors).
         rows_per_block: How many consecutive rows are summed into one and divided by the root of that number. White
             noise keeps its size, and so do inner products of residuals that change more slowly, with fewer rows.
 
@@ -257,7 +257,7 @@ class InitialStateProjection:
         """Remove the part of residuals that an optimal initial stretch explains, weighted by its prior.
 
         Args:
-            residual: Residuals in units of the noise, shape (batch, rows).
+            residual: Residuals of a batch of predictions, in units of the noise, shape (batch, rows).
 
         Returns:
             Projected residuals, same shape; their sum of squares is the cost at the optimal initial stretch.

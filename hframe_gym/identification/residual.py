@@ -219,6 +219,7 @@ def rank_dependences(machine: Machine, data: Dataset) -> list[Dependence]:
     force = np.concatenate([smooth_force_residual(machine, run, data) for run in data.runs])
     by_run = [dependence_variables(machine, run, data) for run in data.runs]
     variables = {name: np.concatenate([variables[name] for variables in by_run]) for name in by_run[0]}
+    # Fraction of the variance that a curve over the variable explains, for each coordinate and variable.
     dependences = [
         Dependence(name, coordinate, _correlation_ratio(force[:, i], values))
         for i, coordinate in enumerate(machine.coordinate_names)

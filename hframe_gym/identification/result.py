@@ -248,6 +248,9 @@ def write_result(
         warnings: Findings about the recordings, one line of text each, which report.json repeats.
         formulas: Formulas that may replace the tables (forces interpolated over one variable) of the machine, see
             `formulas.compare_formulas`.
+
+    Raises:
+        OSError: If a file cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
     save_machine(result.declared.machine, folder / "declared.json")

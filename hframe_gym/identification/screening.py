@@ -97,6 +97,7 @@ def screen(fit: Fit, candidates: Sequence[Candidate], data: Dataset) -> list[Sco
         return _perturbation_responses(model, run, candidate_perturbations(fit.machine, candidates, run, motion))
 
     equations = model.linearize(fit.theta, responses).normal_equations
+    # The ridge keeps the elimination possible where parameters have the same influence on the measurements.
     ridge = np.diag(_RIDGE * np.diag(equations.information))
     reduced = equations.eliminate_parameters(prior_precision(fit.free) + ridge)
     scored, first = [], 0

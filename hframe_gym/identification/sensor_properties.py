@@ -156,7 +156,7 @@ def smooth_speed(time_s: Array, values: Array) -> Array:
         Speed, unit/s, shape (n,).
 
     References:
-        Savitzky and Golay (1964).
+        Savitzky and Golay (1964), "Smoothing and differentiation of data by simplified least squares procedures".
     """
     period = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
     return np.asarray(savgol_filter(values, 11, 2, deriv=1, delta=period))
@@ -180,13 +180,13 @@ def saturation_ranges(
         that was never reached is set to ten times the largest measurement.
     """
     ranges: dict[str, Range] = {}
-    travel = [_positions_from_encoders(r, machine) for r in recordings]
+    positions_by_run = [_positions_from_encoders(r, machine) for r in recordings]
     for j, sensor in enumerate(machine.sensors):
         if sensor.incremental:
             continue
         i = machine.coordinate_names.index(sensor.coordinate)
         channel = [r.outputs[:, j] for r in recordings]
-        motion = [positions[:, i] for positions in travel]
+        motion = [positions[:, i] for positions in positions_by_run]
         ends = [_end(channel, motion, float(noise[j]), sign, 1.0, criteria) for sign in (-1.0, 1.0)]
         # A sensor that saturates at one end may well do so at the other; less evidence suffices there.
         if any(end is not None for end in ends):

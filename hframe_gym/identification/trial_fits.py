@@ -55,6 +55,7 @@ def trial_fits(current: Fit, data: Dataset, enough: float, criteria: SelectionCr
             if trials[-1].chi2 - floor < criteria.structural_remainder * (current.chi2 - floor) and not explained:
                 explained, best_promise = True, scored.gain
     if not explained:
+        # Beside another useful effect, a structural one must promise a certain fraction of its benefit.
         useful = max((current.cost - t.cost for t in trials), default=0.0) / data.count
         least = max(enough, criteria.min_structural_promise * useful) if useful >= enough else 0.0
         machines = screen_structures(current, data, scales, least)
