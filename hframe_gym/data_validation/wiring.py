@@ -104,12 +104,12 @@ def rigid_misfit(motion: Array, machine: Machine) -> float:
         Root of the residual sum of squares of the best rigid motion over the total sum of squares, 0 to 1; 0 if the
         channels are not redundant or nothing moves.
     """
-    M = sensor_motions(machine)
+    M = sensor_motions(machine)  # (sensors, rigid motions)
     used = np.isfinite(motion).any(axis=0) & (np.linalg.norm(M, axis=1) > 0)
     rows = motion[:, used]
     rows = rows[np.isfinite(rows).all(axis=1)]
     size = np.linalg.norm(M[used], axis=1)
-    scaled = rows / size
+    scaled = rows / size  # (rows, used sensors)
     basis = M[used] / size[:, None]  # (used sensors, rigid motions)
     # Subtract the least-squares projection of each row on the rigid motions.
     residual = scaled - scaled @ np.linalg.pinv(basis).T @ basis.T

@@ -112,12 +112,13 @@ def static_equilibrium(machine: Machine, position: Array) -> Array:
     at_rest = rest_state(machine, given[linear[: len(given)]])[: len(names)]
     if not any(e.definition.force for e in machine.effects):
         return at_rest
-    force = _force_at_rest(machine, at_rest)[linear]
+    force = _force_at_rest(machine, at_rest)[linear]  # N, on each carriage
     friction = np.array([c.coulomb for c in machine.coordinates])[linear]
     rotary = ~linear & ~np.isin(names, machine.spring_loaded)
-    stiffness = stiffness_matrix(machine, at_rest)[np.ix_(linear, rotary)]
+    stiffness = stiffness_matrix(machine, at_rest)[np.ix_(linear, rotary)]  # N/rad, (carriages, pulleys)
     # The displacement beyond friction is twice that of the excess force, but not more than belts carry alone.
     carried = np.sign(force) * np.clip(2.0 * (np.abs(force) - friction), 0.0, np.abs(force))
+    # The pulleys turn by the smallest angles at which the belts carry these forces.
     at_rest[rotary] += np.linalg.lstsq(stiffness, carried, rcond=None)[0]
     return at_rest
 

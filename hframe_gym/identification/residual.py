@@ -165,10 +165,13 @@ def missing_force(machine: Machine, data: Dataset) -> dict[str, Array]:
         Nm.
     """
     position_gains = observer_gains(machine, data.period)[: len(machine.coordinates)].sum(axis=1)
-    time_constant = 2.0 * data.period / np.maximum(position_gains, 1e-12)  # of each pole, (coordinates,)
+    time_constant = (
+        2.0 * data.period / np.maximum(position_gains, 1e-12)
+    )  # of each pole, about 1 / bandwidth, (coordinates,)
 
     def of_run(run: PreparedRecording) -> Array:
         motion = predict(machine, run, SEARCH_BANDWIDTH, period=data.period, states=True)
+        # f + 2 T f' + T^2 f'' inverts the low-pass 1 / (1 + T s)^2.
         force = _low_pass(force_residual(machine, run, data), _MISSING_FORCE_CUTOFF, data.period)
         first_derivative = np.gradient(force, run.time_s, axis=0)
         second_derivative = np.gradient(first_derivative, run.time_s, axis=0)
