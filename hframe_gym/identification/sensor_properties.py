@@ -85,7 +85,7 @@ def sensor_noise(channel: Sequence[Array], resting_rows: Sequence[int], quantum:
         at_rest = values[:count]
         at_rest = at_rest[np.isfinite(at_rest)]
         if len(at_rest) >= 10:
-            # A parabola is subtracted, because a stage that still creeps to rest is not noise.
+            # A parabola is subtracted, because a machine that still creeps to rest is not noise.
             grid = np.linspace(-1.0, 1.0, len(at_rest))
             parabola = np.polynomial.polynomial.polyfit(grid, at_rest, 2)
             squares += float(np.sum((at_rest - np.polynomial.polynomial.polyval(grid, parabola)) ** 2))
@@ -132,6 +132,7 @@ def clock_jitter(times: Sequence[Array], channel: Sequence[Array], noise: float)
         speed = smooth_speed(time_s[measured], values[measured])
         regular = np.linspace(time_s[measured][0], time_s[measured][-1], len(speed))
         at_regular_times = values[measured] + speed * (regular - time_s[measured])
+        # Fifth differences of white noise have 252 times its variance; each belongs to the middle of six samples.
         squares.append(np.diff(at_regular_times, n=5) ** 2 / _FIFTH_DIFFERENCE_VARIANCE)
         speeds.append(np.abs(speed[2:-3]))
     if not squares:
