@@ -253,7 +253,7 @@ def cramer_rao_bounds(data: Dataset, machine: Machine, names: Sequence[str] = ()
     References:
         Ljung, System Identification (1999), section 7.4.
     """
-    # Derivatives are with respect to the logarithms of the parameters, so that bounds are relative.
+    # Derivatives are with respect to relative changes of the parameters, which do not exist for a value of zero.
     names = [n for n in (names or [f.name for f in default_free_parameters(machine)]) if machine.parameters[n] != 0.0]
     runs = tuple(
         dataclasses.replace(
@@ -268,7 +268,7 @@ def cramer_rao_bounds(data: Dataset, machine: Machine, names: Sequence[str] = ()
     def normal_equations(run: PreparedRecording) -> NormalEquations:
         """Combine forward and backward differences to central ones; forward ones separate parameters by rounding."""
         rows = forward.linearize_run(run, at_declared)
-        opposite = backward.linearize_run(run, at_declared)
+        opposite = backward.linearize_run(run, at_declared)  # derivatives with respect to decreases
         return NormalEquations.from_rows((rows.jacobian - opposite.jacobian) / 2, rows.residual)
 
     return _joint_bounds(names, NormalEquations.total(map_runs(normal_equations, data)).information)

@@ -115,6 +115,9 @@ def write_findings(findings: Sequence[Finding], path: Path) -> None:
     Args:
         findings: Findings in the order of writing.
         path: File to write; it appears complete or not at all.
+
+    Raises:
+        OSError: If the file cannot be written.
     """
     content = {"schema": _SCHEMA_VERSION, "findings": [asdict(f) for f in findings]}
     write_text(path, json.dumps(content, indent=1) + "\n")

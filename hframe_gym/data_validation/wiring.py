@@ -104,12 +104,12 @@ def rigid_misfit(motion: Array, machine: Machine) -> float:
         Root of the residual sum of squares of the best rigid motion over the total sum of squares, 0 to 1; 0 if the
         channels are not redundant or nothing moves.
     """
-    M = sensor_motions(machine)
+    M = sensor_motions(machine)  # (sensors, rigid motions)
     used = np.isfinite(motion).any(axis=0) & (np.linalg.norm(M, axis=1) > 0)
     rows = motion[:, used]
     rows = rows[np.isfinite(rows).all(axis=1)]
     size = np.linalg.norm(M[used], axis=1)
-    scaled = rows / size
+    scaled = rows / size  # (rows, used sensors)
     basis = M[used] / size[:, None]  # (used sensors, rigid motions)
     # Subtract the least-squares projection of each row on the rigid motions.
     residual = scaled - scaled @ np.linalg.pinv(basis).T @ basis.T
@@ -131,6 +131,7 @@ def check_wiring(data: Dataset, machine: Machine) -> list[Finding]:
         Findings about all runs together, and about single runs that differ from the others; empty if no mistake is
         suspected.
     """
+    # Matrices that undo one mistake (a sign, or two swapped channels), by its description.
     output_corrections, input_corrections = _single_corrections(machine)
     inputs_as_recorded = np.eye(len(machine.drives))
     transforms = np.array([inputs_as_recorded, *input_corrections.values()])
@@ -138,7 +139,7 @@ def check_wiring(data: Dataset, machine: Machine) -> list[Finding]:
     measured = [
         _speeds(bridge_blanks(run.outputs, run.time_s, _WINDOW), run.time_s) for run in runs
     ]  # (rows, sensors) each
-    # (transforms, rows, sensors) each
+    # With the inputs as recorded and with each correction of them, (transforms, rows, sensors) each.
     simulated = [_speeds(_simulate_outputs(machine, run, transforms), run.time_s) for run in runs]
     labels = list(input_corrections)
     all_measured, all_simulated = np.concatenate(measured), np.concatenate(simulated, axis=1)

@@ -254,8 +254,8 @@ def periodogram_peaks(motion: Array, *, friction: bool) -> Array:
         Lomb (1976), Least-squares frequency analysis of unequally spaced data.
     """
     position, velocity, force = motion.T
-    travel = float(np.ptp(position))
-    if travel <= 0.0:
+    span = float(np.ptp(position))
+    if span <= 0.0:
         return np.zeros(0)
     moving = np.abs(velocity) > 0.02 * np.percentile(np.abs(velocity), 99)
     thin = max(1, int(moving.sum()) // _MAX_ROWS)  # every how many rows are used
@@ -264,7 +264,7 @@ def periodogram_peaks(motion: Array, *, friction: bool) -> Array:
     basis, _ = np.linalg.qr(np.stack([np.ones_like(position), velocity, np.sign(velocity)], axis=1))
     force = force - basis @ (basis.T @ force)
     count = int((_MAX_PERIODS - _MIN_PERIODS) * _POINTS_PER_PERIOD)
-    first, step = 2 * np.pi / travel * np.array([_MIN_PERIODS, 1.0 / _POINTS_PER_PERIOD])
+    first, step = 2 * np.pi / span * np.array([_MIN_PERIODS, 1.0 / _POINTS_PER_PERIOD])
     grid = first + step * np.arange(count)
     sign = np.sign(velocity) if friction else np.ones_like(velocity)
     power = np.concatenate(
@@ -274,11 +274,11 @@ def periodogram_peaks(motion: Array, *, friction: bool) -> Array:
         ]
     )
     # First the best rate of each band, because the noise of the missing force grows with it; then the best of all.
-    band = np.searchsorted(_BAND_EDGES, grid * travel / (2 * np.pi))
+    band = np.searchsorted(_BAND_EDGES, grid * span / (2 * np.pi))
     best_of_band = [np.flatnonzero(band == k)[np.argmax(power[band == k])] for k in np.unique(band)]
     peaks: list[float] = []
     for k in (*sorted(best_of_band, key=lambda k: -power[k]), *np.argsort(-power)):
-        if all(abs(grid[k] - other) > 1.5 * np.pi / travel for other in peaks):  # not the flank of another peak
+        if all(abs(grid[k] - other) > 1.5 * np.pi / span for other in peaks):  # not the flank of another peak
             peaks.append(float(grid[k]))
         if len(peaks) == _MAX_RATES:
             break
@@ -296,8 +296,8 @@ def slow_rates(position: Array) -> Array:
     Returns:
         Rates, rad per unit of position, shape (rates,); empty if the position does not change.
     """
-    travel = float(np.ptp(position))
-    return np.asarray(2 * np.pi / travel * _SLOW_PERIODS if travel > 0.0 else np.zeros(0))
+    span = float(np.ptp(position))
+    return np.asarray(2 * np.pi / span * _SLOW_PERIODS if span > 0.0 else np.zeros(0))
 
 
 def _explained_power(

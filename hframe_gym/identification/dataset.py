@@ -113,6 +113,9 @@ class Dataset:
 
         Returns:
             Copy with these masks.
+
+        Raises:
+            ValueError: If the number of masks is not the number of runs.
         """
         pairs = zip(self.runs, rows, strict=True)
         return dataclasses.replace(self, runs=tuple(dataclasses.replace(run, rows=counted) for run, counted in pairs))
@@ -208,6 +211,9 @@ def with_all_measurements(data: Dataset, recordings: Sequence[Recording]) -> Dat
 
     Returns:
         Copy with the original measurements minus the estimated zeros of the sensors.
+
+    Raises:
+        KeyError: If the recording of a run is missing.
     """
     outputs = {r.name: fill_gaps(r).outputs for r in recordings}
     runs = (dataclasses.replace(run, outputs=outputs[run.name] - run.initial.offset) for run in data.runs)
@@ -300,11 +306,11 @@ def scales_of_motion(machine: Machine, positions: Array, velocities: Array, inpu
     """
     force = typical_force(machine)
     top_speed = np.maximum(np.percentile(np.abs(velocities), 99, axis=0), 1e-9)
-    travel = np.maximum(np.ptp(positions, axis=0), 1e-9)
+    span = np.maximum(np.ptp(positions, axis=0), 1e-9)
     by_coordinate: dict[str, dict[str, float]] = {}
     for i, c in enumerate(machine.coordinates):
         drive = force * c.travel_per_unit  # N, or Nm: force at the belt times the pulley radius
-        speed, distance = float(top_speed[i]), float(travel[i])
+        speed, distance = float(top_speed[i]), float(span[i])
         by_coordinate[c.name] = {
             "force": drive,
             "speed": speed,

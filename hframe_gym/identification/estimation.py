@@ -77,8 +77,8 @@ def fit(
 ) -> Fit:
     """Fit free parameters of a machine to a data set by the Levenberg-Marquardt method.
 
-    Minimized is the sum of squared residuals in units of the noise plus that of the Gaussian priors. The optimizer
-    changes one dimensionless variable theta per free parameter, see `FreeParameter`.
+    Minimized is the sum of squared residuals in units of the noise (cost) plus the quadratic form of the Gaussian
+    priors. The optimizer changes one dimensionless variable theta per free parameter, see `FreeParameter`.
 
     Args:
         machine: Machine that supplies the model and the values of all other parameters.
@@ -103,7 +103,8 @@ def fit(
         expansion = model.linearize(theta)
         equations = expansion.normal_equations
         information = equations.information
-        # A model whose error is chi2 times the noise makes its data that much less certain: the prior keeps its weight.
+        # If the mean square error is chi2 times that of the noise, the data are that much less certain; the prior is
+        # scaled by chi2 instead, so that it keeps its weight relative to the data.
         precision = prior * max(1.0, equations.chi2)
         cost = equations.cost + float(theta @ precision @ theta)
         hessian = information + precision
@@ -207,12 +208,12 @@ def with_uncertainty(fitted: Fit, data: Dataset) -> Machine:
     prior = prior_precision(fitted.free)
     directions = _principal_directions(fitted.information, prior)  # (k, k), one per column
     parts = list(map_runs(lambda run: _linearize(fitted, run, data, directions), data))
-    information = np.concatenate([part.information for part in parts])  # (blocks, k, k)
-    scores = np.concatenate([part.scores for part in parts])  # (blocks, k)
+    information = np.concatenate([part.information for part in parts])  # J^T J of each block, (blocks, k, k)
+    scores = np.concatenate([part.scores for part in parts])  # J^T r of each block, (blocks, k)
     prior = directions.T @ prior @ directions  # from here on in multiples of the directions
     inverse = np.linalg.inv(information.sum(axis=0) + prior)
     eigenvalues, axes = np.linalg.eigh(inverse)
-    root = (axes * np.sqrt(np.maximum(eigenvalues, 0.0))) @ axes.T  # symmetric
+    root = (axes * np.sqrt(np.maximum(eigenvalues, 0.0))) @ axes.T  # symmetric square root of `inverse`
     # A fit reduces the residual of a block by the square root of 1 minus the block's fraction of the information.
     leverage, axes = np.linalg.eigh(root @ information @ root)  # (blocks, k), (blocks, k, k)
     along_axes = np.einsum("bij,bi->bj", axes, scores @ root) / np.sqrt(1.0 - np.clip(leverage, 0.0, _MAX_LEVERAGE))

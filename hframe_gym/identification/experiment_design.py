@@ -91,6 +91,9 @@ class ExperimentDesign:
         Args:
             path: File to write; it appears only when it is complete.
             machine: Machine whose drives name the input columns.
+
+        Raises:
+            OSError: If the file cannot be written.
         """
         with atomic_file(path) as temporary:
             header = ",".join(["time_s", *machine.input_channels])
@@ -104,7 +107,7 @@ def design_discriminating_experiment(
     """Design the run that decides between an identified effect and its best rival.
 
     Args:
-        current: Fit of the corrected machine, which contains the identified effect.
+        current: Fit of the machine with all selected effects, among them the identified one.
         corrected: The same machine with the covariance of its parameters.
         label: Label (name@site) of the identified effect.
         rivals: Other effects that explain the data equally well, with fitted parameters, best first.
@@ -127,7 +130,7 @@ def fit_rival(current: Fit, label: str, rival: AppliedEffect, data: Dataset, sca
     """Fit the machine again with a rival effect in place of an identified one.
 
     Args:
-        current: Fit of the corrected machine, which contains the identified effect.
+        current: Fit of the machine with all selected effects, among them the one to replace.
         label: Label (name@site) of the effect to replace.
         rival: Effect that replaces it, with its starting values.
         data: Runs to fit.

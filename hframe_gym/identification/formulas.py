@@ -253,7 +253,7 @@ def compare_formulas(
         log: Called with a line of text for every formula.
 
     Returns:
-        One comparison per table of the corrected machine; empty if it has none.
+        One comparison per table of the machine with all selected effects; empty if it has none.
 
     Raises:
         ImportError: If the machine has a table and scikit-learn is not installed; the message names the extra

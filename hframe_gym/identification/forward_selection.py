@@ -29,7 +29,7 @@ Log = Callable[[str], None]
 
 @dataclass(frozen=True)
 class SelectedEffect:
-    """An effect of the corrected machine.
+    """An effect that the forward selection added to the machine.
 
     Attributes:
         effect: The effect with its fitted parameters.
@@ -120,9 +120,9 @@ class EffectSearch:
                 break
             trials = [best, *(t for t in trials if t.machine.effects[-1].label != best.machine.effects[-1].label)]
             effect, gain = best.machine.effects[-1], (current.cost - best.cost) / data.count  # the new effect is last
-            close = _rivals(trials, current, data, criteria)
-            names = (*(e.label for e in close), *effect.definition.equivalent)
-            selected = (*selected, SelectedEffect(effect, names, gain, current.machine, close))
+            rivals = _rivals(trials, current, data, criteria)
+            rival_names = (*(e.label for e in rivals), *effect.definition.equivalent)
+            selected = (*selected, SelectedEffect(effect, rival_names, gain, current.machine, rivals))
             current = fit_with_model_error(best, data)
         for s in selected:
             self.considered.pop(s.effect.label, None)

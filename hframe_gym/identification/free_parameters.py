@@ -70,6 +70,9 @@ class FreeParameter:
 
         Returns:
             Theta, dimensionless.
+
+        Raises:
+            ValueError: If the parameter is fitted as a logarithm and the value does not have the sign of `center`.
         """
         return math.log(value / self.center) if self.scale is None else (value - self.center) / self.scale
 
@@ -109,6 +112,9 @@ def parameter_table(machine: Machine, free: Sequence[FreeParameter], thetas: Arr
     Returns:
         All parameters of the machine, SI, in the order of `Machine.parameters`, shape (batch, parameters), as
         `simulate_batch` takes them.
+
+    Raises:
+        ValueError: If the machine has no parameter of a name.
     """
     names = list(machine.parameters)
     table = np.tile(np.array(list(machine.parameters.values())), (len(thetas), 1))

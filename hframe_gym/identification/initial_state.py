@@ -112,12 +112,13 @@ def static_equilibrium(machine: Machine, position: Array) -> Array:
     at_rest = rest_state(machine, given[linear[: len(given)]])[: len(names)]
     if not any(e.definition.force for e in machine.effects):
         return at_rest
-    force = _force_at_rest(machine, at_rest)[linear]
+    force = _force_at_rest(machine, at_rest)[linear]  # N, on each carriage
     friction = np.array([c.coulomb for c in machine.coordinates])[linear]
     rotary = ~linear & ~np.isin(names, machine.spring_loaded)
-    stiffness = stiffness_matrix(machine, at_rest)[np.ix_(linear, rotary)]
+    stiffness = stiffness_matrix(machine, at_rest)[np.ix_(linear, rotary)]  # N/rad, (carriages, pulleys)
     # The displacement beyond friction is twice that of the excess force, but not more than belts carry alone.
     carried = np.sign(force) * np.clip(2.0 * (np.abs(force) - friction), 0.0, np.abs(force))
+    # The pulleys turn by the smallest angles at which the belts carry these forces.
     at_rest[rotary] += np.linalg.lstsq(stiffness, carried, rcond=None)[0]
     return at_rest
 
@@ -192,6 +193,7 @@ def concentric_angle(machine: Machine, index: int, angle: float) -> float:
         Angle of the concentric pulley, rad; the given one for a pulley without eccentricity.
     """
     converted = angle
+    # The formula of eccentricity gives the difference of the two angles, rad.
     for e in machine.effects:
         if e.definition.rest_angle_offset and machine.coordinate_of_site(e.site) == machine.coordinate_names[index]:
             converted += float(e("rest_angle_offset", q=angle, per_radius=1.0 / machine.travel_per_unit[index]))
@@ -215,6 +217,7 @@ def position_from_measurements(machine: Machine, initial: InitialState) -> Array
     if initial.lasers_measured or not machine.effects:
         return _without_measurement_effects(machine, initial, initial.position.copy())
     encoders = [j for j, s in enumerate(machine.sensors) if s.incremental and np.isfinite(initial.reading[j])]
+    # The stretch depends on the position and the position on the stretch: a few alternating steps solve both.
     stretch = np.zeros(len(machine.sensors))  # rad
     position = initial.position
     for _ in range(_STRETCH_STEPS):

@@ -222,7 +222,7 @@ class ResidualModel:
 
         Args:
             run: Measured run of n samples.
-            predicted: Predicted values in the sensors' units, shape (batch, n, sensors).
+            predicted: Values of a batch of predictions, in the sensors' units, shape (batch, n, sensors).
 
         Returns:
             (measured - predicted) / noise, the values of all sensors one after another, shape (batch, rows). Where

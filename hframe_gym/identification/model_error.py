@@ -215,6 +215,7 @@ def long_run_variance(fitted: Fit, data: Dataset) -> float:
     Returns:
         Largest ratio of all sensors, dimensionless, at least 1.
     """
+    # Sums over these rows are divided by the root of their number, so that white noise has variance 1.
     rows = max(1, round(_CORRELATION_S / data.period))
     sensors = len(fitted.machine.sensors)
 

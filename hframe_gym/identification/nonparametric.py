@@ -77,6 +77,7 @@ def table_candidates(
         for name, values in variables.items():
             # A force acts independently of the direction of motion, a friction level against it.
             for kind, curve in (("smooth_force", force), ("smooth_friction", -force * direction)):
+                # Fraction of the mean square that a curve over this variable explains.
                 fraction, knots = _curve(values, curve, symmetric=name.startswith("velocity"))
                 ranked.append((fraction * mean_square, Table(f"{kind}[{name}]", site, knots)))
     ranked.sort(key=lambda entry: -entry[0])

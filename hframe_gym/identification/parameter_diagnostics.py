@@ -112,13 +112,13 @@ def inseparable_parameters(machine: Machine, declared: Machine) -> tuple[Insepar
     """
     if machine.uncertainty is None:
         return ()
-    units = _prior_std(machine, declared)  # standard deviation of each parameter's prior, SI, by name
-    names = [name for name in machine.uncertainty.names if units.get(name, 0.0) > 0.0]
+    std_by_name = _prior_std(machine, declared)  # standard deviation of each parameter's prior, SI, by name
+    names = [name for name in machine.uncertainty.names if std_by_name.get(name, 0.0) > 0.0]
     if not names:
         return ()
-    kept = [machine.uncertainty.names.index(name) for name in names]
-    unit = np.array([units[name] for name in names])
-    scaled = machine.uncertainty.covariance[np.ix_(kept, kept)] / np.outer(unit, unit)
+    indices = [machine.uncertainty.names.index(name) for name in names]
+    prior_std = np.array([std_by_name[name] for name in names])
+    scaled = machine.uncertainty.covariance[np.ix_(indices, indices)] / np.outer(prior_std, prior_std)
     variances, axes = np.linalg.eigh(scaled)
     undetermined = variances > _UNDETERMINED_VARIANCE
     directions = (axes[:, undetermined] * np.sqrt(variances[undetermined])).T  # (directions, parameters)
@@ -132,7 +132,7 @@ def inseparable_parameters(machine: Machine, declared: Machine) -> tuple[Insepar
         # Each parameter of the group that is no pivot gives one sum that the directions leave unchanged.
         if len(members) > 1:
             combinations = tuple(
-                _determined_sum(free, members, rows, pivots, np.where(member, directions, 0.0), unit, names)
+                _determined_sum(free, members, rows, pivots, np.where(member, directions, 0.0), prior_std, names)
                 for free in members.tolist()
                 if free not in pivots
             )

@@ -56,13 +56,13 @@ def hold_out(recordings: Sequence[Recording], chosen: Sequence[str] = ()) -> tup
     unknown = [c for c in chosen if c not in names]
     if unknown:
         raise InputError(f"--hold-out {unknown[0]}: no such run; the runs are {', '.join(names)}")
-    kept = tuple(chosen) or tuple(names[_HOLD_OUT_EVERY - 1 :: _HOLD_OUT_EVERY]) or tuple(names[-1:])
-    if len(set(kept)) >= len(names):
+    held_out = tuple(chosen) or tuple(names[_HOLD_OUT_EVERY - 1 :: _HOLD_OUT_EVERY]) or tuple(names[-1:])
+    if len(set(held_out)) >= len(names):
         raise InputError(
-            f"runs: {len(names)}, held out: {len(set(kept))}; at least one must be left to fit, so split the recording "
-            "into several runs or hold out fewer"
+            f"runs: {len(names)}, held out: {len(set(held_out))}; at least one must be left to fit, so split the "
+            "recording into several runs or hold out fewer"
         )
-    return kept
+    return held_out
 
 
 def identify(
@@ -75,8 +75,9 @@ def identify(
 ) -> IdentificationResult:
     """Identify the effects that a machine's model lacks.
 
-    The machine's parameters are fitted to the recordings. Effects are selected that reduce the remaining error, and
-    declared, refitted and corrected machine are evaluated by simulating the held-out runs, which nothing was fitted to.
+    The machine's parameters are fitted to the recordings. Effects are selected that reduce the remaining error. The
+    declared machine, the refitted one, and that with effects are simulated over the held-out runs, to which nothing was
+    fitted.
 
     Args:
         recordings: Runs of one rig, at least two.
@@ -97,14 +98,15 @@ def identify(
     load_plugins()  # the search tries their effects as well
     criteria = criteria or SelectionCriteria()
     log = log or (lambda line: None)
-    kept = hold_out(recordings, held_out)
-    measured = recordings
+    held_names = hold_out(recordings, held_out)
+    as_measured = recordings
     recordings = [_cleaned(recording, machine, log) for recording in recordings]
-    everything, ranges = _prepare(recordings, machine, criteria, log)
-    validation, excluded = with_known_positions(everything.with_runs(kept))
+    all_runs, ranges = _prepare(recordings, machine, criteria, log)
+    validation, excluded = with_known_positions(all_runs.with_runs(held_names))
     validation = with_all_measurements(validation, recordings)
-    data, unused = with_known_positions(everything.with_runs([r.name for r in recordings if r.name not in kept]))
+    data, unused = with_known_positions(all_runs.with_runs([r.name for r in recordings if r.name not in held_names]))
     log(f"fitting {machine.name} to {len(data.runs)} runs, {len(validation.runs)} held out")
+    # With the widest observer bandwidth first: it tolerates a model that is still wrong.
     base = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
     log(f"refitted machine: {_describe(base)}")
     before = polish(fit_with_model_error(base, data), data)
@@ -112,7 +114,7 @@ def identify(
     log("searching for effects")
     outcome = _Search(base, before, data, criteria, log).run()
     outcome = _without_unconfirmed(outcome, before, data, validation, log)
-    result = _result(outcome, machine, before, ranges, data, validation, measured, criteria)
+    result = _result(outcome, machine, before, ranges, data, validation, as_measured, criteria)
     log(f"verdict: {result.verdict}")
     return dataclasses.replace(result, seconds=time.perf_counter() - began, excluded=(*unused, *excluded))
 

@@ -28,12 +28,15 @@ _STYLE: Any = {
 
 
 def draw_plots(report: Mapping[str, Any], curves: Mapping[str, Array], machine: Machine, folder: Path) -> list[Path]:
-    """Draw errors by channel and over time, the residual force, the tables and the coverage of the recordings.
+    """Draw the plots of an identification report and save them as PNG files.
+
+    They show the errors by channel and over time, the force that the model lacks (residual force), the tables (forces
+    interpolated over one variable), and the positions, velocities and voltages that the recordings cover.
 
     Args:
         report: Content of report.json.
         curves: Curves by name, see `result.plot_data` for names, shapes and units.
-        machine: Corrected machine.
+        machine: Identified machine with the selected effects.
         folder: Folder for the files; created if it does not exist. Old plots that do not apply are deleted.
 
     Returns:
@@ -41,6 +44,7 @@ def draw_plots(report: Mapping[str, Any], curves: Mapping[str, Array], machine: 
 
     Raises:
         ImportError: If matplotlib is missing.
+        OSError: If a file cannot be written.
     """
     try:
         import matplotlib

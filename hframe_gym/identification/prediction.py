@@ -197,8 +197,8 @@ def prediction_error(run: PreparedRecording, data: Dataset, measurements: Array)
 
     Args:
         run: Measured run, n samples.
-        data: Data set of the run, for the sensors' quanta.
-        measurements: Predicted values, in the sensors' units, shape (batch, n, sensors).
+        data: Data set of the run, for the sensors' quantization steps.
+        measurements: Values of a batch of predictions, in the sensors' units, shape (batch, n, sensors).
 
     Returns:
         Errors in the sensors' units, shape (batch, n, sensors); arbitrary where a value was not measured.
@@ -220,7 +220,7 @@ def residuals(run: PreparedRecording, data: Dataset, measurements: Array, rows_p
     Args:
         run: Measured run, n samples, with the standard deviation of each value's noise.
         data: Data set of the run, for the sensors' quantization steps.
-        measurements: Predicted values, in the sensors' units, shape (batch, n, sensors).
+        measurements: Values of a batch of predictions, in the sensors' units, shape (batch, n, sensors).
         rows_per_block: How many consecutive rows are summed into one and divided by the root of that number. White
             noise keeps its size, and so do inner products of residuals that change more slowly, with fewer rows.
 
@@ -247,7 +247,7 @@ class InitialStateProjection:
 
     Attributes:
         directions: Orthonormal responses of the residual to s independent initial belt stretches, shape (rows, s).
-        weights: Fraction of each that is removed, from 0 (known by the prior) to 1 (unknown), shape (s,).
+        weights: Fraction of the residual along each that is removed, 0 (stretch known by the prior) to 1, shape (s,).
     """
 
     directions: Array
@@ -257,7 +257,7 @@ class InitialStateProjection:
         """Remove the part of residuals that an optimal initial stretch explains, weighted by its prior.
 
         Args:
-            residual: Residuals in units of the noise, shape (batch, rows).
+            residual: Residuals of a batch of predictions, in units of the noise, shape (batch, rows).
 
         Returns:
             Projected residuals, same shape; their sum of squares is the cost at the optimal initial stretch.
@@ -336,6 +336,7 @@ def initial_state_projection(
     columns = (residual[1:] - residual[0]).T  # (rows, displacements), in units of the prior's standard deviation
     if not np.all(np.isfinite(columns)):
         return None
+    # The minimum of |residual - columns w|^2 + |w|^2 over w is the squared norm of the residual projected like this.
     directions, sizes, _ = np.linalg.svd(columns, full_matrices=False)
     return InitialStateProjection(directions, 1.0 - 1.0 / np.sqrt(1.0 + sizes**2))
 

@@ -218,6 +218,9 @@ def evaluate_held_out(
 
     Returns:
         The machine with these zeros and its simulation errors. Where its motion diverges, only the rows before count.
+
+    Raises:
+        KeyError: If the recording of a run is missing.
     """
     machine = with_encoder_zeros(machine, fitted)
     refined = refine_encoder_offsets(held_out, machine, fitted)

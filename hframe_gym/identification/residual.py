@@ -165,10 +165,13 @@ def missing_force(machine: Machine, data: Dataset) -> dict[str, Array]:
         Nm.
     """
     position_gains = observer_gains(machine, data.period)[: len(machine.coordinates)].sum(axis=1)
-    time_constant = 2.0 * data.period / np.maximum(position_gains, 1e-12)  # of each pole, (coordinates,)
+    time_constant = (
+        2.0 * data.period / np.maximum(position_gains, 1e-12)
+    )  # of each pole, about 1 / bandwidth, (coordinates,)
 
     def of_run(run: PreparedRecording) -> Array:
         motion = predict(machine, run, SEARCH_BANDWIDTH, period=data.period, states=True)
+        # f + 2 T f' + T^2 f'' inverts the low-pass 1 / (1 + T s)^2.
         force = _low_pass(force_residual(machine, run, data), _MISSING_FORCE_CUTOFF, data.period)
         first_derivative = np.gradient(force, run.time_s, axis=0)
         second_derivative = np.gradient(first_derivative, run.time_s, axis=0)
@@ -189,7 +192,7 @@ def dependence_variables(machine: Machine, run: PreparedRecording, data: Dataset
     """Return the variables of a run on which a missing effect may depend.
 
     Args:
-        machine: Machine whose one-step prediction supplies positions and velocities.
+        machine: Machine that predicts positions and velocities, corrected by an observer at every sample.
         run: Measured run, n samples.
         data: Data set of the run, for the sampling period.
 
@@ -219,6 +222,7 @@ def rank_dependences(machine: Machine, data: Dataset) -> list[Dependence]:
     force = np.concatenate([smooth_force_residual(machine, run, data) for run in data.runs])
     by_run = [dependence_variables(machine, run, data) for run in data.runs]
     variables = {name: np.concatenate([variables[name] for variables in by_run]) for name in by_run[0]}
+    # Fraction of the variance that a curve over the variable explains, for each coordinate and variable.
     dependences = [
         Dependence(name, coordinate, _correlation_ratio(force[:, i], values))
         for i, coordinate in enumerate(machine.coordinate_names)
@@ -289,7 +293,7 @@ def force_error(machine: Machine, data: Dataset) -> float | None:
     driven = {d.coordinate for d in machine.drives}
     if machine.belts or driven != set(machine.coordinate_names) or not driven <= set(direct):
         return None
-    squared_error, squared_force = 0.0, 0.0
+    squared_error, squared_force = 0.0, 0.0  # sums over runs, drives and samples
     for run in data.runs:
         measured = run.outputs[:, [direct[name] for name in machine.coordinate_names]]
         if not np.all(np.isfinite(measured)):

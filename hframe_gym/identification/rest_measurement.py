@@ -109,21 +109,20 @@ def estimate_initial_state(recording: Recording, machine: Machine, zeros: Encode
     Returns:
         Initial state, with warnings where the position is not measured at rest.
     """
-    count = len(machine.coordinates)
     rows = count_resting_rows(recording)
     zeros = zeros or EncoderZeros.of_machine(machine).without(np.ones(len(machine.sensors), np.bool_))
     at_rest = recording.outputs[settled_rows(rows)]
     measured = np.asarray(np.isfinite(at_rest).any(axis=0))
     measurement = np.array([np.nanmean(at_rest[:, j]) if measured[j] else np.nan for j in range(at_rest.shape[1])])
-    site = [machine.coordinate_names.index(s.coordinate) for s in machine.sensors]
-    fixed = np.array([not s.incremental for s in machine.sensors])
-    known = zeros.known
-    rigid = rigid_basis(machine)
-    seen = machine.sensor_matrix @ rigid  # (sensors, rigid motions)
+    site = [machine.coordinate_names.index(s.coordinate) for s in machine.sensors]  # coordinate of each sensor
+    fixed = np.array([not s.incremental for s in machine.sensors])  # lasers
+    known = zeros.known  # encoders with a known zero
+    rigid = rigid_basis(machine)  # (coordinates, motions that stretch no belt)
+    seen = machine.sensor_matrix @ rigid  # measurement per unit of each such motion, (sensors, motions)
     lasers_measured = _rank(seen[fixed & measured]) == _rank(seen) or not fixed.any()
     position_measured = lasers_measured or _rank(seen[(fixed | known) & measured]) == _rank(seen)
 
-    reading = measurement - np.where(known, zeros.offset, 0.0)
+    reading = measurement - np.where(known, zeros.offset, 0.0)  # (sensors,)
     usable = measured.copy()
     warnings: tuple[str, ...] = ()
     if not position_measured:
@@ -135,6 +134,7 @@ def estimate_initial_state(recording: Recording, machine: Machine, zeros: Encode
     # An angle is as accurate as a length once it is multiplied by the radius.
     weight = np.where(known, np.where(zeros.stretched, _STRETCHED_WEIGHT, 1.0), _FALLBACK_WEIGHT)
     weight = np.where(usable, np.where(fixed, 1.0, weight) * machine.travel_per_unit[site], 0.0)
+    # Weighted least squares for the motion that stretches no belt.
     position_from_reading = rigid @ np.linalg.pinv(weight[:, None] * seen, rcond=1e-12) * weight
     reading = np.where(usable, reading, np.nan)
     position = position_from_reading @ np.nan_to_num(reading)
@@ -142,7 +142,7 @@ def estimate_initial_state(recording: Recording, machine: Machine, zeros: Encode
         position[site[j]] = reading[j] / machine.sensors[j].row[machine.sensors[j].coordinate]
     offset = np.where(known, zeros.offset, np.where(measured, measurement - machine.sensor_matrix @ position, 0.0))
     return InitialState(
-        np.concatenate([position, np.zeros(count)]),
+        np.concatenate([position, np.zeros_like(position)]),
         offset,
         rows,
         zeros.stretched,

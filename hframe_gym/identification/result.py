@@ -137,7 +137,7 @@ class IdentificationResult:
             describes the effect.
         considered: Effects that reduced the error of the fitted runs but failed a test.
         dependence: Variables that the residual force of the refitted machine depends on, strongest first.
-        white: Whether the corrected machine leaves only the sensors' noise.
+        white: Whether the machine with the selected effects leaves only the sensors' noise.
         fitted: Runs that were fitted.
         held_out: Runs that nothing was fitted to.
         seconds: Duration of the identification, s.
@@ -246,7 +246,11 @@ def write_result(
         result: Result of `identify`.
         folder: Folder to write to; created if it does not exist.
         warnings: Findings about the recordings, one line of text each, which report.json repeats.
-        formulas: Formulas that may replace the tables of the corrected machine, see `formulas.compare_formulas`.
+        formulas: Formulas that may replace the tables (forces interpolated over one variable) of the machine, see
+            `formulas.compare_formulas`.
+
+    Raises:
+        OSError: If a file cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
     save_machine(result.declared.machine, folder / "declared.json")

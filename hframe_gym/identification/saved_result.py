@@ -161,7 +161,7 @@ class SavedResult:
 
     Attributes:
         report: Content of report.json.
-        machine: Corrected machine.
+        machine: Identified machine with the selected effects.
         declared: Machine as declared.
         curves: Curves of the plots by name, see `result.plot_data`.
     """

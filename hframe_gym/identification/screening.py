@@ -97,12 +97,14 @@ def screen(fit: Fit, candidates: Sequence[Candidate], data: Dataset) -> list[Sco
         return _perturbation_responses(model, run, candidate_perturbations(fit.machine, candidates, run, motion))
 
     equations = model.linearize(fit.theta, responses).normal_equations
+    # The ridge keeps the elimination possible where parameters have the same influence on the measurements.
     ridge = np.diag(_RIDGE * np.diag(equations.information))
     reduced = equations.eliminate_parameters(prior_precision(fit.free) + ridge)
     scored, first = [], 0
     for candidate in candidates:
         columns = np.arange(first, first + len(candidate.columns))  # of this candidate, among all perturbations
         first += len(columns)
+        # Square of each response before and after the free parameters took what they can reproduce of it.
         before = equations.response_information[columns, columns]
         information = reduced.response_information[np.ix_(columns, columns)]
         scored.append(_score(candidate, information, reduced.response_gradient[columns], before, fit.chi2))
@@ -126,7 +128,7 @@ def candidate_perturbations(
     Returns:
         Forces and changes of measurements by basis function, in the order of the candidates and of their `columns`.
     """
-    # Ties refer to the parameters of effects; the machine's tables already hold their values.
+    # Ties refer to the parameters of effects; the machine's parameters already have their values.
     bare = dataclasses.replace(machine, effects=(), ties={})
     record = (run.time_s, motion.positions[0], motion.velocities[0], run.inputs)
     bare_force = net_forces(bare, *record)
@@ -140,6 +142,7 @@ def candidate_perturbations(
         # eccentric pulley contains the product of belt travel and lever arm.
         fraction = _SMALL_FRACTION if effect.coulomb or effect.belt_travel else 1.0
         scales = {name: fraction if name in effect.amplitudes else 1.0 for name in columns[0]}
+        # Shape (columns, 1) each, so that all basis functions are evaluated at all samples at once.
         parameters = {name: np.array([[scale * column[name]] for column in columns]) for name, scale in scales.items()}
         perturbed = dataclasses.replace(bare, effects=(AppliedEffect(effect, members[0].site, parameters),))
         if effect.measurement or effect.measurement_delay:
@@ -246,8 +249,9 @@ def has_no_small_version(effect: Effect) -> bool:
 def screen_structures(current: Fit, data: Dataset, scale: TypicalScales, minimum_gain: float) -> list[Machine]:
     """Build machines with the most promising effects that replace a part of the model, one effect each.
 
-    For such effects the linearization predicts a smaller benefit than a fit achieves. Therefore the three best are
-    returned, structural effects with their two best starting values.
+    These are structural effects, which add coordinates, and effects that replace dry friction. For them the
+    linearization predicts a smaller benefit than a fit achieves. Therefore the three best are returned, structural
+    effects with their two best starting values.
 
     Args:
         current: Fit of the machine without such an effect; its observer bandwidth is used.
@@ -267,6 +271,7 @@ def screen_structures(current: Fit, data: Dataset, scale: TypicalScales, minimum
                 continue
             starting_values = _starting_values(effect, scale.of(machine.coordinate_of_site(site) or ""))
             variants = [machine.with_effects(effect.at(site, **values)) for values in starting_values]
+            # Linearized reduction of chi-squared by each variant, summed over all samples.
             gains = _structure_gains(variants, current, data)
             if gains.max() > minimum_gain * data.count:
                 best = np.argsort(-gains)[: 2 if effect.structure else 1]

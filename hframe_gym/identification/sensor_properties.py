@@ -85,7 +85,7 @@ def sensor_noise(channel: Sequence[Array], resting_rows: Sequence[int], quantum:
         at_rest = values[:count]
         at_rest = at_rest[np.isfinite(at_rest)]
         if len(at_rest) >= 10:
-            # A parabola is subtracted, because a stage that still creeps to rest is not noise.
+            # A parabola is subtracted, because a machine that still creeps to rest is not noise.
             grid = np.linspace(-1.0, 1.0, len(at_rest))
             parabola = np.polynomial.polynomial.polyfit(grid, at_rest, 2)
             squares += float(np.sum((at_rest - np.polynomial.polynomial.polyval(grid, parabola)) ** 2))
@@ -132,6 +132,7 @@ def clock_jitter(times: Sequence[Array], channel: Sequence[Array], noise: float)
         speed = smooth_speed(time_s[measured], values[measured])
         regular = np.linspace(time_s[measured][0], time_s[measured][-1], len(speed))
         at_regular_times = values[measured] + speed * (regular - time_s[measured])
+        # Fifth differences of white noise have 252 times its variance; each belongs to the middle of six samples.
         squares.append(np.diff(at_regular_times, n=5) ** 2 / _FIFTH_DIFFERENCE_VARIANCE)
         speeds.append(np.abs(speed[2:-3]))
     if not squares:
@@ -156,7 +157,7 @@ def smooth_speed(time_s: Array, values: Array) -> Array:
         Speed, unit/s, shape (n,).
 
     References:
-        Savitzky and Golay (1964).
+        Savitzky and Golay (1964), "Smoothing and differentiation of data by simplified least squares procedures".
     """
     period = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
     return np.asarray(savgol_filter(values, 11, 2, deriv=1, delta=period))
@@ -180,13 +181,13 @@ def saturation_ranges(
         that was never reached is set to ten times the largest measurement.
     """
     ranges: dict[str, Range] = {}
-    travel = [_positions_from_encoders(r, machine) for r in recordings]
+    positions_by_run = [_positions_from_encoders(r, machine) for r in recordings]
     for j, sensor in enumerate(machine.sensors):
         if sensor.incremental:
             continue
         i = machine.coordinate_names.index(sensor.coordinate)
         channel = [r.outputs[:, j] for r in recordings]
-        motion = [positions[:, i] for positions in travel]
+        motion = [positions[:, i] for positions in positions_by_run]
         ends = [_end(channel, motion, float(noise[j]), sign, 1.0, criteria) for sign in (-1.0, 1.0)]
         # A sensor that saturates at one end may well do so at the other; less evidence suffices there.
         if any(end is not None for end in ends):

@@ -83,6 +83,9 @@ def save_machine(machine: Machine, path: str | Path) -> None:
     Args:
         machine: Machine to write.
         path: Path of the file; its folder is created if necessary, and an existing file is replaced.
+
+    Raises:
+        OSError: If the file cannot be written.
     """
     write_text(path, json.dumps(machine_to_dict(machine), indent=1) + "\n")
 

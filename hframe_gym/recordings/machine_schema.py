@@ -66,7 +66,7 @@ class BeltEntry(Table):
         EA: Young's modulus times cross-section area, N.
         rest_length: Length with all coordinates at zero, m.
         extension: Extension per unit of belt travel, by name of the coordinate, dimensionless.
-        length: Change of the rest length per unit of belt travel, by name of the coordinate, dimensionless.
+        length: Change of the section's length per unit of belt travel, by name of the coordinate, dimensionless.
     """
 
     name: Name
@@ -86,10 +86,10 @@ class DriveEntry(Table):
         Kt: Torque constant of the motor, Nm/A.
         Ke: Back-EMF constant of the motor, V s/rad.
         resistance: Resistance of the winding, ohm.
-        gear_ratio: Speed of the motor relative to that of the coordinate, dimensionless.
-        rated_voltage: Largest voltage, V.
+        gear_ratio: Angle of the motor shaft per unit of the coordinate, rad/rad or rad/m.
+        rated_voltage: Rated voltage, V.
         converter_bits: Bits of the digital-to-analog converter; 0 for a continuous voltage.
-        voltage_range: Full scale of the converter, V. None: the rated voltage.
+        voltage_range: Largest voltage of the converter in either direction, V. None: the rated voltage.
         current_limit: Largest current, A (declares the effect current_limit). None: unlimited.
         delay: Delay of the voltage, s (declares the effect input_delay). None: no delay.
     """
@@ -113,7 +113,7 @@ class SensorEntry(Table):
 
     Attributes:
         channel: Column of its measurements in recordings; the ending gives the unit, m or rad.
-        kind: Kind of the sensor, which says whether it measures absolute positions. None: follows from the coordinate.
+        kind: "encoder" (incremental), "laser" (fixed zero) or a registered kind. None: follows from the coordinate.
         row: Coefficient by name of a coordinate, or of a product of two such as "y*yaw".
         noise: Standard deviation of the noise, m or rad.
         resolution: Quantization step, m or rad; 0 for none.

@@ -127,6 +127,9 @@ def write_trajectory(path: str | Path, trajectory: Trajectory, inputs: Array, ma
         trajectory: Simulated sample times and sensor readings, n samples.
         inputs: Drive voltages, V, shape (n, drives).
         machine: Machine that was simulated; its channels name the columns.
+
+    Raises:
+        OSError: If the file cannot be written.
     """
     header = ["time_s", *machine.input_channels, *machine.output_channels]
     table = np.column_stack([trajectory.time_s, inputs, trajectory.outputs])
