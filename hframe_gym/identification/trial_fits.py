@@ -47,10 +47,8 @@ def trial_fits(current: Fit, data: Dataset, enough: float, criteria: SelectionCr
     # Chi-squared per sample of a correct model; in one-step prediction, quantization keeps it above 1.
     floor = criteria.one_step_floor if current.bandwidth >= SEARCH_BANDWIDTH else 1.0
     trials: list[Fit] = []
-    remainder, best_promise = (
-        1.0,
-        0.0,
-    )  # of the excess over the floor, and linearized gain of the candidate that explains it
+    remainder = 1.0  # smallest fraction of the excess over the floor that a candidate leaves
+    best_promise = 0.0  # largest linearized gain of a candidate that explains the data
     for scored in _promising(current, screen(current, proposed, data), data, enough, criteria):
         # Where a candidate explains the data, only those that may be its rivals are fitted as well.
         if scored.gain > criteria.rival_promise * best_promise:
