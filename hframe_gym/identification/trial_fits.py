@@ -12,7 +12,7 @@ from .dataset import Dataset, TypicalScales, scales_of_motion
 from .estimation import Fit, fit
 from .free_parameters import FreeParameter, default_free_parameters
 from .model_error import effect_force, residue_force, search_step
-from .prediction import POLISH_STEP, SEARCH_BANDWIDTH, map_runs, predict
+from .prediction import POLISH_STEP, SEARCH_BANDWIDTH, SIMULATION, map_runs, predict
 from .residual import missing_force
 from .screening import ScoredCandidate, screen, screen_structures
 
@@ -111,10 +111,10 @@ def _replace(current: Fit, machine: Machine, scales: TypicalScales, data: Datase
     """Fit a machine in which an effect replaces a part of the model, with default free parameters.
 
     Where the structure is new, the search starts from the declared parameters: those fitted without the effect
-    compensate for it.
+    compensate for it. A machine that can be simulated is close enough already.
     """
     effect = machine.effects[-1]
-    if effect.definition.structure:
+    if effect.definition.structure and current.bandwidth > SIMULATION:
         declared = {f.name: f.center for f in current.free if "@" not in f.name}
         machine = current.machine.replace(declared).with_effects(effect)
     free = list(default_free_parameters(machine, effects=False))
