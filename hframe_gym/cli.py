@@ -131,7 +131,9 @@ def identify(
 ) -> None:
     """Fit a machine to its recordings, find the effects that its model lacks, and verify them on held-out runs.
 
-    The recordings are checked first; faults (see `hframe check`) stop the command before anything is fitted.
+    The recordings are checked first; faults (see `hframe check`) stop the command before anything is fitted. Every
+    fourth run is held out unless --hold-out names others: it is not fitted and gives the errors of the report. The
+    folder --out receives report.json, the declared, refitted and corrected machine, report.html and its plots.
 
     Example:  hframe identify examples/rig_a --out out/rig_a
     """

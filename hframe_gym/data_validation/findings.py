@@ -59,10 +59,13 @@ def group_findings(findings: Sequence[Finding]) -> list[Finding]:
     for finding in findings:
         text = re.sub(r"\d[\d.e+-]*", "#", finding.message) if finding.run else finding.message
         groups.setdefault((finding.severity, finding.channel, text), []).append(finding)
-    return [
-        group[0] if len(group) == 1 else replace(group[0], run=f"{group[0].run} and {len(group) - 1} more runs")
-        for group in groups.values()
-    ]
+    return [_merged(group) for group in groups.values()]
+
+
+def _merged(group: list[Finding]) -> Finding:
+    """Return the first finding of a group with the number of further runs, if the group has several runs."""
+    first, others = group[0], len({finding.run for finding in group}) - 1
+    return replace(first, run=f"{first.run} and {others} more run{'s' if others > 1 else ''}") if others else first
 
 
 def print_findings(findings: Sequence[Finding], console: Console) -> None:

@@ -67,7 +67,7 @@ class ProposedFormula:
         """Convert the formula to an entry of `proposed_formulas` in report.json.
 
         Returns:
-            Labels of table and terms, equation, parameters (SI), their number (complexity), errors, recommendation.
+            Labels, equation, parameters (SI), their number, `curve_error` (see `Formula.error`), and the attributes.
         """
         effect, formula = self.effect, self.effect.formula
         return {

@@ -225,16 +225,16 @@ def _position_warning(
 def sensor_zero_error(error: Array, measured: NDArray[np.bool_], resting_rows: int, max_mean: Array) -> Array:
     """Estimate the constant part of a prediction error that wrong zeros (measurements at position 0) explain.
 
-    It is the mean over the later half of the rows at rest, because a sensor counts from where it was switched on. Those
-    rows determine the zero of a quantized channel only to within its quantum, so up to half a quantum of the mean over
-    the complete run is added; not more, because in one-step prediction a constant force causes such a mean. An encoder
-    behind belts loses its entire mean: friction holds an unknown stretch of the belts at rest.
+    It is the mean error over the later half of the rows at rest, because a sensor counts from where it was switched on.
+    The mean of the complete run beyond that is added up to the limit `max_mean`. The limit is half a quantum for a
+    quantized channel, whose zero the rows at rest determine only to within its quantum; a larger mean may come from a
+    constant force. It is infinite for an encoder behind belts, because friction holds an unknown stretch at rest.
 
     Args:
         error: Measured minus predicted values of a batch of predictions over n samples, in the sensors' units, 0 where
             not measured, shape (batch, n, sensors).
         measured: Whether a value was measured, shape (n, sensors).
-        resting_rows: Number of rows at rest at the beginning of the run.
+        resting_rows: Number of rows at rest at the beginning of the run, at least 1.
         max_mean: Largest part of the run's mean that may be added, in the sensors' units, see `max_zero_means`, shape
             (sensors,).
 

@@ -58,7 +58,9 @@ class PredictionErrors:
         """Convert the errors to the format of report.json.
 
         Returns:
-            By channel name, a dictionary with rmse (channel unit) and noise_ratio; and force_error where it is defined.
+            By channel name, a dictionary with rmse (simulation error, channel unit) and noise_ratio (rmse over the
+            standard deviation of the sensor's noise); and force_error (dimensionless, relative error of the drives'
+            force) for machines that allow inverse dynamics.
         """
         content: dict[str, Any] = {c: {"rmse": e.rmse, "noise_ratio": e.noise_ratio} for c, e in self.channels.items()}
         return content if self.force is None else content | {"force_error": self.force}

@@ -53,7 +53,7 @@ def refuse_rows(path: Path, name: str, column: Array, invalid: NDArray[np.bool_]
         reason: Text that follows the value in the message, for example "is infinite".
 
     Raises:
-        InputError: If any row is invalid. The message names file, row, column and value.
+        InputError: If any row is invalid. The message names file, row, column and the value, unless that is empty.
     """
     if invalid.any():
         row = int(np.argmax(invalid))
