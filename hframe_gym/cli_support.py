@@ -161,16 +161,18 @@ def print_warning(message: Warning | str, *_args: Any, **_keywords: Any) -> None
 def check_recordings_before_fit(
     recordings: Sequence[Recording], machine: Machine, refuse: Path | None, log: Callable[[str], None]
 ) -> list[str]:
-    """Check the data of recordings, print the findings and refuse faulty recordings.
+    """Check the data of recordings, log the findings and refuse recordings with faults.
+
+    A fault is a finding that makes the data wrong for certain, for example a stuck sensor or a swapped sign.
 
     Args:
         recordings: Runs to fit.
         machine: Machine as declared.
-        refuse: Folder to name in the error. None: faults are printed only.
-        log: Called with a line of text for every finding.
+        refuse: Folder of the recordings, which the error names. None: faults are only logged.
+        log: Called with a line of text for every group of similar findings.
 
     Returns:
-        One line of text per finding.
+        One line of text per single finding.
 
     Raises:
         InputError: If there is a fault and `refuse` is given.

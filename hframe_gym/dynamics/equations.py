@@ -116,6 +116,10 @@ class Equations(BeltEquations, SignalEquations):
     ) -> ForceBalance:
         """Add the forces of the effects to those of belts and drives, and determine the Coulomb friction force.
 
+        Values have the shape (...) of the point, or are symbols or scalars. Back-EMF counts as viscous friction and is in
+        none of the forces. Effects that are zero outside a region are added behind a branch; those that react to the
+        sum of all other forces come last.
+
         Args:
             point: Belt travel and speed of every coordinate, at which to evaluate.
             motor_voltages: Voltage at each motor, V, from `motor_voltages`.
@@ -124,7 +128,8 @@ class Equations(BeltEquations, SignalEquations):
         Returns:
             forces: Sum of all forces on each coordinate except viscous and Coulomb friction, along its belt travel, N.
             coulomb: Coulomb friction force (magnitude) of each coordinate, N.
-            arguments: Friction forces and currents that `next_state` takes, by index in `instances`.
+            arguments: Arguments of the hook `next_state` by index in `instances`: Coulomb friction in the coordinate's
+                unit (`level`, N or Nm) or current (`i`, A).
         """
         arguments: dict[int, dict[str, Value]] = {}
         totals, levels = [], []
@@ -282,7 +287,7 @@ class Equations(BeltEquations, SignalEquations):
             velocities: Velocities, m/s or rad/s, of the same shape; None: at rest.
             time_s: Time since the machine was switched on, s, shape (...).
             effect_states: State of each effect that has one (bristle deflection, motor current, ...), in its unit, by
-                its index in `instances`; None: all zero.
+                its index in `instances`, shape (...) each; None: all zero.
 
         Returns:
             The point: lists of belt travel, m, and its rate, m/s, with one array of shape (...) per coordinate.

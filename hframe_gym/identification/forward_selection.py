@@ -114,7 +114,7 @@ class EffectSearch:
         data, criteria = self._data, self._criteria
         while len(selected) < criteria.max_effects and current.chi2 > criteria.noise_level:
             enough = minimum_gain(current, criteria)  # reduction of chi-squared per sample
-            trials = sorted(trial_fits(current, data, enough, criteria), key=lambda trial: trial.cost)
+            trials = _simplest_first(trial_fits(current, data, enough, criteria), current, data, criteria)
             best = self._best(current, trials, enough)
             if best is None:
                 break
@@ -237,12 +237,25 @@ def describe_gain(before: Fit, after: Fit) -> str:
     return f"reduces chi-squared per sample from {before.chi2:.4g} to {after.chi2:.4g} ({observer})"
 
 
+def _margin(current: Fit, best_cost: float, data: Dataset, criteria: SelectionCriteria) -> float:
+    """Return the difference of cost from the best trial within which another one explains the data as well."""
+    gain = current.cost - best_cost
+    return max(criteria.rival_gain_margin * data.count, (1.0 - criteria.rival_gain_fraction) * gain)
+
+
+def _simplest_first(trials: list[Fit], current: Fit, data: Dataset, criteria: SelectionCriteria) -> list[Fit]:
+    """Return the trials in the order of their cost; among those as good as the best, fewest parameters first."""
+    ranked = sorted(trials, key=lambda trial: trial.cost)
+    if not ranked:
+        return ranked
+    limit = ranked[0].cost + _margin(current, ranked[0].cost, data, criteria)
+    return sorted(ranked, key=lambda trial: (trial.cost > limit, len(trial.free) if trial.cost <= limit else 0))
+
+
 def _rivals(trials: list[Fit], current: Fit, data: Dataset, criteria: SelectionCriteria) -> tuple[AppliedEffect, ...]:
-    """Return the effects of the trials that explain the data as well as the best one."""
+    """Return the effects of the trials that explain the data as well as the first one."""
     best = trials[0]
-    margin = max(
-        criteria.rival_gain_margin * data.count, (1.0 - criteria.rival_gain_fraction) * (current.cost - best.cost)
-    )
+    margin = _margin(current, best.cost, data, criteria)
     close = (t.machine.effects[-1] for t in trials[1:] if t.cost - best.cost < margin)
     return tuple(e for e in close if e.label != best.machine.effects[-1].label)
 

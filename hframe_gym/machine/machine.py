@@ -125,7 +125,8 @@ class Machine:
                 products ("y*yaw") are ignored.
 
         Returns:
-            Coefficients, shape (coordinates,); zero where the row does not name the coordinate.
+            Coefficients, shape (coordinates,), in the unit of belt or sensor per unit of the coordinate (m/m or m/rad);
+            zero where the row does not name the coordinate.
         """
         return np.array([row.get(name, 0.0) for name in self.coordinate_names])
 

@@ -93,8 +93,9 @@ def load_recording(path: str | Path, machine: Machine, *, outputs_needed: bool =
         The run, with inputs in the order of the machine's drives and outputs in that of its sensors.
 
     Raises:
-        InputError: If the file cannot be read, columns are missing or unknown, a time or input is empty or infinite,
-            times do not increase, or a channel is in a wrong unit. The message names file, row and column.
+        InputError: If the file cannot be read or has no rows, columns are missing or unknown, a time or input is empty
+            or infinite, all outputs are empty, times do not increase, or a channel is in a wrong unit. The message names
+            the file, and row and column where there is one.
     """
     path = Path(path)
     header, columns = read_table(path)
