@@ -116,8 +116,8 @@ class Equations(BeltEquations, SignalEquations):
     ) -> ForceBalance:
         """Add the forces of the effects to those of belts and drives, and determine the Coulomb friction force.
 
-        Values have the shape (...) of the point, or are symbols or scalars. Back-EMF counts as viscous friction and is in
-        none of the forces. Effects that are zero outside a region are added behind a branch; those that react to the
+        Values have the shape (...) of the point, or are symbols or scalars. Back-EMF counts as viscous friction and is
+        in none of the forces. Effects that are zero outside a region are added behind a branch; those that react to the
         sum of all other forces come last.
 
         Args:

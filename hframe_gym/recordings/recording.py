@@ -94,8 +94,8 @@ def load_recording(path: str | Path, machine: Machine, *, outputs_needed: bool =
 
     Raises:
         InputError: If the file cannot be read or has no rows, columns are missing or unknown, a time or input is empty
-            or infinite, all outputs are empty, times do not increase, or a channel is in a wrong unit. The message names
-            the file, and row and column where there is one.
+            or infinite, all outputs are empty, times do not increase, or a channel is in a wrong unit. The message
+            names the file, and row and column where there is one.
     """
     path = Path(path)
     header, columns = read_table(path)
