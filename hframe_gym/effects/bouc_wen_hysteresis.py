@@ -6,7 +6,8 @@ the force falls along a straight line to zero, then it approaches F as tanh of t
 """
 
 from ..dynamics.elementwise import absolute, copysign, exp, maximum, minimum, where
-from ..machine import Effect, EffectParameter, Machine
+from ..machine import Effect
+from .dahl_hysteresis import PARAMETERS, fits_site, force
 
 
 def next_state(z, dq, L):  # type: ignore[no-untyped-def]
@@ -30,24 +31,6 @@ def next_state(z, dq, L):  # type: ignore[no-untyped-def]
     return direction * where(after_straight < 0.0, after_straight, (1.0 - decay) / (1.0 + decay))
 
 
-def force(z, F):  # type: ignore[no-untyped-def]
-    """Return the force -F z, N; z: state from -1 to 1, F: largest force, N."""
-    return -F * z
-
-
-def fits_site(machine: Machine, site: str) -> bool:
-    """Check whether the effect can act on a coordinate: a linear one, to which a cable can lead.
-
-    Args:
-        machine: The machine.
-        site: Name of the coordinate.
-
-    Returns:
-        True for a linear coordinate.
-    """
-    return machine.coordinate(site).kind == "linear"
-
-
 EFFECT = Effect(
     name="bouc_wen_hysteresis",
     family="hysteresis",
@@ -57,9 +40,5 @@ EFFECT = Effect(
     force=force,
     next_state=next_state,
     fits_site=fits_site,
-    parameters=(
-        EffectParameter("F", "force", 0.0, 1e3, scale=0.3, role="amplitude"),
-        # A force that builds up within less than a millimeter is presliding of the dry friction itself.
-        EffectParameter("L", "position", 1e-3, 1e3, scale=0.02, grid=(0.01, 0.03, 0.08)),
-    ),
+    parameters=PARAMETERS,
 )

@@ -41,6 +41,12 @@ def fits_site(machine: Machine, site: str) -> bool:
     return machine.coordinate(site).kind == "linear"
 
 
+PARAMETERS = (
+    EffectParameter("F", "force", 0.0, 1e3, scale=0.3, role="amplitude"),
+    # A force that builds up within less than a millimeter is presliding of the dry friction itself.
+    EffectParameter("L", "position", 1e-3, 1e3, scale=0.02, grid=(0.01, 0.03, 0.08)),
+)
+
 EFFECT = Effect(
     name="dahl_hysteresis",
     family="hysteresis",
@@ -50,9 +56,5 @@ EFFECT = Effect(
     force=force,
     next_state=next_state,
     fits_site=fits_site,
-    parameters=(
-        EffectParameter("F", "force", 0.0, 1e3, scale=0.3, role="amplitude"),
-        # A force that builds up within less than a millimeter is presliding of the dry friction itself.
-        EffectParameter("L", "position", 1e-3, 1e3, scale=0.02, grid=(0.01, 0.03, 0.08)),
-    ),
+    parameters=PARAMETERS,
 )

@@ -1,23 +1,24 @@
-"""A sensor with another gain than declared: it measures (1 + g) r.
+"""Scale error of a sensor: it measures (1 + g) times the true value r, with a constant relative error g.
 
-For an encoder this is equivalent to another radius of the pulley.
+The scale error of an encoder on a pulley has the same effect on the measurements as a wrong pulley radius.
 """
 
 from ..machine import Effect, EffectParameter, Machine
 
 
 def measurement(r, g):  # type: ignore[no-untyped-def]
-    """Return the measurement (1 + g) r, m or rad; r: ideal reading, same unit, g: relative scale error."""
+    """Return the measurement (1 + g) r, m or rad; r: true value, same unit; g: relative scale error, dimensionless."""
     return r + g * r
 
 
 def fits(machine: Machine) -> bool:
-    """Check whether a scale error can be identified: it needs more sensors than linear coordinates.
+    """Check whether a scale error can be identified on a machine.
 
-    A scale error of the only sensor of an axis is equivalent to other masses and forces of the machine.
+    The machine needs redundant sensors: more sensors than linear coordinates. If a single sensor measures an axis, a
+    scale error cannot be distinguished from masses and forces that are wrong by the same factor.
 
     Args:
-        machine: The machine.
+        machine: Machine with its sensors and coordinates.
 
     Returns:
         True if there are more sensors than linear coordinates.
@@ -30,9 +31,10 @@ EFFECT = Effect(
     family="sensor_scale",
     site="sensor",
     formula="measurement = (1 + g) r",
-    source="calibration",
+    source="sensor calibration error",
     measurement=measurement,
     equivalent=("a pulley's radius",),
     fits=fits,
+    # From a tenth to ten times the declared scale; the search starts from errors of about 1 %.
     parameters=(EffectParameter("g", "1", -0.9, 9.0, scale=0.01, role="amplitude"),),
 )

@@ -4,7 +4,7 @@ from ..machine import Effect, EffectParameter, Machine
 
 
 def measurement(r, across, a):  # type: ignore[no-untyped-def]
-    """Return the measurement r + a q, m; r: ideal reading, m, across: q, position of the other axis, m, a: rad."""
+    """Return the measurement r + a q, m; r: true value, m; across: q of the other axis, m; a: skew, m/m."""
     return r + a * across
 
 

@@ -5,7 +5,6 @@ needs an extra.
 """
 
 from .actuators import ACTUATOR_PRESETS, Actuators, ActuatorsLike
-from .batched_simulator import parameter_values
 from .config import EnvConfig, EnvOptions, MachineLike, as_machine
 from .domain_randomization import (
     DISTRIBUTIONS,
@@ -75,5 +74,4 @@ __all__ = [
     "as_task",
     "observation_space",
     "observed_machine",
-    "parameter_values",
 ]

@@ -31,7 +31,7 @@ Index = NDArray[np.intp]
 BLOCKS_FOR_THREADS = 64
 
 
-def parameter_values(machine: Machine, name: str, values: Array) -> Array:
+def _parameter_values(machine: Machine, name: str, values: Array) -> Array:
     """Return one parameter of k machines; a tied parameter is computed as its factor times the parameter it is tied to.
 
     Args:
@@ -47,7 +47,7 @@ def parameter_values(machine: Machine, name: str, values: Array) -> Array:
     """
     if name in machine.ties:
         free, factor = machine.ties[name]
-        return factor * parameter_values(machine, free, values)
+        return factor * _parameter_values(machine, free, values)
     return values[:, list(machine.parameters).index(name)]
 
 
@@ -66,7 +66,7 @@ def units_per_travel(machine: Machine, values: Array) -> Array:
     units = np.ones((len(values), len(machine.coordinates)))
     for i, c in enumerate(machine.coordinates):
         if c.kind == "rotary":
-            units[:, i] = 1.0 / parameter_values(machine, f"{c.name}.radius", values)
+            units[:, i] = 1.0 / _parameter_values(machine, f"{c.name}.radius", values)
     return units
 
 

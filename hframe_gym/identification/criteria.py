@@ -69,8 +69,8 @@ class SelectionCriteria:
         max_table_cross_validation: Largest cost of the half of the data that a table was not fitted to, relative to the
             cost without the table.
         cross_validation_blocks: Number of blocks into which a single run is divided for cross-validation.
-        max_drift: Simulation error relative to the standard deviation of the signal from which one-step prediction
-            decides instead.
+        max_drift: Simulation error relative to the standard deviation of the signal above which formulas for a table
+            are compared in one-step prediction instead of simulation.
         explained_chi2: Chi-squared per sample below which the model explains the data.
         explained_fraction: Fraction of the initial chi-squared per sample below which the model explains the data,
             where the initial value is large.

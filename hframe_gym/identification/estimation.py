@@ -59,6 +59,11 @@ class Fit:
         return self.cost / self.count
 
     @property
+    def mode(self) -> str:
+        """Kind of prediction that was fitted, for the log: "observer of 60 rad/s" or "simulation"."""
+        return f"observer of {self.bandwidth:g} rad/s" if self.bandwidth else "simulation"
+
+    @property
     def values(self) -> dict[str, float]:
         """Fitted values of the free parameters, SI, by full name such as `x.coulomb`."""
         return values_at(self.free, self.theta)

@@ -11,9 +11,6 @@ import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ..machine import AppliedEffect, Machine
 from .criteria import SelectionCriteria
 from .dataset import Dataset
@@ -23,7 +20,6 @@ from .model_error import effect_force, fit_with_model_error, leave_one_out_gain,
 from .prediction import SEARCH_BANDWIDTH
 from .trial_fits import converge, trial_fits, without_effect
 
-Array = NDArray[np.float64]
 Log = Callable[[str], None]
 
 
@@ -70,14 +66,12 @@ class ConsideredEffect:
         effect: The effect with the parameters of its trial fit.
         machine: Machine that was fitted with the effect.
         machine_without: Machine as it was fitted before.
-        gain: Reduction of chi-squared per sample on the fitted runs.
         reason: Why it was not selected; a clause that follows "it ".
     """
 
     effect: AppliedEffect
     machine: Machine
     machine_without: Machine
-    gain: float
     reason: str
 
 
@@ -96,6 +90,19 @@ class EffectSearch:
     def __init__(self, data: Dataset, criteria: SelectionCriteria, log: Log) -> None:
         self._data, self._criteria, self._log = data, criteria, log
         self.considered: dict[str, ConsideredEffect] = {}
+
+    def with_data(self, data: Dataset) -> EffectSearch:
+        """Return a search in other data that remembers the effects considered so far.
+
+        Args:
+            data: Prepared recordings to fit, for example with corrected zeros of the encoders.
+
+        Returns:
+            New search.
+        """
+        search = EffectSearch(data, self._criteria, self._log)
+        search.considered = dict(self.considered)
+        return search
 
     def run(self, current: Fit, selected: tuple[SelectedEffect, ...] = ()) -> Selection:
         """Add one effect after another while one reduces the error by enough and passes all tests.
@@ -142,7 +149,7 @@ class EffectSearch:
             if not doubt:
                 return fitted
             self._log(f"  {effect.label} is not selected: it {doubt}")
-            self.considered[effect.label] = ConsideredEffect(effect, fitted.machine, current.machine, gain, doubt)
+            self.considered[effect.label] = ConsideredEffect(effect, fitted.machine, current.machine, doubt)
         return None
 
     def prune(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection:
@@ -163,12 +170,11 @@ class EffectSearch:
             if candidate.effect.definition.structure:
                 continue
             reduced = without_effect(current, candidate.effect.label, self._data)
-            gain = (reduced.cost - current.cost) / self._data.count
             doubt = self._doubt_beside_others(reduced, current, candidate.effect)
             if doubt:
                 self._log(f"  {candidate.effect.label} is removed: it {doubt}")
                 self.considered[candidate.effect.label] = ConsideredEffect(
-                    candidate.effect, current.machine, reduced.machine, gain, doubt
+                    candidate.effect, current.machine, reduced.machine, doubt
                 )
                 # The others are examined again: what was worth its place beside this effect need not be so alone.
                 return self.prune(reduced, tuple(s for s in selected if s is not candidate))
@@ -233,8 +239,7 @@ def describe_gain(before: Fit, after: Fit) -> str:
     Returns:
         Text that continues a sentence whose subject is the effect.
     """
-    observer = f"observer of {before.bandwidth:g} rad/s" if before.bandwidth else "simulation"
-    return f"reduces chi-squared per sample from {before.chi2:.4g} to {after.chi2:.4g} ({observer})"
+    return f"reduces chi-squared per sample from {before.chi2:.4g} to {after.chi2:.4g} ({before.mode})"
 
 
 def _margin(current: Fit, best_cost: float, data: Dataset, criteria: SelectionCriteria) -> float:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from ..dynamics import net_forces
 from ..machine import AppliedEffect, Machine
+from .criteria import SelectionCriteria
 from .dataset import Dataset, PreparedRecording
 from .estimation import Fit, fit
 from .free_parameters import prior_precision
@@ -260,6 +261,20 @@ def _leave_one_out_costs(fitted: Fit, data: Dataset) -> Array:
         step = -np.linalg.solve(hessian, gradient)
         costs.append(run.cost + 2.0 * run.gradient @ step + step @ run.information @ step)
     return np.array(costs)
+
+
+def explains(fitted: Fit, initial_chi2: float, criteria: SelectionCriteria) -> bool:
+    """Return whether a fit leaves only the sensors' noise, or a negligible part of the initial residual.
+
+    Args:
+        fitted: Fit at the bandwidth of the observer that its remaining error requires.
+        initial_chi2: Chi-squared per sample of the first fit, without effects.
+        criteria: Decision thresholds `explained_chi2` and `explained_fraction`.
+
+    Returns:
+        True if nothing noticeable remains.
+    """
+    return fitted.chi2 < max(criteria.explained_chi2, criteria.explained_fraction * initial_chi2)
 
 
 def at_bandwidth(fitted: Fit, bandwidth: float, data: Dataset) -> Fit:

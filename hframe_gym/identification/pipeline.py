@@ -26,7 +26,7 @@ from .forward_selection import (
     Selection,
 )
 from .free_parameters import default_free_parameters
-from .model_error import drive_force, effect_force, fit_with_model_error, polish
+from .model_error import drive_force, effect_force, explains, fit_with_model_error, polish
 from .nonparametric import add_tables
 from .prediction import POLISH_STEP, SEARCH_BANDWIDTH
 from .recording_simulation import evaluate_held_out
@@ -113,7 +113,7 @@ def identify(
     log(f"refitted machine: {_describe(before)}")
     log("searching for effects")
     outcome = _Search(base, before, data, criteria, log).run()
-    outcome = _without_unconfirmed(outcome, before, data, validation, log)
+    outcome = _without_unconfirmed(outcome, before, explains(before, base.chi2, criteria), data, validation, log)
     result = _result(outcome, machine, before, ranges, data, validation, as_measured, criteria)
     log(f"verdict: {result.verdict}")
     return dataclasses.replace(result, seconds=time.perf_counter() - began, excluded=(*unused, *excluded))
@@ -162,27 +162,30 @@ class _Outcome(NamedTuple):
     considered: tuple[ConsideredEffect, ...]
 
 
-def _without_unconfirmed(outcome: _Outcome, before: Fit, data: Dataset, validation: Dataset, log: Log) -> _Outcome:
+def _without_unconfirmed(
+    outcome: _Outcome, before: Fit, before_explains: bool, data: Dataset, validation: Dataset, log: Log
+) -> _Outcome:
     """Remove effects that do not reduce the error of the held-out runs, weakest first.
 
-    The held-out runs can only remove an effect here, never add or change one.
+    The held-out runs can only remove an effect here, never add or change one. Structural effects stay, because the
+    others act on the coordinates that they add.
     """
     verdict, after, selected, considered = outcome
-    while selected:
+    while removable := [s for s in selected if not s.effect.definition.structure]:
         runs = refine_encoder_offsets(validation, after.machine, data)
-        gains = [_held_out_gain(s, after.machine, runs, after.bandwidth) for s in selected]
-        weakest = selected[gains.index(min(gains))]
-        if min(gains) > 0.0 or weakest.effect.definition.structure:
+        gains = [_held_out_gain(s, after.machine, runs, after.bandwidth) for s in removable]
+        if min(gains) > 0.0:
             break
+        weakest = removable[gains.index(min(gains))]
         reason = "does not reduce the error of the held-out runs"
         log(f"  {weakest.effect.label} is removed: it {reason}")
-        reduced = polish(without_effect(after, weakest.effect.label, data), data)
-        entry = ConsideredEffect(weakest.effect, after.machine, reduced.machine, weakest.gain, reason)
+        reduced = without_effect(after, weakest.effect.label, refine_encoder_offsets(data, after.machine))
+        entry = ConsideredEffect(weakest.effect, after.machine, reduced.machine, reason)
         selected = tuple(s for s in selected if s is not weakest)
         after, considered = reduced if selected else before, (*considered, entry)
         selected = tuple(s.with_values(after.machine) for s in selected)
         if not selected:
-            verdict = "no_effect" if verdict == "effect_found" else verdict
+            verdict = "no_effect" if before_explains else "unexplained"
     return _Outcome(verdict, after, selected, considered)
 
 
@@ -244,8 +247,7 @@ def _corrected(
 
 def _describe(fitted: Fit) -> str:
     """Return chi-squared and observer bandwidth of a fit, for the log."""
-    observer = f"observer of {fitted.bandwidth:g} rad/s" if fitted.bandwidth else "simulation"
-    return f"chi-squared per sample {fitted.chi2:.4g} ({observer})"
+    return f"chi-squared per sample {fitted.chi2:.4g} ({fitted.mode})"
 
 
 class _Search:
@@ -284,7 +286,7 @@ class _Search:
         refined = refine_encoder_offsets(data, current.machine)
         if refined is not data:
             # The encoders' zeros are known better with the effects, which may reveal further ones.
-            data, search = refined, EffectSearch(refined, criteria, log)
+            data, search = refined, search.with_data(refined)
             current = polish(current, data)
             current, effects = search.run(fit_with_model_error(current, data), effects)
         if effects:
@@ -315,8 +317,7 @@ class _Search:
 
     def _explains(self, after: Fit) -> bool:
         """Return whether a fit leaves only the sensors' noise, or a negligible part of the initial residual."""
-        criteria = self._criteria
-        return after.chi2 < max(criteria.explained_chi2, criteria.explained_fraction * self._base.chi2)
+        return explains(after, self._base.chi2, self._criteria)
 
 
 def _held_out_gain(selected: SelectedEffect, machine: Machine, validation: Dataset, bandwidth: float) -> float:

@@ -99,9 +99,9 @@ class Machine:
             The drive.
 
         Raises:
-            StopIteration: If the machine has no such drive.
+            ValueError: If the machine has no such drive.
         """
-        return next(d for d in self.drives if d.name == name)
+        return self.drives[[d.name for d in self.drives].index(name)]
 
     def sensor(self, channel: str) -> Sensor:
         """Return the sensor of a channel.
@@ -113,9 +113,9 @@ class Machine:
             The sensor.
 
         Raises:
-            StopIteration: If the machine has no such channel.
+            ValueError: If the machine has no such channel.
         """
-        return next(s for s in self.sensors if s.channel == channel)
+        return self.sensors[self.output_channels.index(channel)]
 
     def coefficients(self, row: Row) -> Array:
         """Convert coefficients by coordinate name to an array over all coordinates.

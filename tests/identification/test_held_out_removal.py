@@ -1,0 +1,59 @@
+"""Tests of the removal of effects that the held-out runs do not confirm."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hframe_gym.effects import EFFECTS
+from hframe_gym.identification import Dataset, Fit, SelectedEffect, default_free_parameters, fit, prepare
+from hframe_gym.identification.pipeline import _Outcome, _without_unconfirmed
+from hframe_gym.identification.prediction import SIMULATION
+from hframe_gym.machine import BUILTIN_MACHINES, Machine
+from hframe_gym.recordings import Recording
+
+pytestmark = pytest.mark.unit
+NOISE = 20e-6  # m
+
+
+@pytest.fixture
+def axis() -> Machine:
+    """Return the built-in axis."""
+    return BUILTIN_MACHINES["axis"]()
+
+
+def recorded(machine: Machine, seed: int) -> Recording:
+    """Return a noisy recording of a moving axis."""
+    rng = np.random.default_rng(seed)
+    time_s = np.arange(1000) * 1e-3
+    inputs = np.where(time_s > 0.1, 1.5 * np.sin((8 + seed) * time_s) + 0.7 * np.sin(31 * time_s), 0.0)[:, None]
+    return Recording(f"run_{seed}", time_s, inputs, machine.simulate(time_s, inputs).outputs + rng.normal(0, NOISE))
+
+
+def outcome_with_force(axis: Machine, data: Dataset, size: float) -> tuple[Fit, _Outcome]:
+    """Return the fit of the axis, and an outcome that selected a constant force, N."""
+    before = fit(axis, default_free_parameters(axis), data, SIMULATION)
+    machine = axis.with_effects(EFFECTS["constant_force"].at("x", size=size))
+    after = fit(machine, default_free_parameters(machine), data, SIMULATION, iterations=1)
+    selected = SelectedEffect(machine.effects[0], (), 1.0, axis).with_values(after.machine)
+    return before, _Outcome("effect_found", after, (selected,), ())
+
+
+@pytest.mark.parametrize(("before_explains", "verdict"), [(True, "no_effect"), (False, "unexplained")])
+def test_an_effect_that_held_out_runs_deny_is_removed(axis: Machine, before_explains: bool, verdict: str) -> None:
+    """Without the last effect the verdict says whether the refitted machine explains the data."""
+    pushed = axis.with_effects(EFFECTS["constant_force"].at("x", size=0.3))
+    data, validation = prepare([recorded(pushed, 0)], axis), prepare([recorded(axis, 1)], axis)
+    before, outcome = outcome_with_force(axis, data, 0.3)
+    removed = _without_unconfirmed(outcome, before, before_explains, data, validation, lambda line: None)
+    assert removed.verdict == verdict
+    assert removed.selected == ()
+    assert removed.after is before
+    assert [entry.effect.label for entry in removed.considered] == ["constant_force@x"]
+
+
+def test_an_effect_that_held_out_runs_confirm_stays(axis: Machine) -> None:
+    pushed = axis.with_effects(EFFECTS["constant_force"].at("x", size=0.3))
+    data, validation = prepare([recorded(pushed, 0)], axis), prepare([recorded(pushed, 1)], axis)
+    before, outcome = outcome_with_force(axis, data, 0.3)
+    assert _without_unconfirmed(outcome, before, False, data, validation, lambda line: None) == outcome
