@@ -12,23 +12,20 @@ import numpy as np
 import pytest
 
 from hframe_gym import cli, registry
-from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS, unregister_effect
 from hframe_gym.effects.formulas import Formula, FormulaEffect, terms_of
 from hframe_gym.effects.smooth_table import KNOTS, definition
 from hframe_gym.errors import InputError
-from hframe_gym.identification import IdentificationResult, SelectedEffect, prepare, write_result
+from hframe_gym.identification import IdentificationResult, write_result
 from hframe_gym.identification.formulas import TableComparison, compare_formulas, formulas_of_folder, tables_of
 from hframe_gym.identification.report import build_report
-from hframe_gym.identification.residual import channel_errors, force_error
-from hframe_gym.identification.result import ModelEvaluation, PredictionErrors
-from hframe_gym.machine import BUILTIN_MACHINES, Machine, Uncertainty
-from hframe_gym.recordings import Recording, load_machine
+from hframe_gym.machine import Machine, Uncertainty
+from hframe_gym.recordings import load_machine
+from tests.identification.axis_results import AXIS, axis_result, axis_runs
 
 pytestmark = pytest.mark.integration
 pytest.importorskip("sklearn")
 
-AXIS = BUILTIN_MACHINES["axis"]()
 PULL, CENTER, WIDTH, DEVIATION = 6.0, 0.05, 0.04, 0.02  # N, m, m, N
 
 
@@ -52,38 +49,10 @@ def with_table() -> Machine:
 @pytest.fixture(scope="module")
 def result() -> IdentificationResult:
     """Return a result whose corrected machine has the table, from three runs of 1 s. It is immutable."""
-    rng = np.random.default_rng(3)
     catch = next(term for term in terms_of("position", force=True) if term.name == "magnetic catch")
     formula = Formula((catch,), (PULL,), ((CENTER, WIDTH),), 0.0)
     truth = AXIS.with_effects(FormulaEffect("truth", formula, with_table().effects[0], AXIS).applied())
-    recordings = []
-    for k in range(3):
-        time_s = np.arange(1000) * 1e-3
-        inputs = np.repeat(rng.uniform(-4.0, 4.0, (10, 1)), 100, axis=0)
-        inputs[:50] = 0.0
-        outputs = simulate(truth, time_s, inputs).outputs + rng.normal(0.0, 20e-6, (1000, 1))
-        recordings.append(Recording(f"run_{k}", time_s, inputs, outputs))
-    data = prepare(recordings, AXIS)
-    held_out, after = data.with_runs(["run_2"]), with_table()
-    before, last = (
-        ModelEvaluation(m, PredictionErrors(channel_errors(m, held_out), force_error(m, held_out)))
-        for m in (AXIS, after)
-    )
-    return IdentificationResult(
-        verdict="effect_found",
-        declared=before,
-        before=before,
-        after=last,
-        effects=tuple(SelectedEffect(e, (), 1.0, AXIS) for e in after.effects),
-        gains={e.label: 0.9 for e in after.effects},
-        sizes={e.label: 0.1 for e in after.effects},
-        considered=(),
-        dependence=(),
-        white=True,
-        fitted=data.with_runs(["run_0", "run_1"]),
-        held_out=held_out,
-        seconds=3.0,
-    )
+    return axis_result(axis_runs(truth, rows=1000, volts=4.0), with_table())
 
 
 @pytest.fixture(scope="module")

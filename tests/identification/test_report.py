@@ -13,16 +13,15 @@ import pytest
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS, get_effect
 from hframe_gym.effects.smooth_table import KNOTS
-from hframe_gym.identification import Dataset, IdentificationResult, SelectedEffect, prepare, write_result
+from hframe_gym.identification import Dataset, IdentificationResult, write_result
 from hframe_gym.identification.experiment_design import FILE, ExperimentDesign
 from hframe_gym.identification.report import build_report, verdict_sentence
-from hframe_gym.identification.residual import Dependence, channel_errors, force_error
-from hframe_gym.identification.result import ModelEvaluation, PredictionErrors, Verdict
-from hframe_gym.machine import BUILTIN_MACHINES, Machine, Uncertainty
-from hframe_gym.recordings import Recording
+from hframe_gym.identification.residual import Dependence
+from hframe_gym.identification.result import Verdict
+from hframe_gym.machine import Machine, Uncertainty
+from tests.identification.axis_results import AXIS, axis_result, axis_runs
 
 pytestmark = pytest.mark.unit
-AXIS = BUILTIN_MACHINES["axis"]()
 STRIBECK = AXIS.with_effects(EFFECTS["stribeck_friction"].at("x", dF=0.8, vs=0.02))
 CURVE = {f"k{i:02d}": 0.01 * i - 0.12 for i in range(KNOTS)} | {f"f{i:02d}": 0.1 * np.sin(i) for i in range(KNOTS)}
 TABLE = AXIS.with_effects(get_effect("smooth_force[position of x]").at("x", **CURVE))
@@ -34,43 +33,22 @@ PLAN = ExperimentDesign(
 @pytest.fixture(scope="module")
 def data() -> Dataset:
     """Return three runs of the axis with Stribeck friction, 0.5 s each. The data set is immutable."""
-    rng = np.random.default_rng(3)
-    recordings = []
-    for k in range(3):
-        time_s = np.arange(500) * 1e-3
-        inputs = np.repeat(rng.uniform(-2.0, 2.0, (10, 1)), 50, axis=0)
-        inputs[:50] = 0.0
-        outputs = simulate(STRIBECK, time_s, inputs).outputs + rng.normal(0.0, 20e-6, (500, 1))
-        recordings.append(Recording(f"run_{k}", time_s, inputs, outputs))
-    return prepare(recordings, AXIS)
+    return axis_runs(STRIBECK, rows=500, volts=2.0)
 
 
 def result_of(
     data: Dataset, verdict: Verdict, after: Machine, plan: ExperimentDesign | None = None, gain: float = 0.97
 ) -> IdentificationResult:
     """Return a result with a corrected machine, evaluated on the last run."""
-    held_out = data.with_runs(["run_2"])
     names = ("x.mass", "x.viscous", *(f"{e.label}.{key}" for e in after.effects for key in e.parameters))
     after = after.replace(uncertainty=Uncertainty(names, 1e-6 * np.eye(len(names))))
-    before, last = (
-        ModelEvaluation(m, PredictionErrors(channel_errors(m, held_out), force_error(m, held_out)))
-        for m in (AXIS, after)
-    )
-    rivals = ("presliding@x",) if plan else ()
-    return IdentificationResult(
+    return axis_result(
+        data,
+        after,
+        gain=gain,
+        rivals=("presliding@x",) if plan else (),
         verdict=verdict,
-        declared=before,
-        before=before,
-        after=last,
-        effects=tuple(SelectedEffect(e, rivals, 1.0, AXIS) for e in after.effects),
-        gains={e.label: gain for e in after.effects},
-        sizes={e.label: 0.1 for e in after.effects},
-        considered=(),
         dependence=(Dependence("velocity of x", "x", 0.8),),
-        white=True,
-        fitted=data.with_runs(["run_0", "run_1"]),
-        held_out=held_out,
-        seconds=3.0,
         experiment=plan,
     )
 

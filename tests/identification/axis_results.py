@@ -1,0 +1,56 @@
+"""Results of a single axis that are put together by hand, for the tests of report and formulas."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from hframe_gym.dynamics import simulate
+from hframe_gym.identification import Dataset, IdentificationResult, SelectedEffect, prepare
+from hframe_gym.identification.residual import channel_errors, force_error
+from hframe_gym.identification.result import ModelEvaluation, PredictionErrors
+from hframe_gym.machine import BUILTIN_MACHINES, Machine
+from hframe_gym.recordings import Recording
+
+AXIS = BUILTIN_MACHINES["axis"]()
+NOISE = 20e-6  # m
+
+
+def axis_runs(truth: Machine, *, rows: int, volts: float) -> Dataset:
+    """Return three runs of an axis at 1 kHz with ten random voltage steps each, the first of them 0 V for 50 ms."""
+    rng = np.random.default_rng(3)
+    recordings = []
+    for k in range(3):
+        time_s = np.arange(rows) * 1e-3
+        inputs = np.repeat(rng.uniform(-volts, volts, (10, 1)), rows // 10, axis=0)
+        inputs[:50] = 0.0
+        outputs = simulate(truth, time_s, inputs).outputs + rng.normal(0.0, NOISE, (rows, 1))
+        recordings.append(Recording(f"run_{k}", time_s, inputs, outputs))
+    return prepare(recordings, AXIS)
+
+
+def axis_result(
+    data: Dataset, after: Machine, *, gain: float = 0.9, rivals: tuple[str, ...] = (), **fields: Any
+) -> IdentificationResult:
+    """Return a result with a corrected machine, evaluated on the last run; `fields` replace the default values."""
+    held_out = data.with_runs(["run_2"])
+    before, last = (
+        ModelEvaluation(m, PredictionErrors(channel_errors(m, held_out), force_error(m, held_out)))
+        for m in (AXIS, after)
+    )
+    defaults: dict[str, Any] = {"verdict": "effect_found", "dependence": ()}
+    return IdentificationResult(
+        declared=before,
+        before=before,
+        after=last,
+        effects=tuple(SelectedEffect(e, rivals, 1.0, AXIS) for e in after.effects),
+        gains={e.label: gain for e in after.effects},
+        sizes={e.label: 0.1 for e in after.effects},
+        considered=(),
+        white=True,
+        fitted=data.with_runs(["run_0", "run_1"]),
+        held_out=held_out,
+        seconds=3.0,
+        **(defaults | fields),
+    )
