@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from hframe_gym import cli, cli_tables
+from hframe_gym import cli
+from hframe_gym.cli import tables as cli_tables
 from hframe_gym.effects import EFFECTS
 from hframe_gym.errors import InputError
 from hframe_gym.identification import simulate_recording
@@ -250,14 +251,14 @@ def broken_table() -> None:
 def test_an_internal_error_is_one_line_with_exit_code_1(
     hframe_command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hframe_gym.cli_tables.effect_table", broken_table)
+    monkeypatch.setattr("hframe_gym.cli.tables.effect_table", broken_table)
     assert_refused(hframe_command("effects"), "internal error", "HFRAME_DEBUG=1", "KeyError: 'a defect'", code=1)
 
 
 def test_debugging_shows_the_traceback_of_an_internal_error(
     hframe_command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hframe_gym.cli_tables.effect_table", broken_table)
+    monkeypatch.setattr("hframe_gym.cli.tables.effect_table", broken_table)
     monkeypatch.setenv("HFRAME_DEBUG", "1")
     with pytest.raises(KeyError, match="a defect"):
         hframe_command("effects")

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rich.markup import escape
 from rich.table import Table
 
-from .dynamics import mode_frequencies
-from .effects import EFFECTS
-from .machine import BUILTIN_MACHINES
-from .registry import load_plugins
-
-if TYPE_CHECKING:
-    pass
+from ..dynamics import mode_frequencies
+from ..effects import EFFECTS
+from ..machine import BUILTIN_MACHINES
+from ..registry import load_plugins
 
 BANDS = ("1mm", "0.2mm", "0.05mm")
 BOUND_BAND = "0.2mm"  # band of the time-optimal bound

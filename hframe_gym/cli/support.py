@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 from typer.core import TyperCommand
 
-from .errors import InputError
-from .registry import PLUGIN_VARIABLE, load_plugins
+from ..errors import InputError
+from ..registry import PLUGIN_VARIABLE, load_plugins
 
 if TYPE_CHECKING:
-    from .identification import IdentificationResult
-    from .identification.formulas import TableComparison
-    from .machine import Machine
-    from .recordings import Recording
+    from ..identification import IdentificationResult
+    from ..identification.formulas import TableComparison
+    from ..machine import Machine
+    from ..recordings import Recording
 
 INPUT_AT_FAULT, INTERNAL_ERROR = 2, 1
 FAULT_FOUND = 1  # exit code of `hframe check` where the recordings have a fault
@@ -31,9 +31,9 @@ def registered_choices() -> dict[str, str]:
     Returns:
         Names separated by commas, by the placeholder in the help texts, for example {"tasks": "reach, track"}.
     """
-    from .agents import recipe_names, shipped_agent_names
-    from .controllers import CONTROLLERS
-    from .envs import RANDOMIZATION_PRESETS, SENSOR_PRESETS, TASKS
+    from ..agents import recipe_names, shipped_agent_names
+    from ..controllers import CONTROLLERS
+    from ..envs import RANDOMIZATION_PRESETS, SENSOR_PRESETS, TASKS
 
     load_plugins()
     algorithms = sorted({name.rpartition("_")[0] for name in recipe_names()})
@@ -99,7 +99,7 @@ def task_with_path(name: str, path: str | None) -> Any:
     Raises:
         InputError: If the task is unknown, or if a path is given for a task that does not follow one.
     """
-    from .envs import TASKS
+    from ..envs import TASKS
 
     task_class: Any = TASKS.get(name)
     follows_path = is_dataclass(task_class) and "path" in {field.name for field in fields(task_class)}
@@ -136,7 +136,7 @@ def describe_failure(error: Exception) -> tuple[int, str]:
         code: `INPUT_AT_FAULT` (2) for errors in input, files or installation, else `INTERNAL_ERROR` (1).
         message: Text for the user, without a line break.
     """
-    from .dynamics import NotFiniteError
+    from ..dynamics import NotFiniteError
 
     text = " ".join(str(error).split())
     if isinstance(error, InputError | ImportError):
@@ -177,7 +177,7 @@ def check_recordings_before_fit(
     Raises:
         InputError: If there is a fault and `refuse` is given.
     """
-    from .data_validation import check_before_fit, group_findings, refuse_faults
+    from ..data_validation import check_before_fit, group_findings, refuse_faults
 
     findings = check_before_fit(recordings, machine)
     for finding in group_findings(findings):
@@ -197,7 +197,7 @@ def proposed_formulas(result: IdentificationResult, log: Callable[[str], None]) 
     Returns:
         One comparison of formulas with the table per table; empty without tables or without scikit-learn.
     """
-    from .identification.formulas import compare_formulas
+    from ..identification.formulas import compare_formulas
 
     try:
         return compare_formulas(result, log)
@@ -220,8 +220,8 @@ def write_new_effect(folder: Path, name: str, path: Path, number: int, table: st
     Raises:
         InputError: If the folder has no such table or formula, or the name or the file cannot be used.
     """
-    from .effects.formulas import write_effect_file
-    from .identification.formulas import formulas_of_folder
+    from ..effects.formulas import write_effect_file
+    from ..identification.formulas import formulas_of_folder
 
     proposed = formulas_of_folder(folder, name, table)
     for index, p in enumerate(proposed, start=1):

@@ -1,0 +1,5 @@
+"""Run the `hframe` command with `python -m hframe_gym`."""
+
+from .cli import main
+
+main()

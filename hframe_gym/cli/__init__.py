@@ -1,0 +1,57 @@
+"""The `hframe` command: read files, call the library, print.
+
+Exit codes: 0 done, 2 the input is at fault (one line says where), 1 internal error, or `hframe check` found a fault.
+
+Every module `*_commands` registers its commands with `app` when it is imported here.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import warnings
+from importlib import metadata
+from typing import Annotated
+
+import typer
+
+from . import control_commands, machine_commands, recording_commands
+from .app import app, log
+from .support import DEBUG_VARIABLE, describe_failure, print_warning
+
+__all__ = ["app", "control_commands", "machine_commands", "main", "recording_commands"]
+
+
+def _print_version(requested: bool) -> None:
+    """Print the version and exit if --version is given."""
+    if requested:
+        log(f"hframe_gym {metadata.version('hframe_gym')}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    """H-frame stages: simulate, identify from measured data, train and evaluate controllers."""
+
+
+def main() -> None:
+    """Run the `hframe` command; exceptions are printed as one line, unless the variable `DEBUG_VARIABLE` is set.
+
+    Raises:
+        SystemExit: With exit code 0 (success), 1 (internal error) or 2 (faulty input or arguments).
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", UserWarning)
+        warnings.showwarning = print_warning
+        try:
+            app()
+        except Exception as error:
+            if os.environ.get(DEBUG_VARIABLE):
+                raise
+            code, line = describe_failure(error)
+            print(f"hframe: {line}", file=sys.stderr)
+            raise SystemExit(code) from None

@@ -1,0 +1,110 @@
+"""Commands on controllers: train, evaluate."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from .app import MachineOption, OutOption, RandomizeOption, TaskOption, app, console, log
+from .support import CommandWithChoices, require_folder, task_with_path, value_errors_as_input_errors
+
+
+@app.command(cls=CommandWithChoices)
+def train(
+    algorithm: Annotated[str, typer.Argument(help="Recipe: {algorithms}.")],
+    out: OutOption,
+    machine: MachineOption = "hframe",
+    task: TaskOption = "reach",
+    randomize: Annotated[
+        str | None, typer.Option(help="Randomization: {randomizations} (default: the recipe's).")
+    ] = None,
+    steps: Annotated[
+        int | None, typer.Option(min=1, help="Environment steps in total (default: the recipe's).")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the network, the episodes and the algorithm.")] = 0,
+    resume: Annotated[bool, typer.Option("--resume", help="Continue from the checkpoint in the folder.")] = False,
+) -> None:
+    """Train an agent by the recipe of an algorithm and a task.
+
+    The folder receives the best agent so far, its card with the learning curve, TensorBoard logs and a checkpoint.
+    A run may be killed at any time and continued with --resume.
+
+    Example:  hframe train ppo --out out/ppo
+    """
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
+
+    from ..agents import train as run_training
+    from ..recordings import load_machine
+
+    declared = load_machine(machine)
+    columns = BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
+    bar = Progress(*columns, console=console, disable=not console.is_terminal)
+    with bar, value_errors_as_input_errors():
+        bar_task = bar.add_task("", total=None)
+
+        def progress(done: int, total: int) -> None:
+            bar.update(bar_task, completed=done, total=total)
+
+        run_training(algorithm, declared, task, steps, seed, resume, require_folder(out), log, progress, randomize)
+    log(f"wrote {out}")
+
+
+@app.command(cls=CommandWithChoices)
+def evaluate(
+    controllers: Annotated[
+        list[str],
+        typer.Argument(
+            help="Controllers: {controllers}, a shipped agent ({agents}), the folder of a trained "
+            "agent, or module:name."
+        ),
+    ],
+    out: OutOption,
+    machine: MachineOption = "hframe",
+    task: TaskOption = "reach",
+    path: Annotated[
+        str | None,
+        typer.Option(help="Path to follow, for the task track: circle, square, lissajous or a CSV of x_m,y_m."),
+    ] = None,
+    randomize: RandomizeOption = "default",
+    sensors: Annotated[
+        str, typer.Option(help="What controllers observe: {sensors}; state is exact, the others are measurements.")
+    ] = "state",
+    period: Annotated[float, typer.Option(help="Control period in seconds.")] = 0.01,
+    episodes: Annotated[int, typer.Option(min=1, help="Number of episodes; the same for every controller.")] = 512,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the starts, goals and machine parameters.")] = 0,
+) -> None:
+    """Score controllers on identical episodes; writes scores.json and a plot of each one's first episode.
+
+    Example:  hframe evaluate pid textbook-pid --episodes 64 --out out/scores
+    """
+    from ..evaluation import evaluate as run_evaluation
+    from ..evaluation import write_scores
+    from ..recordings import load_machine
+    from .tables import score_table, unknown_bound_reasons
+
+    # Registers the agents as controllers, also where the package is used without its installed entry points.
+    import_module("hframe_gym.agents")
+    declared = load_machine(machine)
+    require_folder(out)
+    options: dict[str, Any] = {"randomize": randomize, "sensors": sensors, "episodes": episodes, "seed": seed}
+    with value_errors_as_input_errors():
+        built_task = task_with_path(task, path)
+        scores, recorded = run_evaluation(controllers, declared, task=built_task, period=period, **options)
+    written = write_scores(out, scores)
+    console.print(score_table(scores))
+    for reason in unknown_bound_reasons(scores):
+        log(reason)
+    log(f"wrote {written}")
+    try:
+        from ..evaluation import save_plot
+
+        for name, episode in recorded.items():
+            label = Path(name).name.replace(":", "-")  # of a folder the last part; no colon in a file name
+            plot = out / f"{label}.png"
+            save_plot(plot, episode, title=f"{label} on {declared.name}")
+            log(f"wrote {plot}")
+    except ImportError as error:
+        log(f"no plots: {error}")
