@@ -53,16 +53,18 @@ def test_requirements_are_followed_with_extras_and_markers(monkeypatch: pytest.M
 
 
 def test_an_extra_does_not_repeat_the_extras_that_it_includes() -> None:
-    direct = dependencies.requirements_by_extra(PROJECT)
+    direct, installed = dependencies.requirements_by_extra(PROJECT)
     assert "numpy" in {requirement.name for requirement in direct["core"]}
     assert not {"hframe_gym", "torch"} & {requirement.name for requirement in direct["dev"]}
+    assert {"core", "dev", "agents", "report"} <= installed
+    assert not {"bench", "release"} & installed
 
 
 def test_problems_are_reported_per_package() -> None:
     pins = dependencies.read_pins("# comment\nTorch==2.13.0  # pinned\nold_pin==1.0\n")
     assert pins == {"torch": "2.13.0", "old-pin": "1.0"}
     installed = {"torch": package("2.13.0+cpu"), "old-pin": package("1.1"), "new": package("5"), "a": None, "b": None}
-    assert list(dependencies.find_problems(installed, {"b"}, pins)) == [
+    assert list(dependencies.find_problems(installed, {"a", "torch"}, pins)) == [
         "a: is not installed; run: pip install -c constraints.txt -e '.[dev]'",
         "new: constraints.txt has no version",
         "old-pin: constraints.txt has 1.0, installed is 1.1",

@@ -30,6 +30,7 @@ def test_the_version_is_the_newest_of_the_changelog() -> None:
     changelog = (Path(__file__).parents[1] / "CHANGELOG.md").read_text("utf-8")
     versions = re.findall(r"^## (\d\S*) - \d{4}-\d{2}-\d{2}$", changelog, re.MULTILINE)
     assert versions[0] == hframe_gym.__version__
+    assert f"\nversion: {versions[0]}\n" in (Path(__file__).parents[1] / "CITATION.cff").read_text("utf-8")
 
 
 def test_importing_registers_the_environments_without_loading_the_simulator() -> None:

@@ -5,8 +5,8 @@
 Without `--check`, missing pins are added to constraints.txt and the table of docs/dependencies.md is written. With it,
 nothing is written: the exit code is 1, and one line per problem says what is wrong.
 
-The dependencies are those of the installed packages, followed from the requirements in pyproject.toml. Packages that
-only a tool outside the extra `dev` needs (`UNCHECKED_EXTRAS`) are checked where they are installed.
+The dependencies are those of the installed packages, followed from the requirements in pyproject.toml. Extras that the
+extra `dev` does not include, such as `bench`, need not be installed; their packages are pinned where they are.
 """
 
 from __future__ import annotations
@@ -28,8 +28,6 @@ from hframe_gym.atomic_files import write_text
 
 ROOT = Path(__file__).resolve().parents[1]
 CONSTRAINTS, PAGE = ROOT / "constraints.txt", ROOT / "docs" / "dependencies.md"
-# Extras that no other extra includes and that `make check` does not install.
-UNCHECKED_EXTRAS = ("bench", "release")
 # The build of torch with GPU libraries, which pip installs by default on Linux, names their exact versions itself.
 _GPU_LIBRARIES = ("cuda-", "nvidia-", "triton")
 _HEADER = ("| package | version | license | extra |", "| --- | --- | --- | --- |")
@@ -51,20 +49,31 @@ _SPDX = {
 }
 
 
-def requirements_by_extra(project: Mapping[str, Any]) -> dict[str, list[Requirement]]:
+def requirements_by_extra(project: Mapping[str, Any]) -> tuple[dict[str, list[Requirement]], set[str]]:
     """Read the direct requirements of the package.
 
     Args:
         project: The table `project` of pyproject.toml.
 
     Returns:
-        Requirements by extra, those without an extra under "core". An extra that includes other extras of the package
-        itself, as `dev` does, does not repeat their requirements.
+        requirements: Requirements by extra, those without an extra under "core". An extra that includes other extras of
+            the package itself, as `dev` does, does not repeat their requirements.
+        installed: The extras that an installation with the extra `dev` includes, with "core" and "dev".
     """
-    groups = {"core": project["dependencies"], **project["optional-dependencies"]}
-    own_name = canonicalize_name(project["name"])
-    parsed = {extra: [Requirement(line) for line in lines] for extra, lines in groups.items()}
-    return {extra: [r for r in group if canonicalize_name(r.name) != own_name] for extra, group in parsed.items()}
+    lines = {"core": project["dependencies"], **project["optional-dependencies"]}
+    package = canonicalize_name(project["name"])
+    requirements: dict[str, list[Requirement]] = {}
+    included: dict[str, set[str]] = {}
+    for extra, group in lines.items():
+        parsed = [Requirement(line) for line in group]
+        requirements[extra] = [r for r in parsed if canonicalize_name(r.name) != package]
+        included[extra] = {name for r in parsed if canonicalize_name(r.name) == package for name in r.extras}
+    installed, pending = {"core"}, {"dev"}
+    while pending:
+        extra = pending.pop()
+        installed.add(extra)
+        pending |= included[extra] - installed
+    return requirements, installed
 
 
 def installed_dependencies(requirements: Iterable[Requirement]) -> dict[str, metadata.Distribution | None]:
@@ -112,21 +121,21 @@ def read_pins(text: str) -> dict[str, str]:
 
 
 def find_problems(
-    required: Mapping[str, metadata.Distribution | None], optional: Collection[str], pins: Mapping[str, str]
+    packages: Mapping[str, metadata.Distribution | None], needed: Collection[str], pins: Mapping[str, str]
 ) -> Iterator[str]:
     """Compare the installed packages with the pins.
 
     Args:
-        required: Installed distribution by canonical name, None where a package is not installed.
-        optional: Names of packages that need not be installed.
+        packages: Installed distribution by canonical name, None where a package is not installed.
+        needed: Names of the packages that must be installed.
         pins: Pinned version by canonical name.
 
     Yields:
         One line of text per package that is not installed, not pinned, or installed in another version.
     """
-    for name, distribution in sorted(required.items()):
+    for name, distribution in sorted(packages.items()):
         if distribution is None:
-            if name not in optional:
+            if name in needed:
                 yield f"{name}: is not installed; run: pip install -c constraints.txt -e '.[dev]'"
         elif name not in pins:
             yield f"{name}: constraints.txt has no version"
@@ -183,17 +192,18 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--check", action="store_true", help="write nothing; exit with 1 if something is missing")
     check = parser.parse_args(arguments).check
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
-    groups = {extra: installed_dependencies(direct) for extra, direct in requirements_by_extra(project).items()}
-    optional = {name: found for extra in UNCHECKED_EXTRAS for name, found in groups.pop(extra).items()}
-    needed = {name: found for packages in groups.values() for name, found in packages.items()}
-    rows = license_rows(groups)
+    requirements, installed = requirements_by_extra(project)
+    groups = {extra: installed_dependencies(direct) for extra, direct in requirements.items()}
+    every = {name: found for packages in groups.values() for name, found in packages.items()}
+    needed = {name for extra in installed for name in groups[extra]}
+    rows = license_rows({extra: packages for extra, packages in groups.items() if extra in installed})
     if not check:
-        _write_pins({**optional, **needed})
+        _write_pins(every)
         table = "\n".join(["<!-- dependencies -->", *_HEADER, *rows.values(), "<!-- end -->"])
         write_text(PAGE, _TABLE.sub(lambda _: table, PAGE.read_text("utf-8")))
     pins, page = read_pins(CONSTRAINTS.read_text("utf-8")), PAGE.read_text("utf-8").splitlines()
     problems = [
-        *find_problems({**optional, **needed}, set(optional) - set(needed), pins),
+        *find_problems(every, needed, pins),
         *(f"{name}: docs/dependencies.md has no such row: {row}" for name, row in rows.items() if row not in page),
     ]
     for problem in problems:
