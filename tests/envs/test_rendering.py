@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from hframe_gym.envs import HFrameEnv, HFrameVectorEnv
-from hframe_gym.envs.rendering import HEIGHT, NEUTRAL, PATH, TARGET, TAUT, UNKNOWN, WIDTH, BeltGeometry, tension_color
+from hframe_gym.envs.rendering import HEIGHT, NEUTRAL, PATH, TARGET, TAUT, UNKNOWN, WIDTH, tension_color
+from hframe_gym.machine import BeltGeometry
 
 
 def test_picture_shows_the_target_and_the_motion():
