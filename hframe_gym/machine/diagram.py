@@ -108,7 +108,7 @@ def _draw_axis(view: Any, machine: Machine, name: str) -> None:
     arrow = {"arrowprops": {"arrowstyle": "->", "lw": 1.5}, "va": "center"}
     view.annotate("", (middle + 0.3 * span, 0.1 * span), (middle, 0.1 * span), **arrow)
     view.text(middle + 0.31 * span, 0.1 * span, f"{name}, positive voltage", va="center", fontsize=8)
-    drives = ", ".join(f"{d.name} ({d.gear_ratio:g} rad/m)" for d in machine.drives if d.coordinate == name)
+    drives = ", ".join(f"{d.name} ({d.gear_ratio:.4g} rad/m)" for d in machine.drives if d.coordinate == name)
     view.text(middle, -0.1 * span, drives, ha="center", va="top", fontsize=8)
     limited = machine.coordinate(name).range is not None
     view.set(xlabel=f"{name}, m" + ("" if limited else " (no range is declared)"), yticks=[])

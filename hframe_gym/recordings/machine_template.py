@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import difflib
 import json
 import math
 from collections.abc import Callable, Mapping
@@ -29,6 +30,8 @@ _LENGTH_PER_TRAVEL = {
     "belt2_long": (1.5, 1.5),
 }
 _QUADRATURE = 4  # edges per line of an encoder
+_LINE = 100  # characters of a line of the file, comments excepted
+_LONGEST = {"travel": 20.0, "pulley_radius": 1.0}  # m; larger values are refused, they are in millimeters
 _KINEMATICS = {
     "hframe": "H-frame: one belt for both motors. With p = radius * phi: x = (p2 - p1) / 2 and y = -(p1 + p2) / 2.",
     "axis": "One axis: the motor moves the carriage directly, gear_ratio is the angle of its shaft per m of travel.",
@@ -155,7 +158,7 @@ def write_machine_template(like: str, machine: Machine, path: Path) -> None:
 
 
 def compact_json(value: Any, indent: int = 0) -> str:
-    """Format JSON for people: objects and lists without nested objects are on one line.
+    """Format JSON for people: objects and lists that fit into a line are on one line.
 
     Args:
         value: Dictionaries, lists, strings and numbers.
@@ -164,15 +167,15 @@ def compact_json(value: Any, indent: int = 0) -> str:
     Returns:
         JSON text without a line break at the end.
     """
-    nested = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
-    if not any(isinstance(item, dict) for item in nested) and not (nested and all(isinstance(i, str) for i in nested)):
-        return json.dumps(value, ensure_ascii=False)
-    pad = " " * (indent + 2)
+    text = json.dumps(value, ensure_ascii=False)
+    if len(text) + indent <= _LINE or not isinstance(value, dict | list):
+        return text
     if isinstance(value, dict):
         lines = [f"{json.dumps(key)}: {compact_json(item, indent + 2)}" for key, item in value.items()]
     else:
         lines = [compact_json(item, indent + 2) for item in value]
     opening, closing = "{}" if isinstance(value, dict) else "[]"
+    pad = " " * (indent + 2)
     return f"{opening}\n{pad}" + f",\n{pad}".join(lines) + f"\n{' ' * indent}{closing}"
 
 
@@ -202,6 +205,8 @@ def _check(like: str, options: MachineOptions) -> None:
         for number in numbers:
             if not math.isfinite(number) or number < 0 or (number == 0 and not zero_allowed):
                 raise InputError(f"--{info.name.replace('_', '-')} {number:g}: must be positive")
+            if number > _LONGEST.get(info.name, math.inf):
+                raise InputError(f"--{info.name.replace('_', '-')} {number:g}: is it in millimeters? Give it in m")
 
 
 def _with_travel(machine: Machine, options: MachineOptions) -> Machine:
@@ -213,16 +218,12 @@ def _with_travel(machine: Machine, options: MachineOptions) -> Machine:
     coordinates = list(machine.coordinates)
     for index, c in enumerate(coordinates):
         if c.name in travel:
-            low, high = c.range or (0.0, travel[c.name])
-            change[c.name] = travel[c.name] - (high - low)
-            limits = (-travel[c.name] / 2, travel[c.name] / 2) if c.range else (0.0, travel[c.name])
-            coordinates[index] = dataclasses.replace(c, range=limits)
+            change[c.name] = travel[c.name] - (c.range[1] - c.range[0] if c.range else 0.0)
+            coordinates[index] = dataclasses.replace(c, range=(-travel[c.name] / 2, travel[c.name] / 2))
     belts = []
     for b in machine.belts:
         per_x, per_y = _LENGTH_PER_TRAVEL[b.name]
         length = b.rest_length + per_x * change["x"] + per_y * change["y"]
-        if length <= 0:
-            raise InputError(f"--travel: is too short for the frame of the template (belt {b.name})")
         belts.append(dataclasses.replace(b, rest_length=round(length, 6)))
     return machine.replace(coordinates=tuple(coordinates), belts=tuple(belts))
 
@@ -285,5 +286,6 @@ def _with_values(machine: Machine, values: Mapping[str, float]) -> Machine:
     if unknown and unknown[0] in machine.ties:
         raise InputError(f"--set {unknown[0]}: it is tied to {machine.ties[unknown[0]][0]}; set that parameter")
     if unknown:
-        raise InputError(f"--set {unknown[0]}: there is no such parameter; there are {', '.join(sorted(names))}")
+        similar = difflib.get_close_matches(unknown[0], names, 3) or sorted(names)
+        raise InputError(f"--set {unknown[0]}: there is no such parameter; there are {', '.join(similar)}")
     return machine.replace(values)
