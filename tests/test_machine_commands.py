@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import re
 import shlex
@@ -10,6 +11,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import gymnasium as gym
 import jsonschema
 import pytest
 
@@ -158,7 +160,9 @@ def test_new_asks_on_a_terminal(tmp_path: Path) -> None:
     controller, terminal = pty.openpty()
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     command = [sys.executable, "-m", "hframe_gym", "machines", "new"]
-    process = subprocess.Popen(command, cwd=tmp_path, stdin=terminal, stdout=subprocess.PIPE, env=environment, text=True)
+    process = subprocess.Popen(
+        command, cwd=tmp_path, stdin=terminal, stdout=subprocess.PIPE, env=environment, text=True
+    )
     os.write(controller, "".join(f"{answer}\n" for answer in answers).encode())
     out, _ = process.communicate(timeout=120)
     os.close(controller)
@@ -181,6 +185,22 @@ def test_accepted_defaults_give_the_template_to_the_last_digit(monkeypatch: pyte
     answers = machine_questions.MachineAnswers(like="hframe", out=tmp_path / "m.json")
     machine_questions.create_machine_file(machine_questions.ask(answers, print), force=False, log=print)
     assert load_machine(tmp_path / "m.json").parameters == BUILTIN_MACHINES["hframe"]().parameters
+
+
+def test_a_new_corexy_machine_works_in_the_environment_and_under_the_pid(
+    machines: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    path, out = tmp_path / "printer.json", tmp_path / "pid"
+    assert machines("new", "--like", "corexy", "--travel", "0.3,0.25", "--out", path)[0] == 0
+    env = gym.make("HFrame-v0", machine=str(path))
+    env.reset(seed=0)
+    env.step(env.action_space.sample())
+    words = ("evaluate", "pid", "--machine", path, "--period", "0.002", "--episodes", "8", "--out", out)
+    monkeypatch.setattr(sys, "argv", ["hframe", *map(str, words)])
+    with contextlib.suppress(SystemExit):
+        cli.main()
+    scores = json.loads((out / "scores.json").read_text())
+    assert scores["controllers"]["pid"]["success"]["0.2mm"] == 1.0
 
 
 def test_json_blocks_of_the_page_are_valid(tmp_path: Path) -> None:

@@ -2,8 +2,8 @@
 
     python -m tools.tables
 
-The text of a page between `<!-- table: NAME -->` and `<!-- end -->` is replaced by the table of that name. docs/effects.md,
-docs/machine.schema.json and the field tables of docs/machine.md are generated from the package.
+The text of a page between `<!-- table: NAME -->` and `<!-- end -->` is replaced by the table of that name.
+docs/effects.md, docs/machine.schema.json and the field tables of docs/machine.md are generated from the package.
 """
 
 from __future__ import annotations

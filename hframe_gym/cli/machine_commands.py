@@ -70,7 +70,7 @@ def show_machine(
     if plot is not None and plot.suffix not in PLOT_SUFFIXES:
         raise InputError(f"--plot {plot}: must end in one of {', '.join(PLOT_SUFFIXES)}")
     declared = load_machine(machine)
-    log(f"{declared.name}: {declared.description}")
+    log(f"{declared.name}: {declared.description}" if declared.description else declared.name)
     for table in machine_tables(declared):
         console.print(table)
     log(belt_mode_line(declared))

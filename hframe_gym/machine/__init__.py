@@ -1,4 +1,4 @@
-"""The machine model: components, parameters, rest states, rigid motions and presets.
+"""The machine model: components, parameters, rest states, rigid motions, presets, plan views and drawings.
 
 This package holds no integrator and reads no files.
 """

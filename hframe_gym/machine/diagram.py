@@ -50,7 +50,7 @@ def draw_machine(machine: Machine) -> Any:
     else:
         view.axis("off")
     _draw_factors(table, machine)
-    figure.suptitle(f"{machine.name}: {machine.description}", fontsize=10)
+    figure.suptitle(": ".join(filter(None, (machine.name, machine.description))), fontsize=10)
     return figure
 
 

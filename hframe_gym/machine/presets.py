@@ -196,7 +196,7 @@ def axis() -> Machine:
 
 # A CoreXY stage of the size of a desktop 3D printer. The values are typical ones, not those of a particular machine.
 COREXY_RADIUS = 20 * 2e-3 / (2 * math.pi)  # m, pitch radius of a pulley of 20 teeth with a pitch of 2 mm
-# N. A belt of 6 mm with glass cords stretches by about 1 % under a load of 10 kg, the acceptance test of FarmBot's belt.
+# N. A belt of 6 mm with glass cords stretches by about 1 % under a load of 10 kg (acceptance test of FarmBot's belt).
 COREXY_EA = 1.0e4
 COREXY_TRAVEL = 0.15  # m, to either side of the center, x and y
 # m, from the motor to the carriage at the center: 0.23 m along the frame and 0.20 m along the bridge.

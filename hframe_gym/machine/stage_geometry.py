@@ -1,8 +1,8 @@
 """Plan views of stages: rails, bridge, pulleys and the path of the belts, for pictures of a machine from above.
 
 Positions are points (x, y) in m. Which axis the bridge moves along follows from the masses: the bridge carries the
-carriage, so that the mass of its axis is larger. Sizes that a machine.json does not declare (frame, bridge, pulleys) are
-chosen for a readable picture.
+carriage, so that the mass of its axis is larger. Sizes that a machine.json does not declare (frame, bridge, pulleys)
+are chosen for a readable picture.
 """
 
 from __future__ import annotations
@@ -220,8 +220,10 @@ class CoreXYGeometry(StageGeometry):
         for drive, label in ((self._first, "1"), (1 - self._first, "2")):
             rows = [b for b in machine.belts if machine.drives[drive].coordinate in b.extension]
             for b in rows:
-                for section in ("front", "rear") if len(rows) == 1 else (
-                    ("front",) if b.extension.get(axis, 0.0) > 0 else ("rear",)
+                for section in (
+                    ("front", "rear")
+                    if len(rows) == 1
+                    else (("front",) if b.extension.get(axis, 0.0) > 0 else ("rear",))
                 ):
                     self.belts[section + label] = b.name
 
@@ -246,8 +248,8 @@ class CoreXYGeometry(StageGeometry):
             y: Tool position along y, m.
 
         Returns:
-            Vertices (x, y), m, by name of the section: "front1" and "rear1" of the belt of the motor at the left, in front
-            of the bridge and around the rear; "front2" and "rear2" of the other belt.
+            Vertices (x, y), m, by name of the section: "front1" and "rear1" of the belt of the motor at the left, in
+            front of the bridge and around the rear; "front2" and "rear2" of the other belt.
         """
         u, v = self._swap((x, y))  # along the bridge, and along the motion of the bridge
         motor1, motor2, left1, right1, left2, right2, front_l, front_r, rear_l, rear_r = self._pulleys(u, v)
@@ -298,7 +300,7 @@ def stage_geometry(machine: Machine) -> StageGeometry:
         machine: Machine with the linear coordinates x and y; an axis without a range gets `DEFAULT_RANGE`.
 
     Returns:
-        `BeltGeometry` if both motors pull x and y and share one belt (H-frame), `CoreXYGeometry` if each motor has one
+        `BeltGeometry` if both motors pull x and y by one common belt (H-frame), `CoreXYGeometry` if each motor has one
         belt, else `StageGeometry` without belts.
 
     Raises:

@@ -9,10 +9,10 @@ from .table_file import read_path
 
 __all__ = [
     "GAP_PERIODS",
-    "MachineOptions",
-    "Recording",
     "TABLES",
     "TEMPLATES",
+    "MachineOptions",
+    "Recording",
     "Table",
     "bridge_blanks",
     "field_descriptions",

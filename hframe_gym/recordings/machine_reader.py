@@ -312,7 +312,7 @@ def _doubtful_belts(machine: Machine) -> list[tuple[str, str]]:
     for belt in machine.belts:
         for name, factor in belt.extension.items():
             if name in rotary and not float(2 * factor).is_integer():
-                reason = "is not a small whole number; it multiplies the belt travel, which is radius * angle already"
+                reason = "is not a small integer; it multiplies the belt travel, which is radius * angle already"
                 doubts.append((f"belts.{belt.name}.extension.{name}", f"{factor:g} {reason}: usually it is 1 or -1"))
         ranges = {c.name: c.range for c in machine.coordinates if c.range is not None and c.kind == "linear"}
         changes = [min(f * end for end in ranges[name]) for name, f in belt.length.items() if name in ranges]

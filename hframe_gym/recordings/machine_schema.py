@@ -54,8 +54,8 @@ class Table(BaseModel):
     """Base class of all objects in machine.json: unknown fields and implicit type conversions are errors.
 
     Attributes:
-        comment: Text for the reader, a string or a list of lines. It is ignored, and not kept in files that the commands
-            derive from this one.
+        comment: Text for the reader, a string or a list of lines. It is ignored, and not kept in files that the
+            commands derive from this one.
     """
 
     model_config = ConfigDict(extra="forbid", strict=True)
@@ -92,8 +92,8 @@ class CoordinateEntry(Table):
         viscous: Viscous friction coefficient, Ns/m or Nms (per rad/s). Without the back-EMF of the motor.
         coulomb: Coulomb friction, N or Nm.
         radius: Pitch radius of the pulley, m; required for a rotary coordinate, not allowed for a linear one.
-        range: Lowest and highest position [low, high], m or rad. Default: unlimited. The environment needs the ranges of x
-            and y, which are its workspace.
+        range: Lowest and highest position [low, high], m or rad. Default: unlimited. The environment needs the ranges
+            of x and y, which are its workspace.
     """
 
     name: Name
@@ -108,15 +108,16 @@ class CoordinateEntry(Table):
 class BeltEntry(Table):
     """One belt section.
 
-    The travel of a coordinate is its position (linear), or its angle times its radius (rotary), in m. The section has the
-    stiffness EA / (rest_length + change of length) and the force stiffness times extension.
+    The travel of a coordinate is its position (linear), or its angle times its radius (rotary), in m. The section has
+    the stiffness EA / (rest_length + change of length) and the force stiffness times extension.
 
     Attributes:
         name: Name of the belt section.
         EA: Axial stiffness: Young's modulus times cross-section area, N. It is the force that would double the length.
         rest_length: Length of the section with all coordinates at zero, m.
-        extension: Extension of the section per travel, m/m, by name of the coordinate. It is positive if a positive motion
-            of this coordinate alone stretches the section. A pulley usually has 1 or -1; its radius is not part of it.
+        extension: Extension of the section per travel, m/m, by name of the coordinate. It is positive if a positive
+            motion of this coordinate alone stretches the section. A pulley usually has 1 or -1; its radius is not part
+            of it.
         length: Change of the section's length per travel, m/m, by name of the coordinate. Usually the factors of the
             carriages in `extension`. Empty (default): constant stiffness.
     """
@@ -173,9 +174,10 @@ class SensorEntry(Table):
             Default: encoder on a rotary coordinate, laser on a linear one.
         row: Coefficient by name of a coordinate, usually {"x": 1.0}; or of a product of two, such as "y*yaw".
         noise: Standard deviation of the noise, m or rad; 0 if it is below the resolution.
-        resolution: Quantization step, m or rad; 0 for a continuous sensor. An encoder on the motor shaft that is read in
-            quadrature has 2 pi / (4 * lines * gear_ratio).
-        range: Lowest and highest measurement [low, high], m or rad (declares the effect sensor_range). Default: unlimited.
+        resolution: Quantization step, m or rad; 0 for a continuous sensor. An encoder on the motor shaft that is read
+            in quadrature has 2 pi / (4 * lines * gear_ratio).
+        range: Lowest and highest measurement [low, high], m or rad (declares the effect sensor_range). Default:
+            unlimited.
         delay: Delay of the measurement, s (declares the effect sensor_delay). Default: no delay.
         zero: Measurement of an encoder at position 0 in the runs from which the machine was identified, if it kept this
             zero; its `std` is the scatter from run to run, where belts stretched at rest caused one. Default: unknown.

@@ -1,4 +1,4 @@
-"""Write the machine.json of a new machine: a built-in machine with other values, and comments that explain the fields."""
+"""Write the machine.json of a new machine: a built-in machine with other values, and comments on its fields."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ _COORDINATE_COMMENTS = {
     ("corexy", "y"): "The bridge. mass: everything that moves along y, i.e. bridge, carriage and tool.",
 }
 _PULLEY_COMMENT = (
-    "The pulley of a motor, behind the gear. mass: moment of inertia of the pulley, plus gear_ratio^2 times that of the "
-    "rotor. viscous: without the back-EMF, which follows from Ke. radius: pitch radius, teeth * pitch / (2 pi)."
+    "The pulley of a motor, behind the gear. mass: moment of inertia of the pulley, plus gear_ratio^2 times that of "
+    "the rotor. viscous: without the back-EMF, which follows from Ke. radius: pitch radius, teeth * pitch / (2 pi)."
 )
 _BELT_COMMENT = (
     "A section of a belt. EA: force that would double its length. rest_length: its length with all coordinates at 0. "
@@ -72,8 +72,8 @@ class MachineOptions:
         mass: Moving masses along x and y (an axis: along x only), kg.
         pulley_radius: Pitch radius of the motors' pulleys, m. For an axis: the gear ratio becomes gear_ratio / radius.
         gear_ratio: Turns of the motor per turn of the pulley; for an axis without `pulley_radius` rad/m.
-        rotor_inertia: Moment of inertia of a motor's rotor, kg m^2. It replaces the pulleys' moment of inertia, or is added
-            to the mass of an axis, times gear_ratio^2.
+        rotor_inertia: Moment of inertia of a motor's rotor, kg m^2. It replaces the pulleys' moment of inertia, or is
+            added to the mass of an axis, times gear_ratio^2.
         Kt: Torque constant of the motors, Nm/A; Ke becomes the same, in Vs/rad.
         resistance: Resistance of the motors, ohm.
         rated_voltage: Rated voltage of the motors, V.
