@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from hframe_gym.recordings import TABLES, Table, field_descriptions, field_units, machine_json_schema, summary
+from hframe_gym.recordings import TABLES, Table, field_descriptions, field_units, machine_json_schema, table_summary
 
 # Titles of the sections; the classes are private to the reader of the file.
 TITLES = {
@@ -40,7 +40,7 @@ def _section(table: type[Table]) -> str:
             required = "" if info.is_required() else ", optional"
             cells = (f"`{field}`", _value(name, info.annotation) + required, descriptions[field])
             rows.append(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |")
-    return f"### {TITLES[table.__name__]}\n\n{summary(table)}\n\n" + "\n".join(rows)
+    return f"### {TITLES[table.__name__]}\n\n{table_summary(table)}\n\n" + "\n".join(rows)
 
 
 def _value(name: str, annotation: Any) -> str:

@@ -2,7 +2,7 @@
 
 from .cleaning import GAP_PERIODS, bridge_blanks, fill_gaps, outlier_mask, without_outliers
 from .machine_file import load_machine, machine_to_dict, save_machine
-from .machine_schema import TABLES, Table, field_descriptions, field_units, machine_json_schema, summary
+from .machine_schema import TABLES, Table, field_descriptions, field_units, machine_json_schema, table_summary
 from .machine_template import TEMPLATES, MachineOptions, new_machine, write_machine_template
 from .recording import Recording, load_recording, load_recordings, run_name, write_trajectory
 from .table_file import read_path
@@ -28,7 +28,7 @@ __all__ = [
     "read_path",
     "run_name",
     "save_machine",
-    "summary",
+    "table_summary",
     "without_outliers",
     "write_machine_template",
     "write_trajectory",

@@ -279,7 +279,7 @@ def field_descriptions(table: type[Table]) -> dict[str, str]:
     return descriptions
 
 
-def summary(table: type[Table]) -> str:
+def table_summary(table: type[Table]) -> str:
     """Read what a table describes from its docstring.
 
     Args:
@@ -304,7 +304,7 @@ def machine_json_schema() -> dict[str, Any]:
     definitions = schema.pop("$defs")
     for table in TABLES:
         definition = schema if table is MachineFile else definitions[table.__name__]
-        definition["description"] = summary(table)
+        definition["description"] = table_summary(table)
         descriptions = field_descriptions(table)
         for name, field in definition["properties"].items():
             field.pop("title", None)
