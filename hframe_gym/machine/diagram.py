@@ -90,7 +90,7 @@ def _draw_stage(view: Any, machine: Machine, geometry: StageGeometry) -> None:
     view.text(geometry.left, geometry.high, " workspace", fontsize=7, color="gray", va="top")
     _draw_axes(view, (geometry.left, geometry.low), 0.25 * (geometry.right - geometry.left))
     view.set_aspect("equal")
-    view.margins(0.08)
+    view.margins(0.12)
     view.set(xlabel="x, m", ylabel="y, m")
     if labelled:
         view.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=5, frameon=False)
