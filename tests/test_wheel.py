@@ -26,7 +26,7 @@ RIG = ROOT / "examples" / "rig_b"
 VERSIONS = ("3.11", "3.12", "3.13")
 EXTRA_PACKAGES = ("casadi", "jinja2", "matplotlib", "pyarrow", "pygame", "sklearn", "stable_baselines3", "torch")
 MAX_CORE_MB = 480  # LLVM (llvmlite) takes 180, SciPy 143, NumPy 71 and Numba 32
-NOT_IN_SDIST = (".gitignore", ".pre-commit-config.yaml", "benchmarks/data/")
+NOT_IN_SDIST = (".gitattributes", ".gitignore", ".pre-commit-config.yaml", "benchmarks/data/")
 STEPS = """
 import gymnasium as gym, numpy as np, hframe_gym
 for environment in (gym.make("HFrame-v0"), gym.make("hframe_gym:HFrameTrack-v0", randomize="default")):
