@@ -374,8 +374,8 @@ def main() -> None:
         fill(ROOT / page)
     write_text(ROOT / "docs" / "effects.md", effects_page())
     write_text(ROOT / "docs" / "machine.schema.json", schema_text())
-    page = ROOT / "docs" / "machine.md"
-    write_text(page, with_field_tables(page.read_text()))
+    fields_page = ROOT / "docs" / "machine.md"
+    write_text(fields_page, with_field_tables(fields_page.read_text("utf-8")))
 
 
 if __name__ == "__main__":
