@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ..dynamics import share_kernel
 from ..machine import Machine
 from .candidates import candidates, effect_parameters
 from .criteria import SelectionCriteria
@@ -49,7 +50,9 @@ def trial_fits(current: Fit, data: Dataset, enough: float, criteria: SelectionCr
     trials: list[Fit] = []
     remainder = 1.0  # smallest fraction of the excess over the floor that a candidate leaves
     best_promise = 0.0  # largest linearized gain of a candidate that explains the data
-    for scored in _promising(current, screen(current, proposed, data), data, enough, criteria):
+    promising = _promising(current, screen(current, proposed, data), data, enough, criteria)
+    share_kernel(current.machine, [scored.candidate.applied(scored.amounts) for scored in promising])
+    for scored in promising:
         # Where a candidate explains the data, only those that may be its rivals are fitted as well.
         if scored.gain > criteria.rival_promise * best_promise:
             trials.append(fit_with_candidate(current, scored, scales, data))
