@@ -20,6 +20,7 @@ from .model_error import (
     depend_on_same_variable,
     effect_force,
     fit_with_model_error,
+    force_difference,
     leave_one_out_gain,
     long_run_variance,
     residue_force,
@@ -223,7 +224,7 @@ class EffectSearch:
             or validation_fault(current.machine)
             or self._by_chance(reduced, current)
             or self._too_small(current, effect)
-            or self._form_error(current, effect)
+            or self._form_error(reduced, current, effect)
         )
 
     def _doubt(self, current: Fit, trial: Fit) -> str:
@@ -236,7 +237,7 @@ class EffectSearch:
             or validation_fault(trial.machine)
             or self._by_chance(current, trial)
             or self._too_small(trial, trial.machine.effects[-1])
-            or self._form_error(trial, trial.machine.effects[-1])
+            or self._form_error(current, trial, trial.machine.effects[-1])
         )
 
     def _unconfirmed(self, without: Fit, with_effect: Fit) -> str:
@@ -262,14 +263,16 @@ class EffectSearch:
             return ""
         return f"has a force of {1e3 * size:.2g} mN, where {1e3 * residue:.2g} mN remain unexplained"
 
-    def _form_error(self, fitted: Fit, effect: AppliedEffect) -> str:
+    def _form_error(self, without: Fit, with_effect: Fit, effect: AppliedEffect) -> str:
         """Return that an effect may be an error in the form of a larger one, "" if nothing speaks for that."""
-        machine, size = fitted.machine, effect_force(fitted.machine, effect, self._data)
+        machine, data = with_effect.machine, self._data
         for other in machine.effects:
             if other.label != effect.label and depend_on_same_variable(effect, other, machine):
-                fraction = size / max(effect_force(machine, other, self._data), 1e-12)
+                # The force beyond what the parameters of the machine and of the other effect can represent.
+                new_force = force_difference(without.machine, machine, data)
+                fraction = new_force / max(effect_force(machine, other, data), 1e-12)
                 if fraction < self._criteria.max_form_error:
-                    percent = f"has {100 * fraction:.0f} % of the force of {other.label}"
+                    percent = f"adds {100 * fraction:.0f} % to the force of {other.label}"
                     return f"{percent}, which depends on the same variable: the form of that effect may be in error"
         return ""
 

@@ -184,13 +184,28 @@ def effect_force(machine: Machine, effect: AppliedEffect, data: Dataset) -> floa
     if effect.definition.structure or effect.definition.measurement or effect.definition.measurement_delay:
         return np.inf
     without = machine.replace(effects=tuple(e for e in machine.effects if e.label != effect.label))
-    with_effect = without.with_effects(effect)
+    return force_difference(without, without.with_effects(effect), data)
+
+
+def force_difference(first: Machine, second: Machine, data: Dataset) -> float:
+    """Return the size of the difference between the forces of two machines during the recordings.
+
+    Args:
+        first: Machine whose predicted motion is used.
+        second: Machine with the same coordinates, for example with an effect, fitted to the same data. What parameters
+            of the first machine can represent of that effect is then not a part of the difference.
+        data: Runs over which the motion is predicted.
+
+    Returns:
+        Root mean square over all rows of the root sum of squares over the coordinates, as a force at the belt (torque /
+        pulley radius), N.
+    """
 
     def of_run(run: PreparedRecording) -> Array:
-        motion = predict(without, run, SEARCH_BANDWIDTH, period=data.period, states=True)
+        motion = predict(first, run, SEARCH_BANDWIDTH, period=data.period, states=True)
         record = (run.time_s, motion.positions[0], motion.velocities[0], run.inputs)
-        change: Array = net_forces(with_effect, *record) - net_forces(without, *record)
-        return change.reshape(-1, len(machine.coordinates)) / machine.travel_per_unit
+        change: Array = net_forces(second, *record) - net_forces(first, *record)
+        return change.reshape(-1, len(first.coordinates)) / first.travel_per_unit
 
     return _size(np.concatenate(list(map_runs(of_run, data))))
 
