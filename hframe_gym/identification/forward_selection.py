@@ -8,6 +8,7 @@ reduce it by enough are removed. `SelectionCriteria` holds the thresholds. A gai
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -223,7 +224,7 @@ class EffectSearch:
             self._unconfirmed(reduced, current)
             or validation_fault(current.machine)
             or self._by_chance(reduced, current)
-            or self._too_small(current, effect)
+            or self._too_small(reduced, current, effect)
             or self._form_error(reduced, current, effect)
         )
 
@@ -236,7 +237,7 @@ class EffectSearch:
             unconfirmed
             or validation_fault(trial.machine)
             or self._by_chance(current, trial)
-            or self._too_small(trial, trial.machine.effects[-1])
+            or self._too_small(current, trial, trial.machine.effects[-1])
             or self._form_error(current, trial, trial.machine.effects[-1])
         )
 
@@ -256,9 +257,11 @@ class EffectSearch:
             return ""
         return "reduces the error by no more than chance may, since the remaining error is correlated in time"
 
-    def _too_small(self, fitted: Fit, effect: AppliedEffect) -> str:
+    def _too_small(self, without: Fit, with_effect: Fit, effect: AppliedEffect) -> str:
         """Return that an effect is smaller than what remains unexplained beside it, "" if it is larger."""
-        size, residue = effect_force(fitted.machine, effect, self._data), residue_force(fitted, self._data)
+        size, residue = effect_force(with_effect.machine, effect, self._data), residue_force(with_effect, self._data)
+        if effect.definition.structure:  # no force at the machine's coordinates: what it takes from the unexplained one
+            size = math.sqrt(max(residue_force(without, self._data) ** 2 - residue**2, 0.0))
         if size >= self._criteria.min_force_ratio * residue:
             return ""
         return f"has a force of {1e3 * size:.2g} mN, where {1e3 * residue:.2g} mN remain unexplained"
