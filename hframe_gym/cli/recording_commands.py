@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from .app import MachineOption, OutOption, RecordingsArgument, app, console, log
-from .support import FAULT_FOUND, require_folder
+from .support import FAULT_FOUND, reading_progress, require_folder, require_several_runs
 
 
 @app.command()
@@ -29,7 +29,9 @@ def check(
     from ..recordings import load_machine, load_recordings
 
     declared = load_machine(machine)
-    findings = check_recordings(load_recordings(runs_dir, declared), declared)
+    with reading_progress("reading") as progress:
+        recordings = load_recordings(runs_dir, declared, progress)
+    findings = check_recordings(recordings, declared)
     print_findings(findings, console)
     if json is not None:
         write_findings(findings, json)
@@ -71,7 +73,9 @@ def identify(
         os.environ["HFRAME_THREADS"] = str(jobs)
     declared = load_machine(machine)
     require_folder(out)
-    recordings = load_recordings(runs_dir, declared)
+    with reading_progress("reading") as progress:
+        recordings = load_recordings(runs_dir, declared, progress)
+    require_several_runs(recordings, runs_dir)
     findings = check_recordings_before_fit(recordings, declared, None if force else runs_dir, log)
     result = run_identification(recordings, declared, held_out=hold_out or (), log=log)
     write_result(result, out, findings, proposed_formulas(result, log))

@@ -1,23 +1,31 @@
 """Read, validate and write the files of machines and recordings."""
 
 from .cleaning import GAP_PERIODS, bridge_blanks, fill_gaps, outlier_mask, without_outliers
+from .log_import import ImportSettings, import_logs, write_recording
+from .log_mapping import MappingOptions, parse_factor, read_mapping_file
 from .machine_file import load_machine, machine_to_dict, save_machine
 from .recording import Recording, load_recording, load_recordings, run_name, write_trajectory
 from .table_file import read_path
 
 __all__ = [
     "GAP_PERIODS",
+    "ImportSettings",
+    "MappingOptions",
     "Recording",
     "bridge_blanks",
     "fill_gaps",
+    "import_logs",
     "load_machine",
     "load_recording",
     "load_recordings",
     "machine_to_dict",
     "outlier_mask",
+    "parse_factor",
+    "read_mapping_file",
     "read_path",
     "run_name",
     "save_machine",
     "without_outliers",
+    "write_recording",
     "write_trajectory",
 ]
