@@ -149,20 +149,20 @@ def value_errors_as_input_errors() -> Iterator[None]:
 
 
 @contextmanager
-def reading_progress(description: str) -> Iterator[Callable[[int, int], None]]:
-    """Show a progress bar of the bytes that are read, on a terminal only.
+def progress_bar(description: str) -> Iterator[Callable[[int, int], None]]:
+    """Show a progress bar, on a terminal only.
 
     Args:
         description: Text before the bar.
 
     Yields:
-        Function to call with the number of bytes that were read, and that of all files.
+        Function to call with the work that is done and the total, for example in bytes.
     """
-    from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
     from .app import console
 
-    columns = TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TimeRemainingColumn()
+    columns = TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn()
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task(description, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)

@@ -101,6 +101,9 @@ class LogConverter:
                     converted = source.conversion.apply(by_header[source.column.header])
                     channels[source.channel] = converted if timed.all() else converted[timed]
             bases.append((time_s[timed], channels))
+        if self.day is not None:
+            date = f" of {self.day}" if self.day > np.datetime64("1970-01-01") else ""
+            remarks.append(f"time_s counts from midnight{date}; time zones are ignored")
         by_header.clear()  # the values of a long log are held only once
         time_s, columns = bases[0] if len(bases) == 1 else _merge(bases)
         if len(bases) > 1:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -86,7 +87,7 @@ def find_logs(path: str | Path) -> tuple[list[Path], list[Path]]:
         others: Further files of the folder, without hidden ones.
 
     Raises:
-        InputError: If the path does not exist, or the folder has no logs.
+        InputError: If the path does not exist, the folder has no logs, or two of them have the same name.
     """
     path = Path(path)
     if path.is_file():
@@ -97,6 +98,9 @@ def find_logs(path: str | Path) -> tuple[list[Path], list[Path]]:
     logs = [p for p in files if p.name.lower().removesuffix(".gz").endswith(LOG_SUFFIXES)]
     if not logs:
         raise InputError(f"{path}: no logs ({', '.join(LOG_SUFFIXES)}) in this folder")
+    for first, second in pairwise(sorted(logs, key=log_name)):
+        if log_name(first) == log_name(second):
+            raise InputError(f"{second}: would be the same run {log_name(first)!r} as {first.name}; rename one")
     return logs, [p for p in files if p not in logs]
 
 
@@ -203,7 +207,7 @@ def _open_parquet(path: Path) -> Log:
 
 
 def _open_mat(path: Path) -> Log:
-    """Open a MATLAB file up to version 7; columns are its vectors, the columns of its matrices and fields of structs."""
+    """Open a MATLAB file up to version 7; columns are its vectors and the columns of its matrices, also in structs."""
     from scipy import io
 
     try:
@@ -217,7 +221,9 @@ def _open_mat(path: Path) -> Log:
         for name, vector in _vectors(key, value)
     ]
     if not vectors:
-        advice = "save plain arrays or a struct of arrays; tables, timetables and timeseries are readable only in MATLAB"
+        advice = (
+            "save plain arrays or a struct of arrays; tables, timetables and timeseries are readable only in MATLAB"
+        )
         raise InputError(f"{path}: has no arrays of numbers; {advice}")
     kinds = ["number"] * len(vectors)
     columns = tuple(

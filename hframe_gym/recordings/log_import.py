@@ -7,9 +7,8 @@ import gzip
 import io
 import os
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
 from pathlib import Path
 from typing import Literal
 
@@ -29,6 +28,7 @@ RunFormat = Literal["csv.gz", "csv", "parquet"]
 Say = Callable[[str], None]
 
 _ROWS_PER_WRITE = 50_000
+_LONG_RUN = 60.0  # s
 _COMPRESSION = 4  # of gzip; higher levels take several times as long for a few percent
 
 
@@ -53,7 +53,7 @@ def import_logs(
     logs: str | Path,
     out: str | Path,
     machine: Machine,
-    settings: ImportSettings = ImportSettings(),  # noqa: B008, immutable
+    settings: ImportSettings = ImportSettings(),
     say: Say = print,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Path]:
@@ -67,7 +67,7 @@ def import_logs(
         machine: Machine that was logged; its channels are the columns of the recordings.
         settings: Mapping of columns, and whether to cut the logs.
         say: Called with a line of text for everything that was done or assumed.
-        progress: Called with the number of bytes that were read, and that of all logs.
+        progress: Called with the work that is done and the total, in bytes that are read and written.
 
     Returns:
         Files of the recordings.
@@ -83,11 +83,8 @@ def import_logs(
     existing = {run_name(p) for p in folder.iterdir() if p.name.endswith(SUFFIXES)} if folder.exists() else set()
     if others:
         say(f"not read, no logs by their ending: {', '.join(p.name for p in others)}")
-    names = [log_name(path) for path in paths]
-    for first, second in pairwise(sorted(zip(names, paths, strict=True))):
-        if first[0] == second[0]:
-            raise InputError(f"{second[1]}: would be the same run {first[0]!r} as {first[1].name}; rename one")
-    total, done = sum(path.stat().st_size for path in paths), 0
+    # Reading and writing take about the same time.
+    total, done = 2 * sum(path.stat().st_size for path in paths), 0
 
     def add(count: int) -> None:
         nonlocal done
@@ -103,23 +100,23 @@ def import_logs(
             for run in importer.runs(path):
                 if run.name in existing:
                     raise InputError(f"{folder}: the run {run.name!r} exists; choose another --out or delete it")
-                written.append(write_recording(Path(temporary) / f"{run.name}.{settings.run_format}", run, machine))
+                file = Path(temporary) / f"{run.name}.{settings.run_format}"
+                write_recording(file, run, machine, importer.count_rows)
+                written.append(file)
         folder.mkdir(exist_ok=True)
         for file in written:
             os.replace(file, folder / file.name)
     return [folder / file.name for file in written]
 
 
-def write_recording(path: Path, recording: Recording, machine: Machine) -> Path:
+def write_recording(path: Path, recording: Recording, machine: Machine, progress: Progress | None = None) -> None:
     """Write a recording without loss: every number reads back as it is.
 
     Args:
         path: File to write: .csv, .csv.gz (compressed) or .parquet.
         recording: Run to write; NaN becomes an empty cell.
         machine: Machine that was recorded; its channels name the columns.
-
-    Returns:
-        The path.
+        progress: Called with the number of rows that were written since the last call.
 
     Raises:
         OSError: If the file cannot be written.
@@ -135,7 +132,9 @@ def write_recording(path: Path, recording: Recording, machine: Machine) -> Path:
             raise InputError(f"{path.name}: writing Parquet files needs pip install 'hframe_gym[parquet]'") from None
         arrays = [pyarrow.array(column, from_pandas=True) for column in columns]
         parquet.write_table(pyarrow.table(dict(zip(names, arrays, strict=True))), path)
-        return path
+        if progress is not None:
+            progress(len(recording.time_s))
+        return
     with open(path, "wb") as raw:
         # Without name and time, equal recordings are equal files.
         stream = gzip.GzipFile("", "wb", _COMPRESSION, raw, mtime=0) if path.suffix == ".gz" else raw
@@ -144,7 +143,8 @@ def write_recording(path: Path, recording: Recording, machine: Machine) -> Path:
             for begin in range(0, len(recording.time_s), _ROWS_PER_WRITE):
                 cells = [_texts(column[begin : begin + _ROWS_PER_WRITE]) for column in columns]
                 file.writelines(f"{row}\n" for row in map(",".join, zip(*cells, strict=True)))
-    return path
+                if progress is not None:
+                    progress(len(cells[0]))
 
 
 def _texts(values: Array) -> list[str]:
@@ -162,21 +162,30 @@ class _Importer:
         self._machine, self._settings, self._say, self._progress = machine, settings, say, progress
         self._converter = LogConverter(machine)
         self._said: list[str] = []
+        self._bytes_per_row = 0.0
 
-    def runs(self, path: Path) -> Iterator[Recording]:
-        """Convert a log and yield its runs."""
+    def runs(self, path: Path) -> list[Recording]:
+        """Convert a log and return its runs."""
         log = open_log(path)
         sources = map_columns(log, self._machine, self._settings.mapping)
         self._say_mapping(log, sources)
         recording, remarks = self._converter.convert(log, sources, self._progress)
+        recording = dataclasses.replace(recording, name=log_name(path))
+        self._bytes_per_row = path.stat().st_size / len(recording.time_s)
+        remarks += _clock_remarks(recording.time_s)
+        runs = [recording]
         if self._settings.split:
             runs, more = split_at_rests(recording, self._machine, self._settings.min_rest)
             remarks += more
-        else:
-            runs = [recording]
-        for remark in [*remarks, *_clock_remarks(recording.time_s)]:
+        elif recording.time_s[-1] - recording.time_s[0] > _LONG_RUN:
+            remarks.append("a long run; --split-at-rests cuts it into several, which identification needs")
+        for remark in remarks:
             self._say(f"  {remark}")
-        yield from (dataclasses.replace(run, name=run.name.replace(recording.name, log_name(path))) for run in runs)
+        return runs
+
+    def count_rows(self, rows: int) -> None:
+        """Report rows of the last log as written."""
+        self._progress(round(rows * self._bytes_per_row))
 
     def _say_mapping(self, log: Log, sources: Sequence[ChannelSource]) -> None:
         """Say the format of a log and the origin of each channel, unless they are as in the log before."""

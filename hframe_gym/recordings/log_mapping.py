@@ -142,9 +142,27 @@ def map_columns(log: Log, machine: Machine, options: MappingOptions) -> list[Cha
         for channel in dimensions
         if channel in options.columns
     }
+    _assign_by_name(log, machine, times, assigned)
+    time_sources = {time.header: _source(log, TIME, time, None, "time", machine, options) for time in times}
+    sources = []
+    for channel, dimension in dimensions.items():
+        column = assigned[channel]
+        time_source = time_sources[_time_of(log, column, times).header] if column else None
+        sources.append(_source(log, channel, column, time_source, dimension, machine, options))
+    idle = [time for time in time_sources.values() if time not in [source.time for source in sources]]
+    if idle:
+        choices = " or ".join(shlex.quote(f"{TIME}={column.header}") for column in times)
+        raise InputError(f"{log.path}: several columns may be the time ({_list(times)}): add --map {choices}")
+    return [*time_sources.values(), *sources]
+
+
+def _assign_by_name(
+    log: Log, machine: Machine, times: Sequence[LogColumn], assigned: dict[str, LogColumn | None]
+) -> None:
+    """Add the channels to an assignment that the names of columns identify; refuse the log if one is missing."""
     taken = [*times, *assigned.values()]
     missing = [] if times else [TIME]
-    for channel in [channel for channel in dimensions if channel not in assigned]:
+    for channel in [channel for channel in channel_dimensions(machine) if channel not in assigned]:
         matches = [column for column in _matching_columns(log, channel) if column not in taken]
         if len(matches) == 1:
             assigned[channel] = matches[0]
@@ -155,15 +173,6 @@ def map_columns(log: Log, machine: Machine, options: MappingOptions) -> list[Cha
     if missing and (unused or set(missing) & {TIME, *machine.input_channels}):
         raise InputError(_missing_text(log, machine, missing, unused))
     assigned |= dict.fromkeys(missing)  # no column is left that these outputs could be
-    time_sources = {time.header: _source(log, TIME, time, None, "time", machine, options) for time in times}
-    sources = [
-        _source(log, channel, column, column and time_sources[_time_of(log, column, times).header], dim, machine, options)
-        for channel, column, dim in ((channel, assigned[channel], dim) for channel, dim in dimensions.items())
-    ]
-    if any(time not in [source.time for source in sources] for time in time_sources.values()):
-        choices = " or ".join(shlex.quote(f"{TIME}={column.header}") for column in times)
-        raise InputError(f"{log.path}: several columns may be the time ({_list(times)}): add --map {choices}")
-    return [*time_sources.values(), *sources]
 
 
 def channel_dimensions(machine: Machine) -> dict[str, Dimension]:
@@ -264,7 +273,7 @@ def _source(
     si_unit = SI_UNITS[dimension]
     conversion, remarks = Conversion(), []
     if column.kind == "stamp":
-        remarks.append("time stamps, converted to seconds since midnight")
+        remarks.append("time stamps to s")
     elif unit in UNITS[dimension]:
         conversion = Conversion(*UNITS[dimension][unit])
         remarks += [f"{unit} to {si_unit}"] if unit != si_unit else []

@@ -22,12 +22,12 @@ from .table_file import (
     SUFFIXES,
     Array,
     ForeignFormatError,
-    Progress,
     import_command,
     read_table,
     refuse_decreasing_times,
     refuse_rows,
 )
+from .text_reader import Progress
 
 # Units that recordings do not use, in words.
 _UNIT_WORDS = {"mm": "millimeters", "um": "micrometers", "deg": "degrees", "ms": "milliseconds", "%": "percent"}

@@ -28,9 +28,7 @@ _COMMENT_SIGNS = ("#", "%", "//")
 MISSING_WORDS = r"#?n/?a|null|none|nil|missing|#(?:num|value|ref)!|#div/0!|--+"
 _MISSING = re.compile(rf"(?:{MISSING_WORDS}|[+-]?nan|)", re.IGNORECASE)
 _NUMBER = re.compile(r"[+-]?(?:\d+(?:[.,]\d*)*|[.,]\d+)(?:e[+-]?\d+)?|[+-]?inf(?:inity)?", re.IGNORECASE)
-_TIME_STAMP = re.compile(
-    r"(?:\d{4}-\d\d-\d\d[T ])?\d{1,2}:\d\d:\d\d(?:[.,]\d+)?(?:Z|[+-]\d\d:?\d\d)?|\d{4}-\d\d-\d\d"
-)
+_TIME_STAMP = re.compile(r"(?:\d{4}-\d\d-\d\d[T ])?\d{1,2}:\d\d:\d\d(?:[.,]\d+)?(?:Z|[+-]\d\d:?\d\d)?|\d{4}-\d\d-\d\d")
 
 
 @dataclass(frozen=True)
@@ -86,6 +84,11 @@ def detect_format(path: Path) -> TextFormat:
         cells[0] = []
     first, width = _first_row(cells)
     rows = [row for row in cells[first:] if any(row)]
+    names_above = max((len(row) for row in cells[:first]), default=0)
+    if separator == "," and names_above > 1 and names_above + 1 < width <= 2 * names_above:
+        problem = f"the rows have {width} cells under {names_above} names"
+        advice = "if commas are also decimal marks, export it with semicolons between the columns"
+        raise InputError(f"{path}: {problem}; {advice}")
     header, units, layout = _detect_header(lines, cells, first, width, separator)
     if rows and all(len(row) > len(header) and not any(row[len(header) :]) for row in rows):
         layout.append("rows end with a separator")
@@ -95,9 +98,7 @@ def detect_format(path: Path) -> TextFormat:
     decimal, kinds = _decimal_and_kinds(rows, len(header))
     if decimal == ",":
         deviations.append("numbers have decimal commas")
-    return TextFormat(
-        encoding, separator, decimal, first, tuple(header), tuple(units), tuple(kinds), tuple(deviations)
-    )
+    return TextFormat(encoding, separator, decimal, first, tuple(header), tuple(units), tuple(kinds), tuple(deviations))
 
 
 @contextmanager
@@ -109,7 +110,7 @@ def open_text(path: Path, encoding: str) -> Iterator[tuple[TextIO, BinaryIO]]:
         encoding: Encoding of the text.
 
     Yields:
-        The text with "\\n" as line ends, and the file itself, whose position is the number of bytes read.
+        The text with line feeds as line ends, and the file itself, whose position is the number of bytes read.
 
     Raises:
         InputError: If the file cannot be opened, decompressed or decoded.

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from .text_format import MISSING_WORDS, TextFormat, is_missing, is_stamp, open_text, split_row
+from .text_format import MISSING_WORDS, TextFormat, is_missing, open_text, split_row
 
 Array = NDArray[np.float64]
 Progress = Callable[[int], None]  # called with the number of bytes of the file that were read since the last call
@@ -29,7 +29,7 @@ _CELL_SEPARATOR = "\x1f"
 _FOREIGN_MARK = "'"
 _FROM_DECIMAL_COMMA = str.maketrans(",.", "." + _FOREIGN_MARK)
 _FROM_DECIMAL_POINT = str.maketrans(",", _FOREIGN_MARK)
-_TIME_ZONE = re.compile(r"(?:Z|(?<=\d\d:\d\d)[+-]\d\d:?\d\d|(?<=[:.]\d\d)[+-]\d\d:?\d\d)$")
+_TIME_ZONE = re.compile(r"(?:Z|[+-]\d\d:?\d\d)$")
 
 
 def read_columns(
@@ -214,10 +214,7 @@ class _BlockReader:
         for number, line in enumerate(block.split("\n"), start=self._rows + 1):
             row = split_row(line, self._layout.separator)
             if len(row) not in (len(names), len(names) + 1) or any(row[len(names) :]):
-                advice = ""
-                if self._layout.separator == "," and len(row) > len(names) and len(row) >= 2 * len(names) - 1:
-                    advice = "; if commas are also decimal marks, export it with semicolons between the columns"
-                raise InputError(f"{position}{number}: {len(row)} cells under {len(names)} columns{advice}")
+                raise InputError(f"{position}{number}: {len(row)} cells under {len(names)} columns")
             for column in (*self.numbers, *self.stamps):
                 cell = row[column]
                 if is_missing(cell):
