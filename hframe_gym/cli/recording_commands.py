@@ -48,7 +48,7 @@ def import_logs(
 ) -> None:
     """Convert logs to recordings: any separator, decimal mark and encoding, other names and units, several rates.
 
-    Columns are assigned by --map, or if their name without unit is that of a channel ("X [mm]" for x_m); nothing else
+    Columns are assigned by --map, or if their name without unit is that of a channel ("X (mm)" for x_m). Nothing else
     is guessed. Everything that is converted, assumed or left out is printed. docs/import.md lists what is handled.
 
     Example:  hframe import log.txt --map v1_V=U1 --map v2_V=U2 --unit phi1_rad=deg --out runs --split-at-rests

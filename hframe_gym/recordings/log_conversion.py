@@ -185,8 +185,8 @@ def split_at_rests(recording: Recording, machine: Machine, min_rest: float) -> t
         )
     idle = time_s[-1] - time_s[0] - sum(float(run.time_s[-1] - run.time_s[0]) for run in runs)
     seconds = [float(run.time_s[-1] - run.time_s[0]) for run in runs]
-    lengths = f"{min(seconds):.3g} to {max(seconds):.3g} s"
-    remarks.append(f"cut at rests of {min_rest:g} s and more: {len(runs)} runs of {lengths}, {idle:.4g} s left out")
+    count = "1 run of" if len(runs) == 1 else f"{len(runs)} runs of {min(seconds):.3g} to"
+    remarks.append(f"cut at rests of {min_rest:g} s and more: {count} {max(seconds):.3g} s, {idle:.4g} s left out")
     return runs, remarks
 
 

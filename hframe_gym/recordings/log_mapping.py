@@ -304,6 +304,8 @@ def _missing_text(log: Log, machine: Machine, missing: Sequence[str], unused: Se
         candidates = [column for column in pool if column.unit in units] or [
             column for column in pool if not column.unit and _bare(column.name)[:1] in _FIRST_LETTERS[dimension]
         ]
+        if not candidates and len(pool) == 1 and not pool[0].unit:
+            candidates = pool[:]
         if candidates:
             pool.remove(candidates[0])
         name = candidates[0].header if candidates else "COLUMN"
