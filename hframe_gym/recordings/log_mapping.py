@@ -250,7 +250,8 @@ def _time_of(log: Log, column: LogColumn, times: Sequence[LogColumn]) -> LogColu
             raise InputError(f"{log.path}, {column.header}: has {column.rows} values, but the times have: {lengths}")
         times = same
         if len(same) > 1:
-            raise InputError(f"{log.path}: {column.header} has the length of several times ({_list(same)})")
+            choices = " or ".join(f"--map {TIME}={time.header}" for time in same)
+            raise InputError(f"{log.path}: several times have the length of {column.header}: add {choices}")
     position = log.columns.index(column)
     left = [time for time in times if log.columns.index(time) < position]
     return left[-1] if left else times[0]

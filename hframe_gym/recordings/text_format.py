@@ -28,7 +28,8 @@ _COMMENT_SIGNS = ("#", "%", "//")
 MISSING_WORDS = r"#?n/?a|null|none|nil|missing|#(?:num|value|ref)!|#div/0!|--+"
 _MISSING = re.compile(rf"(?:{MISSING_WORDS}|[+-]?nan|)", re.IGNORECASE)
 _NUMBER = re.compile(r"[+-]?(?:\d+(?:[.,]\d*)*|[.,]\d+)(?:e[+-]?\d+)?|[+-]?inf(?:inity)?", re.IGNORECASE)
-_TIME_STAMP = re.compile(r"(?:\d{4}-\d\d-\d\d[T ])?\d{1,2}:\d\d:\d\d(?:[.,]\d+)?(?:Z|[+-]\d\d:?\d\d)?|\d{4}-\d\d-\d\d")
+_DATE = r"(?:\d{4}-\d\d-\d\d|\d\d\.\d\d\.\d{4})"
+_TIME_STAMP = re.compile(rf"(?:{_DATE}[T ]+)?\d{{1,2}}:\d\d:\d\d(?:[.,]\d+)?(?:Z|[+-]\d\d:?\d\d)?|{_DATE}")
 
 
 @dataclass(frozen=True)
@@ -123,7 +124,8 @@ def open_text(path: Path, encoding: str) -> Iterator[tuple[TextIO, BinaryIO]]:
             with io.TextIOWrapper(stream, encoding, newline=None) as text:
                 yield text, file
     except UnicodeDecodeError as error:
-        raise InputError(f"{path}: cannot be read: not {encoding} text ({error.reason})") from None
+        name = encoding.removesuffix("-sig").upper()
+        raise InputError(f"{path}: cannot be read: not {name} text ({error.reason})") from None
     except (OSError, EOFError, zlib.error) as error:
         raise InputError(f"{path}: cannot be read: {error}") from None
 
@@ -140,7 +142,11 @@ def split_row(line: str, separator: str) -> list[str]:
     """
     if separator == _WHITESPACE:
         return line.split()
-    return [cell.strip() for cell in next(csv.reader([line], delimiter=separator), [])]
+    try:
+        cells = next(csv.reader([line], delimiter=separator), [])
+    except csv.Error:  # such as a cell of more than 131072 characters
+        cells = line.split(separator)
+    return [cell.strip() for cell in cells]
 
 
 def is_missing(cell: str) -> bool:
@@ -156,7 +162,7 @@ def is_missing(cell: str) -> bool:
 
 
 def is_stamp(cell: str) -> bool:
-    """Return whether a cell is a time of day or a date (ISO 8601), or both.
+    """Return whether a cell is a time of day or a date (2024-05-31 or 31.05.2024), or both.
 
     Args:
         cell: Text of the cell, without blanks around it.
@@ -197,7 +203,9 @@ def _detect_separator(lines: Sequence[str]) -> str:
     scores = {}
     for separator in _SEPARATORS:
         rows = [split_row(line, separator) for line in lines if line.strip() and not _is_comment(line)]
-        widths = Counter(len(row) for row in rows if _is_data(row) and len(row) > 1)
+        # Texts have blanks as well, so more than half of the cells between blanks must be numbers.
+        least = 0.6 if separator == _WHITESPACE else 0.5
+        widths = Counter(len(row) for row in rows if len(row) > 1 and _is_data(row, least))
         scores[separator] = max(widths.values(), default=0)
     best = max(scores, key=lambda separator: scores[separator])
     if scores[best]:
@@ -206,20 +214,33 @@ def _detect_separator(lines: Sequence[str]) -> str:
     return max((s for s in _SEPARATORS if s != _WHITESPACE), key=lambda s: (last.count(s), s == ","))
 
 
-def _is_data(row: Sequence[str]) -> bool:
-    """Return whether a row is one of numbers: the first cell with a value, and at least half of all of them."""
+def _is_data(row: Sequence[str], least: float = 0.5) -> bool:
+    """Return whether at least a fraction of the cells of a row that have a value are numbers or time stamps."""
     values = [cell for cell in row if not is_missing(cell)]
-    numeric = [_NUMBER.fullmatch(cell) is not None or is_stamp(cell) for cell in values]
-    return bool(values) and numeric[0] and 2 * sum(numeric) >= len(numeric)
+    return bool(values) and sum(map(_is_number_or_stamp, values)) >= least * len(values)
+
+
+def _is_number_or_stamp(cell: str) -> bool:
+    """Return whether a cell is a number or a time stamp."""
+    return _NUMBER.fullmatch(cell) is not None or is_stamp(cell)
 
 
 def _first_row(cells: Sequence[Sequence[str]]) -> tuple[int, int]:
-    """Return the line of the first row of numbers (the number of lines if there is none), and the cells of a row."""
+    """Return the line of the first row of numbers (the number of lines if there is none), and the cells of a row.
+
+    Above the data there may be lines with a name and a number, which rows of three and more cells differ from.
+    """
     filled = [i for i, row in enumerate(cells) if any(row)]
+    widths = Counter(len(cells[i]) for i in filled if _is_data(cells[i]))
+    if not widths:
+        return len(cells), len(cells[filled[-1]]) if filled else 0
+    width = widths.most_common(1)[0][0]
     for k, i in enumerate(filled):
-        if all(_is_data(cells[j]) for j in filled[k : k + _CONSECUTIVE]):
-            return i, Counter(len(cells[j]) for j in filled[k:]).most_common(1)[0][0]
-    return len(cells), len(cells[filled[-1]]) if filled else 0
+        following = filled[k : k + _CONSECUTIVE]
+        is_first = len(cells[i]) == width and (width > 2 or _is_number_or_stamp(cells[i][0]) or is_missing(cells[i][0]))
+        if is_first and all(_is_data(cells[j]) for j in following):
+            return i, width
+    return len(cells), width
 
 
 def _detect_header(

@@ -29,6 +29,7 @@ _CELL_SEPARATOR = "\x1f"
 _FOREIGN_MARK = "'"
 _FROM_DECIMAL_COMMA = str.maketrans(",.", "." + _FOREIGN_MARK)
 _FROM_DECIMAL_POINT = str.maketrans(",", _FOREIGN_MARK)
+_GERMAN_DATE = re.compile(r"^(\d\d)\.(\d\d)\.(\d{4})")
 _TIME_ZONE = re.compile(r"(?:Z|[+-]\d\d:?\d\d)$")
 
 
@@ -70,10 +71,10 @@ def read_columns(
 
 
 def parse_stamps(cells: Sequence[str]) -> NDArray[np.datetime64]:
-    """Convert time stamps (ISO 8601) and times of day to instants.
+    """Convert time stamps and times of day to instants.
 
     Args:
-        cells: Time stamps with or without a date; time zones are ignored.
+        cells: Times with or without a date, 2024-05-31T12:00:00.5 or 31.05.2024 12:00:00.5; time zones are ignored.
 
     Returns:
         Instants, datetime64[ns], shape (len(cells),); times of day on 1970-01-01, NaT for missing values.
@@ -87,7 +88,7 @@ def parse_stamps(cells: Sequence[str]) -> NDArray[np.datetime64]:
         if is_missing(stamp):
             texts.append("NaT")
             continue
-        stamp = _TIME_ZONE.sub("", stamp)
+        stamp = _GERMAN_DATE.sub(r"\3-\2-\1", _TIME_ZONE.sub("", stamp))
         if "-" not in stamp:
             stamp = f"1970-01-01T{'0' if stamp[1:2] == ':' else ''}{stamp}"
         texts.append(stamp)
@@ -227,4 +228,6 @@ class _BlockReader:
                         float(cell.translate(marks))
                 except ValueError:
                     what = "a time stamp" if column in self.stamps else "a number"
-                    raise InputError(f"{position}{number}, column {names[column]}: {cell!r} is not {what}") from None
+                    advice = "; dates and times are read as 2024-05-31T12:00:00.5" if ":" in cell else ""
+                    text = f"column {names[column]}: {cell!r} is not {what}{advice}"
+                    raise InputError(f"{position}{number}, {text}") from None

@@ -269,6 +269,7 @@ def test_several_columns_of_time_are_merged(table: Table, hframe: Machine, tmp_p
         ("2024-05-01 12:00:{:06.3f}", 43200.0),
         ("2024-05-01T12:00:{:06.3f}Z", 43200.0),
         ("2024-05-01T12:00:{:06.3f}+02:00", 43200.0),
+        ("01.05.2024 12:00:{:06.3f}", 43200.0),
         ("9:30:{:06.3f}", 34200.0),
     ],
 )
@@ -433,6 +434,14 @@ def test_an_ambiguous_or_impossible_mapping_is_refused(
         (lambda t: with_line(t, 40, "0.0385,1,2"), "row 40: 3 cells under 7 columns"),
         (lambda t: with_line(t, 40, "0.0385,1,2,a,1,1,1"), "row 40, column phi1_rad: 'a' is not a number"),
         (lambda t: with_line(t, 40, "0.0005,1,2,1,1,1,1"), "row 40, column time_s: 0.0005 goes back.*clock restart"),
+        (
+            lambda t: text_of(t, ";", ",").replace("0,04;", "1.000,04;"),
+            "row 41, column time_s: '1.000,04' is not a number",
+        ),
+        (
+            lambda t: text_of(t).replace("\n0.0", "\nMay 1 0:00:0"),
+            "column time_s: 'May 1 0:00:0' is not .*dates and times",
+        ),
         (lambda t: text_of(t, ",", ","), "rows have 14 cells under 7 names; if commas are also decimal marks"),
         (
             lambda t: text_of({("t" if c == "time_s" else c): v * 1000 for c, v in t.items()}),
