@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -19,7 +20,7 @@ from hframe_gym.cli import tables as cli_tables
 from hframe_gym.effects import EFFECTS
 from hframe_gym.errors import InputError
 from hframe_gym.identification import simulate_recording
-from hframe_gym.machine import Machine
+from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import load_recording, machine_to_dict
 
 pytestmark = pytest.mark.integration
@@ -27,7 +28,7 @@ pytestmark = pytest.mark.integration
 Command = Callable[..., tuple[int, str, str]]
 
 ROOT = Path(__file__).parents[1]
-COMMANDS = ("simulate", "check", "identify", "report", "train", "evaluate", "machines", "effects", "kernel")
+COMMANDS = ("simulate", "import", "check", "identify", "report", "train", "evaluate", "machines", "effects", "kernel")
 
 
 @pytest.fixture
@@ -414,3 +415,41 @@ def test_the_package_imports_and_steps_without_the_extras() -> None:
         "env = gymnasium.make('HFrame-v0'); env.reset(seed=0); env.step(env.action_space.sample())\n"
     )
     subprocess.run([sys.executable, "-W", "error", "-c", code], check=True)
+
+
+def test_import_converts_a_folder_of_logs_that_check_then_accepts(hframe_command: Command, tmp_path: Path) -> None:
+    source = np.loadtxt(ROOT / "examples/rig_b/run_01.csv.gz", delimiter=",", skiprows=1)[:800]
+    (tmp_path / "logs").mkdir()
+    for name in ("a", "b"):
+        lines = ["Zeit [ms];U1;U2;phi1 [deg];phi2 [deg];Laser X;Y [mm]"]
+        scales = [1e3, 1, 1, 180 / np.pi, 180 / np.pi, 1e3, 1e3]
+        lines += [";".join(f"{value:.12g}".replace(".", ",") for value in row) for row in source * scales]
+        (tmp_path / "logs" / f"{name}.txt").write_text("\n".join(lines))
+    (tmp_path / "map.toml").write_text("[map]\nv1_V = 'U1'\nv2_V = 'V2'\nx_m = 'Laser X'\n[scale]\nx_m = 0.001\n")
+    options = ("--mapping", tmp_path / "map.toml", "--out", tmp_path / "runs")
+    result = hframe_command("import", tmp_path / "logs", *options)
+    assert_refused(result, "--map v2_V=V2: there is no such column; the columns are Zeit [ms], U1, U2")
+    assert_refused(
+        hframe_command("import", tmp_path / "logs", *options, "--map", "U2"), "--map U2: must be CHANNEL=COL"
+    )
+    assert_refused(hframe_command("import", tmp_path / "logs", *options, "--scale", "x_m=a"), "'a' is not a factor")
+    assert not (tmp_path / "runs").exists()
+    code, out, _ = hframe_command("import", tmp_path / "logs", *options, "--map", "v2_V=U2", "--format", "parquet")
+    assert code == 0
+    assert "  phi1_rad <- phi1 [deg] (deg to rad)" in out
+    assert f"wrote 2 runs to {tmp_path / 'runs'}. Next: hframe check {tmp_path / 'runs'} --machine hframe" in out
+    run = load_recording(tmp_path / "runs" / "b.parquet", BUILTIN_MACHINES["hframe"]())
+    np.testing.assert_allclose(np.column_stack([run.time_s, run.inputs, run.outputs]), source, rtol=1e-10)
+    code, out, _ = hframe_command("check", tmp_path / "runs")
+    assert code == 0
+    assert "faults: 0" in out
+
+
+def test_a_single_run_cannot_be_identified_and_the_message_says_how_to_cut_it(
+    hframe_command: Command, tmp_path: Path
+) -> None:
+    shutil.copy(ROOT / "examples/rig_b/run_01.csv.gz", tmp_path)
+    result = hframe_command("identify", tmp_path, "--out", tmp_path / "out")
+    command = f"hframe import {tmp_path / 'run_01.csv.gz'} --out RUNS --split-at-rests"
+    assert_refused(result, "has the single run 'run_01' of", command)
+    assert not (tmp_path / "out").exists()

@@ -86,6 +86,28 @@ def require_folder(path: Path) -> Path:
     return path
 
 
+def require_several_runs(recordings: Sequence[Recording], folder: Path) -> None:
+    """Check that a folder has more than one run, because one is held out.
+
+    Args:
+        recordings: Runs of the folder.
+        folder: Folder, for the message.
+
+    Raises:
+        InputError: If there is a single run. The message says how to cut it into several.
+    """
+    if len(recordings) != 1:
+        return
+    run = recordings[0]
+    file = next(path for path in sorted(folder.iterdir()) if path.name.startswith(f"{run.name}."))
+    seconds = run.time_s[-1] - run.time_s[0]
+    command = f"hframe import {file} --out RUNS --split-at-rests (and the --machine of this command)"
+    raise InputError(
+        f"{folder}: has the single run {run.name!r} of {seconds:.4g} s; at least two are needed, because one is held "
+        f"out. Record more runs, or cut it at its rests: {command}"
+    )
+
+
 def task_with_path(name: str, path: str | None) -> Any:
     """Build the task that the options --task and --path select.
 
@@ -124,6 +146,26 @@ def value_errors_as_input_errors() -> Iterator[None]:
         yield
     except ValueError as error:
         raise InputError(str(error)) from error
+
+
+@contextmanager
+def progress_bar(description: str) -> Iterator[Callable[[int, int], None]]:
+    """Show a progress bar, on a terminal only.
+
+    Args:
+        description: Text before the bar.
+
+    Yields:
+        Function to call with the work that is done and the total, for example in bytes.
+    """
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+    from .app import console
+
+    columns = TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn()
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task(description, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
 def describe_failure(error: Exception) -> tuple[int, str]:

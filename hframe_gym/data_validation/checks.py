@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 
 _JITTER = 0.02  # of the period; standard deviation of the time steps from which it is noted
 _IRREGULAR = 0.1  # of the period; standard deviation above which identification may suffer
+_LONG_PERIOD = 0.2  # s; slower samples cannot record the motion of a machine
+_LONG_RUN = 120.0  # s
 _SAME_RATE = 1.02  # ratio of sampling periods up to which runs have one rate
 _MIN_REST = 0.05  # s at rest that determine the initial state and the sensors' zeros
 _REST_TOLERANCE = 1e-6  # s; times in a file are rounded
@@ -46,6 +48,8 @@ def check_recordings(recordings: Sequence[Recording], machine: Machine) -> list[
     Returns:
         Findings sorted by severity: faults first, then advice, then notes.
     """
+    if wrong_times := _times_in_milliseconds(recordings):
+        return wrong_times
     cleaned = [without_outliers(recording, machine) for recording in recordings]
     data = prepare(cleaned, machine)
     moving = [recording.name for recording in cleaned if _moves(recording, data) and len(recording.time_s) > 2]
@@ -75,6 +79,8 @@ def check_before_fit(recordings: Sequence[Recording], machine: Machine) -> list[
     Returns:
         Findings of severity "fault" (the data contradict themselves), then "advice"; notes are left out.
     """
+    if wrong_times := _times_in_milliseconds(recordings):
+        return wrong_times
     cleaned = [without_outliers(recording, machine) for recording in recordings]
     data = prepare(cleaned, machine)
     moving = [recording.name for recording in cleaned if _moves(recording, data) and len(recording.time_s) > 2]
@@ -89,15 +95,7 @@ def _faults_and_advice(
     moving: Sequence[str],
     machine: Machine,
 ) -> list[Finding]:
-    """Check clock, outliers, stuck outputs and wiring.
-
-    Args:
-        recordings: Runs as recorded.
-        cleaned: The same runs without outliers.
-        data: The cleaned runs, prepared for a fit.
-        moving: Names of the runs in which something moves.
-        machine: Declared machine.
-    """
+    """Check clock, outliers, stuck outputs and wiring of runs as recorded, without outliers, and prepared for a fit."""
     findings = []
     for recording, without in zip(recordings, cleaned, strict=True):
         findings += _check_sampling(recording) + _outliers(recording, without, machine)
@@ -109,6 +107,17 @@ def _by_severity(findings: Sequence[Finding]) -> list[Finding]:
     """Return findings sorted by severity."""
     order = ("fault", "advice", "note")
     return sorted(findings, key=lambda finding: order.index(finding.severity))
+
+
+def _times_in_milliseconds(recordings: Sequence[Recording]) -> list[Finding]:
+    """Report runs whose samples are too far apart for seconds."""
+    periods = {r.name: float(np.median(np.diff(r.time_s))) for r in recordings if len(r.time_s) > 1}
+    advice = "is it in milliseconds? Convert it: hframe import FILE --unit time_s=ms --out RUNS"
+    return [
+        Finding("fault", name, "time_s", f"samples are {period:.4g} s apart, {advice}")
+        for name, period in periods.items()
+        if period >= _LONG_PERIOD
+    ]
 
 
 def _check_sampling(recording: Recording) -> list[Finding]:
@@ -127,6 +136,9 @@ def _check_sampling(recording: Recording) -> list[Finding]:
             "dropped, and the inputs in the gaps are unknown"
         )
         findings.append(Finding("advice", recording.name, "time_s", message))
+    if np.sum(steps) > _LONG_RUN:
+        message = f"is {np.sum(steps):.4g} s long, which makes a fit slow: cut it by hframe import --split-at-rests"
+        findings.append(Finding("advice", recording.name, "", message))
     jitter = float(np.std(steps[~gaps]))
     if jitter > _JITTER * period:
         severity: Severity = "advice" if jitter > _IRREGULAR * period else "note"

@@ -255,13 +255,7 @@ def cramer_rao_bounds(data: Dataset, machine: Machine, names: Sequence[str] = ()
     """
     # Derivatives are with respect to relative changes of the parameters, which do not exist for a value of zero.
     names = [n for n in (names or [f.name for f in default_free_parameters(machine)]) if machine.parameters[n] != 0.0]
-    runs = tuple(
-        dataclasses.replace(
-            run, time_s=run.time_s[:_MAX_ROWS], inputs=run.inputs[:_MAX_ROWS], outputs=run.outputs[:_MAX_ROWS]
-        )
-        for run in data.runs
-    )
-    data = dataclasses.replace(data, runs=runs)
+    data = dataclasses.replace(data, runs=tuple(_first_rows(run, _MAX_ROWS) for run in data.runs))
     forward, backward = (_residual_model(data, machine, names, direction) for direction in (1.0, -1.0))
     at_declared = np.zeros(len(names))
 
@@ -296,6 +290,13 @@ def check_parameters(data: Dataset, machine: Machine) -> list[Finding]:
         severity: Severity = "advice" if bound.relative_std > _LARGE_STD else "note"
         findings.append(Finding(severity, "", bound.name, message))
     return findings
+
+
+def _first_rows(run: PreparedRecording, count: int) -> PreparedRecording:
+    """Return a run without the rows after the first ones."""
+    by_row = ("time_s", "inputs", "outputs", "noise")
+    rows = None if run.rows is None else run.rows[:count]
+    return dataclasses.replace(run, rows=rows, **{name: getattr(run, name)[:count] for name in by_row})
 
 
 def _residual_model(data: Dataset, machine: Machine, names: Sequence[str], direction: float) -> ResidualModel:

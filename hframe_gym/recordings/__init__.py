@@ -1,6 +1,8 @@
 """Read, validate and write the files of machines and recordings."""
 
 from .cleaning import GAP_PERIODS, bridge_blanks, fill_gaps, outlier_mask, without_outliers
+from .log_import import ImportSettings, import_logs, write_recording
+from .log_mapping import MappingOptions, parse_factor, read_mapping_file
 from .machine_file import load_machine, machine_to_dict, save_machine
 from .machine_schema import TABLES, Table, field_descriptions, field_units, machine_json_schema, table_summary
 from .machine_template import TEMPLATES, MachineOptions, new_machine, write_machine_template
@@ -11,13 +13,16 @@ __all__ = [
     "GAP_PERIODS",
     "TABLES",
     "TEMPLATES",
+    "ImportSettings",
     "MachineOptions",
+    "MappingOptions",
     "Recording",
     "Table",
     "bridge_blanks",
     "field_descriptions",
     "field_units",
     "fill_gaps",
+    "import_logs",
     "load_machine",
     "load_recording",
     "load_recordings",
@@ -25,11 +30,14 @@ __all__ = [
     "machine_to_dict",
     "new_machine",
     "outlier_mask",
+    "parse_factor",
+    "read_mapping_file",
     "read_path",
     "run_name",
     "save_machine",
     "table_summary",
     "without_outliers",
     "write_machine_template",
+    "write_recording",
     "write_trajectory",
 ]

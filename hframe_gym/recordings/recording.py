@@ -7,6 +7,7 @@ an output that was not measured is empty. Errors name file, row (1 is the first 
 from __future__ import annotations
 
 import gzip
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -16,10 +17,20 @@ import numpy as np
 from ..atomic_files import atomic_file
 from ..errors import InputError
 from ..machine import Machine, Trajectory
-from .table_file import SUFFIXES, Array, read_table, refuse_decreasing_times, refuse_rows
+from .measurement_units import split_unit
+from .table_file import (
+    SUFFIXES,
+    Array,
+    ForeignFormatError,
+    import_command,
+    read_table,
+    refuse_decreasing_times,
+    refuse_rows,
+)
+from .text_reader import Progress
 
-# Units that recordings do not use, by the ending of a column's name: the name of the unit and the expected ending.
-_FOREIGN_UNITS = {"_mm": ("millimeters", "_m"), "_um": ("micrometers", "_m"), "_deg": ("degrees", "_rad")}
+# Units that recordings do not use, in words.
+_UNIT_WORDS = {"mm": "millimeters", "um": "micrometers", "deg": "degrees", "ms": "milliseconds", "%": "percent"}
 # The largest plausible measurement of a channel by the ending of its name (20 m, 2000 turns), and the unit of the value
 # if it is larger.
 _LARGEST = {"_m": (20.0, "millimeters"), "_rad": (2000 * 2 * np.pi, "degrees")}
@@ -51,13 +62,16 @@ class Recording:
     outputs: Array
 
 
-def load_recordings(folder: str | Path, machine: Machine) -> list[Recording]:
+def load_recordings(
+    folder: str | Path, machine: Machine, progress: Callable[[int, int], None] | None = None
+) -> list[Recording]:
     """Load and validate all recordings of a folder.
 
     Args:
         folder: Folder of the runs; files with other endings than .csv, .csv.gz and .parquet, and hidden files, are
             ignored.
         machine: Machine that was recorded; its channels name the columns.
+        progress: Called while files are read with the number of bytes that were read, and that of all files.
 
     Returns:
         The runs in the order of their file names.
@@ -68,19 +82,31 @@ def load_recordings(folder: str | Path, machine: Machine) -> list[Recording]:
     """
     path = Path(folder)
     if not path.is_dir():
-        raise InputError(f"{path}: {'is a file, give the folder of runs' if path.exists() else 'no such folder'}")
+        advice = f"is a file, give the folder of runs; a log becomes runs with {import_command(path)}"
+        raise InputError(f"{path}: {advice if path.exists() else 'no such folder'}")
     files = sorted(
         p for p in path.iterdir() if p.name.endswith(SUFFIXES) and not p.name.startswith(".") and p.is_file()
     )
     if not files:
-        raise InputError(f"{path}: no recordings ({', '.join(SUFFIXES)}) in this folder")
+        advice = f"; logs of other formats become runs with {import_command(path)}" if any(path.iterdir()) else ""
+        raise InputError(f"{path}: no recordings ({', '.join(SUFFIXES)}) in this folder{advice}")
     for first, second in pairwise(sorted(files, key=run_name)):
         if run_name(first) == run_name(second):
             raise InputError(f"{second}: the run {run_name(second)!r} exists twice, also as {first.name}; delete one")
-    return [load_recording(p, machine) for p in files]
+    total, done = sum(p.stat().st_size for p in files), 0
+
+    def add(count: int) -> None:
+        nonlocal done
+        done += count
+        if progress is not None:
+            progress(done, total)
+
+    return [load_recording(p, machine, progress=add) for p in files]
 
 
-def load_recording(path: str | Path, machine: Machine, *, outputs_needed: bool = True) -> Recording:
+def load_recording(
+    path: str | Path, machine: Machine, *, outputs_needed: bool = True, progress: Progress | None = None
+) -> Recording:
     """Load and validate one recording.
 
     Args:
@@ -88,6 +114,7 @@ def load_recording(path: str | Path, machine: Machine, *, outputs_needed: bool =
         machine: Machine that was recorded; its channels name the columns.
         outputs_needed: Whether the file must have output columns. False also accepts voltages alone; the outputs are
             then NaN.
+        progress: Called with the number of bytes read since the last call.
 
     Returns:
         The run, with inputs in the order of the machine's drives and outputs in that of its sensors.
@@ -98,8 +125,30 @@ def load_recording(path: str | Path, machine: Machine, *, outputs_needed: bool =
             names the file, and row and column where there is one.
     """
     path = Path(path)
-    header, columns = read_table(path)
+    try:
+        header, columns = read_table(path, progress)
+    except ForeignFormatError as error:
+        raise InputError(f"{error}. Convert it: {import_command(path)}") from None
     _check_header(path, header, machine, outputs_needed=outputs_needed)
+    return recording_from_columns(path, columns, machine)
+
+
+def recording_from_columns(path: Path, columns: Mapping[str, Array], machine: Machine) -> Recording:
+    """Validate the columns of a run and arrange them in the order of a machine's channels.
+
+    Args:
+        path: File of the run, for its name and for messages; it need not exist.
+        columns: Values by column, shape (n,) each: `time_s`, all inputs, and any of the outputs.
+        machine: Machine that was recorded.
+
+    Returns:
+        The run. Outputs without a column are NaN.
+
+    Raises:
+        InputError: If there are no rows, a time or input is empty or infinite, all outputs are empty, times do not
+            increase, or a channel is in a wrong unit. The message names the file, and row and column where there is
+            one.
+    """
     time_s = columns["time_s"]
     if len(time_s) == 0:
         raise InputError(f"{path}: no rows below the header")
@@ -159,21 +208,26 @@ def run_name(path: Path) -> str:
 def _check_header(path: Path, header: list[str], machine: Machine, *, outputs_needed: bool) -> None:
     """Refuse a header with unknown, repeated or missing columns."""
     expected = ["time_s", *machine.input_channels, *machine.output_channels]
+    channels = f"machine {machine.name!r} has {', '.join(expected)}"
     for name in header:
         if header.count(name) > 1:
             raise InputError(f"{path}, column {name}: appears twice")
         if name in expected:
             continue
-        for ending, (unit, expected_ending) in _FOREIGN_UNITS.items():
-            wanted = name.removesuffix(ending) + expected_ending
-            if name.endswith(ending) and wanted in expected:
-                raise InputError(f"{path}, column {name}: is in {unit}; recordings have {wanted}")
-        raise InputError(f"{path}, column {name}: unknown; machine {machine.name!r} has {', '.join(expected)}")
+        plain_name, unit = split_unit(name)
+        wanted = [c for c in expected if split_unit(c)[0].lower() == plain_name.lower()]
+        if unit and wanted and unit != split_unit(wanted[0])[1]:
+            wrong = f"is in {_UNIT_WORDS.get(unit, unit)}; recordings have {wanted[0]}"
+            raise InputError(f"{path}, column {name}: {wrong}. Convert it: {import_command(path)}")
+        advice = f"Rename the column or leave it out: {import_command(path)}"
+        raise InputError(f"{path}, column {name}: unknown; {channels}. {advice}")
     missing = [name for name in expected if name not in header]
     if not outputs_needed and not set(header) & set(machine.output_channels):
         missing = [name for name in missing if name not in machine.output_channels]
     if missing:
-        raise InputError(f"{path}, column {missing[0]}: missing (the header has {', '.join(header)})")
+        advice = f"; a channel that was not measured is an empty column, which {import_command(path)} adds"
+        advice = advice if missing[0] in machine.output_channels else f"; {channels}"
+        raise InputError(f"{path}, column {missing[0]}: missing (the header has {', '.join(header)}){advice}")
     if header[0] != "time_s":
         raise InputError(f"{path}, column {header[0]}: the first column must be time_s")
 

@@ -5,41 +5,61 @@ Rows are counted from 1, the first row below the header. An empty cell is NaN.
 
 from __future__ import annotations
 
-import csv
-import gzip
-import io
-import re
-import zlib
+import shlex
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from .text_format import detect_format
+from .text_reader import Progress, read_columns
 
 Array = NDArray[np.float64]
 
-_EMPTY_CELL = re.compile(r"(?<=,)[ \t]*(?=[,\r\n]|\Z)|(?m:^)(?=,)")
 SUFFIXES = (".csv", ".csv.gz", ".parquet")
 
 
-def read_table(path: Path) -> tuple[list[str], dict[str, Array]]:
+class ForeignFormatError(InputError):
+    """A table is not UTF-8 text with commas between the cells, decimal points and a header in the first line."""
+
+
+def read_table(path: Path, progress: Progress | None = None) -> tuple[list[str], dict[str, Array]]:
     """Read a table of numbers with a header line.
 
     Args:
         path: A CSV file (.csv, or .csv.gz compressed by gzip) or a Parquet file (.parquet).
+        progress: Called with the number of bytes read since the last call.
 
     Returns:
         Names of the columns in the order of the file.
-        Values of each column by its name, shape (rows,), NaN where a cell is empty.
+        Values of each column by its name, shape (rows,), NaN where a cell is empty, NA, NaN or #N/A.
 
     Raises:
+        ForeignFormatError: If the table has another format, such as semicolons between the columns.
         InputError: If the file cannot be read, rows differ in length, or a cell is not a number. The message names
             file, row and column.
     """
     if not path.is_file():
         raise InputError(f"{path}: no such file")
-    return _read_parquet(path) if path.suffix == ".parquet" else _read_csv(path)
+    if path.suffix != ".parquet":
+        return _read_csv(path, progress)
+    table = _read_parquet(path)
+    if progress is not None:
+        progress(path.stat().st_size)
+    return table
+
+
+def import_command(path: Path) -> str:
+    """Return the command that converts a log to recordings, for messages.
+
+    Args:
+        path: File of the log.
+
+    Returns:
+        Command line for a shell.
+    """
+    return f"hframe import {shlex.quote(str(path))} --out RUNS"
 
 
 def refuse_rows(path: Path, name: str, column: Array, invalid: NDArray[np.bool_], reason: str) -> None:
@@ -112,64 +132,17 @@ def read_path(path: str | Path) -> tuple[Array, Array | None]:
     return points, columns["time_s"] - columns["time_s"][0]
 
 
-def _read_csv(path: Path) -> tuple[list[str], dict[str, Array]]:
-    """Read a CSV file with NumPy's fast reader, or cell by cell if some cells are not numbers."""
-    try:
-        opened = gzip.open(path, "rb") if path.suffix == ".gz" else open(path, "rb")  # noqa: SIM115
-        with opened as file:
-            text = file.read().decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: cannot be read: not UTF-8 text ({error.reason}); save it as CSV UTF-8") from None
-    except (OSError, EOFError, zlib.error) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from None
-    if "\n" not in text:
-        text = text.replace("\r", "\n")  # line ends of old spreadsheets
-    first_line, _, body = text.lstrip().partition("\n")
-    if first_line.startswith(("#", "sep=")):
-        raise InputError(f"{path}: the first line must be the header, it is {first_line.strip()!r}")
-    for separator, word in ((";", "semicolons"), ("\t", "tabs")):
-        if separator in first_line and "," not in first_line:
-            raise InputError(f"{path}: columns are separated by {word}; use commas, and points as decimal marks")
-    try:
-        header = [name.strip() for name in next(csv.reader([first_line.strip()]), [])]
-        if not header:
-            raise InputError(f"{path}: empty")
-        if not body.strip():
-            return header, {name: np.zeros(0) for name in header}
-        table = _read_numbers(body)
-        if table is None and _EMPTY_CELL.search(body):
-            table = _read_numbers(_EMPTY_CELL.sub("nan", body))  # the fast reader refuses empty cells
-        if table is None:
-            return header, _read_cells(path, header, body)
-    except csv.Error as error:
-        raise InputError(f"{path}: cannot be read: {error}") from None
-    if table.shape[1] != len(header):
-        raise InputError(f"{path}, row 1: {table.shape[1]} cells under {len(header)} columns")
-    return header, dict(zip(header, np.ascontiguousarray(table.T), strict=True))
-
-
-def _read_numbers(body: str) -> Array | None:
-    """Read rows of numbers with NumPy's fast reader; None if it refuses a cell or the rows differ in length."""
-    try:
-        return np.loadtxt(io.StringIO(body), delimiter=",", comments=None, ndmin=2)
-    except ValueError:
-        return None
-
-
-def _read_cells(path: Path, header: list[str], body: str) -> dict[str, Array]:
-    """Read the rows of a CSV file cell by cell; the first faulty cell is refused."""
-    rows = [row for row in csv.reader(io.StringIO(body)) if row]
-    for number, row in enumerate(rows, start=1):
-        if len(row) != len(header):
-            raise InputError(f"{path}, row {number}: {len(row)} cells under {len(header)} columns")
-    columns: dict[str, Array] = {}
-    for j, name in enumerate(header):
-        cells = [row[j].strip() or "nan" for row in rows]
-        try:
-            columns[name] = np.array(cells, dtype=float)
-        except ValueError:
-            columns[name] = np.array([_number(path, i, name, cell) for i, cell in enumerate(cells, start=1)])
-    return columns
+def _read_csv(path: Path, progress: Progress | None) -> tuple[list[str], dict[str, Array]]:
+    """Read a CSV file in the format of recordings; other formats are refused with advice."""
+    layout = detect_format(path)
+    if layout.deviations:
+        raise ForeignFormatError(f"{path}: cannot be read: {', '.join(layout.deviations)}")
+    header = list(layout.names)
+    values, _ = read_columns(path, layout, range(len(header)), progress=progress)
+    for name, kind in zip(header, layout.kinds, strict=True):
+        if kind == "stamp":
+            raise ForeignFormatError(f"{path}, column {name}: has dates or times of day instead of numbers")
+    return header, dict(zip(header, values, strict=True))
 
 
 def _number(path: Path, row: int, column: str, cell: object) -> float:

@@ -169,3 +169,21 @@ def test_a_run_that_does_not_begin_at_rest_is_advice(hframe: Machine) -> None:
 def test_runs_whose_clock_restarts_are_noted(runs: list[Recording], hframe: Machine) -> None:
     restarted = [dataclasses.replace(run, time_s=run.time_s - run.time_s[0]) for run in runs]
     assert any("the clock restarts" in f.message for f in check_recordings(restarted, hframe))
+
+
+def test_times_in_milliseconds_are_a_fault(runs: list[Recording], hframe: Machine) -> None:
+    wrong = dataclasses.replace(runs[0], time_s=1000 * runs[0].time_s)
+    for findings in (check_recordings([wrong], hframe), check_before_fit([wrong], hframe)):
+        [line] = faults(findings)
+        assert "time_s: samples are 1 s apart, is it in milliseconds? Convert it: hframe import FILE --unit" in line
+
+
+def test_a_run_of_many_rows_is_checked_and_should_be_cut(runs: list[Recording], hframe: Machine) -> None:
+    repeats = 70
+    period = 1e-3
+    rows = repeats * len(runs[0].time_s)
+    inputs, outputs = (np.tile(values, (repeats, 1)) for values in (runs[0].inputs, runs[0].outputs))
+    long = Recording("long", period * np.arange(rows), inputs, outputs)
+    findings = check_recordings([long], hframe)
+    assert any("s long, which makes a fit slow: cut it by hframe import --split-at-rests" in str(f) for f in findings)
+    assert any(f.channel == "x.mass" and "standard error" in f.message for f in findings)

@@ -15,7 +15,7 @@ import pytest
 
 from hframe_gym.errors import InputError
 from hframe_gym.machine import Machine
-from hframe_gym.recordings import load_recording, read_path
+from hframe_gym.recordings import load_recording, read_path, text_reader
 from hframe_gym.recordings.table_file import read_table
 
 WriteRun = Callable[..., Path]
@@ -124,10 +124,17 @@ def test_a_faulty_path_is_refused(text: str, message: str, tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("x_m;y_m\n0,1;0,2\n", "separated by semicolons; use commas"),
-        ("x_m\ty_m\n0\t1\n", "separated by tabs; use commas"),
-        ("# bench 3\nx_m,y_m\n0,0\n", "the first line must be the header, it is '# bench 3'"),
-        ("x_m,y_m\nm,m\n0,0\n", "row 1, column x_m: 'm' is not a number; rows of units"),
+        ("x_m;y_m\n0,1;0,2\n", "columns are separated by semicolons, numbers have decimal commas"),
+        ("x_m\ty_m\n0\t1\n", "columns are separated by tabs"),
+        ("x_m y_m\n0 1\n", "columns are separated by blanks"),
+        ("# bench 3\nx_m,y_m\n0,0\n", "1 comment line is above the data"),
+        ("# x_m,y_m\n0,0\n", "the header is in a comment line"),
+        ("sep=,\nx_m,y_m\n0,0\n", "its first line is sep="),
+        ("bench 3\nx_m,y_m\n0,0\n1,2\n", "1 other line is above the data"),
+        ("x_m,y_m\nm,m\n0,0\n", "a row of units is below the header"),
+        ("x_m,y_m\n0,0,\n1,2,\n", "rows end with a separator"),
+        ("0,1\n2,3\n", "it has no header"),
+        ("x_m,y_m\n12:00:01.5,0\n", "column x_m: has dates or times of day instead of numbers"),
     ],
 )
 def test_foreign_table_formats_are_refused_with_advice(text: str, message: str, tmp_path: Path) -> None:
@@ -136,6 +143,46 @@ def test_foreign_table_formats_are_refused_with_advice(text: str, message: str, 
     with pytest.raises(InputError) as error:
         read_table(path)
     assert message in str(error.value)
+
+
+def test_a_table_in_utf_16_is_refused_by_name(tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    for content in ("x_m,y_m\n0,1\n".encode("utf-16"), "x_m,y_m\n0,1\n".encode("utf-16-le")):
+        path.write_bytes(content)
+        with pytest.raises(InputError, match=r"table\.csv: cannot be read: it is UTF-16 text"):
+            read_table(path)
+    path.write_bytes(bytes(range(256)))
+    with pytest.raises(InputError, match="is not a text file"):
+        read_table(path)
+
+
+@pytest.mark.parametrize("missing", ["", " ", "NA", "n/a", "NaN", "nan", "#N/A", "#NUM!", "null", "--"])
+def test_missing_values_are_read_as_nan(missing: str, tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text(f"x_m,y_m\n{missing},1\n2,{missing}\n3,4\n")
+    np.testing.assert_array_equal(read_table(path)[1]["x_m"], [np.nan, 2, 3])
+    np.testing.assert_array_equal(read_table(path)[1]["y_m"], [1, np.nan, 4])
+
+
+def test_a_table_of_several_blocks_reads_as_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(text_reader, "_BLOCK", 1000)
+    table = np.random.default_rng(0).normal(size=(500, 3))
+    table[77, 2] = np.nan
+    path = tmp_path / "table.csv"
+    np.savetxt(path, table, fmt="%.17g", delimiter=",", header="a,b,c", comments="")
+    read_bytes: list[int] = []
+    header, columns = read_table(path, read_bytes.append)
+    np.testing.assert_array_equal(np.column_stack([columns[name] for name in header]), table)
+    assert sum(read_bytes) == path.stat().st_size
+    lines = path.read_text().splitlines()
+    lines[400] = "1,2"
+    path.write_text("\n".join(lines))
+    with pytest.raises(InputError, match="row 400: 2 cells under 3 columns"):
+        read_table(path)
+    lines[400] = "1,bad,2"
+    path.write_text("\n".join(lines))
+    with pytest.raises(InputError, match="row 400, column b: 'bad' is not a number"):
+        read_table(path)
 
 
 def test_line_ends_of_old_spreadsheets_are_read(tmp_path: Path) -> None:

@@ -1,0 +1,259 @@
+"""Open the logs of controllers and data loggers: text of any format, MATLAB .mat files and Parquet files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from .measurement_units import normalize_unit, split_unit
+from .text_format import detect_format
+from .text_reader import Progress, read_columns
+
+LOG_SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".log", ".asc", ".prn", ".mat", ".parquet")
+
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+
+
+@dataclass(frozen=True)
+class LogColumn:
+    """Column of a log.
+
+    Attributes:
+        header: Name as written in the file, with a number if it is repeated ("Time.2").
+        name: Name without its unit.
+        unit: Unit from the header or from a row of units; "" if neither has one.
+        kind: "number", "stamp" (dates or times of day) or "text".
+        rows: Number of rows; None if all columns of the file have the same number.
+    """
+
+    header: str
+    name: str
+    unit: str
+    kind: str
+    rows: int | None = None
+
+
+@dataclass(frozen=True)
+class Log:
+    """Log file whose columns are known and whose values are read on demand.
+
+    Attributes:
+        path: The file.
+        columns: Its columns in the order of the file.
+        remarks: What distinguishes the file from a recording, in words.
+        reader: Function behind `read`.
+    """
+
+    path: Path
+    columns: tuple[LogColumn, ...]
+    remarks: tuple[str, ...]
+    reader: Callable[[Sequence[int], Progress | None], tuple[list[NDArray[Any]], list[str]]]
+
+    def read(
+        self, columns: Sequence[LogColumn], progress: Progress | None = None
+    ) -> tuple[list[NDArray[Any]], list[str]]:
+        """Read the values of columns.
+
+        Args:
+            columns: Columns of this log.
+            progress: Called with the number of bytes read since the last call.
+
+        Returns:
+            values: One array per column, shape (rows,), in the unit of the file: float64, NaN where a cell is empty,
+                or datetime64[ns] for time stamps.
+            remarks: What was left out, in words.
+
+        Raises:
+            InputError: If a cell is not a number or the file cannot be read. The message names file, row and column.
+        """
+        return self.reader([self.columns.index(column) for column in columns], progress)
+
+
+def find_logs(path: str | Path) -> tuple[list[Path], list[Path]]:
+    """List the logs that a path names.
+
+    Args:
+        path: A log, or a folder of logs.
+
+    Returns:
+        logs: The file, or the folder's files with a known ending (also followed by .gz), in alphabetical order.
+        others: Further files of the folder, without hidden ones.
+
+    Raises:
+        InputError: If the path does not exist, the folder has no logs, or two of them have the same name.
+    """
+    path = Path(path)
+    if path.is_file():
+        return [path], []
+    if not path.is_dir():
+        raise InputError(f"{path}: no such file or folder")
+    files = sorted(p for p in path.iterdir() if p.is_file() and not p.name.startswith("."))
+    logs = [p for p in files if p.name.lower().removesuffix(".gz").endswith(LOG_SUFFIXES)]
+    if not logs:
+        raise InputError(f"{path}: no logs ({', '.join(LOG_SUFFIXES)}) in this folder")
+    for first, second in pairwise(sorted(logs, key=log_name)):
+        if log_name(first) == log_name(second):
+            raise InputError(f"{second}: would be the same run {log_name(first)!r} as {first.name}; rename one")
+    return logs, [p for p in files if p not in logs]
+
+
+def log_name(path: Path) -> str:
+    """Return the name of the run that a log becomes: its file name without ending.
+
+    Args:
+        path: File of the log.
+
+    Returns:
+        The name.
+    """
+    return Path(path.name.removesuffix(".gz")).stem
+
+
+def open_log(path: Path) -> Log:
+    """Open a log; its content decides what it is, not the ending of its name.
+
+    Args:
+        path: File of the log.
+
+    Returns:
+        The log.
+
+    Raises:
+        InputError: If the file is empty, has no columns of numbers, or is of a kind that cannot be read. The message
+            says how to export it.
+    """
+    with open(path, "rb") as file:
+        start = file.read(128)
+    if start.startswith(b"PAR1"):
+        return _open_parquet(path)
+    if start.startswith(_HDF5) or b"MATLAB 7.3" in start:
+        advice = "save it as version 7 in MATLAB: save('log.mat', 't', 'x', '-v7'), or export it as CSV"
+        raise InputError(f"{path}: is an HDF5 file (MATLAB version 7.3), which is not read; {advice}")
+    if start.startswith(b"MATLAB") or path.suffix.lower() == ".mat":
+        return _open_mat(path)
+    if start.startswith((b"PK\x03\x04", b"\xd0\xcf\x11\xe0")):
+        raise InputError(f"{path}: is a spreadsheet or an archive, not a table in text; save the sheet as CSV")
+    return _open_text(path)
+
+
+def _columns(headers: Sequence[str], units: Sequence[str], kinds: Sequence[str]) -> tuple[LogColumn, ...]:
+    """Build the columns of a table; repeated names get a number, empty ones that of the column."""
+    columns: list[LogColumn] = []
+    for position, (written, unit, kind) in enumerate(zip(headers, units, kinds, strict=True), start=1):
+        header = written.strip() or f"#{position}"
+        name, unit_in_header = split_unit(header)
+        repeats = sum(column.header == header or column.header.startswith(f"{header}.") for column in columns)
+        number = f".{repeats + 1}" if any(column.header == header for column in columns) else ""
+        columns.append(LogColumn(header + number, name, unit_in_header or normalize_unit(unit), kind))
+    return tuple(columns)
+
+
+def _open_text(path: Path) -> Log:
+    """Open a table in text."""
+    layout = detect_format(path)
+
+    def read(indices: Sequence[int], progress: Progress | None) -> tuple[list[NDArray[Any]], list[str]]:
+        return read_columns(path, layout, indices, lenient=True, progress=progress)
+
+    return Log(path, _columns(layout.names, layout.units, layout.kinds), layout.deviations, read)
+
+
+def _open_parquet(path: Path) -> Log:
+    """Open a Parquet file with pyarrow, an optional dependency."""
+    try:
+        import pyarrow as arrow
+        from pyarrow import parquet
+    except ImportError:
+        raise InputError(f"{path}: reading Parquet files needs pip install 'hframe_gym[parquet]'") from None
+    try:
+        file = parquet.ParquetFile(path)
+    except Exception as error:  # pyarrow raises many types, some of them private
+        raise InputError(f"{path}: cannot be read: {' '.join(str(error).split())}") from None
+    fields = list(file.schema_arrow)
+
+    def kind(data: Any) -> str:
+        types = arrow.types
+        if types.is_timestamp(data) or types.is_time(data) or types.is_date(data):
+            return "stamp"
+        numeric = types.is_integer(data) or types.is_floating(data) or types.is_decimal(data)
+        return "number" if numeric or types.is_boolean(data) else "text"
+
+    kinds = [kind(field.type) for field in fields]
+
+    def read(indices: Sequence[int], progress: Progress | None) -> tuple[list[NDArray[Any]], list[str]]:
+        values: list[NDArray[Any]] = []
+        for index in indices:
+            column = file.read(columns=[fields[index].name])[fields[index].name]
+            if kinds[index] == "text":
+                raise InputError(f"{path}, column {fields[index].name}: contains {column.type}, not numbers")
+            if kinds[index] == "stamp":
+                if arrow.types.is_time(column.type):
+                    column = column.cast(arrow.time64("ns")).cast(arrow.int64())
+                values.append(column.cast(arrow.timestamp("ns")).to_numpy().astype("datetime64[ns]"))
+            else:
+                values.append(column.cast("double").to_numpy())
+            if progress is not None:
+                progress(path.stat().st_size // len(indices))
+        return values, []
+
+    return Log(path, _columns([f.name for f in fields], [""] * len(fields), kinds), ("it is a Parquet file",), read)
+
+
+def _open_mat(path: Path) -> Log:
+    """Open a MATLAB file up to version 7; columns are its vectors and the columns of its matrices, also in structs."""
+    from scipy import io
+
+    try:
+        content = io.loadmat(path, simplify_cells=True)
+    except Exception as error:  # SciPy raises many types for damaged files
+        raise InputError(f"{path}: cannot be read as a MATLAB file: {' '.join(str(error).split())}") from None
+    vectors = [
+        (name, vector)
+        for key, value in content.items()
+        if not key.startswith("__")
+        for name, vector in _vectors(key, value)
+    ]
+    if not vectors:
+        advice = (
+            "save plain arrays or a struct of arrays; tables, timetables and timeseries are readable only in MATLAB"
+        )
+        raise InputError(f"{path}: has no arrays of numbers; {advice}")
+    kinds = ["number"] * len(vectors)
+    columns = tuple(
+        LogColumn(column.header, column.name, column.unit, column.kind, len(vector))
+        for column, (_, vector) in zip(
+            _columns([name for name, _ in vectors], [""] * len(vectors), kinds), vectors, strict=True
+        )
+    )
+
+    def read(indices: Sequence[int], progress: Progress | None) -> tuple[list[NDArray[Any]], list[str]]:
+        if progress is not None:
+            progress(path.stat().st_size)
+        return [vectors[index][1] for index in indices], []
+
+    return Log(path, columns, ("it is a MATLAB file",), read)
+
+
+def _vectors(name: str, value: Any) -> Iterator[tuple[str, NDArray[np.float64]]]:
+    """Yield the vectors in a variable of a MATLAB file with their names: "log.t", "data.2" for the second column."""
+    if isinstance(value, dict):
+        label = value.get("label")
+        for key, member in value.items():
+            # A signal of Simulink's structure with time is known by its label.
+            yield from _vectors(label if label and key == "values" else f"{name}.{key}", member)
+    elif isinstance(value, list) or (isinstance(value, np.ndarray) and value.dtype == object):
+        for number, member in enumerate(value, start=1):
+            yield from _vectors(f"{name}.{number}", member)
+    elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub":
+        if value.ndim == 1 and len(value) > 1:
+            yield name, value.astype(float)
+        elif value.ndim == 2 and value.size:
+            for number, column in enumerate(value.T if value.shape[0] > value.shape[1] else value, start=1):
+                yield f"{name}.{number}", column.astype(float)

@@ -1,0 +1,333 @@
+"""Decide which column of a log is which channel of a machine, and how its values convert to the channel's unit."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from ..errors import InputError
+from ..machine import Machine
+from .log_file import Log, LogColumn
+from .measurement_units import DUTY_UNITS, SI_UNITS, UNITS, Conversion, Dimension, normalize_unit, split_unit
+
+TIME = "time_s"
+NOT_MEASURED = "none"  # in place of a column: the output has no column in the log
+_TIME_NAMES = ("time", "t", "timestamp", "zeit", "elapsedtime", "seconds", "sec")  # without signs, in lower case
+# First letters of names that are suggested for a channel, never assigned without the user.
+_FIRST_LETTERS: dict[Dimension, str] = {"voltage": "uv", "length": "xyzp", "angle": "paqe", "time": "t"}
+
+
+@dataclass(frozen=True)
+class MappingOptions:
+    """What the user states about the columns of logs; everything else follows from names and units in the log.
+
+    Attributes:
+        columns: Column by channel: its name with or without its unit, "#3" for the third column, or "none" for an
+            output that was not measured.
+        units: Unit of the column by channel, for example {"phi1_rad": "deg", "v1_V": "%"}.
+        scales: Factor by channel. It is applied to the values of the column, behind the conversion from a unit that
+            `units` states; a unit in the header is then ignored.
+    """
+
+    columns: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    scales: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class ChannelSource:
+    """Origin of a channel's values.
+
+    Attributes:
+        channel: Name of the channel, or "time_s".
+        column: Column of the log; None if the output was not measured.
+        time: Source of the times of its samples; None for a time itself and without a column.
+        conversion: Conversion to the unit of the channel.
+        remark: What is converted or assumed, in words; "" if there is nothing to say.
+        assumed: Whether neither the log nor the user states the unit.
+    """
+
+    channel: str
+    column: LogColumn | None
+    time: ChannelSource | None
+    conversion: Conversion
+    remark: str
+    assumed: bool = False
+
+
+def read_mapping_file(path: str | Path) -> MappingOptions:
+    """Read a mapping file: TOML or JSON with the tables `map`, `unit` and `scale`, each by channel.
+
+    Args:
+        path: File ending in .toml or .json.
+
+    Returns:
+        Its content.
+
+    Raises:
+        InputError: If the file cannot be read or has other tables or values. The message names file and field.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text("utf-8-sig")
+        content = json.loads(text) if path.suffix.lower() == ".json" else tomllib.loads(text)
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from None
+    except (ValueError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: is not a valid TOML or JSON file: {error}") from None
+    tables: dict[str, dict[str, str | float]] = {"map": {}, "unit": {}, "scale": {}}
+    for name, table in content.items() if isinstance(content, dict) else ():
+        if name not in tables or not isinstance(table, dict):
+            raise InputError(f"{path}, {name}: a mapping has the tables {', '.join(tables)}")
+        tables[name] = table
+    scales = {channel: parse_factor(f"{path}, scale.{channel}", factor) for channel, factor in tables["scale"].items()}
+    columns, units = ({c: str(value) for c, value in tables[name].items()} for name in ("map", "unit"))
+    return MappingOptions(columns, units, scales)
+
+
+def parse_factor(where: str, factor: object) -> float:
+    """Convert a factor to a number.
+
+    Args:
+        where: File and field or option, for the message.
+        factor: Number or text, for example "0.001".
+
+    Returns:
+        The factor.
+
+    Raises:
+        InputError: If it is not a finite number other than zero.
+    """
+    try:
+        value = float(factor)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        value = 0.0
+    if not abs(value) > 0.0 or value in (float("inf"), float("-inf")):
+        raise InputError(f"{where}: {factor!r} is not a factor; give a number such as 0.001")
+    return value
+
+
+def map_columns(log: Log, machine: Machine, options: MappingOptions) -> list[ChannelSource]:
+    """Assign the columns of a log to the channels of a machine.
+
+    A column is assigned if the options name it, or if its name, without its unit, is that of exactly one channel
+    ("X [mm]", "x_mm" and "x" for x_m). Nothing else is guessed.
+
+    Args:
+        log: Opened log.
+        machine: Machine that was logged.
+        options: What the user states.
+
+    Returns:
+        One source per column of time, then one per channel, in the order of the machine. If the log has several columns
+        of time, the time of a column is the one to its left, or the one of the same length.
+
+    Raises:
+        InputError: If a channel has no column or several, or a unit is unknown. The message lists columns and channels
+            and a line of options to complete.
+    """
+    dimensions = channel_dimensions(machine)
+    for option, keys in (("map", options.columns), ("unit", options.units), ("scale", options.scales)):
+        unknown = [key for key in keys if key not in (TIME, *dimensions)]
+        if unknown:
+            raise InputError(f"--{option} {unknown[0]}=...: no such channel; {_channels_text(machine)}")
+    times = _time_columns(log, options)
+    assigned: dict[str, LogColumn | None] = {
+        channel: _named_column(log, channel, options.columns[channel], machine)
+        for channel in dimensions
+        if channel in options.columns
+    }
+    _assign_by_name(log, machine, times, assigned)
+    time_sources = {time.header: _source(log, TIME, time, None, "time", machine, options) for time in times}
+    sources = []
+    for channel, dimension in dimensions.items():
+        column = assigned[channel]
+        time_source = time_sources[_time_of(log, column, times).header] if column else None
+        sources.append(_source(log, channel, column, time_source, dimension, machine, options))
+    idle = [time for time in time_sources.values() if time not in [source.time for source in sources]]
+    if idle:
+        choices = " or ".join(shlex.quote(f"{TIME}={column.header}") for column in times)
+        raise InputError(f"{log.path}: several columns may be the time ({_list(times)}): add --map {choices}")
+    return [*time_sources.values(), *sources]
+
+
+def _assign_by_name(
+    log: Log, machine: Machine, times: Sequence[LogColumn], assigned: dict[str, LogColumn | None]
+) -> None:
+    """Add the channels to an assignment that the names of columns identify; refuse the log if one is missing."""
+    taken = [*times, *assigned.values()]
+    missing = [] if times else [TIME]
+    for channel in [channel for channel in channel_dimensions(machine) if channel not in assigned]:
+        matches = [column for column in _matching_columns(log, channel) if column not in taken]
+        if len(matches) == 1:
+            assigned[channel] = matches[0]
+        else:
+            missing.append(channel)
+    used = [*times, *assigned.values()]
+    unused = [column for column in log.columns if column not in used and column.kind != "text"]
+    if missing and (unused or set(missing) & {TIME, *machine.input_channels}):
+        raise InputError(_missing_text(log, machine, missing, unused))
+    assigned |= dict.fromkeys(missing)  # no column is left that these outputs could be
+
+
+def channel_dimensions(machine: Machine) -> dict[str, Dimension]:
+    """Return the dimension of each channel of a machine.
+
+    Args:
+        machine: Machine with its drives and sensors.
+
+    Returns:
+        "voltage" for inputs, "length" or "angle" for outputs, by channel, inputs first.
+    """
+    dimensions: dict[str, Dimension] = dict.fromkeys(machine.input_channels, "voltage")
+    for sensor in machine.sensors:
+        linear = machine.coordinate(sensor.coordinate).kind == "linear"
+        dimensions[sensor.channel] = "length" if linear else "angle"
+    return dimensions
+
+
+def _matching_columns(log: Log, channel: str) -> list[LogColumn]:
+    """Return the columns whose name is that of a channel, only the identical one if there is one."""
+    identical = [column for column in log.columns if column.header == channel]
+    return identical or [column for column in log.columns if _bare(column.name) == _bare(split_unit(channel)[0])]
+
+
+def _bare(name: str) -> str:
+    """Return a name without signs and blanks, in lower case."""
+    return re.sub(r"[^\w#]|_", "", name.lower())
+
+
+def _time_columns(log: Log, options: MappingOptions) -> list[LogColumn]:
+    """Return the columns of time: those that the user names, or those with a name of time."""
+    reference = options.columns.get(TIME)
+    if reference is not None:
+        try:
+            return [_find_column(log, TIME, reference)]
+        except InputError:
+            if "," not in reference:
+                raise
+            return [_find_column(log, TIME, part.strip()) for part in reference.split(",")]
+    identical = [column for column in log.columns if column.header == TIME]
+    named = [column for column in log.columns if _bare(column.name.rpartition(".")[2]) in _TIME_NAMES]
+    return identical or named
+
+
+def _named_column(log: Log, channel: str, reference: str, machine: Machine) -> LogColumn | None:
+    """Return the column that the user names for a channel, None for an output that was not measured."""
+    if reference.lower() in (NOT_MEASURED, ""):
+        if channel not in machine.output_channels:
+            raise InputError(f"--map {channel}={reference}: only outputs may be left out; {_channels_text(machine)}")
+        return None
+    return _find_column(log, channel, reference)
+
+
+def _find_column(log: Log, channel: str, reference: str) -> LogColumn:
+    """Return the column that a reference names: by its header, its name without unit, or its number (#3)."""
+    if re.fullmatch(r"#\d+", reference) and 1 <= int(reference[1:]) <= len(log.columns):
+        return log.columns[int(reference[1:]) - 1]
+    for columns in (
+        [c for c in log.columns if c.header == reference],
+        [c for c in log.columns if c.header.lower() == reference.lower()],
+        [c for c in log.columns if c.name.lower() == reference.lower()],
+    ):
+        if len(columns) == 1:
+            return columns[0]
+    problem = "several columns have this name" if columns else "there is no such column"
+    raise InputError(f"{log.path}: --map {channel}={reference}: {problem}; the columns are {_list(log.columns)}")
+
+
+def _time_of(log: Log, column: LogColumn, times: Sequence[LogColumn]) -> LogColumn:
+    """Return the time of a column: of several the one of the same length, or the last one to the left."""
+    if column.rows is not None:
+        same = [time for time in times if time.rows == column.rows]
+        if not same:
+            lengths = ", ".join(f"{time.header} {time.rows}" for time in times)
+            raise InputError(f"{log.path}, {column.header}: has {column.rows} values, but the times have: {lengths}")
+        times = same
+        if len(same) > 1:
+            choices = " or ".join(f"--map {TIME}={time.header}" for time in same)
+            raise InputError(f"{log.path}: several times have the length of {column.header}: add {choices}")
+    position = log.columns.index(column)
+    left = [time for time in times if log.columns.index(time) < position]
+    return left[-1] if left else times[0]
+
+
+def _source(
+    log: Log,
+    channel: str,
+    column: LogColumn | None,
+    time: ChannelSource | None,
+    dimension: Dimension,
+    machine: Machine,
+    options: MappingOptions,
+) -> ChannelSource:
+    """Return the source of a channel with its conversion: from the options, or from the unit that the log states."""
+    if column is None:
+        return ChannelSource(channel, None, None, Conversion(), "not measured: the cells stay empty")
+    stated, scale = options.units.get(channel), options.scales.get(channel)
+    unit = normalize_unit(stated) if stated is not None else "" if scale is not None else column.unit
+    si_unit = SI_UNITS[dimension]
+    conversion, remarks = Conversion(), []
+    if column.kind == "stamp":
+        remarks.append("time stamps to s")
+    elif unit in UNITS[dimension]:
+        conversion = Conversion(*UNITS[dimension][unit])
+        remarks += [f"{unit} to {si_unit}"] if unit != si_unit else []
+    elif unit in DUTY_UNITS and dimension == "voltage":
+        drive = next(drive for drive in machine.drives if drive.channel == channel)
+        conversion = Conversion(drive.rated_voltage, DUTY_UNITS[unit])
+        remarks.append(f"duty cycle, 100 % is {drive.rated_voltage:.6g} V, the rated voltage of {drive.name}")
+    elif unit:
+        known = ", ".join([*UNITS[dimension], *(DUTY_UNITS if dimension == "voltage" else ())])
+        advice = f"state it by --unit {channel}=UNIT ({known}), or a factor to {si_unit} by --scale {channel}=FACTOR"
+        raise InputError(f"{log.path}, column {column.header}: {unit!r} is not a unit of {channel}; {advice}")
+    elif scale is None:
+        remarks.append(f"no unit, taken as {si_unit}")
+    if scale is not None:
+        conversion = conversion.scaled(scale)
+        remarks.append(f"times {scale:.9g}")
+    assumed = scale is None and not unit and column.kind != "stamp"
+    return ChannelSource(channel, column, time, conversion, ", ".join(remarks), assumed)
+
+
+def _missing_text(log: Log, machine: Machine, missing: Sequence[str], unused: Sequence[LogColumn]) -> str:
+    """Return the message about channels without a column, with options to complete."""
+    pool = list(unused)
+    options = []
+    for channel in missing:
+        dimension: Dimension = "time" if channel == TIME else channel_dimensions(machine)[channel]
+        units = [*UNITS[dimension], *(DUTY_UNITS if dimension == "voltage" else ())]
+        candidates = [column for column in pool if column.unit in units] or [
+            column for column in pool if not column.unit and _bare(column.name)[:1] in _FIRST_LETTERS[dimension]
+        ]
+        if not candidates and len(pool) == 1 and not pool[0].unit:
+            candidates = pool[:]
+        if candidates:
+            pool.remove(candidates[0])
+        name = candidates[0].header if candidates else "COLUMN"
+        options.append(f"--map {shlex.quote(f'{channel}={name}')}")
+    several = {channel: _matching_columns(log, channel) for channel in missing if channel != TIME}
+    ambiguous = [f"{channel} may be {_list(columns)}" for channel, columns in several.items() if len(columns) > 1]
+    problem = "; ".join(ambiguous) or f"no column is named like {', '.join(missing)}"
+    absent = [channel for channel in missing if channel in machine.output_channels]
+    none = f" (or {absent[0]}={NOT_MEASURED}, if it was not measured)" if absent else ""
+    return (
+        f"{log.path}: {problem}. Columns of the log: {_list(log.columns)}. Not assigned: {_list(unused) or 'none'}. "
+        f"{_channels_text(machine)}. Check and add: {' '.join(options)}{none}"
+    )
+
+
+def _channels_text(machine: Machine) -> str:
+    """Return a sentence with the channels of a machine."""
+    inputs, outputs = ", ".join(machine.input_channels), ", ".join(machine.output_channels)
+    return f"Machine {machine.name!r} has {TIME}, inputs {inputs} and outputs {outputs}"
+
+
+def _list(columns: Sequence[LogColumn]) -> str:
+    """Return the headers of columns as a list in words; a unit from a row of units follows in brackets."""
+    return ", ".join(c.header if c.name != c.header or not c.unit else f"{c.header} [{c.unit}]" for c in columns)

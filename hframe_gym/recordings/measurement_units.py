@@ -1,0 +1,161 @@
+"""Units of columns in logs: recognize them in a header and convert them to SI."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Dimension = Literal["time", "voltage", "length", "angle"]
+
+# Factor to SI as numerator and denominator: dividing by 1000 rounds correctly, multiplying by 0.001 does not.
+UNITS: dict[Dimension, dict[str, tuple[float, float]]] = {
+    "time": {"s": (1, 1), "ms": (1, 1e3), "us": (1, 1e6), "ns": (1, 1e9), "min": (60, 1)},
+    "voltage": {"V": (1, 1), "mV": (1, 1e3)},
+    "length": {"m": (1, 1), "cm": (1, 1e2), "mm": (1, 1e3), "um": (1, 1e6), "in": (0.0254, 1)},
+    "angle": {"rad": (1, 1), "mrad": (1, 1e3), "deg": (np.pi, 180), "rev": (2 * np.pi, 1)},
+}
+SI_UNITS: dict[Dimension, str] = {dimension: next(iter(units)) for dimension, units in UNITS.items()}
+DUTY_UNITS = {"%": 100.0, "pu": 1.0}  # of a voltage: fractions of the machine's rated voltage, which they give at 100 %
+
+_SPELLINGS = {
+    "sec": "s",
+    "secs": "s",
+    "second": "s",
+    "seconds": "s",
+    "msec": "ms",
+    "millis": "ms",
+    "milliseconds": "ms",
+    "usec": "us",
+    "µs": "us",
+    "μs": "us",
+    "micros": "us",
+    "microseconds": "us",
+    "nsec": "ns",
+    "nanoseconds": "ns",
+    "minutes": "min",
+    "volt": "V",
+    "volts": "V",
+    "millivolts": "mV",
+    "meter": "m",
+    "meters": "m",
+    "metres": "m",
+    "millimeter": "mm",
+    "millimeters": "mm",
+    "millimetres": "mm",
+    "µm": "um",
+    "μm": "um",
+    "micrometers": "um",
+    "inch": "in",
+    "inches": "in",
+    "radian": "rad",
+    "radians": "rad",
+    "°": "deg",
+    "degree": "deg",
+    "degrees": "deg",
+    "turn": "rev",
+    "turns": "rev",
+    "revs": "rev",
+    "revolutions": "rev",
+    "percent": "%",
+    "pct": "%",
+    "duty": "%",
+    "p.u.": "pu",
+}
+_KNOWN = {unit.lower(): unit for units in UNITS.values() for unit in units} | {unit: unit for unit in DUTY_UNITS}
+# Units of quantities that no channel has; they mark a row of units.
+_OTHER = {"a", "ma", "n", "nm", "w", "hz", "°c", "degc", "c", "k", "m/s", "mm/s", "rad/s", "deg/s", "rpm", "1/min"}
+_OTHER |= {"m/s^2", "m/s²", "g", "bar", "counts", "count", "cts", "inc", "incr", "bit", "lsb", "bool", "-", "1", "#"}
+_BRACKETED = re.compile(r"(?P<name>.*?)[\s_]*[\[(<{]\s*(?P<unit>[^\])>}]*?)\s*[\])>}]\s*")
+_SUFFIX = re.compile(r"(?P<name>.*[^\s_./])(?:[\s_./]+|\s+in\s+)(?P<unit>[^\s_./]+)")
+
+
+@dataclass(frozen=True)
+class Conversion:
+    """Multiplication of a column by a factor.
+
+    Attributes:
+        numerator: Factor.
+        denominator: Divisor, applied after the factor.
+    """
+
+    numerator: float = 1.0
+    denominator: float = 1.0
+
+    def apply(self, values: Array) -> Array:
+        """Convert values.
+
+        Args:
+            values: Values of a column, shape (rows,).
+
+        Returns:
+            Values times the numerator, divided by the denominator, shape (rows,).
+        """
+        scaled = values if self.numerator == 1.0 else values * self.numerator
+        return scaled if self.denominator == 1.0 else scaled / self.denominator
+
+    def scaled(self, factor: float) -> Conversion:
+        """Combine with a further factor.
+
+        Args:
+            factor: Factor, not zero. If its inverse is a whole number, values are divided by that, which is exact for
+                decimal numbers.
+
+        Returns:
+            The combined conversion.
+        """
+        inverse = round(1.0 / factor)
+        if abs(inverse) > 1 and abs(inverse * factor - 1.0) < 1e-12:
+            return Conversion(self.numerator, self.denominator * inverse)
+        return Conversion(self.numerator * factor, self.denominator)
+
+
+def normalize_unit(text: str) -> str:
+    """Return the usual spelling of a unit.
+
+    Args:
+        text: Unit as written in a log or an option, possibly in brackets.
+
+    Returns:
+        A key of `UNITS` or `DUTY_UNITS`, or the text without brackets if the unit is not among them.
+    """
+    plain = text.strip().strip("[](){}<>").strip()
+    lower = plain.lower()
+    return _KNOWN.get(_SPELLINGS.get(lower, lower).lower(), plain)
+
+
+def is_unit(text: str) -> bool:
+    """Return whether a text is the name of a unit, also of a quantity that no channel has.
+
+    Args:
+        text: Cell of a row that may contain units.
+
+    Returns:
+        True for a known unit.
+    """
+    unit = normalize_unit(text)
+    return unit.lower() in _KNOWN or unit.lower() in _OTHER
+
+
+def split_unit(header: str) -> tuple[str, str]:
+    """Separate the name of a column from its unit: "Pos X [mm]", "x_mm", "x (mm)", "x in mm".
+
+    Args:
+        header: Cell of a header.
+
+    Returns:
+        name: Name without the unit.
+        unit: Unit as `normalize_unit` spells it, "" if the header has none. Behind an underscore, a point or a blank
+            only units of `UNITS` and percent count.
+    """
+    match = _BRACKETED.fullmatch(header)
+    if match and match["name"]:
+        return match["name"].strip(), normalize_unit(match["unit"])
+    match = _SUFFIX.fullmatch(header.strip())
+    if match and normalize_unit(match["unit"]).lower() in _KNOWN:
+        return re.sub(r"\s+in$", "", match["name"]).strip(), normalize_unit(match["unit"])
+    return header.strip(), ""

@@ -1,0 +1,303 @@
+"""Detect the format of a table in a text file: encoding, separator, decimal mark, header and units."""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import gzip
+import io
+import re
+import zlib
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO, TextIO, cast
+
+from ..errors import InputError
+from .measurement_units import is_unit
+
+_SAMPLE = 1 << 16  # bytes that determine the format
+_WHITESPACE = " "  # as a separator: one or more blanks
+# In the order of preference; a table with semicolons or tabs may have decimal commas.
+_SEPARATORS = {"\t": "tabs", ";": "semicolons", "|": "vertical bars", ",": "commas", _WHITESPACE: "blanks"}
+_CONSECUTIVE = 3  # rows of numbers that mark the beginning of the data
+_COMMENT_SIGNS = ("#", "%", "//")
+
+MISSING_WORDS = r"#?n/?a|null|none|nil|missing|#(?:num|value|ref)!|#div/0!|--+"
+_MISSING = re.compile(rf"(?:{MISSING_WORDS}|[+-]?nan|)", re.IGNORECASE)
+_NUMBER = re.compile(r"[+-]?(?:\d+(?:[.,]\d*)*|[.,]\d+)(?:e[+-]?\d+)?|[+-]?inf(?:inity)?", re.IGNORECASE)
+_DATE = r"(?:\d{4}-\d\d-\d\d|\d\d\.\d\d\.\d{4})"
+_TIME_STAMP = re.compile(rf"(?:{_DATE}[T ]+)?\d{{1,2}}:\d\d:\d\d(?:[.,]\d+)?(?:Z|[+-]\d\d:?\d\d)?|{_DATE}")
+
+
+@dataclass(frozen=True)
+class TextFormat:
+    """Format of a table in a text file.
+
+    Attributes:
+        encoding: Name of the encoding for Python's codecs.
+        separator: Character between the cells of a row; a blank means one or more blanks.
+        decimal: Decimal mark, "." or ","; "" if the first rows have none.
+        skipped_lines: Number of lines above the first row of numbers.
+        names: Names of the columns as written; "#1", "#2", ... if the file has no header.
+        units: Units in the row below the header, "" where there is none, in the order of the names.
+        kinds: What each column contains: "number", "stamp" (time, with or without a date) or "text".
+        deviations: What distinguishes the file from a recording (UTF-8, commas, points, a header in the first line), in
+            words; empty for a plain file.
+    """
+
+    encoding: str
+    separator: str
+    decimal: str
+    skipped_lines: int
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    kinds: tuple[str, ...]
+    deviations: tuple[str, ...]
+
+
+def detect_format(path: Path) -> TextFormat:
+    """Detect the format of a text file from its beginning.
+
+    Args:
+        path: Text file, possibly compressed by gzip.
+
+    Returns:
+        Its format.
+
+    Raises:
+        InputError: If the file cannot be read, is empty or is not text.
+    """
+    encoding, deviations = _detect_encoding(path)
+    with open_text(path, encoding) as (file, _):
+        sample = file.read(_SAMPLE)
+    if not sample.strip():
+        raise InputError(f"{path}: empty")
+    lines = sample.split("\n")
+    if len(sample) == _SAMPLE:
+        lines.pop()  # it may be incomplete
+    declared = lines[0].strip()[4:] if lines[0].lower().startswith("sep=") else ""
+    separator = declared[:1] or _detect_separator(lines)
+    cells = [[] if _is_comment(line) else split_row(line, separator) for line in lines]
+    if declared:
+        cells[0] = []
+    first, width = _first_row(cells)
+    rows = [row for row in cells[first:] if any(row)]
+    names_above = max((len(row) for row in cells[:first]), default=0)
+    if separator == "," and names_above > 1 and names_above + 1 < width <= 2 * names_above:
+        problem = f"the rows have {width} cells under {names_above} names"
+        advice = "if commas are also decimal marks, export it with semicolons between the columns"
+        raise InputError(f"{path}: {problem}; {advice}")
+    header, units, layout = _detect_header(lines, cells, first, width, separator)
+    if rows and all(len(row) > len(header) and not any(row[len(header) :]) for row in rows):
+        layout.append("rows end with a separator")
+    deviations += layout
+    if separator != ",":
+        deviations.append(f"columns are separated by {_SEPARATORS.get(separator, repr(separator))}")
+    decimal, kinds = _decimal_and_kinds(rows, len(header))
+    if decimal == ",":
+        deviations.append("numbers have decimal commas")
+    return TextFormat(encoding, separator, decimal, first, tuple(header), tuple(units), tuple(kinds), tuple(deviations))
+
+
+@contextmanager
+def open_text(path: Path, encoding: str) -> Iterator[tuple[TextIO, BinaryIO]]:
+    """Open a text file, possibly compressed by gzip; errors in reading it become an InputError.
+
+    Args:
+        path: File to open.
+        encoding: Encoding of the text.
+
+    Yields:
+        The text with line feeds as line ends, and the file itself, whose position is the number of bytes read.
+
+    Raises:
+        InputError: If the file cannot be opened, decompressed or decoded.
+    """
+    try:
+        with open(path, "rb") as file:
+            compressed = file.read(2) == b"\x1f\x8b" or path.suffix == ".gz"
+            file.seek(0)
+            stream = cast(BinaryIO, gzip.GzipFile(fileobj=file)) if compressed else file
+            with io.TextIOWrapper(stream, encoding, newline=None) as text:
+                yield text, file
+    except UnicodeDecodeError as error:
+        name = encoding.removesuffix("-sig").upper()
+        raise InputError(f"{path}: cannot be read: not {name} text ({error.reason})") from None
+    except (OSError, EOFError, zlib.error) as error:
+        raise InputError(f"{path}: cannot be read: {error}") from None
+
+
+def split_row(line: str, separator: str) -> list[str]:
+    """Split a line into cells, without the blanks and quotation marks around them.
+
+    Args:
+        line: Line of a table.
+        separator: Character between the cells; a blank means one or more blanks.
+
+    Returns:
+        The cells.
+    """
+    if separator == _WHITESPACE:
+        return line.split()
+    try:
+        cells = next(csv.reader([line], delimiter=separator), [])
+    except csv.Error:  # such as a cell of more than 131072 characters
+        cells = line.split(separator)
+    return [cell.strip() for cell in cells]
+
+
+def is_missing(cell: str) -> bool:
+    """Return whether a cell is empty or says that it has no value, such as NA, NaN or #N/A.
+
+    Args:
+        cell: Text of the cell, without blanks around it.
+
+    Returns:
+        True if the cell has no value.
+    """
+    return _MISSING.fullmatch(cell) is not None
+
+
+def is_stamp(cell: str) -> bool:
+    """Return whether a cell is a time of day or a date (2024-05-31 or 31.05.2024), or both.
+
+    Args:
+        cell: Text of the cell, without blanks around it.
+
+    Returns:
+        True if it is.
+    """
+    return _TIME_STAMP.fullmatch(cell) is not None
+
+
+def _detect_encoding(path: Path) -> tuple[str, list[str]]:
+    """Return the encoding of a file and what is unusual about it."""
+    with open_text(path, "latin-1") as (text, _):
+        sample = text.read(_SAMPLE)
+    # Latin-1 maps each byte to the character of the same number.
+    raw = sample.encode("latin-1")
+    for mark, encoding in ((codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16")):
+        if raw.startswith(mark):
+            return encoding, ["it is UTF-16 text"]
+    if "\0" in sample[1::2] and "\0" not in sample[::2]:
+        return "utf-16-le", ["it is UTF-16 text"]
+    if "\0" in sample:
+        raise InputError(f"{path}: is not a text file")
+    try:
+        codecs.getincrementaldecoder("utf-8")().decode(raw)
+    except UnicodeDecodeError:
+        return "cp1252", ["it is not UTF-8 text (probably Windows-1252)"]
+    return "utf-8-sig", []
+
+
+def _is_comment(line: str) -> bool:
+    """Return whether a line is a comment, which a missing value such as #N/A is not."""
+    return line.lstrip().startswith(_COMMENT_SIGNS) and not is_missing(re.split(r"[,;\t ]", line.lstrip())[0])
+
+
+def _detect_separator(lines: Sequence[str]) -> str:
+    """Return the separator under which most lines are rows of numbers, else that of the last line."""
+    scores = {}
+    for separator in _SEPARATORS:
+        rows = [split_row(line, separator) for line in lines if line.strip() and not _is_comment(line)]
+        # Texts have blanks as well, so more than half of the cells between blanks must be numbers.
+        least = 0.6 if separator == _WHITESPACE else 0.5
+        widths = Counter(len(row) for row in rows if len(row) > 1 and _is_data(row, least))
+        scores[separator] = max(widths.values(), default=0)
+    best = max(scores, key=lambda separator: scores[separator])
+    if scores[best]:
+        return best
+    last = next((line for line in reversed(lines) if line.strip()), "")
+    return max((s for s in _SEPARATORS if s != _WHITESPACE), key=lambda s: (last.count(s), s == ","))
+
+
+def _is_data(row: Sequence[str], least: float = 0.5) -> bool:
+    """Return whether at least a fraction of the cells of a row that have a value are numbers or time stamps."""
+    values = [cell for cell in row if not is_missing(cell)]
+    return bool(values) and sum(map(_is_number_or_stamp, values)) >= least * len(values)
+
+
+def _is_number_or_stamp(cell: str) -> bool:
+    """Return whether a cell is a number or a time stamp."""
+    return _NUMBER.fullmatch(cell) is not None or is_stamp(cell)
+
+
+def _first_row(cells: Sequence[Sequence[str]]) -> tuple[int, int]:
+    """Return the line of the first row of numbers (the number of lines if there is none), and the cells of a row.
+
+    Above the data there may be lines with a name and a number, which rows of three and more cells differ from.
+    """
+    filled = [i for i, row in enumerate(cells) if any(row)]
+    widths = Counter(len(cells[i]) for i in filled if _is_data(cells[i]))
+    if not widths:
+        return len(cells), len(cells[filled[-1]]) if filled else 0
+    width = widths.most_common(1)[0][0]
+    for k, i in enumerate(filled):
+        following = filled[k : k + _CONSECUTIVE]
+        is_first = len(cells[i]) == width and (width > 2 or _is_number_or_stamp(cells[i][0]) or is_missing(cells[i][0]))
+        if is_first and all(_is_data(cells[j]) for j in following):
+            return i, width
+    return len(cells), width
+
+
+def _detect_header(
+    lines: Sequence[str], cells: Sequence[Sequence[str]], first: int, width: int, separator: str
+) -> tuple[list[str], list[str], list[str]]:
+    """Find the names and units of the columns above the first row of numbers.
+
+    Args:
+        lines: Lines of the file.
+        cells: Cells of each line, none of a comment.
+        first: Line of the first row of numbers.
+        width: Number of cells of the rows.
+        separator: Character between cells.
+
+    Returns:
+        Names ("#1", ... if there is no header), units ("" where there is none), and deviations from a recording.
+    """
+    above = [i for i in range(first) if any(cells[i])]
+    comments = [i for i in range(first) if _is_comment(lines[i])]
+    deviations = ["its first line is sep="] if lines[0].lower().startswith("sep=") else []
+    units: list[str] = []
+
+    def names_in(row: Sequence[str]) -> list[str]:
+        trimmed = list(row[: max((k + 1 for k, cell in enumerate(row) if cell), default=0)])
+        return trimmed if len(trimmed) in (width, width - 1) else []
+
+    def is_units_row(row: Sequence[str]) -> bool:
+        filled = [cell for cell in row if cell]
+        return bool(filled) and 2 * sum(map(is_unit, filled)) >= len(filled)
+
+    if len(above) > 1 and is_units_row(cells[above[-1]]) and names_in(cells[above[-2]]):
+        units = list(cells[above.pop()])
+        deviations.append("a row of units is below the header")
+    header = names_in(cells[above[-1]]) if above else []
+    if header:
+        above.pop()
+    elif comments:
+        header = names_in(split_row(lines[comments[-1]].lstrip(" \t#%/"), separator))
+        if header:
+            comments.pop()
+            deviations.append("the header is in a comment line")
+    if not header:
+        header = [f"#{k + 1}" for k in range(width)]
+        deviations.append("it has no header")
+    for skipped, what in ((comments, "comment"), (above, "other")):
+        if skipped:
+            plural = "lines are" if len(skipped) > 1 else "line is"
+            deviations.append(f"{len(skipped)} {what} {plural} above the data")
+    return header, [*units, *[""] * len(header)][: len(header)], deviations
+
+
+def _decimal_and_kinds(rows: Sequence[Sequence[str]], width: int) -> tuple[str, list[str]]:
+    """Return the decimal mark, "" if none occurs, and the kind of each column, from sample rows."""
+    kinds, marks = [], Counter[str]()
+    for k in range(width):
+        values = [row[k] for row in rows if k < len(row) and not is_missing(row[k])]
+        stamps, numbers = sum(map(is_stamp, values)), [v for v in values if _NUMBER.fullmatch(v)]
+        kinds.append("stamp" if stamps > len(values) / 2 else "number" if 2 * len(numbers) >= len(values) else "text")
+        marks.update(mark for value in numbers for mark in ".," if mark in value)
+    return (max(marks, key=lambda mark: marks[mark]) if marks else ""), kinds

@@ -1,0 +1,233 @@
+"""Read columns of numbers and time stamps from text files of any size, a block of rows at a time.
+
+Rows are counted from 1, the first row of numbers. An empty cell is NaN.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from .text_format import MISSING_WORDS, TextFormat, is_missing, open_text, split_row
+
+Array = NDArray[np.float64]
+Progress = Callable[[int], None]  # called with the number of bytes of the file that were read since the last call
+
+_BLOCK = 1 << 22  # characters that are converted at a time
+_MISSING_CELL = re.compile(rf"(?<![^,\n])[ \t]*(?:{MISSING_WORDS})?[ \t]*(?=[,\n]|\Z)", re.IGNORECASE)
+_COMMENT = re.compile(r"(?mi)^[ \t]*(?:#(?!n/?a|num!|value!|ref!|div/)|%|//).*(?:\n|\Z)")
+_SEPARATORS_ONLY = re.compile(r"(?m)^[,; \t]*\n")
+_CELL_SEPARATOR = "\x1f"
+# Decimal commas become points. Points, which then separate thousands, become a character that numbers do not have.
+_FOREIGN_MARK = "'"
+_FROM_DECIMAL_COMMA = str.maketrans(",.", "." + _FOREIGN_MARK)
+_FROM_DECIMAL_POINT = str.maketrans(",", _FOREIGN_MARK)
+_GERMAN_DATE = re.compile(r"^(\d\d)\.(\d\d)\.(\d{4})")
+_TIME_ZONE = re.compile(r"(?:Z|[+-]\d\d:?\d\d)$")
+
+
+def read_columns(
+    path: Path, layout: TextFormat, columns: Sequence[int], *, lenient: bool = False, progress: Progress | None = None
+) -> tuple[list[NDArray[Any]], list[str]]:
+    """Read columns of numbers and time stamps from a text file.
+
+    Args:
+        path: Text file, possibly compressed by gzip.
+        layout: Its format, from `detect_format`.
+        columns: Indices of the columns to read, from 0.
+        lenient: Leave out comment lines, rows without a value, and the last row if it is incomplete.
+        progress: Called with the number of bytes read since the last call.
+
+    Returns:
+        values: One array per column, shape (rows,): float64, NaN where a cell is empty, or datetime64[ns] for a column
+            of time stamps (NaT where empty; times of day have the date 1970-01-01).
+        remarks: What was left out, in words.
+
+    Raises:
+        InputError: If the file cannot be read, rows differ in length, or a cell is not a number. The message names
+            file, row and column.
+    """
+    reader = _BlockReader(path, layout, columns, lenient)
+    for block, is_last in _blocks(path, layout, progress):
+        reader.add(block, is_last)
+    table = np.concatenate([np.zeros((0, len(reader.numbers))), *reader.tables])
+    reader.tables.clear()
+    values: dict[int, NDArray[Any]] = {c: np.ascontiguousarray(table[:, k]) for k, c in enumerate(reader.numbers)}
+    for k, column in enumerate(reader.stamps):
+        values[column] = np.concatenate([np.zeros(0, "datetime64[ns]"), *(block[k] for block in reader.stamp_blocks)])
+    remarks = []
+    if reader.comments:
+        remarks.append(f"{reader.comments} comment line{'s' if reader.comments > 1 else ''} between the rows left out")
+    if reader.incomplete:
+        remarks.append("the last row is incomplete and left out")
+    return [values[c] for c in columns], remarks
+
+
+def parse_stamps(cells: Sequence[str]) -> NDArray[np.datetime64]:
+    """Convert time stamps and times of day to instants.
+
+    Args:
+        cells: Times with or without a date, 2024-05-31T12:00:00.5 or 31.05.2024 12:00:00.5; time zones are ignored.
+
+    Returns:
+        Instants, datetime64[ns], shape (len(cells),); times of day on 1970-01-01, NaT for missing values.
+
+    Raises:
+        ValueError: If a cell is no time stamp.
+    """
+    texts = []
+    for cell in cells:
+        stamp = cell.strip().replace(",", ".").replace(_FOREIGN_MARK, ".")
+        if is_missing(stamp):
+            texts.append("NaT")
+            continue
+        stamp = _GERMAN_DATE.sub(r"\3-\2-\1", _TIME_ZONE.sub("", stamp))
+        if "-" not in stamp:
+            stamp = f"1970-01-01T{'0' if stamp[1:2] == ':' else ''}{stamp}"
+        texts.append(stamp)
+    return np.array(texts, "datetime64[ns]")
+
+
+def _blocks(path: Path, layout: TextFormat, progress: Progress | None) -> Iterator[tuple[str, bool]]:
+    """Yield blocks of complete lines below the header, and whether a block is the last one."""
+    with open_text(path, layout.encoding) as (file, raw):
+        rest, to_skip, position = "", layout.skipped_lines, 0
+        while True:
+            text = file.read(_BLOCK)
+            if progress is not None:
+                progress(raw.tell() - position)
+                position = raw.tell()
+            if not text:
+                break
+            rest += text
+            while to_skip and "\n" in rest:
+                rest, to_skip = rest.partition("\n")[2], to_skip - 1
+            complete, newline, rest = ("", "", rest) if to_skip else rest.rpartition("\n")
+            if newline:
+                yield complete + newline, False
+        yield "" if to_skip else rest, True
+
+
+class _BlockReader:
+    """Converts blocks of complete lines to arrays.
+
+    Attributes:
+        numbers: Indices of the columns of numbers that are read.
+        stamps: Indices of the columns of time stamps that are read.
+        tables: Numbers of each block, shape (rows, number columns).
+        stamp_blocks: Time stamps of each block, one array per stamp column.
+        comments: Number of comment lines left out.
+        incomplete: Whether the last row was left out.
+    """
+
+    def __init__(self, path: Path, layout: TextFormat, columns: Sequence[int], lenient: bool) -> None:
+        self._path, self._layout, self._lenient = path, layout, lenient
+        self._decimal, self._rows, self._had_blanks, self._held = layout.decimal, 0, False, ""
+        self.numbers = [c for c in columns if layout.kinds[c] != "stamp"]
+        self.stamps = [c for c in columns if layout.kinds[c] == "stamp"]
+        self.tables: list[Array] = []
+        self.stamp_blocks: list[list[NDArray[np.datetime64]]] = []
+        self.comments, self.incomplete = 0, False
+
+    def add(self, block: str, is_last: bool) -> None:
+        """Convert one block of lines; the first faulty cell is refused."""
+        if self._lenient:
+            if any(sign in block for sign in ("#", "%", "//")):
+                block, count = _COMMENT.subn("", block)
+                self.comments += count
+            if self._layout.separator != " ":
+                block = _SEPARATORS_ONLY.sub("", block)
+        # The last row may be incomplete, which the next block decides.
+        block = self._held + block
+        self._held = ""
+        if not is_last:
+            body, _, last = block.rstrip("\n").rpartition("\n")
+            self._held, block = last + "\n", body
+        block = re.sub(r"\n\s*\n", "\n", block).strip("\n")
+        if not block.strip():
+            return
+        if is_last and self._lenient:
+            body, _, last = block.rpartition("\n")
+            if len(split_row(last, self._layout.separator)) < len(self._layout.names):
+                self.incomplete, block = True, body
+                if not block:
+                    return
+        text, width = self._with_commas(block), len(self._layout.names)
+        rows = text.count("\n") + 1
+        regular = text.count(",") in (rows * (width - 1), rows * width)
+        if not regular:
+            self._refuse_faulty_cell(block)
+        if not self._convert(text):
+            self._refuse_faulty_cell(block)
+            last_row = self._rows + rows
+            raise InputError(f"{self._path}, rows {self._rows + 1} to {last_row}: cannot be read as numbers")
+        self._rows += rows
+
+    def _with_commas(self, block: str) -> str:
+        """Return lines with commas between the cells and decimal points."""
+        separator = self._layout.separator
+        if '"' in block:  # there may be separators within quotation marks
+            block = "\n".join(_CELL_SEPARATOR.join(split_row(line, separator)) for line in block.split("\n"))
+            separator = _CELL_SEPARATOR
+        if separator == ",":
+            return block
+        if not self._decimal:
+            self._decimal = "." if "." in block else "," if "," in block else ""
+        if self._decimal == ",":
+            block = block.translate(_FROM_DECIMAL_COMMA)
+        elif "," in block:
+            block = block.translate(_FROM_DECIMAL_POINT)
+        if separator == " ":
+            return re.sub(r"[ \t]+", ",", re.sub(r"(?m)^[ \t]+|[ \t]+$", "", block))
+        return block.replace(separator, ",")
+
+    def _convert(self, text: str) -> bool:
+        """Append the numbers and time stamps of a block; return False if a cell is not what its column contains."""
+        for fill_blanks in (True,) if self._had_blanks else (False, True):
+            if fill_blanks:
+                text = _MISSING_CELL.sub("nan", text)
+            try:
+                table = self._load(text, self.numbers, float) if self.numbers else None
+                stamps = [parse_stamps(self._load(text, [c], str)[:, 0].tolist()) for c in self.stamps]
+            except ValueError:
+                continue
+            self._had_blanks = fill_blanks
+            self.stamp_blocks.append(stamps)
+            self.tables.append(np.zeros((text.count("\n") + 1, 0)) if table is None else table)
+            return True
+        return False
+
+    @staticmethod
+    def _load(text: str, columns: Sequence[int], kind: type) -> NDArray[Any]:
+        """Read columns of lines with commas by NumPy's fast reader."""
+        return np.loadtxt(io.StringIO(text), dtype=kind, delimiter=",", comments=None, ndmin=2, usecols=columns)
+
+    def _refuse_faulty_cell(self, block: str) -> None:
+        """Refuse the first row of a wrong length or cell that is no number; return if there is none."""
+        names, position = self._layout.names, f"{self._path}, row "
+        for number, line in enumerate(block.split("\n"), start=self._rows + 1):
+            row = split_row(line, self._layout.separator)
+            if len(row) not in (len(names), len(names) + 1) or any(row[len(names) :]):
+                raise InputError(f"{position}{number}: {len(row)} cells under {len(names)} columns")
+            for column in (*self.numbers, *self.stamps):
+                cell = row[column]
+                if is_missing(cell):
+                    continue
+                try:
+                    if column in self.stamps:
+                        parse_stamps([cell])
+                    else:
+                        marks = _FROM_DECIMAL_COMMA if self._decimal == "," else _FROM_DECIMAL_POINT
+                        float(cell.translate(marks))
+                except ValueError:
+                    what = "a time stamp" if column in self.stamps else "a number"
+                    advice = "; dates and times are read as 2024-05-31T12:00:00.5" if ":" in cell else ""
+                    text = f"column {names[column]}: {cell!r} is not {what}{advice}"
+                    raise InputError(f"{position}{number}, {text}") from None

@@ -1,0 +1,577 @@
+"""Logs of controllers and data loggers, as they come, become recordings with the same values."""
+
+from __future__ import annotations
+
+import dataclasses
+import gzip
+import json
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pyarrow
+import pyarrow.parquet
+import pytest
+from scipy.io import savemat
+
+from hframe_gym.errors import InputError
+from hframe_gym.machine import BUILTIN_MACHINES, Machine
+from hframe_gym.recordings import (
+    ImportSettings,
+    MappingOptions,
+    Recording,
+    import_logs,
+    load_recordings,
+    read_mapping_file,
+    write_recording,
+)
+from hframe_gym.recordings.log_conversion import split_at_rests
+
+Table = dict[str, np.ndarray]
+PLAIN = ["time_s", "v1_V", "v2_V", "phi1_rad", "phi2_rad", "x_m", "y_m"]
+
+
+@pytest.fixture
+def table(hframe: Machine) -> Table:
+    """Return a run of 300 rows at 1 kHz by channel, rounded as a logger does."""
+    time_s = np.round(np.arange(300) * 1e-3, 3)
+    inputs = np.where(time_s[:, None] < 0.1, 0.0, np.round(6 * np.sin(30 * time_s)[:, None] * [1.0, 0.4], 3))
+    columns = np.column_stack([time_s, inputs, np.round(hframe.simulate(time_s, inputs).outputs, 6)])
+    return dict(zip(PLAIN, columns.T, strict=True))
+
+
+def text_of(table: Table, separator: str = ",", decimal: str = ".", header: str | None = None) -> str:
+    """Return a table as text."""
+    rows = (
+        separator.join(map(repr, row)).replace(".", decimal)
+        for row in zip(*(c.tolist() for c in table.values()), strict=True)
+    )
+    first = separator.join(table) if header is None else header
+    return "\n".join([first, *(row.replace(".", decimal) for row in rows)]) + "\n"
+
+
+def convert(path: Path, machine: Machine, *, lines: list[str] | None = None, **options: dict[str, object]) -> Recording:
+    """Import a log into a new folder and load the only run."""
+    out = path.parent / "runs"
+    settings = ImportSettings(MappingOptions(**options))  # type: ignore[arg-type]
+    import_logs(path, out, machine, settings, say=(lines if lines is not None else []).append)
+    (run,) = load_recordings(out, machine)
+    return run
+
+
+def assert_equal(run: Recording, table: Table) -> None:
+    """Compare a run with the table of its source."""
+    np.testing.assert_array_equal(run.time_s, table["time_s"])
+    np.testing.assert_array_equal(run.inputs.T, [table["v1_V"], table["v2_V"]])
+    np.testing.assert_array_equal(run.outputs.T, [table[c] for c in ("phi1_rad", "phi2_rad", "x_m", "y_m")])
+
+
+def in_text(edit: Callable[[Table], str | bytes]) -> Callable[[Path, Table], Path]:
+    """Return a function that writes an edited text of a table to a folder."""
+
+    def write(folder: Path, table: Table) -> Path:
+        content = edit(table)
+        path = folder / "log.txt"
+        path.write_bytes(content.encode() if isinstance(content, str) else content)
+        return path
+
+    return write
+
+
+def with_line(table: Table, number: int, line: str) -> str:
+    """Return a table as text with one more line."""
+    lines = text_of(table).split("\n")
+    return "\n".join([*lines[:number], line, *lines[number:]])
+
+
+FORMATS: dict[str, tuple[Callable[[Table], str | bytes], str]] = {
+    "plain": (text_of, "300 rows, 0.299 s at 1000 Hz"),
+    "semicolons": (lambda t: text_of(t, ";"), "separated by semicolons"),
+    "semicolons and decimal commas": (lambda t: text_of(t, ";", ","), "numbers have decimal commas"),
+    "tabs": (lambda t: text_of(t, "\t"), "separated by tabs"),
+    "tabs and decimal commas": (lambda t: text_of(t, "\t", ","), "numbers have decimal commas"),
+    "blanks": (lambda t: "  " + text_of(t, "   ").replace("\n", "\n  "), "separated by blanks"),
+    "vertical bars": (lambda t: text_of(t, " | "), "separated by vertical bars"),
+    "quoted decimal commas": (
+        lambda t: text_of(t, ";", ",").replace(";", '","').replace("\n", '"\n"').join('""')[:-2],
+        "numbers have decimal commas",
+    ),
+    "byte order mark": (lambda t: b"\xef\xbb\xbf" + text_of(t).encode(), "300 rows"),
+    "UTF-16": (lambda t: text_of(t, "\t").encode("utf-16"), "UTF-16"),
+    "UTF-16 without mark": (lambda t: text_of(t).encode("utf-16-le"), "UTF-16"),
+    "Windows-1252": (lambda t: ("# Größe µ\n" + text_of(t)).encode("cp1252"), "Windows-1252"),
+    "carriage returns": (lambda t: text_of(t).replace("\n", "\r").encode(), "300 rows"),
+    "Windows line ends": (lambda t: text_of(t).replace("\n", "\r\n").encode(), "300 rows"),
+    "sep= line": (lambda t: "sep=;\n" + text_of(t, ";"), "first line is sep="),
+    "comment lines": (lambda t: "# bench 3\n# 2024\n" + text_of(t), "2 comment lines are above the data"),
+    "comment line between rows": (lambda t: with_line(t, 40, "# pause"), "1 comment line between the rows left out"),
+    "header in a comment": (lambda t: "# " + text_of(t), "the header is in a comment line"),
+    "lines of the logger": (lambda t: "Bench;3\nOperator;A. B.\n\n" + text_of(t, ";"), "2 other lines are above"),
+    "units row": (lambda t: with_line(t, 1, "s,V,V,rad,rad,m,m"), "a row of units is below the header"),
+    "units row in brackets": (lambda t: with_line(t, 1, "[s],[V],[V],[rad],[rad],[m],[m]"), "a row of units"),
+    "trailing separators": (lambda t: text_of(t).replace("\n", ",\n"), "rows end with a separator"),
+    "trailing separators of rows": (
+        lambda t: text_of(t).replace("\n", ",\n").replace(",\n", "\n", 1),
+        "rows end with a separator",
+    ),
+    "empty lines of a spreadsheet": (lambda t: text_of(t) + ",,,,,,\n,,,,,,\n", "300 rows"),
+    "incomplete last row": (lambda t: text_of(t) + "0.3,1.0", "the last row is incomplete and left out"),
+    "gzip": (lambda t: gzip.compress(text_of(t).encode()), "300 rows"),
+}
+
+
+@pytest.mark.parametrize("case", FORMATS)
+def test_a_text_of_any_format_is_imported(case: str, table: Table, hframe: Machine, tmp_path: Path) -> None:
+    edit, said = FORMATS[case]
+    lines: list[str] = []
+    assert_equal(convert(in_text(edit)(tmp_path, table), hframe, lines=lines), table)
+    assert said in "\n".join(lines)
+    assert all("no unit" not in line for line in lines)
+
+
+def renamed(**names: str) -> Callable[[Table], Table]:
+    """Return a function that renames channels of a table."""
+    return lambda table: {names.get(channel, channel): values for channel, values in table.items()}
+
+
+COLUMNS: dict[str, tuple[Callable[[Table], str], dict[str, dict[str, object]], str]] = {
+    "other names": (
+        lambda t: text_of(renamed(time_s="Zeit", v1_V="U1", v2_V="U2", x_m="Laser X")(t)),
+        {"columns": {"v1_V": "U1", "v2_V": "u2", "x_m": "Laser X"}},
+        "time_s   <- Zeit (no unit, taken as s)",
+    ),
+    "other case": (lambda t: text_of(t, header="TIME_S,V1_v,V2_V,Phi1_RAD,PHI2_rad,X_M,Y_m"), {}, "x_m      <- X_M"),
+    "units in brackets": (
+        lambda t: text_of(t | {"x_m": t["x_m"] * 1000, "time_s": t["time_s"] * 1000}).replace(
+            text_of(t).split("\n")[0], "Time [ms],V1 [V],V2 [V],Phi1 (rad),Phi2 (rad),X [mm],Y [m]"
+        ),
+        {},
+        "x_m      <- X [mm] (mm to m)",
+    ),
+    "units as endings": (
+        lambda t: text_of(
+            {
+                ("y_um" if c == "y_m" else "time_ms" if c == "time_s" else c): v * {"y_m": 1e6, "time_s": 1e3}.get(c, 1)
+                for c, v in t.items()
+            }
+        ),
+        {},
+        "y_m      <- y_um (um to m)",
+    ),
+    "extra columns": (
+        lambda t: text_of({"i1_A": t["v1_V"] / 3, **t, "state": t["x_m"]}),
+        {},
+        "not used: i1_A, state",
+    ),
+    "a text column": (
+        lambda t: text_of(t).replace("\n", ",RUN\n").replace("RUN", "State", 1),
+        {},
+        "not used: State",
+    ),
+    "repeated names": (
+        lambda t: text_of(t, header="time_s,U,U,phi1_rad,phi2_rad,x_m,y_m"),
+        {"columns": {"v1_V": "U", "v2_V": "U.2"}},
+        "v2_V     <- U.2",
+    ),
+    "no header": (
+        lambda t: "\n".join(text_of(t).split("\n")[1:]),
+        {"columns": {c: f"#{i}" for i, c in enumerate(PLAIN, start=1)}},
+        "it has no header",
+    ),
+    "duty cycle in percent": (
+        lambda t: text_of(
+            {("duty1 [%]" if c == "v1_V" else c): v / (0.12 if c == "v1_V" else 1) for c, v in t.items()}
+        ),
+        {"columns": {"v1_V": "duty1"}},
+        "duty cycle, 100 % is 12 V, the rated voltage of motor1",
+    ),
+    "a factor": (
+        lambda t: text_of({c: (-v * 1000 if c == "x_m" else v) for c, v in t.items()}),
+        {"scales": {"x_m": -0.001}},
+        "x_m      <- x_m (times -0.001)",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", COLUMNS)
+def test_columns_of_any_name_and_unit_are_imported(case: str, table: Table, hframe: Machine, tmp_path: Path) -> None:
+    edit, options, said = COLUMNS[case]
+    lines: list[str] = []
+    run = convert(in_text(edit)(tmp_path, table), hframe, lines=lines, **options)
+    for array, channels in ((run.inputs, PLAIN[1:3]), (run.outputs, PLAIN[3:])):
+        np.testing.assert_allclose(array.T, [table[c] for c in channels], rtol=0, atol=1e-14)
+    np.testing.assert_array_equal(run.time_s, table["time_s"])
+    assert said in "\n".join(lines)
+
+
+def test_angles_in_degrees_are_converted(table: Table, hframe: Machine, tmp_path: Path) -> None:
+    degrees = {c: (np.degrees(v) if c.startswith("phi") else v) for c, v in table.items()}
+    path = in_text(text_of)(tmp_path, degrees)
+    with pytest.raises(InputError, match="are they in degrees"):
+        convert(path, hframe)
+    assert not (tmp_path / "runs").exists()
+    run = convert(path, hframe, units={"phi1_rad": "deg", "phi2_rad": "°"})
+    np.testing.assert_allclose(run.outputs[:, 0], table["phi1_rad"], rtol=1e-14)
+
+
+@pytest.mark.parametrize("missing", ["", "NA", "NaN", "#N/A", "null", " "])
+def test_missing_outputs_stay_empty_and_missing_inputs_are_held(
+    missing: str, table: Table, hframe: Machine, tmp_path: Path
+) -> None:
+    rows = [line.split(",") for line in text_of(table).split("\n")[:-1]]
+    rows[150][5] = rows[151][2] = missing
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(map(",".join, rows)))
+    lines: list[str] = []
+    run = convert(path, hframe, lines=lines)
+    assert np.isnan(run.outputs[149, 2])
+    assert run.inputs[150, 1] == table["v2_V"][149]
+    assert "v2_V: 1 of 300 cells are empty; the value before each is held" in "\n".join(lines)
+
+
+def test_several_rates_in_one_table_hold_inputs_and_leave_outputs_empty(
+    table: Table, hframe: Machine, tmp_path: Path
+) -> None:
+    slow = {c: np.where(np.arange(300) % 5 == 2, v, np.nan) if c in ("v1_V", "x_m") else v for c, v in table.items()}
+    path = in_text(lambda t: text_of(t).replace("nan", ""))(tmp_path, slow)
+    lines: list[str] = []
+    run = convert(path, hframe, lines=lines)
+    assert "the first 2 rows left out, an input has no value there yet" in "\n".join(lines)
+    np.testing.assert_array_equal(run.time_s, table["time_s"][2:])
+    np.testing.assert_array_equal(run.inputs[:, 0], np.repeat(table["v1_V"][2::5], 5)[:298])
+    np.testing.assert_array_equal(run.outputs[::5, 2], table["x_m"][2::5])
+    assert np.isnan(run.outputs[1:5, 2]).all()
+
+
+def test_several_columns_of_time_are_merged(table: Table, hframe: Machine, tmp_path: Path) -> None:
+    fast = [[repr(float(v)) for v in row] for row in zip(*(table[c] for c in PLAIN[:5]), strict=True)]
+    slow = [
+        [repr(float(v)) for v in row] for row in zip(*(table[c][::5] for c in ("time_s", "x_m", "y_m")), strict=True)
+    ]
+    slow += [["", "", ""]] * (len(fast) - len(slow))
+    rows = [",".join([*a, *b]) for a, b in zip(fast, slow, strict=True)]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(["Time [s],v1_V,v2_V,phi1_rad,phi2_rad,Time [s],x_m,y_m", *rows]))
+    lines: list[str] = []
+    run = convert(path, hframe, lines=lines)
+    assert "several columns of time, merged to 300 rows (300 of Time [s], 60 of Time [s].2)" in "\n".join(lines)
+    np.testing.assert_array_equal(run.time_s, table["time_s"])
+    np.testing.assert_array_equal(run.inputs[:, 0], table["v1_V"])
+    np.testing.assert_array_equal(run.outputs[::5, 2], table["x_m"][::5])
+    assert np.isnan(run.outputs[1::5, 2:]).all()
+
+
+@pytest.mark.parametrize(
+    ("stamp", "first"),
+    [
+        ("2024-05-01T12:00:{:06.3f}", 43200.0),
+        ("2024-05-01 12:00:{:06.3f}", 43200.0),
+        ("2024-05-01T12:00:{:06.3f}Z", 43200.0),
+        ("2024-05-01T12:00:{:06.3f}+02:00", 43200.0),
+        ("01.05.2024 12:00:{:06.3f}", 43200.0),
+        ("9:30:{:06.3f}", 34200.0),
+    ],
+)
+def test_time_stamps_become_seconds_since_midnight(
+    stamp: str, first: float, table: Table, hframe: Machine, tmp_path: Path
+) -> None:
+    header, *rows = text_of(table).split("\n")[:-1]
+    path = tmp_path / "log.csv"
+    stamped = [f"{stamp.format(float(row.split(',')[0]))},{row.partition(',')[2]}" for row in rows]
+    path.write_text("\n".join([header.replace("time_s", "Timestamp"), *stamped]))
+    run = convert(path, hframe)
+    np.testing.assert_array_equal(run.time_s, np.round(first + table["time_s"], 3))
+    np.testing.assert_array_equal(run.outputs[:, 2], table["x_m"])
+
+
+def test_logs_with_time_stamps_share_a_clock(table: Table, hframe: Machine, tmp_path: Path) -> None:
+    header, *rows = text_of(table).split("\n")[:-1]
+    (tmp_path / "logs").mkdir()
+    for name, day in (("a.csv", 1), ("b.csv", 2)):
+        stamps = [f"2024-05-0{day}T00:00:{float(row.split(',')[0]):06.3f},{row.partition(',')[2]}" for row in rows]
+        (tmp_path / "logs" / name).write_text("\n".join([header, *stamps]))
+    (tmp_path / "logs" / "notes.md").write_text("notes")
+    lines: list[str] = []
+    import_logs(tmp_path / "logs", tmp_path / "runs", hframe, say=lines.append)
+    a, b = load_recordings(tmp_path / "runs", hframe)
+    np.testing.assert_array_equal(b.time_s, np.round(a.time_s + 86400.0, 3))
+    assert "not read, no logs by their ending: notes.md" in lines
+    assert "b.csv: format and columns as before" in lines
+
+
+def test_matlab_arrays_structs_and_matrices_are_imported(table: Table, hframe: Machine, tmp_path: Path) -> None:
+    named = {"t": table["time_s"], **{c: table[c] for c in PLAIN[1:]}}
+    matrix = np.column_stack(list(table.values()))
+    short = {"t_slow": table["time_s"][::5], "x_m": table["x_m"][::5]}
+    numbered = {c: f"data.{i}" for i, c in enumerate(PLAIN, start=1)}
+    for content, options in (
+        (named, {}),
+        ({"log": named}, {"columns": {c: f"log.{c}" for c in PLAIN[1:]}}),
+        ({"data": matrix}, {"columns": numbered}),
+    ):
+        folder = tmp_path / str(len(options.get("columns", {}))) / str(len(content))
+        folder.mkdir(parents=True)
+        savemat(folder / "run.mat", content)
+        assert_equal(convert(folder / "run.mat", hframe, **options), table)
+    savemat(tmp_path / "rates.mat", {**named, **short})
+    run = convert(tmp_path / "rates.mat", hframe, columns={"time_s": "t,t_slow"})
+    np.testing.assert_array_equal(run.outputs[::5, 2], table["x_m"][::5])
+    assert np.isnan(run.outputs[1::5, 2]).all()
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"\x89HDF\r\n\x1a\n" + bytes(200), "HDF5 file .MATLAB version 7.3.*'-v7'"),
+        (b"MATLAB 7.3 MAT-file" + bytes(200), "HDF5 file .MATLAB version 7.3.*'-v7'"),
+        (b"MATLAB 5.0 MAT-file" + bytes(20), "cannot be read as a MATLAB file"),
+        (b"PK\x03\x04" + bytes(200), "is a spreadsheet or an archive.*save the sheet as CSV"),
+        (b"", "empty"),
+        (b"only text\nand more\n", "no column is named like time_s, v1_V"),
+    ],
+)
+def test_files_that_cannot_be_read_are_refused_with_advice(
+    content: bytes, message: str, hframe: Machine, tmp_path: Path
+) -> None:
+    (tmp_path / "log.mat").write_bytes(content)
+    path = (tmp_path / "log.mat").rename(tmp_path / ("log.txt" if b"MATLAB 5" not in content else "log.mat"))
+    with pytest.raises(InputError, match=message):
+        convert(path, hframe)
+
+
+def test_parquet_with_time_stamps_and_other_types_is_imported(table: Table, hframe: Machine, tmp_path: Path) -> None:
+    start = np.datetime64("2024-05-01T06:00:00", "ns")
+    stamps = start + np.round(table["time_s"] * 1e9).astype("timedelta64[ns]")
+    columns = {"timestamp": pyarrow.array(stamps), **{c: pyarrow.array(table[c]) for c in PLAIN[1:]}}
+    columns["note"] = pyarrow.array(["run"] * 300)
+    pyarrow.parquet.write_table(pyarrow.table(columns), tmp_path / "log.parquet")
+    assert_equal(convert(tmp_path / "log.parquet", hframe), table | {"time_s": np.round(21600 + table["time_s"], 3)})
+
+
+@pytest.mark.parametrize("run_format", ["csv", "csv.gz", "parquet"])
+def test_recordings_are_written_without_loss(run_format: str, table: Table, hframe: Machine, tmp_path: Path) -> None:
+    exact = {c: v + np.where(c == "x_m", 1e-17 + v / 3, 0.0) for c, v in table.items()}
+    path = in_text(text_of)(tmp_path, exact)
+    settings = ImportSettings(run_format=run_format)  # type: ignore[arg-type]
+    (file,) = import_logs(path, tmp_path / "runs", hframe, settings, say=lambda line: None)
+    assert file.name == f"log.{run_format}"
+    (run,) = load_recordings(tmp_path / "runs", hframe)
+    assert_equal(run, exact)
+
+
+def test_a_log_with_unknown_names_is_refused_with_a_line_to_paste(
+    table: Table, hframe: Machine, tmp_path: Path
+) -> None:
+    names = renamed(time_s="Zeit [s]", v1_V="U1 [V]", v2_V="U2 [V]", x_m="Pos 1 [m]", y_m="Pos 2 [m]")(table)
+    path = in_text(text_of)(tmp_path, names | {"I1 [A]": table["v1_V"]})
+    with pytest.raises(InputError) as error:
+        convert(path, hframe)
+    text = str(error.value)
+    assert "\n" not in text
+    assert text.startswith(
+        f"{path}: no column is named like v1_V, v2_V, x_m, y_m. Columns of the log: Zeit [s], U1 [V]"
+    )
+    assert "Machine 'hframe' has time_s, inputs v1_V, v2_V and outputs phi1_rad, phi2_rad, x_m, y_m" in text
+    suggested = "--map 'v1_V=U1 [V]' --map 'v2_V=U2 [V]' --map 'x_m=Pos 1 [m]' --map 'y_m=Pos 2 [m]'"
+    assert suggested in text
+    options = [part.strip("'") for part in suggested.split("--map ")[1:]]
+    columns = dict(option.strip().strip("'").split("=") for option in options)
+    assert_equal(convert(path, hframe, columns=columns), table)
+
+
+def test_an_output_without_a_column_must_be_declared_unless_no_column_is_left(
+    table: Table, hframe: Machine, tmp_path: Path
+) -> None:
+    del table["y_m"]
+    lines: list[str] = []
+    run = convert(in_text(text_of)(tmp_path, table), hframe, lines=lines)
+    assert np.isnan(run.outputs[:, 3]).all()
+    assert "  y_m      <- no column (not measured: the cells stay empty)" in lines
+    (tmp_path / "again").mkdir()
+    path = in_text(text_of)(tmp_path / "again", table | {"force": table["x_m"]})
+    with pytest.raises(InputError, match=r"no column is named like y_m.*y_m=none, if it was not measured"):
+        convert(path, hframe)
+    run = convert(path, hframe, columns={"y_m": "none"})
+    assert np.isnan(run.outputs[:, 3]).all()
+
+
+@pytest.mark.parametrize(
+    ("header", "options", "message"),
+    [
+        ("Time,T,v1,v2,phi1,phi2,x,y", {}, "several columns may be the time .Time, T.: add --map time_s=Time or"),
+        ("time_s,v1,v2,phi1,phi2,x [m],x [mm],y", {}, r"x_m may be x \[m\], x \[mm\]"),
+        (
+            "time_s,v1,v2,phi1,phi2,x [inc],z,y",
+            {},
+            "column x .inc.: 'inc' is not a unit of x_m; state it by --unit x_m=",
+        ),
+        ("time_s,v1,v2,phi1 [mm],phi2,x,z,y", {}, "'mm' is not a unit of phi1_rad"),
+        ("time_s,v1,v2,phi1,phi2,x,z,y", {"columns": {"x_m": "w"}}, "--map x_m=w: there is no such column; the col"),
+        ("time_s,v1,v2,phi1,phi2,x,z,y", {"columns": {"u_V": "z"}}, "--map u_V=...: no such channel; Machine 'hframe'"),
+        (
+            "time_s,v1,v2,phi1,phi2,x,z,y",
+            {"columns": {"v1_V": "none"}},
+            "--map v1_V=none: only outputs may be left out",
+        ),
+        ("time_s,v1,v2,phi1,phi2,x,z,y", {"units": {"x_m": "inc"}}, "'inc' is not a unit of x_m"),
+    ],
+)
+def test_an_ambiguous_or_impossible_mapping_is_refused(
+    header: str, options: dict[str, dict[str, object]], message: str, hframe: Machine, tmp_path: Path
+) -> None:
+    rows = [f"{0.001 * i:.3f}," + ",".join(["0.0"] * 7) for i in range(20)]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join([header, *rows]))
+    with pytest.raises(InputError, match=message):
+        convert(path, hframe, **options)
+    assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.parametrize(
+    ("edit", "message"),
+    [
+        (lambda t: with_line(t, 40, "0.0385,1,2"), "row 40: 3 cells under 7 columns"),
+        (lambda t: with_line(t, 40, "0.0385,1,2,a,1,1,1"), "row 40, column phi1_rad: 'a' is not a number"),
+        (lambda t: with_line(t, 40, "0.0005,1,2,1,1,1,1"), "row 40, column time_s: 0.0005 goes back.*clock restart"),
+        (
+            lambda t: text_of(t, ";", ",").replace("0,04;", "1.000,04;"),
+            "row 41, column time_s: '1.000,04' is not a number",
+        ),
+        (
+            lambda t: text_of(t).replace("\n0.0", "\nMay 1 0:00:0"),
+            "column time_s: 'May 1 0:00:0' is not .*dates and times",
+        ),
+        (lambda t: text_of(t, ",", ","), "rows have 14 cells under 7 names; if commas are also decimal marks"),
+        (
+            lambda t: text_of({("t" if c == "time_s" else c): v * 1000 for c, v in t.items()}),
+            "has no unit and steps of 1",
+        ),
+        (lambda t: text_of(t | {"x_m": t["x_m"] * 1e5}), "x_m.* is the column in millimeters. State it by --unit"),
+    ],
+)
+def test_an_invalid_log_is_refused_and_nothing_is_written(
+    edit: Callable[[Table], str], message: str, table: Table, hframe: Machine, tmp_path: Path
+) -> None:
+    (tmp_path / "logs").mkdir()
+    (tmp_path / "logs" / "a.csv").write_text(text_of(table))
+    (tmp_path / "logs" / "b.csv").write_text(edit(table))
+    with pytest.raises(InputError, match=message):
+        import_logs(tmp_path / "logs", tmp_path / "runs", hframe, say=lambda line: None)
+    assert {path.name for path in tmp_path.iterdir()} == {"logs"}
+
+
+def test_existing_runs_are_not_replaced(table: Table, hframe: Machine, tmp_path: Path) -> None:
+    path = in_text(text_of)(tmp_path, table)
+    convert(path, hframe)
+    before = (tmp_path / "runs" / "log.csv.gz").read_bytes()
+    with pytest.raises(InputError, match="the run 'log' exists; choose another --out or delete it"):
+        import_logs(path, tmp_path / "runs", hframe, ImportSettings(run_format="csv"), say=lambda line: None)
+    assert [p.name for p in (tmp_path / "runs").iterdir()] == ["log.csv.gz"]
+    assert (tmp_path / "runs" / "log.csv.gz").read_bytes() == before
+    path.rename(tmp_path / "other.txt")
+    import_logs(tmp_path / "other.txt", tmp_path / "runs", hframe, say=lambda line: None)
+    assert sorted(p.name for p in (tmp_path / "runs").iterdir()) == ["log.csv.gz", "other.csv.gz"]
+
+
+@pytest.fixture
+def axis() -> Machine:
+    """Return the machine with a single axis."""
+    return BUILTIN_MACHINES["axis"]()
+
+
+@pytest.fixture
+def session(axis: Machine) -> tuple[Recording, np.ndarray]:
+    """Return a log of four moves with rests of 1, 2, 0.2, 1 and 0.7 s, and the times of their edges."""
+    edges = np.cumsum([1.0, 1.5, 2.0, 1.5, 0.2, 1.5, 1.0, 1.5, 0.7])
+    time_s = np.arange(round(edges[-1] * 1000)) * 1e-3
+    interval = np.searchsorted(edges, time_s, "right")
+    phase = time_s - np.concatenate([[0.0], edges])[interval]
+    voltage = np.where(interval % 2 == 1, 6 * np.sin(2 * np.pi * phase / 0.5), 0.0)
+    outputs = axis.simulate(time_s, voltage[:, None]).outputs
+    outputs += np.random.default_rng(0).normal(0, axis.sensors[0].noise, outputs.shape)
+    return Recording("log", time_s, voltage[:, None], outputs), edges
+
+
+def test_a_long_log_is_cut_where_the_machine_rests(
+    session: tuple[Recording, np.ndarray], axis: Machine, tmp_path: Path
+) -> None:
+    recording, edges = session
+    write_recording(tmp_path / "log.csv", recording, axis)
+    lines: list[str] = []
+    settings = ImportSettings(split=True, min_rest=0.5)
+    import_logs(tmp_path / "log.csv", tmp_path / "runs", axis, settings, lines.append)
+    runs = load_recordings(tmp_path / "runs", axis)
+    assert [run.name for run in runs] == ["log_01", "log_02", "log_03"]
+    assert any("cut at rests of 0.5 s and more: 3 runs of" in line for line in lines)
+    moves = [(edges[0], edges[1]), (edges[2], edges[5]), (edges[6], edges[7])]  # the rest of 0.2 s is too short
+    for run, (start, stop) in zip(runs, moves, strict=True):
+        assert start - 0.52 < run.time_s[0] < start - 0.4
+        assert stop + 0.45 < run.time_s[-1] < stop + 0.75  # the carriage coasts for 0.2 s
+        rows = np.isin(recording.time_s, run.time_s)
+        np.testing.assert_array_equal(run.outputs, recording.outputs[rows])
+        np.testing.assert_array_equal(run.inputs, recording.inputs[rows])
+    import_logs(tmp_path / "log.csv", tmp_path / "fine", axis, ImportSettings(split=True, min_rest=0.02), lines.append)
+    assert len(list((tmp_path / "fine").iterdir())) == 4
+
+
+def test_a_log_that_begins_in_motion_loses_its_beginning(
+    session: tuple[Recording, np.ndarray], axis: Machine, tmp_path: Path
+) -> None:
+    recording, edges = session
+    rows = slice(1500, 6500)  # from the first move into the third
+    cut = dataclasses.replace(
+        recording, time_s=recording.time_s[rows], inputs=recording.inputs[rows], outputs=recording.outputs[rows]
+    )
+    runs, remarks = split_at_rests(cut, axis, 0.5)
+    assert [run.name for run in runs] == ["log_01"]
+    assert runs[0].time_s[0] > edges[1]
+    assert any("left out, they do not begin at rest" in remark for remark in remarks)
+    assert any("does not end at rest" in remark for remark in remarks)
+
+
+def test_a_log_without_rests_or_without_motion_cannot_be_cut(
+    session: tuple[Recording, np.ndarray], axis: Machine
+) -> None:
+    recording, _ = session
+    for rows, message in ((slice(1100, 2400), "nothing rests for 0.5 s"), (slice(0, 900), "nothing moves")):
+        part = Recording("log", recording.time_s[rows], recording.inputs[rows], recording.outputs[rows])
+        with pytest.raises(InputError, match=message):
+            split_at_rests(part, axis, 0.5)
+
+
+@pytest.mark.parametrize("ending", ["toml", "json"])
+def test_a_mapping_file_states_columns_units_and_factors(ending: str, tmp_path: Path) -> None:
+    path = tmp_path / f"map.{ending}"
+    toml = '[map]\nv1_V = "U1"\n[unit]\nphi1_rad = "deg"\n[scale]\nx_m = 0.001\n'
+    path.write_text(toml if ending == "toml" else json.dumps(tomllib.loads(toml)))
+    assert read_mapping_file(path) == MappingOptions({"v1_V": "U1"}, {"phi1_rad": "deg"}, {"x_m": 0.001})
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[map\n", "is not a valid TOML or JSON file"),
+        ("[columns]\nv1_V = 'U1'\n", "columns: a mapping has the tables map, unit, scale"),
+        ("[scale]\nx_m = 'mm'\n", "scale.x_m: 'mm' is not a factor"),
+        ("[scale]\nx_m = 0\n", "scale.x_m: 0 is not a factor"),
+    ],
+)
+def test_an_invalid_mapping_file_is_refused(text: str, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "map.toml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=message):
+        read_mapping_file(path)
+    with pytest.raises(InputError, match="No such file"):
+        read_mapping_file(tmp_path / "none.toml")
+
+
+def test_logs_of_the_same_name_and_missing_logs_are_refused(hframe: Machine, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such file or folder"):
+        import_logs(tmp_path / "none", tmp_path / "runs", hframe)
+    with pytest.raises(InputError, match="no logs"):
+        import_logs(tmp_path, tmp_path / "runs", hframe)
+    for name in ("a.csv", "a.txt"):
+        (tmp_path / name).write_text("x")
+    with pytest.raises(InputError, match=r"a\.txt: would be the same run 'a' as a\.csv"):
+        import_logs(tmp_path, tmp_path / "runs", hframe)
