@@ -253,7 +253,8 @@ class _SharedKernel:
 
     def simulates(self, machine: Machine) -> bool:
         """Return whether a machine is this one without some of its effects that can be absent."""
-        *structure, effects, ties = machine.shape
+        *structure, _, ties = machine.shape
+        effects = tuple((e.definition, e.site) for e in machine.effects)
         if structure != self._structure or ties != self._ties:
             return False
         kept = tuple(

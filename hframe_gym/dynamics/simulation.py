@@ -153,9 +153,8 @@ def simulate_batch(
     """
     parameters = parameter_batch(machine) if parameters is None else parameters
     kernel, parameters = rollout_kernel(machine, parameters, forced=extra_force is not None)
-    count = len(machine.coordinates)
-    radii = machine.travel_per_unit  # the compiled functions work in belt travel: position * radius
-
+    # The compiled functions work in belt travel: position * radius.
+    count, radii = len(machine.coordinates), machine.travel_per_unit
     inputs, force, observed = _series(inputs), _series(extra_force), _series(measured)
     start = np.atleast_2d(rest_state(machine) if start is None else start)
     batch = max(map(len, (inputs, parameters, start, force, observed)))
