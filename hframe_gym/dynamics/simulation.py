@@ -160,9 +160,7 @@ def simulate_batch(
     batch = max(map(len, (inputs, parameters, start, force, observed)))
     parameters = _rows(parameters, batch)
     travel = _rows(start * np.tile(radii, 2), batch)
-    force = (
-        np.ascontiguousarray(force / radii) if len(force) else np.zeros((1, len(time_s) if kernel.forced else 1, count))
-    )
+    force = np.ascontiguousarray(force / radii) if len(force) else np.zeros((1, len(time_s), count))
     travel_gains = gains * np.tile(radii, 2)[:, None] if gains is not None else _NOTHING
     grid = np.ascontiguousarray(time_s, float)
     out = np.empty((batch, len(grid), 2 * count)) if states else _NO_SERIES
