@@ -15,13 +15,11 @@ from dataclasses import dataclass
 from ..machine import AppliedEffect, Machine
 from .criteria import SelectionCriteria
 from .dataset import Dataset
+from .effect_size import depend_on_same_variable, effect_force, force_difference
 from .estimation import Fit
 from .machine_validation import validation_fault
 from .model_error import (
-    depend_on_same_variable,
-    effect_force,
     fit_with_model_error,
-    force_difference,
     leave_one_out_gain,
     long_run_variance,
     residue_force,
@@ -243,8 +241,6 @@ class EffectSearch:
 
     def _unconfirmed(self, without: Fit, with_effect: Fit) -> str:
         """Return that an effect describes single runs rather than the machine, "" if other runs confirm it."""
-        if len(self._data.runs) < 2:
-            return ""
         gain, confirmed = without.cost - with_effect.cost, leave_one_out_gain(without, with_effect, self._data)
         if confirmed >= self._criteria.min_confirmed_fraction * gain:
             return ""

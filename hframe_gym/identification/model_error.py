@@ -19,10 +19,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ..dynamics import net_forces
-from ..machine import HOOKS, AppliedEffect, Machine, argument_names
 from .criteria import SelectionCriteria
 from .dataset import Dataset, PreparedRecording
+from .effect_size import force_size
 from .estimation import Fit, fit
 from .free_parameters import prior_precision
 from .linearization import NormalEquations, ResidualModel
@@ -43,18 +42,7 @@ Array = NDArray[np.float64]
 
 # Bandwidths that are compared, rad/s. The likelihood changes little between neighbors.
 BANDWIDTHS = (SEARCH_BANDWIDTH, 30.0, 15.0, 7.0, 3.0, SIMULATION)
-# Variable of a coordinate, drive or belt by the name of an argument of an effect's formulas (`Effect`).
-_VARIABLES = {
-    "q": "position",
-    "dq": "position",
-    "v": "speed",
-    "direction": "speed",
-    "t": "time",
-    "V": "voltage",
-    "i": "current",
-    "s": "extension",
-    "rate": "extension",
-}
+_MIN_RUNS, _PIECES = 4, 8  # fewer runs are divided into that many pieces for cross-validation
 _CORRELATION_S = 0.05  # s; longer than the correlation of a sensor's noise
 _SEARCH_STEP_NARROW = 0.25e-3  # s; a narrow observer does not forgive the error of longer integration steps
 
@@ -165,95 +153,7 @@ def residue_force(fitted: Fit, data: Dataset) -> float:
         return innovation @ force_gains, np.sqrt((np.isfinite(run.outputs) * run.noise**2) @ force_gains**2)
 
     correction, noise = (np.concatenate(part) for part in zip(*map_runs(of_run, data), strict=True))
-    return math.sqrt(max(_size(correction) ** 2 - _size(noise) ** 2, 0.0))
-
-
-def effect_force(machine: Machine, effect: AppliedEffect, data: Dataset) -> float:
-    """Return the size of the force that an effect adds to a machine during the recordings.
-
-    Args:
-        machine: Machine with or without the effect; the motion is predicted without it.
-        effect: The effect.
-        data: Runs over which the machine is predicted.
-
-    Returns:
-        Root mean square over all rows of the root sum of squares over the coordinates, as a force at the belt (torque /
-        pulley radius), N; infinite for an effect that changes the structure of the machine or a measurement, which no
-        force describes.
-    """
-    if effect.definition.structure or effect.definition.measurement or effect.definition.measurement_delay:
-        return np.inf
-    without = machine.replace(effects=tuple(e for e in machine.effects if e.label != effect.label))
-    return force_difference(without, without.with_effects(effect), data)
-
-
-def force_difference(first: Machine, second: Machine, data: Dataset) -> float:
-    """Return the size of the difference between the forces of two machines during the recordings.
-
-    Args:
-        first: Machine whose predicted motion is used.
-        second: Machine with the same coordinates, for example with an effect, fitted to the same data. What parameters
-            of the first machine can represent of that effect is then not a part of the difference.
-        data: Runs over which the motion is predicted.
-
-    Returns:
-        Root mean square over all rows of the root sum of squares over the coordinates, as a force at the belt (torque /
-        pulley radius), N.
-    """
-
-    def of_run(run: PreparedRecording) -> Array:
-        motion = predict(first, run, SEARCH_BANDWIDTH, period=data.period, states=True)
-        record = (run.time_s, motion.positions[0], motion.velocities[0], run.inputs)
-        change: Array = net_forces(second, *record) - net_forces(first, *record)
-        return change.reshape(-1, len(first.coordinates)) / first.travel_per_unit
-
-    return _size(np.concatenate(list(map_runs(of_run, data))))
-
-
-def depend_on_same_variable(first: AppliedEffect, second: AppliedEffect, machine: Machine) -> bool:
-    """Check whether two effects act on the same component and depend on the same variable of it.
-
-    A small effect can then be an error in the form of a large one: a formula that describes friction as a function of
-    the speed to 10 % leaves a force that is a function of the speed as well.
-
-    Args:
-        first: One effect.
-        second: Another effect.
-        machine: Machine on which both act.
-
-    Returns:
-        True for example for Stribeck friction and quadratic drag of one coordinate, two functions of its speed.
-    """
-    sites = [machine.coordinate_of_site(e.site) or e.site for e in (first, second)]
-    return sites[0] == sites[1] and bool(_variables(first) & _variables(second))
-
-
-def _variables(effect: AppliedEffect) -> set[tuple[str, bool]]:
-    """Return the variables on which the formulas of an effect depend, and whether it is periodic in them."""
-    periodic = any(p.role in ("period", "rate") for p in effect.definition.parameters)
-    hooks = [getattr(effect.definition, hook) for hook in HOOKS if getattr(effect.definition, hook)]
-    arguments = {name for hook in hooks for name in argument_names(hook)}
-    return {(_VARIABLES[name], periodic) for name in arguments & set(_VARIABLES)}
-
-
-def drive_force(machine: Machine, data: Dataset) -> float:
-    """Return the size of the force that the drives apply during the recordings, without back-EMF.
-
-    Args:
-        machine: Machine with its drives.
-        data: Runs with the voltages.
-
-    Returns:
-        Root mean square over all rows of the root sum of squares over the drives, as a force at the belt (torque /
-        pulley radius), N.
-    """
-    gains = [drive.gain / machine.coordinate(drive.coordinate).travel_per_unit for drive in machine.drives]
-    return _size(np.concatenate([run.inputs for run in data.runs]) * gains)
-
-
-def _size(force: Array) -> float:
-    """Return the root mean square over rows of the norm over coordinates of forces (n, coordinates)."""
-    return float(np.sqrt(np.mean(np.sum(force**2, axis=1))))
+    return math.sqrt(max(force_size(correction) ** 2 - force_size(noise) ** 2, 0.0))
 
 
 def long_run_variance(fitted: Fit, data: Dataset) -> float:
@@ -287,7 +187,8 @@ def leave_one_out_gain(without: Fit, with_effect: Fit, data: Dataset) -> float:
     """Return by how much an effect reduces the cost of every run if the other runs alone determine the parameters.
 
     The cost is the sum of squared residuals in units of the noise. Both models are linearized around their fit, where
-    leaving out one run moves the parameters by one Newton step.
+    leaving out one run moves the parameters by one Newton step. Fewer than four runs are divided into eight pieces in
+    all, which are left out instead: the other runs alone might not determine the parameters.
 
     Args:
         without: Fit without the effect.
@@ -298,22 +199,29 @@ def leave_one_out_gain(without: Fit, with_effect: Fit, data: Dataset) -> float:
         Reduction of chi-squared, summed over all runs. It is at most about the reduction on the fitted runs; it is
         negative if the effect describes single runs rather than the machine.
     """
-    return float(np.sum(_leave_one_out_costs(without, data) - _leave_one_out_costs(with_effect, data)))
+    return _leave_one_out_cost(without, data) - _leave_one_out_cost(with_effect, data)
 
 
-def _leave_one_out_costs(fitted: Fit, data: Dataset) -> Array:
-    """Return the cost of every run with the parameters that the other runs determine, shape (runs,)."""
+def _leave_one_out_cost(fitted: Fit, data: Dataset) -> float:
+    """Return the sum of the costs of all runs, each with the parameters that the other runs determine."""
     model = ResidualModel(fitted.machine, fitted.free, data, fitted.bandwidth, search_step(fitted.bandwidth))
-    by_run = model.linearize(fitted.theta).by_run
-    total = NormalEquations.total(by_run)
+    pieces = 1 if len(data.runs) >= _MIN_RUNS else -(-_PIECES // len(data.runs))  # of each run
+
+    def of_run(run: PreparedRecording) -> list[NormalEquations]:
+        rows = model.linearize_run(run, fitted.theta)
+        parts = zip(np.array_split(rows.jacobian, pieces, 1), np.array_split(rows.residual, pieces), strict=True)
+        return [NormalEquations.from_rows(*part, count=run.count // pieces) for part in parts]
+
+    equations = [piece for of_pieces in map_runs(of_run, data) for piece in of_pieces]
+    total = NormalEquations.total(equations)
     precision = prior_precision(fitted.free) * max(1.0, total.chi2)
-    costs = []
-    for run in by_run:
-        hessian = total.information - run.information + precision
-        gradient = total.gradient - run.gradient + precision @ fitted.theta
+    cost = 0.0
+    for left_out in equations:
+        hessian = total.information - left_out.information + precision
+        gradient = total.gradient - left_out.gradient + precision @ fitted.theta
         step = -np.linalg.solve(hessian, gradient)
-        costs.append(run.cost + 2.0 * run.gradient @ step + step @ run.information @ step)
-    return np.array(costs)
+        cost += left_out.cost + float(2.0 * left_out.gradient @ step + step @ left_out.information @ step)
+    return cost
 
 
 def explains(fitted: Fit, initial_chi2: float, criteria: SelectionCriteria) -> bool:

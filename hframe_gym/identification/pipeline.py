@@ -16,6 +16,7 @@ from ..recordings import Recording, without_outliers
 from ..registry import load_plugins
 from .criteria import SelectionCriteria
 from .dataset import Dataset, prepare, refine_encoder_offsets, with_all_measurements, with_known_positions
+from .effect_size import drive_force, effect_force
 from .estimation import Fit, fit, prediction_cost, with_uncertainty
 from .experiment_design import design_discriminating_experiment
 from .forward_selection import (
@@ -26,7 +27,7 @@ from .forward_selection import (
     Selection,
 )
 from .free_parameters import default_free_parameters
-from .model_error import drive_force, effect_force, explains, fit_with_model_error, polish
+from .model_error import explains, fit_with_model_error, polish
 from .nonparametric import add_tables
 from .prediction import POLISH_STEP, SEARCH_BANDWIDTH
 from .recording_simulation import evaluate_held_out
@@ -137,8 +138,7 @@ def _prepare(
     ranges = saturation_ranges(recordings, machine, everything.noise, criteria)
     if ranges:
         log(f"saturated at the end of the range: {', '.join(ranges)}")
-        noise = everything.noise
-        usable = [blank_saturated(r, ranges, machine, noise, criteria) for r in recordings]
+        usable = [blank_saturated(r, ranges, machine, everything.noise, criteria) for r in recordings]
         everything = prepare(usable, machine)
     for run in everything.runs:
         for warning in run.initial.warnings:

@@ -10,9 +10,10 @@ from ..machine import Machine
 from .candidates import candidates, effect_parameters
 from .criteria import SelectionCriteria
 from .dataset import Dataset, TypicalScales, scales_of_motion
+from .effect_size import effect_force
 from .estimation import Fit, fit
 from .free_parameters import FreeParameter, default_free_parameters
-from .model_error import effect_force, residue_force, search_step
+from .model_error import residue_force, search_step
 from .prediction import POLISH_STEP, SEARCH_BANDWIDTH, SIMULATION, map_runs, predict
 from .residual import missing_force
 from .screening import ScoredCandidate, screen, screen_structures

@@ -8,9 +8,8 @@ import pytest
 from hframe_gym.dynamics import simulate_batch
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, Fit, default_free_parameters, fit, prepare
+from hframe_gym.identification.effect_size import drive_force, effect_force
 from hframe_gym.identification.model_error import (
-    drive_force,
-    effect_force,
     fit_with_model_error,
     information_loss,
     leave_one_out_gain,
