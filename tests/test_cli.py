@@ -27,7 +27,7 @@ pytestmark = pytest.mark.integration
 Command = Callable[..., tuple[int, str, str]]
 
 ROOT = Path(__file__).parents[1]
-COMMANDS = ("simulate", "check", "identify", "report", "train", "evaluate", "machines", "effects", "kernel")
+COMMANDS = ("simulate", "check", "identify", "report", "train", "evaluate", "export", "machines", "effects", "kernel")
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""Evaluation of controllers on identical episodes: scenarios, scores with confidence intervals, plots."""
+"""Evaluation of controllers on identical episodes: scenarios, scores with confidence intervals, plots, data sets."""
 
 from .metrics import (
     BANDS,
@@ -13,6 +13,7 @@ from .metrics import (
     settling_times,
     stored_bounds,
 )
+from .minari_export import ExportedDataset, export_dataset
 from .runner import Evaluation, evaluate, plot_episode, rollout, save_plot, write_scores
 from .scenario import (
     CONTROLLER_SOURCES,
@@ -34,11 +35,13 @@ __all__ = [
     "EpisodeConditions",
     "Episodes",
     "Evaluation",
+    "ExportedDataset",
     "Scenario",
     "StoredBounds",
     "condition_digests",
     "episode_conditions",
     "evaluate",
+    "export_dataset",
     "make_controller",
     "mean_with_interval",
     "plot_episode",
