@@ -39,6 +39,8 @@ class EnvOptions(TypedDict, total=False):
     sensors: SensorsLike
     drives: ActuatorsLike
     privileged: bool
+    normalize: bool
+    flat: bool
     ends: Ends
     penalty: float
     period: float
@@ -63,6 +65,9 @@ class EnvConfig:
             converters that the machine declares), or `Actuators(...)`. Dead times and current limits that the machine
             has as effects act in any case.
         privileged: Whether the observation also has the true state and the randomized parameters, for a critic.
+        normalize: Whether observations and goals are divided by the scales of `env.unwrapped.entries`, so that every
+            entry is about -1 to 1.
+        flat: Whether the observation is one array instead of a dict of arrays.
         ends: What happens at the workspace's edge: "stops" (rubber buffers) or "terminate" (the episode ends with
             `penalty`). With "terminate" an agent can learn to give up, so the penalty must outweigh that.
         penalty: Subtracted from the reward outside the workspace where `ends` is "terminate".
@@ -70,7 +75,7 @@ class EnvConfig:
         longest_step: Largest integration step, s, positive; a control period is divided into equal steps.
 
     Raises:
-        InputError: If `ends`, `privileged` or `penalty` is invalid. The environment checks the other options.
+        InputError: If `ends`, `penalty` or one of the switches is invalid. The environment checks the other options.
     """
 
     machine: MachineLike = "hframe"
@@ -80,6 +85,8 @@ class EnvConfig:
     sensors: SensorsLike = "state"
     drives: ActuatorsLike = "ideal"
     privileged: bool = False
+    normalize: bool = False
+    flat: bool = False
     ends: Ends = "stops"
     penalty: float = PENALTY
     period: float = 0.01
@@ -88,8 +95,10 @@ class EnvConfig:
     def __post_init__(self) -> None:
         if self.ends not in ("stops", "terminate"):
             raise InputError(f"ends is {self.ends!r}; choose 'stops' or 'terminate'")
-        if not isinstance(self.privileged, bool):
-            raise InputError(f"privileged is {self.privileged!r}, it must be True or False")
+        for name in ("privileged", "normalize", "flat"):
+            value = getattr(self, name)
+            if not isinstance(value, bool):
+                raise InputError(f"{name} is {value!r}, it must be True or False")
         if not (np.isfinite(self.penalty) and self.penalty >= 0.0):
             raise InputError(f"penalty is {self.penalty!r}, it must be a number that is not negative")
 

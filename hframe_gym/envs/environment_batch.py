@@ -21,6 +21,7 @@ from .batched_simulator import BatchedSimulator, block_ranges
 from .config import EnvConfig, as_machine
 from .counter_rng import compiled
 from .machine_sampler import MachineSampler
+from .observation_format import ObservationFormat
 from .observations import Observation, ObservationBuilder
 from .rewards import (
     BuiltinReward,
@@ -32,7 +33,7 @@ from .rewards import (
     outside_workspace,
 )
 from .sensors import as_sensors
-from .spaces import observation_space, workspace_of
+from .spaces import observation_signals, workspace_of
 from .tasks import as_task, check_point
 from .tasks.base import ReferenceTrajectories
 
@@ -74,6 +75,7 @@ class EnvironmentBatch:
         sampler: Samples parameters at startup and reset.
         references: Computes the goals.
         observations: Computes observations from states or measurements.
+        format: Converts observations to the form that `normalize` and `flat` select; the batch itself uses SI units.
         values: All N parameters of the running episodes, SI, order of `sampler.space.names`, shape (count, N).
         clipped: Number of action entries outside [-1, 1] in each running episode, shape (count,).
 
@@ -107,18 +109,20 @@ class EnvironmentBatch:
         )
         observed = None if sensors is None else sensors.observed(self.machine)
         self.observations = ObservationBuilder(self.simulator, observed, self.sampler, privileged=config.privileged)
-        self.observation_space = observation_space(
+        signals = observation_signals(
             self.machine,
             len(self.task.ahead_s),
             observed=self.observations.entries,
             privileged=self.observations.privileged,
         )
+        self.format = ObservationFormat(signals, normalize=config.normalize, flat=config.flat)
         # What every step needs, so that a step of a single environment does not look it up.
         self._expected_shape = count, len(self.machine.drives)
         self._has_path = self.task.metrics == "track"
         self._ends = config.ends == "terminate"
         self._edges = self.workspace.astype(np.float32)
-        self._builtin = self.reward if isinstance(self.reward, BuiltinReward) else None
+        # Computed in the pass of the simulation, from goals that are not rounded by `normalize`.
+        self._builtin = self.reward if isinstance(self.reward, BuiltinReward) and not config.normalize else None
         self.references = ReferenceTrajectories(self.task, count, config.period)
         self.clipped = np.zeros(count, np.int64)
         self.values = np.tile(self.sampler.space.nominal, (count, 1))
@@ -225,7 +229,7 @@ class EnvironmentBatch:
         if self._builtin is None:
             desired = observation["desired_goal"]
             result.distance[:] = distances(tool, desired)
-            result.reward[:] = self.reward(observation["achieved_goal"], desired)
+            result.reward[:] = self.reward(*map(self.format.rounded_goal, (observation["achieved_goal"], desired)))
         if self._ends:
             result.terminated[:] = outside_workspace(tool, self._edges)
         return result
@@ -312,17 +316,18 @@ class EnvironmentBatch:
             self.observations.write_tool(first, last, tool)
         return distances(tool[index], self.references.goals(index))
 
-    def compute_reward(self, achieved: ArrayLike, desired: ArrayLike) -> Any:
+    def compute_reward(self, achieved_goal: ArrayLike, desired_goal: ArrayLike, info: Any = None) -> Any:
         """Compute rewards of tool positions; for the goals of a step they equal its rewards to the bit.
 
         Args:
-            achieved: Achieved tool positions, m, shape (2,) or (n, 2).
-            desired: Goal positions, m, the same shape.
+            achieved_goal: Achieved tool positions as observed (m, or normalized), shape (2,) or (n, 2).
+            desired_goal: Goal positions as observed, the same shape.
+            info: Not used; part of the signature that stable-baselines3 calls.
 
         Returns:
             Reward as a float for shape (2,), or n rewards, shape (n,).
         """
-        a, d = np.asarray(achieved, np.float32), np.asarray(desired, np.float32)
+        a, d = self.format.goal_in_meters(achieved_goal), self.format.goal_in_meters(desired_goal)
         if a.ndim == 1:
             return float(self.reward(a[None], d[None])[0])
         return np.asarray(self.reward(a, d), np.float64)

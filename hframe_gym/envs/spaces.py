@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
@@ -37,6 +38,9 @@ class SignalSpec:
         velocity: Whether the entry is a velocity.
         low: Lower bound, in `unit`.
         high: Upper bound, in `unit`.
+        center: Value that `normalize=True` maps to 0, in `unit`: the middle of the range of a position or parameter.
+        scale: Difference to `center` that `normalize=True` maps to 1, in `unit`: half the range of a position or
+            parameter, the drives' no-load speed for a velocity.
     """
 
     name: str
@@ -45,6 +49,8 @@ class SignalSpec:
     velocity: bool
     low: float
     high: float
+    center: float
+    scale: float
 
 
 def workspace_of(machine: Machine) -> Array:
@@ -152,25 +158,37 @@ def state_signals(machine: Machine, names: Sequence[str] | None = None) -> tuple
     for name in tuple(dict.fromkeys(("x", "y", *(d.coordinate for d in machine.drives)))) if names is None else names:
         c = machine.coordinate(name)
         if name in ("x", "y"):
-            low, high = (workspace[("x", "y").index(name)] + np.array([-MARGIN, MARGIN])).tolist()
+            positions.append(_tool_signal(workspace, ("x", "y").index(name)))
         else:
-            high = _largest_position(machine, name, workspace)
-            low = -high
+            farthest, high = _largest_position(machine, name, workspace)
+            positions.append(SignalSpec(name, c.unit("position"), name, False, -high, high, 0.0, farthest))
         speed = fastest / c.travel_per_unit
-        positions.append(SignalSpec(name, c.unit("position"), name, False, low, high))
-        velocities.append(SignalSpec(f"{name} velocity", c.unit("speed"), name, True, -speed, speed))
+        bounds = -speed, speed, 0.0, speed / SPEED_FACTOR
+        velocities.append(SignalSpec(f"{name} velocity", c.unit("speed"), name, True, *bounds))
     return (*positions, *velocities)
 
 
-def _largest_position(machine: Machine, name: str, workspace: Array) -> float:
-    """Return 1.5 times a coordinate's position at the furthest corner, at least `MARGIN` of travel, m or rad."""
+def _tool_signal(workspace: Array, axis: int, label: str = "") -> SignalSpec:
+    """Specify the position x (axis 0) or y (axis 1) of the tool or of a goal, with a label before its name."""
+    name = ("x", "y")[axis]
+    low, high = workspace[axis].tolist()
+    span = low - MARGIN, high + MARGIN, 0.5 * (low + high), 0.5 * (high - low)
+    return SignalSpec(f"{label}{name}", "m", name, False, *span)
+
+
+def _largest_position(machine: Machine, name: str, workspace: Array) -> tuple[float, float]:
+    """Return a coordinate's position at the farthest corner and its upper bound, 1.5 times that, m or rad.
+
+    Both are at least `MARGIN` of travel.
+    """
     linear = [c.name for c in machine.coordinates if c.kind == "linear"]
     index = machine.coordinate_names.index(name)
     total = 0.0
     for axis, edges in zip(("x", "y"), workspace, strict=True):
         unit = rest_state(machine, [float(c == axis) for c in linear])[index]
         total += abs(unit) * float(np.abs(edges).max())
-    return float(max(1.5 * total, MARGIN / machine.coordinate(name).travel_per_unit))
+    margin = MARGIN / machine.coordinate(name).travel_per_unit
+    return float(max(total, margin)), float(max(1.5 * total, margin))
 
 
 def sensor_signals(machine: Machine, sensors: Sequence[Sensor]) -> tuple[SignalSpec, ...]:
@@ -198,7 +216,8 @@ def sensor_signals(machine: Machine, sensors: Sequence[Sensor]) -> tuple[SignalS
         name = spec.name
         if coordinates.count(sensor.coordinate) > 1:
             name = f"{sensor.channel} rate" if spec.velocity else sensor.channel
-        signals.append(SignalSpec(name, spec.unit, spec.coordinate, spec.velocity, low, high))
+        bounds = low, high, factor * spec.center, abs(factor) * spec.scale
+        signals.append(SignalSpec(name, spec.unit, spec.coordinate, spec.velocity, *bounds))
     return tuple(signals)
 
 
@@ -217,8 +236,50 @@ def privileged_signals(machine: Machine, bounds: Mapping[str, tuple[float, float
     """
     observed = [spec.coordinate for spec in state_signals(machine) if not spec.velocity]
     others = [name for name in machine.coordinate_names if name not in observed]
-    parameters = (SignalSpec(name, "1", "", False, *edges) for name, edges in bounds.items())
+    parameters = []
+    for name, (low, high) in bounds.items():
+        half = 0.5 * (high - low)
+        # An unbounded rule yields an infinite range, and equal bounds none: then a parameter is not scaled.
+        center, scale = (0.5 * (low + high), half) if 0.0 < half < np.inf else (1.0, 1.0)
+        parameters.append(SignalSpec(name, "1", "", False, low, high, center, scale))
     return (*state_signals(machine, [*observed, *others]), *parameters)
+
+
+def observation_signals(
+    machine: Machine,
+    previews: int = 0,
+    *,
+    observed: Sequence[SignalSpec] | None = None,
+    privileged: Sequence[SignalSpec] = (),
+) -> dict[str, tuple[SignalSpec, ...]]:
+    """Specify every entry of an observation.
+
+    Args:
+        machine: Machine with coordinates x and y.
+        previews: Number of future goals in the observation; 0 for a goal that does not move.
+        observed: Entries of `observation`. Default: positions and velocities of x, y and the driven coordinates.
+        privileged: Entries of `privileged`; empty: the observation does not have this key.
+
+    Returns:
+        Specifications by key, in alphabetical order of the keys as in a space of Gymnasium: `achieved_goal` and
+        `desired_goal` (2 entries each), `observation`, and if requested `preview` (2 * previews) and `privileged`.
+
+    Raises:
+        InputError: If the machine has no workspace or not two drives; see `workspace_of`.
+    """
+    workspace = workspace_of(machine)
+
+    def goal(label: str) -> tuple[SignalSpec, ...]:
+        return tuple(_tool_signal(workspace, axis, f"{label} ") for axis in range(len(workspace)))
+
+    signals = {
+        "achieved_goal": goal("achieved_goal"),
+        "desired_goal": goal("desired_goal"),
+        "observation": state_signals(machine) if observed is None else tuple(observed),
+        "preview": tuple(signal for i in range(previews) for signal in goal(f"preview {i + 1}")),
+        "privileged": tuple(privileged),
+    }
+    return {key: specs for key, specs in signals.items() if specs}
 
 
 def observation_space(
@@ -228,7 +289,7 @@ def observation_space(
     observed: Sequence[SignalSpec] | None = None,
     privileged: Sequence[SignalSpec] = (),
 ) -> spaces.Dict:
-    """Create the observation space of an environment.
+    """Create the observation space of an environment without the options `normalize` and `flat`.
 
     Args:
         machine: Machine with coordinates x and y.
@@ -243,23 +304,21 @@ def observation_space(
     Raises:
         InputError: If the machine has no workspace or not two drives; see `workspace_of`.
     """
-    workspace = workspace_of(machine)
-    goal = (workspace[:, 0] - MARGIN, workspace[:, 1] + MARGIN)
-    boxes = {
-        "observation": bounds_of(state_signals(machine) if observed is None else observed),
-        "achieved_goal": goal,
-        "desired_goal": goal,
-    }
-    if previews:
-        boxes["preview"] = (np.tile(goal[0], previews), np.tile(goal[1], previews))
-    if privileged:
-        boxes["privileged"] = bounds_of(privileged)
-    return spaces.Dict(
-        {
-            key: spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
-            for key, (low, high) in boxes.items()
-        }
-    )
+    signals = observation_signals(machine, previews, observed=observed, privileged=privileged)
+    return spaces.Dict({key: box(*bounds_of(specs)) for key, specs in signals.items()})
+
+
+def box(low: NDArray[np.floating[Any]], high: NDArray[np.floating[Any]]) -> spaces.Box:
+    """Create a float32 box.
+
+    Args:
+        low: Lower bounds, shape (n,).
+        high: Upper bounds, shape (n,).
+
+    Returns:
+        Box of shape (n,).
+    """
+    return spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
 
 
 def bounds_of(signals: Sequence[SignalSpec]) -> tuple[Array, Array]:
