@@ -129,6 +129,10 @@ def export(
     period: Annotated[float, typer.Option(help="Control period in seconds.")] = 0.01,
     episodes: Annotated[int, typer.Option(min=1, help="Number of episodes of each controller.")] = 100,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the first episode; episode i has the seed + i.")] = 0,
+    normalize: Annotated[
+        bool, typer.Option("--normalize", help="Store observations and goals divided by their scales.")
+    ] = False,
+    flat: Annotated[bool, typer.Option("--flat", help="Store an observation as one array instead of a dict.")] = False,
     author: Annotated[str | None, typer.Option(help="Author in the metadata of the data sets.")] = None,
 ) -> None:
     """Write episodes of controllers as Minari data sets, one per controller.
@@ -142,7 +146,7 @@ def export(
     with value_errors_as_input_errors():
         scenario = Scenario(machine, task, randomize, sensors, episodes, seed, period)
         for name in dict.fromkeys(controllers):
-            written = export_dataset(name, scenario, require_folder(out), author=author)
+            written = export_dataset(name, scenario, require_folder(out), normalize=normalize, flat=flat, author=author)
             log(
                 f"wrote {written.dataset_id}: {written.episodes} episodes, {written.steps} steps, mean return "
                 f"{written.mean_return:.2f}, {written.success_rate:.1%} of the episodes end within the task's band"

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 
 from ..controllers import Controller
 from ..dynamics import NotFiniteError
@@ -52,7 +53,15 @@ class ExportedDataset(NamedTuple):
     success_rate: float
 
 
-def export_dataset(name: str, scenario: Scenario, out: str | Path, *, author: str | None = None) -> ExportedDataset:
+def export_dataset(
+    name: str,
+    scenario: Scenario,
+    out: str | Path,
+    *,
+    normalize: bool = False,
+    flat: bool = False,
+    author: str | None = None,
+) -> ExportedDataset:
     """Simulate the episodes of a scenario with one controller and write them as a Minari data set.
 
     The id of the data set is MACHINE/TASK/CONTROLLER-v0. Minari finds it if the environment variable
@@ -65,6 +74,8 @@ def export_dataset(name: str, scenario: Scenario, out: str | Path, *, author: st
         name: Name of the controller as for `make_controller`, or the folder of a trained agent.
         scenario: Machine, task, randomization, sensors, number of episodes, seed, period and duration.
         out: Folder for data sets; created if it does not exist.
+        normalize: Whether the stored observations and goals are divided by their scales; the controller's are not.
+        flat: Whether a stored observation is one array instead of a dict of arrays, as of `HFrameFlat-v0`.
         author: Author in the metadata. Default: none.
 
     Returns:
@@ -82,35 +93,39 @@ def export_dataset(name: str, scenario: Scenario, out: str | Path, *, author: st
     folder = Path(out).resolve() / dataset_id
     if folder.exists():
         raise InputError(f"{folder}: a data set of this name exists already; delete it or choose another --out")
-    spec = _env_spec(scenario, folder)
+    spec = _env_spec(scenario, folder, normalize=normalize, flat=flat)
     controller = make_controller(name, scenario)
-    envs = _vector_env(scenario, min(CHUNK, scenario.episodes))
+    envs = _vector_env(spec, scenario, min(CHUNK, scenario.episodes))
     Path(out).mkdir(parents=True, exist_ok=True)
     temporary = Path(tempfile.mkdtemp(dir=out, prefix=f".{label}-"))
     try:
-        if MACHINE_FILE in str(spec.kwargs.get("machine")):
+        if spec.kwargs["machine"] == str(folder / MACHINE_FILE):
             save_machine(scenario.declared_machine, temporary / MACHINE_FILE)
         spaces = envs.single_observation_space, envs.single_action_space
         storage = storage_class.new(temporary / "data", *spaces, spec, jpeg_encoding=False)
         storage.update_metadata(_metadata(dataset_id, name, controller, scenario, author))
-        returns, successes = [], []
+        returns: list[float] = []
+        successes: list[bool] = []
         for first in range(0, scenario.episodes, CHUNK):
             count = min(CHUNK, scenario.episodes - first)
-            if count != envs.num_envs:
-                envs = _vector_env(scenario, count)
-            episodes = _record(controller, envs, scenario, scenario.seed + first, buffer_class)
+            envs = envs if count == envs.num_envs else _vector_env(spec, scenario, count)
+            episodes = _record(controller, envs, scenario.seed + first, buffer_class)
             storage.update_episodes(episodes)
             returns += [float(np.sum(episode.rewards)) for episode in episodes]
             successes += [bool(episode.infos["is_success"][-1]) for episode in episodes]
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        temporary.chmod(0o755)  # mkdtemp makes folders that only their owner can read
-        os.replace(temporary, folder)
+        _move(temporary, folder)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
     steps = scenario.episodes * scenario.periods
-    return ExportedDataset(
-        dataset_id, folder, scenario.episodes, steps, float(np.mean(returns)), float(np.mean(successes))
-    )
+    means = float(np.mean(returns)), float(np.mean(successes))
+    return ExportedDataset(dataset_id, folder, scenario.episodes, steps, *means)
+
+
+def _move(temporary: Path, folder: Path) -> None:
+    """Move a complete data set to its place."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    temporary.chmod(0o755)  # mkdtemp makes folders that only their owner can read
+    os.replace(temporary, folder)
 
 
 def _import_minari() -> tuple[Any, Any]:
@@ -124,7 +139,7 @@ def _import_minari() -> tuple[Any, Any]:
     return storage.MinariStorage, buffer.EpisodeBuffer
 
 
-def _env_spec(scenario: Scenario, folder: Path) -> gym.envs.registration.EnvSpec:
+def _env_spec(scenario: Scenario, folder: Path, *, normalize: bool, flat: bool) -> EnvSpec:
     """Return the specification from which `gym.make` makes the environment of a scenario again.
 
     A machine that is not a preset is read from the machine.json in the folder of the data set.
@@ -134,57 +149,44 @@ def _env_spec(scenario: Scenario, folder: Path) -> gym.envs.registration.EnvSpec
             f"task {scenario.task_name} at a period of {scenario.period:g} s: the controller needs a preview of goals "
             "at this period, which the data set's environment cannot state; export this task at a period of 0.01 s"
         )
-    options: dict[str, Any] = {
-        "task": scenario.task,
-        "randomize": scenario.randomize,
-        "sensors": scenario.sensors,
-    }
+    options: dict[str, Any] = {"task": scenario.task, "randomize": scenario.randomize, "sensors": scenario.sensors}
     for option, value in options.items():
         if not isinstance(value, str):
             raise InputError(f"{option} is {value!r}: a data set can only state the name of a preset")
     is_preset = isinstance(scenario.machine, str) and scenario.machine in BUILTIN_MACHINES
     options["machine"] = scenario.machine if is_preset else str(folder / MACHINE_FILE)
-    options["period"] = scenario.period
-    follows_path = scenario.metrics == "track"
-    spec = copy.deepcopy(gym.spec("HFrameTrack-v0" if follows_path else "HFrame-v0"))
-    spec.kwargs = {**spec.kwargs, **options}
+    options |= {"period": scenario.period, "normalize": normalize, "flat": flat}
+    spec = copy.deepcopy(gym.spec("HFrameTrack-v0" if scenario.metrics == "track" else "HFrame-v0"))
+    spec.kwargs = options
     spec.max_episode_steps = scenario.periods
     return spec
 
 
-def _vector_env(scenario: Scenario, count: int) -> HFrameVectorEnv:
-    """Make the environments of a scenario; they are reset by `_record` only."""
+def _vector_env(spec: EnvSpec, scenario: Scenario, count: int) -> HFrameVectorEnv:
+    """Make `count` environments of a specification, with the machine of the scenario."""
+    options = {**spec.kwargs, "machine": scenario.declared_machine}
     try:
-        return HFrameVectorEnv(
-            count,
-            max_episode_steps=scenario.periods,
-            autoreset_mode="Disabled",
-            machine=scenario.declared_machine,
-            task=scenario.task,
-            randomize=scenario.randomize,
-            sensors=scenario.sensors,
-            period=scenario.period,
-        )
+        return HFrameVectorEnv(count, max_episode_steps=spec.max_episode_steps, autoreset_mode="Disabled", **options)
     except ValueError as error:
         raise InputError(str(error)) from None
 
 
-def _record(
-    controller: Controller, envs: HFrameVectorEnv, scenario: Scenario, seed: int, buffer_class: Any
-) -> list[Any]:
+def _record(controller: Controller, envs: HFrameVectorEnv, seed: int, buffer_class: Any) -> list[Any]:
     """Simulate one episode per environment, with the seeds seed, seed + 1, ..., and return Minari's buffers."""
     observation, info = envs.reset(seed=seed)
     controller.reset()
-    observations, infos, steps = [observation], [_without_masks(info)], []
+    observations, infos, steps, over = [observation], [_without_masks(info)], [], False
     try:
-        for _ in range(scenario.periods):
-            actions = np.clip(controller.act(observation), -1.0, 1.0).astype(np.float32)
+        while not over:
+            # Controllers take observations in SI units by key, whatever the data set stores.
+            actions = np.clip(controller.act(envs.batch.observe()), -1.0, 1.0).astype(np.float32)
             observation, reward, terminated, truncated, info = envs.step(actions)
             observations.append(observation)
             infos.append(_without_masks(info))
             steps.append((actions, reward, terminated, truncated))
+            over = bool(truncated.all())  # nothing terminates with end stops, so all episodes have the same length
     except NotFiniteError as error:
-        name = scenario.declared_machine.name
+        name = envs.machine.name
         raise InputError(f"machine {name!r}: the simulated motion diverges under this controller ({error})") from None
     in_time = [_stack(values) for values in (observations, infos)]
     actions, rewards, terminations, truncations = (np.stack(column, axis=1) for column in zip(*steps, strict=True))
@@ -211,19 +213,16 @@ def _without_masks(info: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _stack(moments: list[dict[str, Any]]) -> dict[str, Any]:
-    """Stack dictionaries of arrays (B, ...) over n moments to arrays (B, n, ...)."""
-    return {
-        key: _stack([moment[key] for moment in moments])
-        if isinstance(value, dict)
-        else np.stack([moment[key] for moment in moments], axis=1)
-        for key, value in moments[0].items()
-    }
+def _stack(moments: list[Any]) -> Any:
+    """Stack arrays (B, ...) of n moments to arrays (B, n, ...), in dictionaries or not."""
+    if isinstance(moments[0], dict):
+        return {key: _stack([moment[key] for moment in moments]) for key in moments[0]}
+    return np.stack(moments, axis=1)
 
 
-def _row(arrays: dict[str, Any], b: int) -> dict[str, Any]:
-    """Return row b of arrays (B, ...) in a dictionary."""
-    return {key: _row(value, b) if isinstance(value, dict) else value[b] for key, value in arrays.items()}
+def _row(arrays: Any, b: int) -> Any:
+    """Return row b of arrays (B, ...), in dictionaries or not."""
+    return {key: _row(value, b) for key, value in arrays.items()} if isinstance(arrays, dict) else arrays[b]
 
 
 def _metadata(

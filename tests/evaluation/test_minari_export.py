@@ -90,6 +90,18 @@ def test_a_path_of_a_track_replays_to_the_bit(datasets: Path) -> None:
     assert_replays_to_the_bit(dataset)
 
 
+@pytest.mark.parametrize("flat", [False, True])
+def test_normalized_and_flat_observations_replay_to_the_bit(flat: bool, datasets: Path) -> None:
+    scenario = Scenario(randomize="none", sensors="rig", episodes=2, duration_s=0.3)
+    export_dataset("pid", scenario, datasets / "si")
+    export_dataset("pid", scenario, datasets, normalize=True, flat=flat)
+    dataset = minari.load_dataset("hframe/reach/pid-v0")
+    assert isinstance(dataset[0].observations, np.ndarray) == flat
+    assert_replays_to_the_bit(dataset)
+    in_si = minari.MinariDataset(datasets / "si" / "hframe" / "reach" / "pid-v0" / "data")
+    np.testing.assert_array_equal(dataset[1].actions, in_si[1].actions)
+
+
 def test_the_machine_of_a_file_travels_with_the_data_set(datasets: Path, tmp_path: Path, hframe: Machine) -> None:
     file = tmp_path / "mine.json"
     mine = hframe.replace({"x.mass": 5.0}, name="my stage")
