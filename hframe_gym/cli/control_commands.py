@@ -144,7 +144,8 @@ def export(
     # Registers the agents as controllers, also where the package is used without its installed entry points.
     import_module("hframe_gym.agents")
     with value_errors_as_input_errors():
-        scenario = Scenario(machine, task, randomize, sensors, episodes, seed, period)
+        options: dict[str, Any] = {"randomize": randomize, "sensors": sensors, "episodes": episodes, "seed": seed}
+        scenario = Scenario(machine, task, period=period, **options)
         for name in dict.fromkeys(controllers):
             written = export_dataset(name, scenario, require_folder(out), normalize=normalize, flat=flat, author=author)
             log(
