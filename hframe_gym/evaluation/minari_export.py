@@ -90,13 +90,14 @@ def export_dataset(
     label = re.sub(r"[^\w-]+", "-", Path(name).name)
     machine_label = re.sub(r"[^\w-]+", "-", scenario.declared_machine.name)
     dataset_id = f"{machine_label}/{scenario.task_name}/{label}-v0"
-    folder = Path(out).resolve() / dataset_id
+    out = Path(out).resolve()  # Minari joins relative paths twice
+    folder = out / dataset_id
     if folder.exists():
         raise InputError(f"{folder}: a data set of this name exists already; delete it or choose another --out")
     spec = _env_spec(scenario, folder, normalize=normalize, flat=flat)
     controller = make_controller(name, scenario)
     envs = _vector_env(spec, scenario, min(CHUNK, scenario.episodes))
-    Path(out).mkdir(parents=True, exist_ok=True)
+    out.mkdir(parents=True, exist_ok=True)
     temporary = Path(tempfile.mkdtemp(dir=out, prefix=f".{label}-"))
     try:
         if spec.kwargs["machine"] == str(folder / MACHINE_FILE):

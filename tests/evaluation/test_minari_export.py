@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -167,9 +168,11 @@ def test_a_data_set_is_not_replaced(datasets: Path) -> None:
 
 
 def test_the_command_names_the_data_sets_and_the_extra(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "hframe_gym", "export", "pid", "--episodes", "2", "--out", str(tmp_path / "out")]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    command = [sys.executable, "-m", "hframe_gym", "export", "pid", "--episodes", "2", "--out", "out"]
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+    assert (tmp_path / "out" / "hframe" / "reach" / "pid-v0" / "data" / "metadata.json").is_file()
     assert "wrote hframe/reach/pid-v0: 2 episodes, 300 steps" in done.stdout
     hide = "import sys; sys.modules['h5py'] = None; from hframe_gym.cli import main; main()"
     missing = [sys.executable, "-c", hide, "export", "pid", "--episodes", "2", "--out", str(tmp_path / "none")]
