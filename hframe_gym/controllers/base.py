@@ -148,7 +148,7 @@ class EpisodeStarts:
 
 
 class FullStateController(Controller):
-    """Controller that needs the full state of a machine with two drives; subclasses implement `act_on_state`.
+    """Controller that needs the full state of a machine with one drive per axis; subclasses implement `act_on_state`.
 
     This class converts observations to states and goals, and records which machines start a new episode.
 
@@ -160,7 +160,7 @@ class FullStateController(Controller):
         model: Design model of the machine.
 
     Raises:
-        InputError: If the machine does not have two drives that can move both x and y, or the period is not positive.
+        InputError: If the machine does not have one drive per axis of its tool, or the period is not positive.
     """
 
     def __init__(self, machine: Machine, period: float = 0.01) -> None:
@@ -193,7 +193,7 @@ class FullStateController(Controller):
         state = self.model.state(observation)
         goals = [np.asarray(observation["desired_goal"], np.float64)[:, None]]
         if "preview" in observation:
-            goals.append(np.asarray(observation["preview"], np.float64).reshape(len(state), -1, 2))
+            goals.append(np.asarray(observation["preview"], np.float64).reshape(len(state), -1, len(self.model.axes)))
         return self.act_on_state(state, np.concatenate(goals, axis=1))
 
     @abstractmethod

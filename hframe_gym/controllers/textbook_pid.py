@@ -1,4 +1,4 @@
-"""One PID controller per axis (x and y), tuned by pole placement: the baseline for comparisons."""
+"""One PID controller per axis of the tool, tuned by pole placement: the baseline for comparisons."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from ..dynamics import mode_frequencies
 from ..machine import Machine
 from .base import CONTROLLERS, FullStateController
-from .motion_model import AXES
 
 Array = NDArray[np.float64]
 # Slowest belt mode, or half the sampling frequency where that is lower, over the bandwidth of the closed loop: the
@@ -18,7 +17,7 @@ FREQUENCY_MARGIN = 5.0
 
 @CONTROLLERS.register("textbook-pid")
 class TextbookPID(FullStateController):
-    """PID control of the tool position along x and y; integration stops while a drive saturates (anti-windup).
+    """PID control of the tool position along its axes (x and y, or one); integration stops while a drive saturates (anti-windup).
 
     Each axis is modeled as a rigid mass m with viscous friction b, m v' = f - b v for velocity v and force f, and the
     gains put all three closed-loop poles at -w, where w is the frequency of the slowest vibration mode of the belts (or
@@ -31,12 +30,12 @@ class TextbookPID(FullStateController):
 
     Attributes:
         model: Model of the machine.
-        proportional: Proportional gains of x and y, N/m, shape (2,).
-        derivative: Derivative gains of x and y, Ns/m, shape (2,).
-        integral: Integral gains of x and y, N/(m s), shape (2,).
+        proportional: Proportional gains of the axes, N/m, shape (axes,).
+        derivative: Derivative gains of the axes, Ns/m, shape (axes,).
+        integral: Integral gains of the axes, N/(m s), shape (axes,).
 
     Raises:
-        InputError: If the machine does not have two drives that can move both x and y, or the period is not positive.
+        InputError: If the machine does not have one drive per axis, or the period is not positive.
 
     References:
         Astrom and Hagglund (2006), Advanced PID Control, chapter 6.
@@ -46,7 +45,7 @@ class TextbookPID(FullStateController):
         super().__init__(machine, period)
         modes = [frequency for frequency in mode_frequencies(machine) if frequency > 0.0]
         bandwidth = 2.0 * np.pi * min([0.5 / period, *modes]) / FREQUENCY_MARGIN  # rad/s
-        # Mass and friction of all coordinates, seen along x and y with unstretched belts, kg and Ns/m, each (2,).
+        # Mass and friction of all coordinates, seen along the axes with unstretched belts, kg and Ns/m, each (axes,).
         travel_squared = self.model.rigid**2
         mass, viscous = travel_squared.T @ self.model.mass, travel_squared.T @ self.model.viscous
         # Coefficients of (s + w)^3 = s^3 + 3 w s^2 + 3 w^2 s + w^3 with w = bandwidth.
@@ -54,8 +53,8 @@ class TextbookPID(FullStateController):
         # No derivative action where friction damps more than the poles need.
         self.derivative = np.maximum(3.0 * mass * bandwidth - viscous, 0.0)
         self.integral = mass * bandwidth**3
-        self._integral_force = np.zeros((0, 2))  # N
-        self._axes = np.array([machine.coordinate_names.index(axis) for axis in AXES])
+        self._integral_force = np.zeros((0, len(mass)))  # N
+        self._axes = np.array([machine.coordinate_names.index(axis) for axis in self.model.axes])
 
     def act_on_state(self, state: Array, goals: Array) -> Array:
         """Compute the actions for the control period that starts now from the states and goals of B simulated machines.
@@ -70,7 +69,7 @@ class TextbookPID(FullStateController):
             Voltages divided by the rated voltages, in [-1, 1], shape (B, 2).
         """
         if self._starts.resize(len(state)):
-            self._integral_force = np.zeros((len(state), 2))
+            self._integral_force = np.zeros((len(state), len(self._axes)))
         self._integral_force = np.where(self._starts.mask[:, None], 0.0, self._integral_force)
         self._starts.clear()
         error = goals[:, 0] - state[:, self._axes]
@@ -78,7 +77,7 @@ class TextbookPID(FullStateController):
         if goals.shape[1] > 1:
             velocity = velocity - (goals[:, 1] - goals[:, 0]) / self.period
         integral_force = self._integral_force + self.integral * self.period * error
-        force = self.proportional * error - self.derivative * velocity + integral_force  # N, along x and y, (B, 2)
+        force = self.proportional * error - self.derivative * velocity + integral_force  # N, (B, axes)
         volts = self.model.voltage(force)
         # Anti-windup: the integrators keep their values while a drive saturates.
         saturated = np.any(np.abs(volts) > self.model.rated, axis=1, keepdims=True)

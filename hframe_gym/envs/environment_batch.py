@@ -70,7 +70,7 @@ class EnvironmentBatch:
 
     Attributes:
         machine: Machine without randomization, with the chosen sensors and actuators.
-        workspace: Rows x and y, columns low and high, m, shape (2, 2).
+        workspace: One row per axis of the tool (x and y), columns low and high, m, shape (axes, 2).
         simulator: Simulates the machines.
         sampler: Samples parameters at startup and reset.
         references: Computes the goals.
@@ -94,7 +94,7 @@ class EnvironmentBatch:
         self.machine = machine if sensors is None else sensors.apply(machine)
         self.task = as_task(config.task)
         self.task.check(self.workspace)
-        reward = as_reward(config.reward, self.task.band)
+        reward = as_reward(config.reward, self.task.band, len(self.workspace))
         penalized = config.ends == "terminate"
         self.reward: Reward = PenalizedReward(reward, self.workspace, config.penalty) if penalized else reward
         self.sampler = MachineSampler(self.machine, config.randomize, count, self.task.parameters)
@@ -123,7 +123,7 @@ class EnvironmentBatch:
         self._edges = self.workspace.astype(np.float32)
         # Computed in the pass of the simulation, from goals that are not rounded by `normalize`.
         self._builtin = self.reward if isinstance(self.reward, BuiltinReward) and not config.normalize else None
-        self.references = ReferenceTrajectories(self.task, count, config.period)
+        self.references = ReferenceTrajectories(self.task, count, config.period, axes=len(self.workspace))
         self.clipped = np.zeros(count, np.int64)
         self.values = np.tile(self.sampler.space.nominal, (count, 1))
         self._was_reset = False
@@ -140,8 +140,8 @@ class EnvironmentBatch:
 
         Args:
             index: Indices of the environments, ascending, shape (k,).
-            start: Tool positions at the start, m, shape (2,) or (k, 2). Default: the task chooses them.
-            target: Goal positions, m, shape (2,) or (k, 2). Default: the task chooses them.
+            start: Tool positions at the start, m, shape (axes,) or (k, axes). Default: the task chooses them.
+            target: Goal positions, m, shape (axes,) or (k, axes). Default: the task chooses them.
 
         Raises:
             InputError: If a position is outside the workspace, a sampled parameter is outside its limits, or `target`
@@ -160,12 +160,12 @@ class EnvironmentBatch:
         self._was_reset = True
 
     def _points(self, name: str, points: ArrayLike | None, k: int) -> Array | None:
-        """Return positions of an option of reset, m, shape (k, 2), or None without the option."""
+        """Return positions of an option of reset, m, shape (k, axes), or None without the option."""
         if points is None:
             return None
         values = np.asarray(points, np.float64)
         check_point(f"options[{name!r}]", values, self.workspace)
-        return np.array(np.broadcast_to(values, (k, 2)))
+        return np.array(np.broadcast_to(values, (k, len(self.workspace))))
 
     def randomized(self, index: Index) -> dict[str, Array]:
         """Return the values of the randomized parameters in the running episodes.
@@ -235,7 +235,7 @@ class EnvironmentBatch:
         return result
 
     def _finish_blocks(self, result: StepResult, tool: NDArray[np.float32], first: int, last: int) -> int:
-        """Write what follows from the new states of blocks first..last-1 to result and to tool (count, 2), m.
+        """Write what follows from the new states of blocks first..last-1 to result and to tool (count, axes), m.
 
         Return the index of an environment whose state is not finite, or -1.
         """
@@ -286,7 +286,7 @@ class EnvironmentBatch:
         return observation
 
     def _blank(self) -> tuple[Observation, NDArray[np.float32]]:
-        """Allocate an observation of all environments, and true tool positions, shape (count, 2)."""
+        """Allocate an observation of all environments, and true tool positions, shape (count, axes)."""
         observation, tool = self.observations.blank()
         self.references.add_blank(observation)
         return observation, tool
@@ -311,7 +311,7 @@ class EnvironmentBatch:
         Returns:
             Distances, m, shape (k,).
         """
-        tool = np.empty((self.count, 2), np.float32)
+        tool = np.empty((self.count, len(self.workspace)), np.float32)
         for first, last in block_ranges(index):
             self.observations.write_tool(first, last, tool)
         return distances(tool[index], self.references.goals(index))
@@ -320,12 +320,12 @@ class EnvironmentBatch:
         """Compute rewards of tool positions; for the goals of a step they equal its rewards to the bit.
 
         Args:
-            achieved_goal: Achieved tool positions as observed (m, or normalized), shape (2,) or (n, 2).
+            achieved_goal: Achieved tool positions as observed (m, or normalized), shape (axes,) or (n, axes).
             desired_goal: Goal positions as observed, the same shape.
             info: Not used; part of the signature that stable-baselines3 calls.
 
         Returns:
-            Reward as a float for shape (2,), or n rewards, shape (n,).
+            Reward as a float for shape (axes,), or n rewards, shape (n,).
         """
         a, d = self.format.goal_in_meters(achieved_goal), self.format.goal_in_meters(desired_goal)
         if a.ndim == 1:

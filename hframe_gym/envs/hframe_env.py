@@ -14,7 +14,7 @@ from ..errors import InputError
 from .config import EnvConfig, EnvOptions, check_keywords
 from .environment_batch import EnvironmentBatch
 from .observations import Observation
-from .rendering import TRAIL_LENGTH, Renderer, Scene, check_render_mode
+from .rendering import TRAIL_LENGTH, Renderer, Scene, check_render_mode, tool_point
 from .spaces import SignalSpec, action_space
 
 _ONLY = np.zeros(1, np.intp)
@@ -224,8 +224,7 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
     def _update_picture(self) -> None:
         """Extend the trail of the picture, and update the window in mode "human"."""
         if self.render_mode is not None:
-            position = self.batch.simulator.positions(0)
-            self._trail.append((position["x"], position["y"]))
+            self._trail.append(tool_point(self.batch, 0))
         if self.render_mode == "human":
             self.render()
 

@@ -71,16 +71,35 @@ class Scene:
         angles = [position[c] for c in drives[:2]] + [0.0, 0.0]
         period = batch.config.period
         return cls(
-            position=(position["x"], position["y"]),
-            target=tuple(batch.references.goals(index)[0].tolist()),
+            position=tool_point(batch, b),
+            target=_in_plane(batch.references.goals(index)[0].tolist()),
             band=batch.task.band,
             angles=(angles[0], angles[1]),
             tensions=batch.simulator.tensions(b),
             trail=list(trail),
-            path=batch.references.path(b, np.arange(0.0, PATH_S, period)).tolist(),
+            path=[_in_plane(point) for point in batch.references.path(b, np.arange(0.0, PATH_S, period)).tolist()],
             time_s=float(batch.elapsed[b] * period),
             distance=float(batch.distance(index)[0]),
         )
+
+
+def tool_point(batch: EnvironmentBatch, b: int) -> Point:
+    """Return the tool position of one environment in the plane of the picture.
+
+    Args:
+        batch: Batch of environments.
+        b: Index of the environment, from 0.
+
+    Returns:
+        x and y, m; y is 0 for a machine with one axis.
+    """
+    position = batch.simulator.positions(b)
+    return _in_plane([position[name] for name in batch.machine.tool_axes])
+
+
+def _in_plane(point: Sequence[float]) -> Point:
+    """Return a point of one or two axes as (x, y), m."""
+    return point[0], point[1] if len(point) > 1 else 0.0
 
 
 class BeltGeometry:
@@ -214,7 +233,7 @@ class Renderer:
     """Draw scenes of one machine into a window or an array.
 
     Args:
-        machine: Machine whose coordinates x and y have ranges (the workspace).
+        machine: Machine with a workspace.
         mode: Render mode, "human" (a window) or "rgb_array" (an array).
         fps: Maximum frame rate of the window, 1/s.
 
@@ -225,7 +244,10 @@ class Renderer:
     def __init__(self, machine: Machine, mode: str, fps: int) -> None:
         self._pygame = _load_pygame()
         self._mode, self._fps = mode, fps
-        self._geometry = BeltGeometry(np.array([machine.coordinate(name).range for name in ("x", "y")]))
+        ranges = [machine.coordinate(name).range for name in machine.tool_axes]
+        self._planar = len(ranges) > 1
+        # One axis is drawn along the middle of a narrow workspace.
+        self._geometry = BeltGeometry(np.array(ranges if self._planar else [*ranges, (-HALF_BRIDGE, HALF_BRIDGE)]))
         g = self._geometry
         margin = 0.06  # m
         self._scale = min(WIDTH / (g.x1 - g.x0 + 2 * margin), (HEIGHT - 40) / (g.y1 - g.y0 + 2 * margin))
@@ -256,7 +278,7 @@ class Renderer:
         """Draw what does not move: the rails of the frame and the edge of the workspace."""
         surface, draw, g = self._pygame.Surface((WIDTH, HEIGHT)), self._pygame.draw, self._geometry
         surface.fill(PAPER)
-        for y in (g.y0, g.y1):
+        for y in (g.y0, g.y1) if self._planar else (0.0,):
             draw.rect(surface, RAIL, self._box(g.x0 - 0.03, y - 0.03, g.x1 + 0.03, y + 0.03), border_radius=8)
         draw.rect(surface, RAIL, self._box(g.left, g.low, g.right, g.high), width=1)
         return surface
@@ -272,11 +294,12 @@ class Renderer:
         """
         surface, draw = self._surface, self._pygame.draw
         surface.blit(self._background, (0, 0))
-        self._draw_bridge(scene.position[0])
-        for name, points in self._geometry.sections(*scene.position).items():
-            color = tension_color(section_tension(scene.tensions, name))
-            draw.lines(surface, color, False, [self._pixel(p) for p in points], 4)
-        self._draw_pulleys(scene)
+        if self._planar:
+            self._draw_bridge(scene.position[0])
+            for name, points in self._geometry.sections(*scene.position).items():
+                color = tension_color(section_tension(scene.tensions, name))
+                draw.lines(surface, color, False, [self._pixel(p) for p in points], 4)
+            self._draw_pulleys(scene)
         x, y = scene.position
         draw.rect(surface, CART, self._box(x - 0.055, y - 0.028, x + 0.055, y + 0.028), border_radius=6)
         self._draw_line(scene.path, PATH, 3)
@@ -284,8 +307,9 @@ class Renderer:
         self._draw_target(scene)
         draw.circle(surface, PAPER, self._pixel(scene.position), 5)
         draw.circle(surface, INK, self._pixel(scene.position), 2)
-        text = f"t = {scene.time_s:.2f} s    distance = {1e3 * scene.distance:.3f} mm    belts: "
-        text += "    ".join(f"{k} {v:+.0f} N" for k, v in list(scene.tensions.items())[:3])
+        text = f"t = {scene.time_s:.2f} s    distance = {1e3 * scene.distance:.3f} mm"
+        if scene.tensions:
+            text += "    belts: " + "    ".join(f"{k} {v:+.0f} N" for k, v in list(scene.tensions.items())[:3])
         surface.blit(self._font.render(text, True, INK), (16, 12))
         return self._output()
 

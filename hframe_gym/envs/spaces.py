@@ -54,34 +54,37 @@ class SignalSpec:
 
 
 def workspace_of(machine: Machine) -> Array:
-    """Return the ranges of the coordinates x and y, the workspace of the tool.
+    """Return the ranges of the tool's axes, x and y or the only linear coordinate: the workspace of the tool.
 
     Args:
-        machine: Machine with coordinates x and y.
+        machine: Machine with these coordinates (`Machine.tool_axes`).
 
     Returns:
-        Rows x and y, columns low and high, m, shape (2, 2).
+        One row per axis, columns low and high, m, shape (axes, 2).
 
     Raises:
-        InputError: If the machine does not have coordinates x and y with ranges, and two drives.
+        InputError: If the machine has no such coordinates, one of them has no range, or there is not one drive per
+            axis.
     """
-    for name in ("x", "y"):
-        if name not in machine.coordinate_names:
-            raise InputError(
-                f"machine {machine.name!r} has no coordinate {name!r}; the environment moves a tool in x and y. "
-                "Use a machine with both, for example a copy of 'hframe'; `hframe simulate` takes any machine"
-            )
-    for name in ("x", "y"):
+    axes = machine.tool_axes
+    if not axes:
+        linear = [c.name for c in machine.coordinates if c.kind == "linear"]
+        raise InputError(
+            f"machine {machine.name!r} has the linear coordinates {', '.join(linear) or 'none'}; the environment moves "
+            "a tool along x and y, or along the only linear coordinate. Name two of them x and y, or describe one axis"
+        )
+    for name in axes:
         if machine.coordinate(name).range is None:
             raise InputError(
                 f"machine {machine.name!r}: coordinate {name!r} has no range; the environment needs one as its "
                 f'workspace. Add "range": [low, high] in m to this coordinate in the machine.json'
             )
-    if len(machine.drives) != 2:
+    if len(machine.drives) != len(axes):
         raise InputError(
-            f"machine {machine.name!r} has {len(machine.drives)} drives; the environment needs two, one for each motor"
+            f"machine {machine.name!r} has {len(machine.drives)} drives; to move its tool along {' and '.join(axes)} the "
+            f"environment needs {len(axes)}"
         )
-    return np.array([machine.coordinate(name).range for name in ("x", "y")], dtype=np.float64)
+    return np.array([machine.coordinate(name).range for name in axes], dtype=np.float64)
 
 
 def _buffer_force(q, v, t, low, high, stiffness, damping):  # type: ignore[no-untyped-def]
@@ -113,24 +116,24 @@ END_STOP = Effect(
 
 
 def with_end_stops(machine: Machine) -> Machine:
-    """Add rubber buffers at both ends of the ranges of x and y to a copy of a machine.
+    """Add rubber buffers at both ends of the ranges of the tool's axes to a copy of a machine.
 
     A buffer of stiffness k and damping c, compressed by d at the rate v, pushes back with k d (1 + c v) and never
     pulls: it is stiff in compression and soft in release, so that an impact loses energy (Hunt and Crossley 1975 with
     exponent 1).
 
     Args:
-        machine: Machine whose coordinates x and y have ranges.
+        machine: Machine with a workspace.
 
     Returns:
-        Copy with two more effects `end_stop`, one for x and one for y. Their parameters follow those of the machine.
+        Copy with one more effect `end_stop` per axis. Their parameters follow those of the machine.
 
     Raises:
-        InputError: If the machine has no workspace or not two drives; see `workspace_of`.
+        InputError: If the machine has no workspace; see `workspace_of`.
     """
     stops = [
         END_STOP.at(name, low=low, high=high, stiffness=BUFFER_STIFFNESS, damping=BUFFER_DAMPING)
-        for name, (low, high) in zip(("x", "y"), workspace_of(machine).tolist(), strict=True)
+        for name, (low, high) in zip(machine.tool_axes, workspace_of(machine).tolist(), strict=True)
     ]
     return machine.with_effects(*stops)
 
@@ -140,13 +143,13 @@ def state_signals(machine: Machine, names: Sequence[str] | None = None) -> tuple
 
     Args:
         machine: Machine with its coordinates.
-        names: Names of coordinates. Default: x, y and the driven coordinates.
+        names: Names of coordinates. Default: the tool's axes and the driven coordinates.
 
     Returns:
         Specifications of all positions, then of all velocities, in the order of `names`.
 
     Raises:
-        InputError: If the machine has no workspace or not two drives; see `workspace_of`.
+        InputError: If the machine has no workspace; see `workspace_of`.
     """
     workspace = workspace_of(machine)
     # m/s of belt: without load at rated voltage, times a margin
@@ -155,10 +158,11 @@ def state_signals(machine: Machine, names: Sequence[str] | None = None) -> tuple
         for d in machine.drives
     )
     positions, velocities = [], []
-    for name in tuple(dict.fromkeys(("x", "y", *(d.coordinate for d in machine.drives)))) if names is None else names:
+    default = dict.fromkeys((*machine.tool_axes, *(d.coordinate for d in machine.drives)))
+    for name in default if names is None else names:
         c = machine.coordinate(name)
-        if name in ("x", "y"):
-            positions.append(_tool_signal(workspace, ("x", "y").index(name)))
+        if name in machine.tool_axes:
+            positions.append(_tool_signal(machine, workspace, name))
         else:
             farthest, high = _largest_position(machine, name, workspace)
             positions.append(SignalSpec(name, c.unit("position"), name, False, -high, high, 0.0, farthest))
@@ -168,10 +172,9 @@ def state_signals(machine: Machine, names: Sequence[str] | None = None) -> tuple
     return (*positions, *velocities)
 
 
-def _tool_signal(workspace: Array, axis: int, label: str = "") -> SignalSpec:
-    """Specify the position x (axis 0) or y (axis 1) of the tool or of a goal, with a label before its name."""
-    name = ("x", "y")[axis]
-    low, high = workspace[axis].tolist()
+def _tool_signal(machine: Machine, workspace: Array, name: str, label: str = "") -> SignalSpec:
+    """Specify the position of the tool or of a goal along an axis, with a label before its name."""
+    low, high = workspace[machine.tool_axes.index(name)].tolist()
     span = low - MARGIN, high + MARGIN, 0.5 * (low + high), 0.5 * (high - low)
     return SignalSpec(f"{label}{name}", "m", name, False, *span)
 
@@ -184,7 +187,7 @@ def _largest_position(machine: Machine, name: str, workspace: Array) -> tuple[fl
     linear = [c.name for c in machine.coordinates if c.kind == "linear"]
     index = machine.coordinate_names.index(name)
     total = 0.0
-    for axis, edges in zip(("x", "y"), workspace, strict=True):
+    for axis, edges in zip(machine.tool_axes, workspace, strict=True):
         unit = rest_state(machine, [float(c == axis) for c in linear])[index]
         total += abs(unit) * float(np.abs(edges).max())
     margin = MARGIN / machine.coordinate(name).travel_per_unit
@@ -205,7 +208,7 @@ def sensor_signals(machine: Machine, sensors: Sequence[Sensor]) -> tuple[SignalS
         coordinate, or of the sensor's channel if several sensors measure the same coordinate.
 
     Raises:
-        InputError: If the machine has no workspace or not two drives; see `workspace_of`.
+        InputError: If the machine has no workspace; see `workspace_of`.
     """
     coordinates = [sensor.coordinate for sensor in sensors]
     specs = state_signals(machine, coordinates)
@@ -232,7 +235,7 @@ def privileged_signals(machine: Machine, bounds: Mapping[str, tuple[float, float
         Specifications of all positions, all velocities, then all parameters.
 
     Raises:
-        InputError: If the machine has no workspace or not two drives; see `workspace_of`.
+        InputError: If the machine has no workspace; see `workspace_of`.
     """
     observed = [spec.coordinate for spec in state_signals(machine) if not spec.velocity]
     others = [name for name in machine.coordinate_names if name not in observed]
@@ -255,22 +258,24 @@ def observation_signals(
     """Specify every entry of an observation.
 
     Args:
-        machine: Machine with coordinates x and y.
+        machine: Machine with a workspace.
         previews: Number of future goals in the observation; 0 for a goal that does not move.
-        observed: Entries of `observation`. Default: positions and velocities of x, y and the driven coordinates.
+        observed: Entries of `observation`. Default: positions and velocities of the tool's axes and the driven
+            coordinates.
         privileged: Entries of `privileged`; empty: the observation does not have this key.
 
     Returns:
         Specifications by key, in alphabetical order of the keys as in a space of Gymnasium: `achieved_goal` and
-        `desired_goal` (2 entries each), `observation`, and if requested `preview` (2 * previews) and `privileged`.
+        `desired_goal` (one entry per axis), `observation`, and if requested `preview` (axes * previews) and
+        `privileged`.
 
     Raises:
-        InputError: If the machine has no workspace or not two drives; see `workspace_of`.
+        InputError: If the machine has no workspace; see `workspace_of`.
     """
     workspace = workspace_of(machine)
 
     def goal(label: str) -> tuple[SignalSpec, ...]:
-        return tuple(_tool_signal(workspace, axis, f"{label} ") for axis in range(len(workspace)))
+        return tuple(_tool_signal(machine, workspace, axis, f"{label} ") for axis in machine.tool_axes)
 
     signals = {
         "achieved_goal": goal("achieved_goal"),
@@ -292,17 +297,18 @@ def observation_space(
     """Create the observation space of an environment without the options `normalize` and `flat`.
 
     Args:
-        machine: Machine with coordinates x and y.
+        machine: Machine with a workspace.
         previews: Number of future goals in the observation; 0 for a goal that does not move.
-        observed: Entries of `observation`. Default: positions and velocities of x, y and the driven coordinates.
+        observed: Entries of `observation`. Default: positions and velocities of the tool's axes and the driven
+            coordinates.
         privileged: Entries of `privileged`; empty: the observation does not have this key.
 
     Returns:
-        Bounded float32 boxes by key: `observation`, `achieved_goal` (2,), `desired_goal` (2,), and if requested
-        `preview` (2 * previews,) and `privileged`.
+        Bounded float32 boxes by key: `observation`, `achieved_goal` (axes,), `desired_goal` (axes,), and if requested
+        `preview` (axes * previews,) and `privileged`.
 
     Raises:
-        InputError: If the machine has no workspace or not two drives; see `workspace_of`.
+        InputError: If the machine has no workspace; see `workspace_of`.
     """
     signals = observation_signals(machine, previews, observed=observed, privileged=privileged)
     return spaces.Dict({key: box(*bounds_of(specs)) for key, specs in signals.items()})

@@ -18,7 +18,7 @@ from .config import EnvConfig, EnvOptions, check_keywords
 from .environment_batch import EnvironmentBatch, Flags, Index, StepResult
 from .hframe_env import check_reset_options, require_path
 from .observations import Observation
-from .rendering import TRAIL_LENGTH, Renderer, Scene, check_render_mode
+from .rendering import TRAIL_LENGTH, Renderer, Scene, check_render_mode, tool_point
 from .spaces import SignalSpec, action_space
 
 Array = NDArray[np.float64]
@@ -277,8 +277,7 @@ class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]])
         for b in fresh.tolist():
             self._trails[b].clear()
         for b, trail in enumerate(self._trails):
-            position = self.batch.simulator.positions(b)
-            trail.append((position["x"], position["y"]))
+            trail.append(tool_point(self.batch, b))
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:  # type: ignore[override]
         """Draw the machine of every environment from above.

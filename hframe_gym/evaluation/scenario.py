@@ -114,8 +114,8 @@ class Episodes:
 
     Attributes:
         time_s: Sample times, s, shape (n,).
-        position: True tool position, m, shape (B, n, 2).
-        goal: Goal, m, shape (B, n, 2).
+        position: True tool position, m, shape (B, n, axes).
+        goal: Goal, m, shape (B, n, axes).
         contour: Distance of the tool to the path (contour error), m, shape (B, n); None for a task without a path.
         volts: Applied voltages, V, shape (B, m, drives).
         rated: Rated voltages, V, shape (drives,).
