@@ -139,14 +139,17 @@ def export(
 
     Example:  hframe export pid ppo --episodes 100 --out out/minari
     """
-    from ..evaluation import Scenario, export_dataset
+    from ..evaluation import Scenario, export_dataset, make_controller
 
     # Registers the agents as controllers, also where the package is used without its installed entry points.
     import_module("hframe_gym.agents")
     with value_errors_as_input_errors():
         options: dict[str, Any] = {"randomize": randomize, "sensors": sensors, "episodes": episodes, "seed": seed}
         scenario = Scenario(machine, task, period=period, **options)
-        for name in dict.fromkeys(controllers):
+        names = list(dict.fromkeys(controllers))
+        for name in names:  # so that a wrong name is reported before anything is written
+            make_controller(name, scenario)
+        for name in names:
             written = export_dataset(name, scenario, require_folder(out), normalize=normalize, flat=flat, author=author)
             log(
                 f"wrote {written.dataset_id}: {written.episodes} episodes, {written.steps} steps, mean return "

@@ -96,37 +96,37 @@ def export_dataset(
         raise InputError(f"{folder}: a data set of this name exists already; delete it or choose another --out")
     spec = _env_spec(scenario, folder, normalize=normalize, flat=flat)
     controller = make_controller(name, scenario)
-    envs = _vector_env(spec, scenario, min(CHUNK, scenario.episodes))
     out.mkdir(parents=True, exist_ok=True)
     temporary = Path(tempfile.mkdtemp(dir=out, prefix=f".{label}-"))
     try:
         if spec.kwargs["machine"] == str(folder / MACHINE_FILE):
             save_machine(scenario.declared_machine, temporary / MACHINE_FILE)
-        spaces = envs.single_observation_space, envs.single_action_space
+        one = _vector_env(spec, scenario, 1)
+        spaces = one.single_observation_space, one.single_action_space
         storage = storage_class.new(temporary / "data", *spaces, spec, jpeg_encoding=False)
         storage.update_metadata(_metadata(dataset_id, name, controller, scenario, author))
-        returns: list[float] = []
-        successes: list[bool] = []
-        for first in range(0, scenario.episodes, CHUNK):
-            count = min(CHUNK, scenario.episodes - first)
-            envs = envs if count == envs.num_envs else _vector_env(spec, scenario, count)
-            episodes = _record(controller, envs, scenario.seed + first, buffer_class)
-            storage.update_episodes(episodes)
-            returns += [float(np.sum(episode.rewards)) for episode in episodes]
-            successes += [bool(episode.infos["is_success"][-1]) for episode in episodes]
-        _move(temporary, folder)
+        means = _write_episodes(storage, buffer_class, controller, spec, scenario)
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        temporary.chmod(0o755)  # mkdtemp makes folders that only their owner can read
+        os.replace(temporary, folder)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
-    steps = scenario.episodes * scenario.periods
-    means = float(np.mean(returns)), float(np.mean(successes))
-    return ExportedDataset(dataset_id, folder, scenario.episodes, steps, *means)
+    return ExportedDataset(dataset_id, folder, scenario.episodes, scenario.episodes * scenario.periods, *means)
 
 
-def _move(temporary: Path, folder: Path) -> None:
-    """Move a complete data set to its place."""
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    temporary.chmod(0o755)  # mkdtemp makes folders that only their owner can read
-    os.replace(temporary, folder)
+def _write_episodes(
+    storage: Any, buffer_class: Any, controller: Controller, spec: EnvSpec, scenario: Scenario
+) -> tuple[float, float]:
+    """Simulate and store all episodes, `CHUNK` at a time; return the mean return and the success rate."""
+    returns: list[float] = []
+    successes: list[bool] = []
+    for first in range(0, scenario.episodes, CHUNK):
+        envs = _vector_env(spec, scenario, min(CHUNK, scenario.episodes - first))
+        episodes = _record(controller, envs, scenario.seed + first, buffer_class)
+        storage.update_episodes(episodes)
+        returns += [float(np.sum(episode.rewards)) for episode in episodes]
+        successes += [bool(episode.infos["is_success"][-1]) for episode in episodes]
+    return float(np.mean(returns)), float(np.mean(successes))
 
 
 def _import_minari() -> tuple[Any, Any]:
