@@ -22,6 +22,7 @@ from .scenario import (
     Scenario,
     episode_conditions,
     make_controller,
+    period_concern,
 )
 
 __all__ = [
@@ -41,6 +42,7 @@ __all__ = [
     "evaluate",
     "make_controller",
     "mean_with_interval",
+    "period_concern",
     "plot_episode",
     "ratio_of_means",
     "rollout",
