@@ -96,6 +96,14 @@ class Controller(ABC):
             mask: True for the machines to reset, shape (B,) for B machines. Default: all; B may then change.
         """
 
+    def concern(self) -> str | None:
+        """Describe why this controller cannot be trusted on its machine at its control period.
+
+        Returns:
+            One sentence that `make_controller` prints as a warning, or None if nothing speaks against it.
+        """
+        return None
+
     def replace_last_action(self, actions: Array) -> None:  # noqa: B027  (optional)
         """Record the actions that were applied instead of those that `act` returned last, for example after limiting.
 

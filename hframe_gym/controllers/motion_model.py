@@ -100,8 +100,8 @@ class MotionModel:
         self.observed = (*axes, *(d.coordinate for d in machine.drives if d.coordinate not in axes))
         if not axes or len(machine.drives) != len(axes) or sorted(self.observed) != sorted(names):
             raise InputError(
-                f"machine {machine.name!r}: the controllers need a tool that moves along x and y or along one axis, one "
-                "drive per axis, and no coordinates except these and those of the drives; it has the coordinates "
+                f"machine {machine.name!r}: the controllers need a tool that moves along x and y or along one axis, "
+                "one drive per axis, and no coordinates except these and those of the drives; it has the coordinates "
                 f"{', '.join(names)} and the drives {', '.join(d.name for d in machine.drives)}"
             )
         n = len(names)

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from ..dynamics import mode_frequencies
 from ..machine import Machine
 from .base import CONTROLLERS, FullStateController
+from .motion_model import OperatingPointGrid
 
 Array = NDArray[np.float64]
 # Slowest belt mode, or half the sampling frequency where that is lower, over the bandwidth of the closed loop: the
@@ -17,7 +18,7 @@ FREQUENCY_MARGIN = 5.0
 
 @CONTROLLERS.register("textbook-pid")
 class TextbookPID(FullStateController):
-    """PID control of the tool position along its axes (x and y, or one); integration stops while a drive saturates (anti-windup).
+    """PID control of each axis of the tool; integration stops while a drive saturates (anti-windup).
 
     Each axis is modeled as a rigid mass m with viscous friction b, m v' = f - b v for velocity v and force f, and the
     gains put all three closed-loop poles at -w, where w is the frequency of the slowest vibration mode of the belts (or
@@ -55,6 +56,32 @@ class TextbookPID(FullStateController):
         self.integral = mass * bandwidth**3
         self._integral_force = np.zeros((0, len(mass)))  # N
         self._axes = np.array([machine.coordinate_names.index(axis) for axis in self.model.axes])
+
+    def concern(self) -> str | None:
+        """Check the stability of the sampled linear closed loop, without saturation, friction and dead time.
+
+        Returns:
+            A sentence if an eigenvalue lies outside the unit circle at the center or an end of the workspace; else
+            None.
+        """
+        n, axes = len(self.model.mass), len(self._axes)
+        position, velocity = (np.eye(2 * n)[self._axes + shift] for shift in (0, n))  # select the tool from the state
+        volts_per_force = self.model.voltage(np.eye(axes)).T
+        integral = self.integral * self.period
+        state_gain = (self.proportional + integral)[:, None] * position + self.derivative[:, None] * velocity
+        largest = 0.0
+        for point in OperatingPointGrid(self.machine).points:
+            A, B, _ = self.model.discretize(point, self.period)
+            B = B @ volts_per_force
+            # State: that of the machine and the integrators' force.
+            loop = np.block([[A - B @ state_gain, B], [-integral[:, None] * position, np.eye(axes)]])
+            largest = max(largest, float(np.abs(np.linalg.eigvals(loop)).max()))
+        if largest <= 1.0 + 1e-9:
+            return None
+        return (
+            f"textbook-pid is unstable on machine {self.machine.name!r} at a control period of {self.period:g} s (largest "
+            f"eigenvalue of the closed loop {largest:.2f}): its one-mass model ignores that the belts stretch"
+        )
 
     def act_on_state(self, state: Array, goals: Array) -> Array:
         """Compute the actions for the control period that starts now from the states and goals of B simulated machines.

@@ -21,9 +21,9 @@ from ..errors import InputError
 from ..machine import Machine, rest_state
 from .actuators import ActuatorModel
 from .counter_rng import compiled
+from .end_stops import with_end_stops
 from .machine_sampler import ParameterSpace
 from .measurements import DelayLine
-from .spaces import with_end_stops
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

@@ -26,7 +26,6 @@ from .observations import Observation, ObservationBuilder
 from .rewards import (
     BuiltinReward,
     PenalizedReward,
-    Reward,
     as_reward,
     distances,
     evaluate_rows,
@@ -34,6 +33,7 @@ from .rewards import (
 )
 from .sensors import as_sensors
 from .spaces import observation_signals, workspace_of
+from .step_rewards import StepRewards
 from .tasks import as_task, check_point
 from .tasks.base import ReferenceTrajectories
 
@@ -76,6 +76,7 @@ class EnvironmentBatch:
         references: Computes the goals.
         observations: Computes observations from states or measurements.
         format: Converts observations to the form that `normalize` and `flat` select; the batch itself uses SI units.
+        rewards: Computes the rewards of goals as observed.
         values: All N parameters of the running episodes, SI, order of `sampler.space.names`, shape (count, N).
         clipped: Number of action entries outside [-1, 1] in each running episode, shape (count,).
 
@@ -94,9 +95,10 @@ class EnvironmentBatch:
         self.machine = machine if sensors is None else sensors.apply(machine)
         self.task = as_task(config.task)
         self.task.check(self.workspace)
-        reward = as_reward(config.reward, self.task.band, len(self.workspace))
+        reward = as_reward(config.chosen_reward, self.task.band, len(self.workspace))
         penalized = config.ends == "terminate"
-        self.reward: Reward = PenalizedReward(reward, self.workspace, config.penalty) if penalized else reward
+        if penalized:
+            reward = PenalizedReward(reward, self.workspace, config.penalty)
         self.sampler = MachineSampler(self.machine, config.randomize, count, self.task.parameters)
         self.simulator = BatchedSimulator(
             self.machine,
@@ -122,8 +124,9 @@ class EnvironmentBatch:
         self._ends = config.ends == "terminate"
         self._edges = self.workspace.astype(np.float32)
         # Computed in the pass of the simulation, from goals that are not rounded by `normalize`.
-        self._builtin = self.reward if isinstance(self.reward, BuiltinReward) and not config.normalize else None
+        self._builtin = reward if isinstance(reward, BuiltinReward) and not config.normalize else None
         self.references = ReferenceTrajectories(self.task, count, config.period, axes=len(self.workspace))
+        self.rewards = StepRewards(reward, self.format, moving=self.references.moving)
         self.clipped = np.zeros(count, np.int64)
         self.values = np.tile(self.sampler.space.nominal, (count, 1))
         self._was_reset = False
@@ -157,6 +160,8 @@ class EnvironmentBatch:
         self.references.begin(index, plan if targets is None else self.task.aim(targets))
         self.simulator.reset(index, position if starts is None else starts, values)
         self.observations.begin(index, keys, values, self.sampler, self.elapsed)
+        if self.rewards.compares_steps:
+            self.rewards.begin(index, self._observe_rows(index))
         self._was_reset = True
 
     def _points(self, name: str, points: ArrayLike | None, k: int) -> Array | None:
@@ -227,9 +232,8 @@ class EnvironmentBatch:
         result = StepResult(observation, np.empty(count), np.zeros(count, np.bool_), np.empty(count), contour)
         self.simulator.advance(actions, self.clipped, partial(self._finish_blocks, result, tool))
         if self._builtin is None:
-            desired = observation["desired_goal"]
-            result.distance[:] = distances(tool, desired)
-            result.reward[:] = self.reward(*map(self.format.rounded_goal, (observation["achieved_goal"], desired)))
+            result.distance[:] = distances(tool, observation["desired_goal"])
+            result.reward[:] = self.rewards.of_step(observation)
         if self._ends:
             result.terminated[:] = outside_workspace(tool, self._edges)
         return result
@@ -285,6 +289,14 @@ class EnvironmentBatch:
         self.observations.write(0, self.simulator.blocks, observation, tool)
         return observation
 
+    def _observe_rows(self, index: Index) -> Observation:
+        """Return observations of which only the rows of environments index (k,) are written."""
+        observation, tool = self._blank()
+        self.references.write(index, observation)
+        for first, last in block_ranges(index):
+            self.observations.write(first, last, observation, tool)
+        return observation
+
     def _blank(self) -> tuple[Observation, NDArray[np.float32]]:
         """Allocate an observation of all environments, and true tool positions, shape (count, axes)."""
         observation, tool = self.observations.blank()
@@ -315,22 +327,6 @@ class EnvironmentBatch:
         for first, last in block_ranges(index):
             self.observations.write_tool(first, last, tool)
         return distances(tool[index], self.references.goals(index))
-
-    def compute_reward(self, achieved_goal: ArrayLike, desired_goal: ArrayLike, info: Any = None) -> Any:
-        """Compute rewards of tool positions; for the goals of a step they equal its rewards to the bit.
-
-        Args:
-            achieved_goal: Achieved tool positions as observed (m, or normalized), shape (axes,) or (n, axes).
-            desired_goal: Goal positions as observed, the same shape.
-            info: Not used; part of the signature that stable-baselines3 calls.
-
-        Returns:
-            Reward as a float for shape (axes,), or n rewards, shape (n,).
-        """
-        a, d = self.format.goal_in_meters(achieved_goal), self.format.goal_in_meters(desired_goal)
-        if a.ndim == 1:
-            return float(self.reward(a[None], d[None])[0])
-        return np.asarray(self.reward(a, d), np.float64)
 
 
 @compiled

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from .config import EnvConfig, EnvOptions, check_keywords
+from .config import EnvConfig, EnvOptions, check_keywords, check_render_mode
 from .environment_batch import EnvironmentBatch
 from .observations import Observation
-from .rendering import TRAIL_LENGTH, Renderer, Scene, check_render_mode, tool_point
+from .rendering import TRAIL_LENGTH, Renderer, Scene, tool_point
 from .spaces import SignalSpec, action_space
 
 _ONLY = np.zeros(1, np.intp)
@@ -63,6 +63,7 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
     With d the distance from `achieved_goal` to `desired_goal`:
 
     - `"dense"`: minus the mean of d / (d + scale) over scales from 0.2 m to 20 um; 0 at the goal, near -1 far from it.
+    - `"progress"`: ln((1 mm + d before the step) / (1 mm + d after it)); what `normalize=True` chooses.
     - `"sparse"`: 0 within the task's band (1 mm), else -1.
     - a function of (achieved, desired), or a registered name.
 
@@ -89,7 +90,7 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
     |---|---|---|
     | `machine` | `"hframe"` | preset name, path of a machine.json, `Machine` |
     | `task` | `"reach"` | `"reach"`, `"track"`, `Reach(...)`, `Track(...)`, another registered task, `Task` |
-    | `reward` | `"dense"` | `"dense"`, `"sparse"`, another registered reward, a function |
+    | `reward` | `None` | `"dense"` (default), `"progress"` (default with `normalize`), `"sparse"`, a function |
     | `randomize` | `"none"` | `"none"`, `"default"`, `"wide"`, `"identified"`, a list of rules |
     | `sensors` | `"state"` | `"state"`, `"rig"`, `"machine"`, `Sensors(...)` |
     | `drives` | `"ideal"` | `"ideal"`, `"rig"`, `"machine"`, `Actuators(...)` |
@@ -203,7 +204,7 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
         """
         if self.batch.config.flat:
             raise AttributeError("with flat=True there is no compute_reward, because the observation has no goals")
-        return self.batch.compute_reward
+        return self.batch.rewards.compute
 
     def _info(self, distance: float, contour: NDArray[np.float64] | None) -> dict[str, Any]:
         """Return the info of a step or reset."""
@@ -214,6 +215,8 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
         }
         if contour is not None:
             info["contour_m"] = contour.item()
+        for key, goals in self.batch.rewards.info().items():
+            info[key] = goals[0]
         if self.batch.sampler.names:
             values = self.batch.randomized(_ONLY)
             info["parameters"] = {name: value.item() for name, value in values.items()}

@@ -68,7 +68,7 @@ class ObservationFormat:
         """Convert goals of observations to positions.
 
         Args:
-            goal: Achieved or desired goals as observed, shape (2,) or (n, 2).
+            goal: Achieved or desired goals as observed, shape (axes,) or (n, axes).
 
         Returns:
             Positions, m, float32, the same shape.
@@ -76,15 +76,13 @@ class ObservationFormat:
         values = np.asarray(goal, np.float32)
         return values * self._scale["desired_goal"] + self._center["desired_goal"] if self.normalize else values
 
-    def rounded_goal(self, goal: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Round goals to the values that `goal_in_meters` returns for their observation.
-
-        Rewards of rounded goals equal those that a replay buffer computes from observations, to the bit.
+    def goal_as_observed(self, goal: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Convert positions to goals of observations; the inverse of `goal_in_meters`, but for rounding.
 
         Args:
-            goal: Positions, m, float32, shape (n, 2).
+            goal: Positions, m, float32, shape (n, axes).
 
         Returns:
-            Positions, m, float32, shape (n, 2); those given without `normalize`.
+            Goals, normalized if observations are, float32, shape (n, axes).
         """
-        return self.goal_in_meters(self._normalized("desired_goal", goal)) if self.normalize else goal
+        return self._normalized("desired_goal", goal) if self.normalize else goal

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
 from ..machine import Machine
+from .spaces import workspace_of
 
 if TYPE_CHECKING:
     from .environment_batch import EnvironmentBatch
@@ -84,15 +84,7 @@ class Scene:
 
 
 def tool_point(batch: EnvironmentBatch, b: int) -> Point:
-    """Return the tool position of one environment in the plane of the picture.
-
-    Args:
-        batch: Batch of environments.
-        b: Index of the environment, from 0.
-
-    Returns:
-        x and y, m; y is 0 for a machine with one axis.
-    """
+    """Return the tool position of environment b of a batch in the picture, x and y in m; y is 0 with one axis."""
     position = batch.simulator.positions(b)
     return _in_plane([position[name] for name in batch.machine.tool_axes])
 
@@ -185,24 +177,6 @@ def section_tension(tensions: dict[str, float], section: str) -> float | None:
     return tensions.get(section, tensions.get(lumped))
 
 
-def check_render_mode(mode: str | None, modes: Sequence[str]) -> str | None:
-    """Check that an environment supports a render mode.
-
-    Args:
-        mode: Render mode, or None for no rendering.
-        modes: Supported render modes.
-
-    Returns:
-        `mode`, unchanged.
-
-    Raises:
-        InputError: If `mode` is neither None nor in `modes`.
-    """
-    if mode is not None and mode not in modes:
-        raise InputError(f"render_mode is {mode!r}; choose one of {', '.join(modes)} or None")
-    return mode
-
-
 def tension_color(tension: float | None) -> Color:
     """Return the color of a belt: gray at its pretension, blue below it, red above it.
 
@@ -244,10 +218,10 @@ class Renderer:
     def __init__(self, machine: Machine, mode: str, fps: int) -> None:
         self._pygame = _load_pygame()
         self._mode, self._fps = mode, fps
-        ranges = [machine.coordinate(name).range for name in machine.tool_axes]
-        self._planar = len(ranges) > 1
+        workspace = workspace_of(machine)
+        self._planar = len(workspace) > 1
         # One axis is drawn along the middle of a narrow workspace.
-        self._geometry = BeltGeometry(np.array(ranges if self._planar else [*ranges, (-HALF_BRIDGE, HALF_BRIDGE)]))
+        self._geometry = BeltGeometry(workspace if self._planar else np.vstack([workspace, [-0.05, 0.05]]))
         g = self._geometry
         margin = 0.06  # m
         self._scale = min(WIDTH / (g.x1 - g.x0 + 2 * margin), (HEIGHT - 40) / (g.y1 - g.y0 + 2 * margin))
@@ -307,9 +281,10 @@ class Renderer:
         self._draw_target(scene)
         draw.circle(surface, PAPER, self._pixel(scene.position), 5)
         draw.circle(surface, INK, self._pixel(scene.position), 2)
-        text = f"t = {scene.time_s:.2f} s    distance = {1e3 * scene.distance:.3f} mm"
-        if scene.tensions:
-            text += "    belts: " + "    ".join(f"{k} {v:+.0f} N" for k, v in list(scene.tensions.items())[:3])
+        belts = "".join(f"    {k} {v:+.0f} N" for k, v in list(scene.tensions.items())[:3])
+        text = f"t = {scene.time_s:.2f} s    distance = {1e3 * scene.distance:.3f} mm" + (
+            belts and f"    belts:{belts}"
+        )
         surface.blit(self._font.render(text, True, INK), (16, 12))
         return self._output()
 

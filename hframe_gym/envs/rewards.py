@@ -2,7 +2,7 @@
 
 A reward is called with achieved and desired positions, float32, m, shape (n, axes) each, and returns (n,) float64. A
 replay buffer can therefore compute the rewards again for other goals and gets the same bits. The built-in rewards use
-only arithmetic and the square root, which round alike on every machine.
+only arithmetic and the square root, which round alike on every machine; "progress" has a logarithm.
 
 Register a new one under a name with `@REWARDS.register("name")`: a class, or a function that returns a reward, which
 is called with the task's tolerance band in m.
@@ -34,8 +34,17 @@ _DENSE, _SPARSE = 0, 1
 
 
 @compiled
-def _distance(first: Any, second: Any, b: int) -> float:
-    """Return the distance of row b of two arrays of positions (n, 2) or (n, 1), m."""
+def row_distance(first: Any, second: Any, b: int) -> float:
+    """Compute the distance of one row of two arrays of positions.
+
+    Args:
+        first: Positions, m, shape (n, 2) or (n, 1).
+        second: Positions, m, the same shape.
+        b: Index of the row.
+
+    Returns:
+        Distance, m.
+    """
     last = first.shape[1] - 1
     x = np.float64(first[b, 0]) - np.float64(second[b, 0])
     y = np.float64(first[b, last]) - np.float64(second[b, last])
@@ -72,10 +81,10 @@ def evaluate_rows(
     """
     # One loop for each operation, which the compiler vectorizes.
     for b in range(first, last):
-        distance[b] = _distance(tool, desired, b)
+        distance[b] = row_distance(tool, desired, b)
     if measured:
         for b in range(first, last):
-            reward[b] = _distance(achieved, desired, b)
+            reward[b] = row_distance(achieved, desired, b)
     else:
         reward[first:last] = distance[first:last]
     if kind == _SPARSE:
@@ -230,7 +239,7 @@ def as_reward(reward: RewardLike, band: float, axes: int = 2) -> Reward:
         result = np.asarray(function(positions, positions))
         if result.shape != (3,) or result.dtype.kind not in "fiub" or not np.all(np.isfinite(result)):
             raise InputError(
-                f"reward: for positions of shape (3, {axes}) the function returned shape {result.shape} of {result.dtype}; "
-                "it must return one finite number per row, shape (3,)"
+                f"reward: for positions of shape (3, {axes}) the function returned shape {result.shape} of "
+                f"{result.dtype}; it must return one finite number per row, shape (3,)"
             )
     return function

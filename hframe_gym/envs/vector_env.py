@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..machine import Machine
-from .config import EnvConfig, EnvOptions, check_keywords
+from .config import EnvConfig, EnvOptions, check_keywords, check_render_mode
 from .environment_batch import EnvironmentBatch, Flags, Index, StepResult
 from .hframe_env import check_reset_options, require_path
 from .observations import Observation
-from .rendering import TRAIL_LENGTH, Renderer, Scene, check_render_mode, tool_point
+from .rendering import TRAIL_LENGTH, Renderer, Scene, tool_point
 from .spaces import SignalSpec, action_space
 
 Array = NDArray[np.float64]
@@ -39,7 +39,7 @@ class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]])
     As for `HFrameEnv`, with truncation after `max_episode_steps`. The autoreset modes are Gymnasium's: "NextStep"
     (the step after an episode's end resets and ignores its action), "SameStep" (the last step resets; `final_obs` and
     `final_info` hold the end of the episode) and "Disabled" (reset with options={"reset_mask": (num_envs,) bool}).
-    The columns of `parameters` in an info are read-only; a reset replaces them.
+    The columns of `parameters` in an info are read-only.
 
     ## Arguments
 
@@ -226,14 +226,14 @@ class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]])
         """
         if self.batch.config.flat:
             raise AttributeError("with flat=True there is no compute_reward, because the observation has no goals")
-        return self.batch.compute_reward
+        return self.batch.rewards.compute
 
     # -- info: each key with its mask "_key" -----------------------------------------------------------------------
 
     def _describe(self, info: dict[str, Any], mask: Flags | None, distance: Array, contour: Array | None) -> None:
         """Add what every info has; mask: the environments that it describes, None for all."""
         columns = {"distance_m": distance, "is_success": distance <= self.batch.task.band}
-        columns["clipped_actions"] = self.batch.clipped.copy()
+        columns |= {"clipped_actions": self.batch.clipped.copy(), **self.batch.rewards.info()}
         if contour is not None:
             columns["contour_m"] = contour
         _add_columns(info, columns, mask, self.num_envs)
@@ -312,7 +312,11 @@ class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]])
 def _add_columns(info: dict[str, Any], columns: dict[str, Any], mask: Flags | None, count: int) -> None:
     """Add columns (count,) and their masks to an info, zero where the mask is False; mask None: all True."""
     for key, values in columns.items():
-        info[key] = values if mask is None else np.where(mask, values, np.zeros((), values.dtype))
+        info[key] = (
+            values
+            if mask is None
+            else np.where(mask.reshape(-1, *[1] * (values.ndim - 1)), values, values.dtype.type(0))
+        )
         info[f"_{key}"] = np.ones(count, np.bool_) if mask is None else mask.copy()
 
 

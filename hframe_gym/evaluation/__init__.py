@@ -23,6 +23,7 @@ from .scenario import (
     Scenario,
     episode_conditions,
     make_controller,
+    period_concern,
 )
 
 __all__ = [
@@ -44,6 +45,7 @@ __all__ = [
     "export_dataset",
     "make_controller",
     "mean_with_interval",
+    "period_concern",
     "plot_episode",
     "ratio_of_means",
     "rollout",

@@ -7,6 +7,7 @@ are resolved to a tenth of a control period.
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,7 +22,7 @@ from ..envs import HFrameVectorEnv, MachineLike, RandomizationLike, SensorsLike,
 from ..errors import InputError
 from ..machine import Machine
 from .metrics import BANDS, score_episodes, stored_bounds
-from .scenario import Episodes, Scenario, make_controller
+from .scenario import Episodes, Scenario, make_controller, period_concern
 
 Array = NDArray[np.float64]
 SAMPLES_PER_PERIOD = 10
@@ -80,6 +81,9 @@ def evaluate(
     scenario = machine
     if not isinstance(scenario, Scenario):
         scenario = Scenario(scenario, task, randomize, sensors, episodes, seed, period, duration_s)
+    concern = period_concern(scenario.declared_machine, scenario.period)
+    if concern:
+        warnings.warn(concern, stacklevel=2)
     if not isinstance(controllers, Mapping):
         names = [controllers] if isinstance(controllers, str) else list(controllers)
         controllers = {name: make_controller(name, scenario) for name in dict.fromkeys(names)}

@@ -162,7 +162,7 @@ class Machine:
 
     @cached_property
     def tool_axes(self) -> tuple[str, ...]:
-        """Coordinates of the tool position: x and y if the machine has both, else its only linear one; empty if neither."""
+        """Coordinates of the tool position: x and y if it has both, else the only linear one; empty if neither."""
         if {"x", "y"} <= set(self.coordinate_names):
             return "x", "y"
         linear = tuple(c.name for c in self.coordinates if c.kind == "linear")

@@ -8,6 +8,7 @@ import pytest
 from gymnasium.wrappers import FlattenObservation
 
 from hframe_gym.envs import HFrameEnv, HFrameTrackEnv, HFrameVectorEnv
+from hframe_gym.envs.step_rewards import PROGRESS_SCALE
 from hframe_gym.errors import InputError
 
 RIG = {"sensors": "rig", "drives": "rig", "randomize": "wide", "privileged": True}
@@ -47,20 +48,23 @@ def test_entries_of_a_running_stage_are_about_one():
         assert np.abs(space.high).max() <= 3.0 + 1e-6
 
 
-@pytest.mark.parametrize("options", [{}, {"reward": "sparse"}, {"ends": "terminate"}, RIG], ids=str)
+REWARDED = [{}, {"reward": "dense"}, {"reward": "sparse"}, {"ends": "terminate"}, RIG, {"task": "track"}]
+
+
+@pytest.mark.parametrize("options", REWARDED, ids=str)
 def test_rewards_of_observed_goals_are_those_of_the_step_to_the_bit(options):
     env = HFrameEnv(normalize=True, **options)
     env.reset(seed=1)
     for action in actions(30, 2):
-        observation, reward, *_ = env.step(action)
+        observation, reward, _, _, info = env.step(action)
         goals = observation["achieved_goal"], observation["desired_goal"]
-        assert env.compute_reward(*goals, {}) == reward
-        both = env.compute_reward(*(np.stack([goal, goal]) for goal in goals), {})
+        assert env.compute_reward(*goals, info) == reward
+        both = env.compute_reward(*(np.stack([goal, goal]) for goal in goals), [info, info])
         np.testing.assert_array_equal(both, [reward, reward])
 
 
 def test_normalized_rewards_are_those_in_si_units():
-    env, plain = HFrameEnv(normalize=True), HFrameEnv()
+    env, plain = HFrameEnv(normalize=True, reward="dense"), HFrameEnv()
     env.reset(seed=1), plain.reset(seed=1)
     for action in actions(30, 2):
         assert env.step(action)[1] == pytest.approx(plain.step(action)[1], rel=1e-5)
@@ -131,3 +135,36 @@ def test_options_must_be_switches():
         HFrameEnv(normalize="yes")
     with pytest.raises(InputError, match="needs a task with a path"):
         HFrameTrackEnv(task="reach", flat=True)
+
+
+def test_progress_pays_for_coming_closer_and_adds_up_over_an_episode():
+    env = HFrameEnv(normalize=True)
+    _, info = env.reset(seed=1)
+    begin, total = info["distance_m"], 0.0
+    for action in actions(30, 2):
+        before = info["distance_m"]
+        _, reward, _, _, info = env.step(action)
+        assert np.sign(reward) == np.sign(before - info["distance_m"])
+        total += reward
+    scale = PROGRESS_SCALE
+    assert total == pytest.approx(np.log((scale + begin) / (scale + info["distance_m"])), rel=1e-4)
+
+
+def test_progress_starts_anew_with_every_episode():
+    envs = HFrameVectorEnv(3, normalize=True, max_episode_steps=5, autoreset_mode="SameStep")
+    envs.reset(seed=1)
+    for action in actions(12, 3, 2):
+        _, reward, _, _, info = envs.step(action)
+        assert np.abs(reward).max() < 0.5  # a jump to another start and goal would be up to ln 1000
+        keys = info["final_info"].keys() if "final_info" in info else info.keys()
+        assert {"previous_achieved_goal", "_previous_achieved_goal"} <= keys
+
+
+def test_relabeled_progress_needs_the_goal_before_the_step():
+    env = HFrameEnv(normalize=True)
+    env.reset(seed=1)
+    observation, _, _, _, info = env.step([1.0, 1.0])
+    reached = observation["achieved_goal"]
+    assert env.compute_reward(reached, reached, info) > 0.0  # as if the tool had moved to its goal
+    with pytest.raises(InputError, match="choose reward='sparse' or 'dense'"):
+        env.compute_reward(reached, reached, {})

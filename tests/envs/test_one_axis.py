@@ -33,7 +33,9 @@ OPTIONS = [
     {"machine": BELT_AXIS, "ends": "terminate", "reward": "sparse"},
     {"machine": BELT_AXIS, "sensors": "machine", "randomize": "wide", "normalize": True},
 ]
-ids = pytest.mark.parametrize("options", OPTIONS, ids=lambda o: "-".join(str(getattr(v, "name", v)) for v in o.values()))
+ids = pytest.mark.parametrize(
+    "options", OPTIONS, ids=lambda o: "-".join(str(getattr(v, "name", v)) for v in o.values())
+)
 
 
 @ids

@@ -248,7 +248,7 @@ class ReferenceTrajectories:
 
         Args:
             index: Indices of the environments, shape (k,), or a slice of them; other rows are not changed.
-            observation: Output; `desired_goal`, m, shape (count, axes), and `preview`, m, shape (count, axes * previews):
+            observation: Output, m; `desired_goal`, shape (count, axes), and `preview`, shape (count, axes * previews):
                 x and y of the next future goal, then of the one after it, ...
         """
         if not self.moving:
