@@ -111,7 +111,7 @@ check_env_specs(env)
         IN_ACTION_SPACE
         + """
 from tianshou.data import Batch
-assert result.timing.total_time > 0.0 and np.isfinite(result.best_reward) and result.best_reward < 0.0
+assert result.timing.total_time > 0.0 and np.isfinite(result.best_reward)
 check(policy.map_action(policy(Batch(obs=np.stack([env.reset(seed=0)[0]]), info={})).act.detach().numpy()))
 """,
     ),
@@ -136,7 +136,7 @@ assert len(distances_m) == 2, "two ends of all episodes in 384 steps"
         4096,
         """
 assert results["num_env_steps_sampled_lifetime"] >= STEPS
-assert -150.0 < results["env_runners"]["episode_return_mean"] < 0.0
+assert abs(results["env_runners"]["episode_return_mean"]) < 10.0, "ln of the distance at start over that at the end"
 """,
     ),
     "Minari data sets": Client({"minari": "minari", "h5py": "h5py", **SB3}, 2, "assert len(rewards) == 150\n"),
