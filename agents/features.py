@@ -55,17 +55,20 @@ def feature_parameters(machine: Machine) -> dict[str, Any]:
     """Compute the geometry of a machine that `feature_matrix` needs, as its keyword arguments.
 
     Args:
-        machine: Machine with coordinates x and y and one motor coordinate per drive.
+        machine: Machine with a workspace.
 
     Returns:
-        `radii`: belt travel (radius * angle) per radian of each motor coordinate, m/rad, list of one per drive.
-        `rest`: belt travel of each motor coordinate per meter of x and of y with unstretched belts, m/m, nested list of
-            shape (drives, 2).
+        `radii`: belt travel (radius * angle) per radian of each motor coordinate, m/rad, list of one per motor; a drive
+            that acts on an axis of the tool itself has no motor coordinate.
+        `rest`: belt travel of each motor coordinate per meter of each axis with unstretched belts, m/m, nested list of
+            shape (motors, axes).
     """
+    axes = machine.tool_axes
     linear_names = [c.name for c in machine.coordinates if c.kind == "linear"]
-    driven = [machine.coordinate_names.index(drive.coordinate) for drive in machine.drives]
-    # Rest states for a displacement of 1 m along x and along y.
-    unit_states = [rest_state(machine, [float(name == axis) for name in linear_names]) for axis in ("x", "y")]
+    motors = [drive.coordinate for drive in machine.drives if drive.coordinate not in axes]
+    driven = [machine.coordinate_names.index(name) for name in dict.fromkeys(motors)]
+    # Rest states for a displacement of 1 m along each axis.
+    unit_states = [rest_state(machine, [float(name == axis) for name in linear_names]) for axis in axes]
     return {
         "radii": [float(machine.travel_per_unit[i]) for i in driven],
         "rest": [[float(state[i] * machine.travel_per_unit[i]) for state in unit_states] for i in driven],
@@ -78,9 +81,9 @@ def feature_matrix(sizes: Mapping[str, int], radii: Array, rest: Array) -> tuple
     Args:
         sizes: Number of entries of the observation's array of each key, in the order in which they are concatenated to
             z. `observation` and `desired_goal` are required; of the other keys, those given are used.
-        radii: Belt travel (radius * angle) per radian of each motor coordinate, m/rad, shape (drives,).
-        rest: Belt travel of each motor coordinate per meter of x and of y with unstretched belts, m/m, shape
-            (drives, 2).
+        radii: Belt travel (radius * angle) per radian of each motor coordinate, m/rad, shape (motors,).
+        rest: Belt travel of each motor coordinate per meter of each axis with unstretched belts, m/m, shape
+            (motors, axes).
 
     Returns:
         M: Combines entries of z to errors and speeds and divides them by their scales, shape (entries, features).
@@ -88,9 +91,10 @@ def feature_matrix(sizes: Mapping[str, int], radii: Array, rest: Array) -> tuple
     """
     # Each quantity is a matrix of columns (entries of z, components): the quantity is z times these columns.
     selectors = _selectors(sizes)
-    drives = len(radii)
-    tool, motors, tool_speed, motor_speed = _split_state(selectors["observation"], radii)
     goal = selectors["desired_goal"]
+    axes = drives = goal.shape[1]
+    rest = np.reshape(rest, (len(radii), axes))
+    tool, motors, tool_speed, motor_speed = _split_state(selectors["observation"], radii, axes)
     speeds = np.hstack([tool_speed, motor_speed])
     errors = np.hstack([goal - tool, goal @ rest.T - motors])
     blocks = [
@@ -101,10 +105,10 @@ def feature_matrix(sizes: Mapping[str, int], radii: Array, rest: Array) -> tuple
         _scaled_columns(motor_speed - tool_speed @ rest.T, SPEED_SCALES[1:], LARGEST_SPEED),
     ]
     if "preview" in selectors:
-        future_goals = [selectors["preview"][:, i : i + 2] - goal for i in range(0, sizes["preview"], 2)]
+        future_goals = [selectors["preview"][:, i : i + axes] - goal for i in range(0, sizes["preview"], axes)]
         blocks.append(_scaled_columns(np.hstack(future_goals), ERROR_SCALES[1:3], LARGEST_ERROR))
     if "last_observation" in selectors:
-        last_speeds = np.hstack(_split_state(selectors["last_observation"], radii)[2:])
+        last_speeds = np.hstack(_split_state(selectors["last_observation"], radii, axes)[2:])
         blocks.append(_scaled_columns(speeds - last_speeds, SPEED_SCALES, LARGEST_SPEED))
     for key in ("last_action", "base_action"):
         if key in selectors:
@@ -127,9 +131,9 @@ def _selectors(sizes: Mapping[str, int]) -> dict[str, Array]:
     return {key: identity[:, first:last] for key, first, last in zip(sizes, edges[:-1], edges[1:], strict=True)}
 
 
-def _split_state(state: Array, radii: Array) -> tuple[Array, Array, Array, Array]:
+def _split_state(state: Array, radii: Array, axes: int) -> tuple[Array, Array, Array, Array]:
     """Split a state's columns into tool, motors, tool speed and motor speed, motors in belt travel."""
-    tool, motors, tool_speed, motor_speed = np.split(state, np.cumsum([2, len(radii), 2]), axis=1)
+    tool, motors, tool_speed, motor_speed = np.split(state, np.cumsum([axes, len(radii), axes]), axis=1)
     return tool, motors * radii, tool_speed, motor_speed * radii
 
 

@@ -10,7 +10,7 @@ import platform
 from collections.abc import Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,11 +23,23 @@ from ..evaluation import BANDS, Episodes, Scenario, rollout, settling_times
 Array = NDArray[np.float64]
 PACKAGES = ("hframe_gym", "stable-baselines3", "torch", "numpy", "numba", "gymnasium")
 # Seconds of settling time that one millimeter of final error counts. Agents that settle in no band differ only by their
-# final error; for agents that settle, 0.01 mm counts as little as 0.1 ms, far below the noise of 256 episodes.
+# final error; for agents that settle, 0.01 mm counts as little as 0.1 ms, far below the noise of the episodes.
 SECONDS_PER_MM = 0.01
 
 
-def score_agent(controller: Controller, scenario: Scenario) -> dict[str, float]:
+class AgentScores(NamedTuple):
+    """Result of the evaluation of an agent.
+
+    Attributes:
+        row: Row of the learning curve, numbers by name; see `score_agent`.
+        costs: Cost of every episode by `episode_costs`, shape (B,).
+    """
+
+    row: dict[str, float]
+    costs: Array
+
+
+def score_agent(controller: Controller, scenario: Scenario) -> AgentScores:
     """Simulate a controller in the episodes of a scenario and compute its scores, one row of a learning curve.
 
     Args:
@@ -35,6 +47,7 @@ def score_agent(controller: Controller, scenario: Scenario) -> dict[str, float]:
         scenario: Machine, task and episodes in which the controller runs.
 
     Returns:
+        Costs of the episodes, and the row:
         With a fixed goal (an episode settles in a band if the tool stays within this distance of the goal to the end):
             `success`: fraction of episodes that settle in the task's band, 0 to 1.
             `success_BAND`: fraction of episodes that settle, 0 to 1, for the name of each band in `BANDS`.
@@ -47,8 +60,10 @@ def score_agent(controller: Controller, scenario: Scenario) -> dict[str, float]:
     episodes = rollout(controller, scenario)
     error = episodes.goal_error  # (episodes, samples)
     if episodes.contour is not None:
-        return _tracking_scores(error, episodes.contour)
-    return _reaching_scores(error, episodes, as_task(scenario.task).band)
+        row = _tracking_scores(error, episodes.contour)
+    else:
+        row = _reaching_scores(error, episodes, as_task(scenario.task).band)
+    return AgentScores(row, episode_costs(episodes))
 
 
 def _reaching_scores(error: Array, episodes: Episodes, task_band: float) -> dict[str, float]:
@@ -69,24 +84,42 @@ def _tracking_scores(error: Array, contour: Array) -> dict[str, float]:
     }
 
 
-def ranking_cost(row: Mapping[str, Any]) -> float:
-    """Compute the cost of one row of a learning curve; the agent of the row with the lowest cost is kept.
+def episode_costs(episodes: Episodes) -> Array:
+    """Compute the cost of every evaluation episode, by which agents of one training run are compared.
 
-    With a fixed goal it is the sum of the mean settling times within 0.2 mm and within 1 mm and of the final error, at
-    `SECONDS_PER_MM`. One settling time alone would let a single lucky episode out of 256 decide early in training,
-    when almost none settles. Along a path it is the sum of contour and tracking error: a tool that never leaves its
-    start has no contour error.
+    With a fixed goal it is the sum of the settling times within all bands and of the final error, at `SECONDS_PER_MM`.
+    Along a path it is the sum of contour and tracking error: a tool that never leaves its start has no contour error.
 
     Args:
-        row: Scores of an agent as `score_agent` returns them.
+        episodes: B recorded episodes.
 
     Returns:
-        Cost, s for a fixed goal, mm for a moving goal.
+        Costs, s for a fixed goal, mm for a moving goal, shape (B,).
     """
-    if "contour_rms_mm" in row:
-        return float(row["contour_rms_mm"] + row["tracking_rms_mm"])
-    settling_s = row["settling_s_0.2mm"] + row["settling_s_1mm"]
-    return float(settling_s + SECONDS_PER_MM * row["final_error_mm"])
+    error = episodes.goal_error
+    if episodes.contour is not None:
+        return np.asarray(1e3 * sum(np.sqrt(np.mean(e**2, axis=1)) for e in (episodes.contour, error)))
+    settling_s = sum(settling_times(error, episodes.time_s, band)[0] for band in BANDS.values())
+    return np.asarray(settling_s + SECONDS_PER_MM * 1e3 * error[:, -1])
+
+
+def improves(costs: Array, kept: Array | None) -> bool:
+    """Decide whether an agent replaces the one that is kept: its mean cost is lower by more than the noise.
+
+    Both agents run in the same episodes, so the noise is the standard error of the mean of B differences. A difference
+    in one lucky episode never exceeds it.
+
+    Args:
+        costs: Costs of the new agent by `episode_costs`, shape (B,).
+        kept: Costs of the kept agent in the same episodes, shape (B,); None if there is none.
+
+    Returns:
+        Whether to keep the new agent.
+    """
+    if kept is None:
+        return True
+    saved = kept - costs
+    return bool(saved.mean() > saved.std(ddof=1) / np.sqrt(len(saved)))
 
 
 def progress_line(row: Mapping[str, Any]) -> str:

@@ -52,14 +52,15 @@ class Authority:
         It is min(most, least + distance / full_at_m + speed / full_at_m_s), with distance to the goal and tool speed.
 
         Args:
-            observation: Arrays by key. `observation`: full state, the tool position (x, y) in its first two columns, m,
-                shape (batch, entries) for a batch of environments. `desired_goal`: tool goal, m, shape (batch, 2).
-            tool_speeds: Slice of the columns of `observation` that hold the tool velocity along x and y, m/s.
+            observation: Arrays by key. `observation`: full state, the tool position in its first columns, m, shape
+                (batch, entries) for a batch of environments. `desired_goal`: tool goal, m, shape (batch, axes).
+            tool_speeds: Slice of the columns of `observation` that hold the tool velocity along its axes, m/s.
 
         Returns:
             Fractions of the rated voltage, shape (batch, 1).
         """
-        distance = np.linalg.norm(observation["desired_goal"] - observation["observation"][:, :2], axis=1)
+        goal = observation["desired_goal"]
+        distance = np.linalg.norm(goal - observation["observation"][:, : goal.shape[1]], axis=1)
         speed = np.linalg.norm(observation["observation"][:, tool_speeds], axis=1)
         unlimited = self.least + distance / self.full_at_m + speed / self.full_at_m_s
         return np.minimum(unlimited, self.most)[:, None]
@@ -94,7 +95,9 @@ class ResidualAction:
         self.base = CONTROLLERS.get(base)(machine, period) if base else None
         self._adaptive_base = self.base if isinstance(self.base, AdaptiveController) else None
         self._drives = len(machine.drives)
-        self._tool_speeds = slice(2 + self._drives, 4 + self._drives)
+        axes = machine.tool_axes
+        first = len({*axes, *(drive.coordinate for drive in machine.drives)})  # after all positions
+        self._tool_speeds = slice(first, first + len(axes))
         self._starts = EpisodeStarts()
         self._state: NDArray[Any] = np.zeros((0, 0))  # `observation` of this period, (batch, entries)
         self._last_state: NDArray[Any] = np.zeros((0, 0))  # and of the previous period

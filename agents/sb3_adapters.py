@@ -26,9 +26,9 @@ class LogScaleFeatures(BaseFeaturesExtractor):
     Args:
         observation_space: Space with `observation` and `desired_goal`; `preview` and the keys that `ResidualAction`
             adds are used where present.
-        radii: Belt travel (radius * angle) per radian of each motor coordinate, m/rad, one per drive.
-        rest: Belt travel of each motor coordinate per meter of x and of y with unstretched belts, m/m, shape
-            (drives, 2).
+        radii: Belt travel (radius * angle) per radian of each motor coordinate, m/rad, one per motor.
+        rest: Belt travel of each motor coordinate per meter of each axis with unstretched belts, m/m, shape
+            (motors, axes).
 
     Attributes:
         keys: Keys of the observation in the order in which their arrays are concatenated.

@@ -18,13 +18,13 @@ from typing import Any
 from ..atomic_files import atomic_file
 from ..envs import TASKS, Task
 from ..errors import InputError
-from ..evaluation import Scenario
+from ..evaluation import Scenario, period_concern
 from ..machine import Machine
 from ..recordings import load_machine
 from .agent import SCHEMA, Agent, load_weights, policy_keywords
 from .controller_source import shipped_agent_folder
 from .features import feature_parameters
-from .model_card import progress_line, ranking_cost, score_agent, versions, write_card
+from .model_card import improves, progress_line, score_agent, versions, write_card
 from .optional_dependencies import import_optional, require_training_packages, single_threaded_torch
 from .recipe import ALGORITHMS, Recipe, load_recipe
 from .residual_action import residual_action
@@ -99,12 +99,16 @@ class _Run:
     next_evaluation: int  # environment step
     start_time: float  # s, monotonic clock; such that the time before a resume counts
     start_cpu_time: float  # s, likewise
+    kept_costs: Any = None  # costs of the evaluation episodes of the agent that is kept, (B,); None before the first
 
     def __init__(
         self, recipe: Recipe, machine: Machine, task: str, seed: int, folder: Path, log: Log, progress: Progress
     ) -> None:
         self.recipe, self.machine, self.seed, self.folder = recipe, machine, seed, folder
         self.log, self.progress = log, progress
+        concern = period_concern(machine, recipe.period)
+        if concern:
+            log(f"warning: {concern.partition(' (')[0]} in the recipe's [env]")
         built_task = _build_task(task, recipe.task)
         self.environment = _build_environment(recipe, machine, built_task)
         self.card = _new_card(recipe, machine, task, seed)
@@ -178,6 +182,7 @@ class _Run:
             model.load_replay_buffer(replay)
         self.card["curve"] = [row for row in previous["curve"] if row["steps"] <= model.num_timesteps]
         self.card["kept"] = previous["kept"]
+        self.kept_costs = score_agent(Agent.load(self.folder), self.scenario).costs
         return model
 
     def _after_step(self, local_variables: dict[str, Any], global_variables: dict[str, Any]) -> bool:
@@ -192,11 +197,12 @@ class _Run:
         """Score the current policy, log the scores, and write checkpoint, card and, if it is the best, the agent."""
         model, was_training = self.model, self.model.policy.training
         agent = Agent(model.policy, self.evaluation_mapping, self.machine, self.card)
+        scores = score_agent(agent, self.scenario)
         row = {
             "steps": model.num_timesteps,
             "seconds": round(time.monotonic() - self.start_time, 1),
             "cpu_s": round(time.process_time() - self.start_cpu_time, 1),
-            **score_agent(agent, self.scenario),
+            **scores.row,
         }
         model.policy.set_training_mode(was_training)
         self.card["curve"] = [*(r for r in self.card["curve"] if r["steps"] < row["steps"]), row]
@@ -205,9 +211,9 @@ class _Run:
             if isinstance(value, float):
                 model.logger.record(f"evaluation/{key}", value)
         model.logger.dump(model.num_timesteps)
-        if ranking_cost(row) <= min(map(ranking_cost, self.card["curve"])):
+        if improves(scores.costs, self.kept_costs):
             agent.save(self.folder)
-            self.card["kept"] = row["steps"]
+            self.card["kept"], self.kept_costs = row["steps"], scores.costs
         with atomic_file(self.folder / "checkpoint.zip") as temporary:
             model.save(temporary)
         if getattr(model, "replay_buffer", None) is not None:

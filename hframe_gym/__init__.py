@@ -1,7 +1,8 @@
 """H-frame belt stages: simulation, Gymnasium environments, and identification of missing model effects.
 
-Importing the package registers the environments `HFrame-v0` and `HFrameTrack-v0` with Gymnasium. The names below load
-their subpackage when they are first used:
+Importing the package registers the environments `HFrame-v0` and `HFrameTrack-v0` with Gymnasium, as well as
+`HFrameFlat-v0` and `HFrameTrackFlat-v0`, whose observation is one array. The names below load their subpackage when
+they are first used:
 
     Machine              machine model: coordinates, belts, drives, sensors, effects
     load_machine         read a machine.json, or return a preset by name
@@ -78,10 +79,14 @@ _SUBPACKAGES = {
 }
 
 _EPISODE_STEPS = 150  # 1.5 s at the default period: the longest move takes half of it, a lap of the circle a third
-# Environment and vector environment by id; only names, so that the import does not load the simulator.
-_ENVIRONMENTS = {
-    "HFrame-v0": ("hframe_gym.envs:HFrameEnv", "hframe_gym.envs:HFrameVectorEnv"),
-    "HFrameTrack-v0": ("hframe_gym.envs:HFrameTrackEnv", "hframe_gym.envs:HFrameTrackVectorEnv"),
+# Environment, vector environment and keywords by id; only names, so that the import does not load the simulator.
+_REACH = "hframe_gym.envs:HFrameEnv", "hframe_gym.envs:HFrameVectorEnv"
+_TRACK = "hframe_gym.envs:HFrameTrackEnv", "hframe_gym.envs:HFrameTrackVectorEnv"
+_ENVIRONMENTS: dict[str, tuple[tuple[str, str], dict[str, Any]]] = {
+    "HFrame-v0": (_REACH, {}),
+    "HFrameTrack-v0": (_TRACK, {}),
+    "HFrameFlat-v0": (_REACH, {"flat": True}),
+    "HFrameTrackFlat-v0": (_TRACK, {"flat": True}),
 }
 
 
@@ -107,13 +112,14 @@ def _simulate(machine: Machine, time_s: ArrayLike, inputs: ArrayLike, initial: A
 
 def _register_environments() -> None:
     """Register the environments with Gymnasium, except for an id that is registered already."""
-    for name, (entry_point, vector_entry_point) in _ENVIRONMENTS.items():
+    for name, ((entry_point, vector_entry_point), keywords) in _ENVIRONMENTS.items():
         if name not in gym.registry:
             gym.register(
                 name,
                 entry_point=entry_point,
                 vector_entry_point=vector_entry_point,
                 max_episode_steps=_EPISODE_STEPS,
+                kwargs=keywords,
             )
 
 

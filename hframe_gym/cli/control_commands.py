@@ -1,4 +1,4 @@
-"""Commands on controllers: train, evaluate."""
+"""Commands on controllers: train, evaluate, export."""
 
 from __future__ import annotations
 
@@ -108,3 +108,51 @@ def evaluate(
             log(f"wrote {plot}")
     except ImportError as error:
         log(f"no plots: {error}")
+
+
+@app.command(cls=CommandWithChoices)
+def export(
+    controllers: Annotated[
+        list[str],
+        typer.Argument(
+            help="Controllers: {controllers}, a shipped agent ({agents}), the folder of a trained "
+            "agent, or module:name."
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help="Folder of Minari data sets; created if it does not exist.")],
+    machine: MachineOption = "hframe",
+    task: TaskOption = "reach",
+    randomize: RandomizeOption = "none",
+    sensors: Annotated[
+        str, typer.Option(help="What controllers observe: {sensors}; state is exact, the others are measurements.")
+    ] = "state",
+    period: Annotated[float, typer.Option(help="Control period in seconds.")] = 0.01,
+    episodes: Annotated[int, typer.Option(min=1, help="Number of episodes of each controller.")] = 100,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the first episode; episode i has the seed + i.")] = 0,
+    normalize: Annotated[
+        bool, typer.Option("--normalize", help="Store observations and goals divided by their scales.")
+    ] = False,
+    flat: Annotated[bool, typer.Option("--flat", help="Store an observation as one array instead of a dict.")] = False,
+    author: Annotated[str | None, typer.Option(help="Author in the metadata of the data sets.")] = None,
+) -> None:
+    """Write episodes of controllers as Minari data sets, one per controller.
+
+    Example:  hframe export pid ppo --episodes 100 --out out/minari
+    """
+    from ..evaluation import Scenario, export_dataset, make_controller
+
+    # Registers the agents as controllers, also where the package is used without its installed entry points.
+    import_module("hframe_gym.agents")
+    with value_errors_as_input_errors():
+        options: dict[str, Any] = {"randomize": randomize, "sensors": sensors, "episodes": episodes, "seed": seed}
+        scenario = Scenario(machine, task, period=period, **options)
+        names = list(dict.fromkeys(controllers))
+        for name in names:  # so that a wrong name is reported before anything is written
+            make_controller(name, scenario)
+        for name in names:
+            written = export_dataset(name, scenario, require_folder(out), normalize=normalize, flat=flat, author=author)
+            log(
+                f"wrote {written.dataset_id}: {written.episodes} episodes, {written.steps} steps, mean return "
+                f"{written.mean_return:.2f}, {written.success_rate:.1%} of the episodes end within the task's band"
+            )
+    log(f"load them in Python with MINARI_DATASETS_PATH={out} and minari.load_dataset({written.dataset_id!r})")

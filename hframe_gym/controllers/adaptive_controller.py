@@ -36,7 +36,7 @@ from ..machine import Machine
 from .base import CONTROLLERS, FullStateController, Mask
 from .input_compensation import DeadTime, InputInversion
 from .model_based_controller import ModelBasedController
-from .motion_model import AXES, MotionModel, OperatingPointGrid
+from .motion_model import MotionModel, OperatingPointGrid
 
 Array = NDArray[np.float64]
 # Design points of the bank, as factors on the declared EA and masses: about the range of the randomization "default".
@@ -87,7 +87,11 @@ class AdaptiveController(FullStateController):
         ]
         self._dead_time, self._inversion = DeadTime(machine, period), InputInversion(machine)
         self._filter = MomentumFilter(self.model, period)
-        self.feature_sizes = {"expected_friction": 2 * (PERIODS_AHEAD + 1), "estimates": 2 * len(self.model.mass) + 1}
+        drives = len(self.model.rated)
+        self.feature_sizes = {
+            "expected_friction": drives * (PERIODS_AHEAD + 1),
+            "estimates": 2 * len(self.model.mass) + 1,
+        }
         self._elapsed_s = np.zeros(0)
         self._state = self.expected_friction = np.zeros((0, 0))
 
@@ -128,12 +132,13 @@ class AdaptiveController(FullStateController):
         model = self.model
         if self._starts.resize(len(state)):
             self._state, self._elapsed_s = state, np.zeros(len(state))
-            self.expected_friction = np.zeros((len(state), 2 * (PERIODS_AHEAD + 1)))
+            self.expected_friction = np.zeros((len(state), self.feature_sizes["expected_friction"]))
         self._update_estimates(state)
         self._update_expected_friction(goals)
         self._starts.clear()
         force = self._scheduled_force(state, goals)
-        present, recent_mean = self.expected_friction[:, :2], self.expected_friction[:, -2:]
+        drives = len(model.rated)
+        present, recent_mean = self.expected_friction[:, :drives], self.expected_friction[:, -drives:]
         friction_change = (present - recent_mean) * model.rated
         motor_voltage = np.clip(model.voltage(force) + friction_change, -model.rated, model.rated)
         actions = self._inversion.command(motor_voltage) / model.rated
@@ -156,8 +161,8 @@ class AdaptiveController(FullStateController):
         """Return the forces along x and y (B, 2), N, interpolated between those of the bank."""
         model = self.model
         actions = [[controller.act_on_state(state, goals) for controller in row] for row in self._bank]
-        commands = np.array(actions) * model.rated  # V, (stiffness ratios, mass ratios, B, 2)
-        volts = self._inversion.motor_voltage(commands.reshape(-1, 2)).reshape(commands.shape)
+        commands = np.array(actions) * model.rated  # V, (stiffness ratios, mass ratios, B, drives)
+        volts = self._inversion.motor_voltage(commands.reshape(-1, len(model.rated))).reshape(commands.shape)
         # k: stiffness ratio, l: mass ratio, b: machine of the batch, a: axis.
         by_stiffness = _interpolation_weights(self._filter.stiffness_ratio, STIFFNESS_RATIOS)
         by_mass = _interpolation_weights(self._filter.mass_ratio, MASS_RATIOS)
@@ -177,7 +182,7 @@ class AdaptiveController(FullStateController):
     def _update_expected_friction(self, goals: Array) -> None:
         """Update `expected_friction` by the previewed goals."""
         starts = self._starts.mask
-        previous = self.expected_friction.reshape(len(starts), PERIODS_AHEAD + 1, 2)
+        previous = self.expected_friction.reshape(len(starts), PERIODS_AHEAD + 1, -1)
         recent = np.where(starts[:, None], 0.0, previous[:, -1] + RECENT_WEIGHT * (previous[:, 0] - previous[:, -1]))
         if goals.shape[1] > 1:
             goals = self._dead_time.delayed_goals(goals)[:, : PERIODS_AHEAD + 2]
@@ -211,7 +216,7 @@ class MomentumFilter:
     def __init__(self, model: MotionModel, period: float) -> None:
         n = len(model.mass)
         self.model, self.period = model, period
-        self._tool = [model.machine.coordinate_names.index(axis) for axis in AXES]
+        self._tool = [model.machine.coordinate_names.index(axis) for axis in model.axes]
         self._grid = OperatingPointGrid(model.machine)
         units = model.machine.travel_per_unit
         on_grid = stiffness_matrix(model.machine, self._grid.points @ model.rigid.T / units)  # (points, n, n)
@@ -253,7 +258,7 @@ class MomentumFilter:
         # innovation, K the gain.
         D, H, variance = self._balance(before, after, volts, effect_force)
         PH = self._covariance @ H.transpose(0, 2, 1)
-        S = H @ PH + variance[:, :, None] * np.eye(4)
+        S = H @ PH + variance[:, :, None] * np.eye(D.shape[1])
         K = np.linalg.solve(S, PH.transpose(0, 2, 1)).transpose(0, 2, 1)
         innovation = D - np.einsum("bap,bp->ba", H, self.estimates)
         self.estimates = self.estimates + np.einsum("bpa,ba->bp", K, innovation)
@@ -261,8 +266,8 @@ class MomentumFilter:
         self.estimates[starts], self._covariance[starts] = 0.0, np.diag(self._prior_std**2)
 
     def _balance(self, before: Array, after: Array, volts: Array, effect_force: Array) -> tuple[Array, Array, Array]:
-        """Return the residuals D (B, 4), N, their regressors H (B, 4, 2 n + 1) and noise variances (B, 4)."""
-        model, n = self.model, len(self.model.mass)
+        """Return the residuals D (B, 2 axes), N, their regressors H (B, 2 axes, 2 n + 1) and noise variances of D."""
+        model, n, axes = self.model, len(self.model.mass), len(self._tool)
         velocities = before[:, n:], after[:, n:]
         belt_force = self._mean_belt_force(before, after)
         friction = _mean_direction(*velocities) * model.coulomb
@@ -270,13 +275,13 @@ class MomentumFilter:
         resistance = model.viscous * (after[:, :n] - before[:, :n]) / self.period + friction
         residual = inertial + resistance - volts @ model.drive.T - effect_force
         D = residual @ self._rows.T
-        D[:, 2:] -= belt_force
-        H = np.zeros((len(D), 4, len(self._prior_std)))
+        D[:, axes:] -= belt_force
+        H = np.zeros((*D.shape, len(self._prior_std)))
         H[:, :, :-1] = -np.concatenate([friction, inertial], axis=1)[:, None] * np.hstack([self._rows] * 2)
-        H[:, 2:, -1] = belt_force
+        H[:, axes:, -1] = belt_force
         reversal = np.tanh(velocities[1] / REVERSAL_SPEED) - np.tanh(velocities[0] / REVERSAL_SPEED)
         variance = BALANCE_NOISE**2 + REVERSAL_NOISE**2 * (reversal * model.coulomb) ** 2 @ self._rows.T**2
-        variance[:, 2:] += (BELT_FORCE_NOISE * belt_force) ** 2
+        variance[:, axes:] += (BELT_FORCE_NOISE * belt_force) ** 2
         return D, H, variance
 
     def _mean_belt_force(self, before: Array, after: Array) -> Array:

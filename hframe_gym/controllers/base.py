@@ -96,6 +96,14 @@ class Controller(ABC):
             mask: True for the machines to reset, shape (B,) for B machines. Default: all; B may then change.
         """
 
+    def concern(self) -> str | None:
+        """Describe why this controller cannot be trusted on its machine at its control period.
+
+        Returns:
+            One sentence that `make_controller` prints as a warning, or None if nothing speaks against it.
+        """
+        return None
+
     def replace_last_action(self, actions: Array) -> None:  # noqa: B027  (optional)
         """Record the actions that were applied instead of those that `act` returned last, for example after limiting.
 
@@ -148,7 +156,7 @@ class EpisodeStarts:
 
 
 class FullStateController(Controller):
-    """Controller that needs the full state of a machine with two drives; subclasses implement `act_on_state`.
+    """Controller that needs the full state of a machine with one drive per axis; subclasses implement `act_on_state`.
 
     This class converts observations to states and goals, and records which machines start a new episode.
 
@@ -160,7 +168,7 @@ class FullStateController(Controller):
         model: Design model of the machine.
 
     Raises:
-        InputError: If the machine does not have two drives that can move both x and y, or the period is not positive.
+        InputError: If the machine does not have one drive per axis of its tool, or the period is not positive.
     """
 
     def __init__(self, machine: Machine, period: float = 0.01) -> None:
@@ -193,7 +201,7 @@ class FullStateController(Controller):
         state = self.model.state(observation)
         goals = [np.asarray(observation["desired_goal"], np.float64)[:, None]]
         if "preview" in observation:
-            goals.append(np.asarray(observation["preview"], np.float64).reshape(len(state), -1, 2))
+            goals.append(np.asarray(observation["preview"], np.float64).reshape(len(state), -1, len(self.model.axes)))
         return self.act_on_state(state, np.concatenate(goals, axis=1))
 
     @abstractmethod

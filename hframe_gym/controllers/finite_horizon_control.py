@@ -37,7 +37,7 @@ from numpy.typing import NDArray
 
 from ..dynamics import mode_frequencies
 from .base import check_period
-from .motion_model import AXES, MotionModel, OperatingPointGrid
+from .motion_model import MotionModel, OperatingPointGrid
 
 Array = NDArray[np.float64]
 # Shortest transfer in periods of the slowest belt mode; a shorter one needs the mode's frequency more accurately than a
@@ -190,7 +190,7 @@ class MinimumEnergyTransfers:
         states = [error[0] / scale]
         for period_volts in volts:
             states.append(A @ states[-1] + B @ period_volts)
-        axes = [self.model.machine.coordinate_names.index(axis) for axis in AXES]
+        axes = [self.model.machine.coordinate_names.index(axis) for axis in self.model.axes]
         return np.array(states)[:, axes] + goal, volts
 
 
@@ -230,8 +230,8 @@ class PreviewGains:
         model: MotionModel, A: Array, B: Array, E: Array, horizon: int, change_weight: float
     ) -> tuple[Array, Array, Array, Array]:
         """Return the gains on state, last voltage, goals and forces at one operating point."""
-        C = np.zeros((len(AXES), len(A)))
-        for row, axis in enumerate(AXES):
+        C = np.zeros((len(model.axes), len(A)))
+        for row, axis in enumerate(model.axes):
             C[row, model.machine.coordinate_names.index(axis)] = 1.0
         powers = [C]  # C A^j
         for _ in range(horizon):

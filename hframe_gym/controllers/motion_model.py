@@ -19,7 +19,6 @@ from ..errors import InputError
 from ..machine import AppliedEffect, Machine, argument_names, rest_state
 
 Array = NDArray[np.float64]
-AXES = ("x", "y")
 GRID = (9, 7)  # operating points along x and y; the stiffness is within 5 % of that of the nearest point
 # m/s: the direction of friction is tanh(v / REVERSAL_SPEED). Far below the speeds of a move, and far above what remains
 # at its end, so that the voltage does not chatter with the sign of noise.
@@ -30,78 +29,86 @@ class OperatingPointGrid:
     """Grid of tool positions for which gains are designed, because the belts' stiffness depends on the position.
 
     Args:
-        machine: Machine whose coordinates x and y have a range (the workspace).
+        machine: Machine whose tool axes have a range (the workspace).
 
     Attributes:
-        points: Tool positions (x, y) of the 9 x 7 grid, m, shape (63, 2).
-        span: Size of the workspace along x and y, m, shape (2,).
+        points: Tool positions of the grid, 9 x 7 for x and y and 9 for one axis, m, shape (points, axes).
+        span: Size of the workspace along each axis, m, shape (axes,).
 
     Raises:
-        InputError: If x or y has no range.
+        InputError: If an axis has no range.
     """
 
     def __init__(self, machine: Machine) -> None:
-        ranges = [r for r in (machine.coordinate(axis).range for axis in AXES) if r is not None]
-        if len(ranges) < len(AXES):
-            raise InputError(f"machine {machine.name!r}: x and y need a range to be controlled in")
-        self._lines = [np.linspace(low, high, count) for (low, high), count in zip(ranges, GRID, strict=True)]
-        self.points: Array = np.array([[x, y] for x in self._lines[0] for y in self._lines[1]])
+        axes = machine.tool_axes
+        ranges = [r for r in (machine.coordinate(axis).range for axis in axes) if r is not None]
+        if len(ranges) < len(axes):
+            raise InputError(
+                f'machine {machine.name!r}: {" and ".join(axes)} must have a range to be controlled in; add "range": '
+                "[low, high] in m to the machine.json"
+            )
+        self._lines = [np.linspace(low, high, count) for (low, high), count in zip(ranges, GRID, strict=False)]
+        self._shape = tuple(len(line) for line in self._lines)
+        self.points: Array = np.stack(np.meshgrid(*self._lines, indexing="ij"), axis=-1).reshape(-1, len(axes))
         self.span: Array = np.array([line[-1] - line[0] for line in self._lines])
 
     def nearest(self, position: Array) -> NDArray[np.intp]:
         """Find the nearest operating point of each of B tool positions.
 
         Args:
-            position: Tool positions (x, y), m, shape (B, 2).
+            position: Tool positions, m, shape (B, axes).
 
         Returns:
             Indices into `points`, shape (B,).
         """
-        # Indices of the nearest grid lines along x and along y, each of shape (B,).
-        i, j = (np.abs(position[:, k : k + 1] - line).argmin(axis=1) for k, line in enumerate(self._lines))
-        return i * GRID[1] + j
+        # Indices of the nearest grid lines along each axis, each of shape (B,).
+        lines = [np.abs(position[:, k : k + 1] - line).argmin(axis=1) for k, line in enumerate(self._lines)]
+        return np.asarray(np.ravel_multi_index(tuple(lines), self._shape), np.intp)
 
 
 class MotionModel:
-    """Model for the design of controllers: a machine with n coordinates and two drives, in belt travel.
+    """Model for the design of controllers: a machine with n coordinates and one drive per axis, in belt travel.
 
     Belt travel is radius * angle of a rotary coordinate and the position of a linear one. Methods take batches of B
     states.
 
     Args:
-        machine: Machine with the coordinates x, y and those of two drives.
+        machine: Machine with the coordinates of its tool (x and y, or one axis) and those of as many drives.
 
     Attributes:
         machine: As given.
+        axes: Names of the tool's coordinates, ("x", "y") or one name.
         observed: Coordinate names in the order of a full-state observation.
-        rigid: Belt travel of every coordinate per meter of x and of y with unstretched belts, m/m, shape (n, 2).
+        rigid: Belt travel of every coordinate per meter of each axis with unstretched belts, m/m, shape (n, axes).
         mass: Mass of every coordinate, of rotary ones inertia / radius^2, kg, shape (n,).
         viscous: Viscous friction coefficients including back-EMF, Ns/m, shape (n,).
         coulomb: Magnitudes of the Coulomb friction forces, N, shape (n,).
-        drive: Force on every coordinate per volt of each drive at zero speed, N/V, shape (n, 2).
-        rated: Rated voltages, V, shape (2,).
-        force_per_volt: Forces along x and y per volt of each drive, with belts that do not stretch, N/V, shape (2, 2).
+        drive: Force on every coordinate per volt of each drive at zero speed, N/V, shape (n, drives).
+        rated: Rated voltages, V, shape (drives,).
+        force_per_volt: Forces along the axes per volt of each drive, with belts that do not stretch, N/V, shape
+            (axes, drives).
 
     Raises:
-        InputError: If the machine has other coordinates than x, y and those of two drives, or its drives cannot push
-            along both axes.
+        InputError: If the machine has other coordinates than those of its tool and its drives, not one drive per axis,
+            or drives that cannot push along every axis.
     """
 
     def __init__(self, machine: Machine) -> None:
         names = machine.coordinate_names
         self.machine = machine
-        self.observed = (*AXES, *(d.coordinate for d in machine.drives if d.coordinate not in AXES))
-        if len(machine.drives) != len(AXES) or sorted(self.observed) != sorted(names):
+        self.axes = axes = machine.tool_axes
+        self.observed = (*axes, *(d.coordinate for d in machine.drives if d.coordinate not in axes))
+        if not axes or len(machine.drives) != len(axes) or sorted(self.observed) != sorted(names):
             raise InputError(
-                f"machine {machine.name!r}: the controllers need two drives and no coordinates except x, y and those "
-                f"of the drives; it has the coordinates {', '.join(names)} and the drives "
-                f"{', '.join(d.name for d in machine.drives)}"
+                f"machine {machine.name!r}: the controllers need a tool that moves along x and y or along one axis, "
+                "one drive per axis, and no coordinates except these and those of the drives; it has the coordinates "
+                f"{', '.join(names)} and the drives {', '.join(d.name for d in machine.drives)}"
             )
         n = len(names)
         units = machine.travel_per_unit  # 1 for linear coordinates, radius for rotary ones, m/rad
         linear = [c.name for c in machine.coordinates if c.kind == "linear"]
         self.rigid = np.stack(
-            [rest_state(machine, [float(c == axis) for c in linear])[:n] * units for axis in AXES], axis=1
+            [rest_state(machine, [float(c == axis) for c in linear])[:n] * units for axis in axes], axis=1
         )
         self._declared = equations = Equations(dataclasses.replace(machine, effects=()))
         memoryless = tuple(e for e in machine.effects if _memoryless(e))
@@ -114,8 +121,8 @@ class MotionModel:
             self.drive[names.index(d.coordinate), j] = equations.force_per_volt(j)
         self.rated = np.array([d.rated_voltage for d in machine.drives])
         self.force_per_volt = self.rigid.T @ self.drive
-        if abs(np.linalg.det(self.force_per_volt)) < 1e-9 * np.abs(self.force_per_volt).max() ** 2:
-            raise InputError(f"machine {machine.name!r}: its drives cannot push along both x and y")
+        if abs(np.linalg.det(self.force_per_volt)) <= 1e-9 * np.abs(self.force_per_volt).max() ** len(axes):
+            raise InputError(f"machine {machine.name!r}: its drives cannot push along {' and '.join(axes)}")
         self._volts_per_force = np.linalg.inv(self.force_per_volt)
         order = np.array([self.observed.index(c) for c in names])  # columns of an observation's positions
         self._order = np.concatenate([order, n + order])
@@ -154,7 +161,7 @@ class MotionModel:
         """Compute the states at rest with unstretched belts at given tool positions.
 
         Args:
-            goal: B tool positions (x, y), m, shape (B, 2).
+            goal: B tool positions, m, shape (B, axes).
 
         Returns:
             States: belt travel (radius * angle of a rotary coordinate) of the n coordinates, m, and zero velocity, m/s,
@@ -164,16 +171,16 @@ class MotionModel:
         return np.concatenate([travel, np.zeros_like(travel)], axis=1)
 
     def tool_position(self, travel: Array) -> Array:
-        """Select the tool position (x, y) from belt travel or states.
+        """Select the tool position from belt travel or states.
 
         Args:
             travel: Belt travel (radius * angle) of the n coordinates of B machines, m, shape (B, n); velocities in
                 further columns are ignored.
 
         Returns:
-            Tool positions, m, shape (B, 2).
+            Tool positions, m, shape (B, axes).
         """
-        return travel[:, [self.machine.coordinate_names.index(axis) for axis in AXES]]
+        return travel[:, [self.machine.coordinate_names.index(axis) for axis in self.axes]]
 
     def elastic_travel(self, travel: Array) -> Array:
         """Subtract from belt travel its value with unstretched belts at the same tool position.
@@ -183,7 +190,7 @@ class MotionModel:
                 further columns are ignored.
 
         Returns:
-            Belt travel due to belt stretch, m, shape (B, n); zero at x and y.
+            Belt travel due to belt stretch, m, shape (B, n); zero at the tool's axes.
         """
         return travel[:, : len(self.mass)] - self.tool_position(travel) @ self.rigid.T
 
@@ -191,13 +198,13 @@ class MotionModel:
         """Linearize the machine with n coordinates, without Coulomb friction, and discretize it with zero-order hold.
 
         Args:
-            goal: Tool position (x, y) of the linearization, m, shape (2,).
+            goal: Tool position of the linearization, m, shape (axes,).
             period: Control period, s.
 
         Returns:
             A: System matrix of the state (belt travel, that is, radius * angle of a rotary coordinate, m, and its
                 velocity, m/s), shape (2 n, 2 n).
-            B: Input matrix of the voltages, m/V and m/(Vs), shape (2 n, 2).
+            B: Input matrix of the voltages, m/V and m/(Vs), shape (2 n, drives).
             E: Input matrix of a force on each coordinate, m/N and m/(Ns), shape (2 n, n).
         """
         space = linearize(self.machine, self.rigid @ goal / self.machine.travel_per_unit)
@@ -274,14 +281,14 @@ class MotionModel:
         """Compute the motor travel, due to belt stretch, at which the belts balance a force on the tool.
 
         Args:
-            force: Force on each of the n coordinates of B machines, N, shape (B, n); only x and y are used.
-            goal: Tool positions (x, y), m, shape (B, 2).
+            force: Force on each of the n coordinates of B machines, N, shape (B, n); only the tool's are used.
+            goal: Tool positions, m, shape (B, axes).
 
         Returns:
-            Belt travel (radius * angle) minus that of unstretched belts, m, shape (B, n); zero at x and y.
+            Belt travel (radius * angle) minus that of unstretched belts, m, shape (B, n); zero at the tool's axes.
         """
         names = self.machine.coordinate_names
-        tool = [names.index(axis) for axis in AXES]
+        tool = [names.index(axis) for axis in self.axes]
         motors = [i for i in range(len(names)) if i not in tool]
         travel = goal @ self.rigid.T
         belts = self._declared.belt_states(MotionPoint(list(travel.T), list(np.zeros_like(travel).T)))
@@ -295,13 +302,13 @@ class MotionModel:
         return stretch
 
     def voltage(self, force: Array) -> Array:
-        """Convert forces along x and y (with unstretched belts) to the voltages that produce them at zero speed.
+        """Convert forces along the axes (with unstretched belts) to the voltages that produce them at zero speed.
 
         Args:
-            force: Forces along x and y on each of B machines, N, shape (B, 2).
+            force: Forces along the axes on each of B machines, N, shape (B, axes).
 
         Returns:
-            Voltages of the two drives, V, not limited, shape (B, 2).
+            Voltages of the drives, V, not limited, shape (B, drives).
         """
         return force @ self._volts_per_force.T
 
@@ -314,11 +321,11 @@ class MotionModel:
             before: States at the start of the period: belt travel (radius * angle of a rotary coordinate) of the n
                 coordinates of B machines and its velocity, m and m/s, shape (B, 2 n).
             after: States at the end of the period, m and m/s, shape (B, 2 n).
-            volts: Voltages at the motors in the period, V, shape (B, 2).
+            volts: Voltages at the motors in the period, V, shape (B, drives).
             period: Control period, s.
 
         Returns:
-            Disturbance forces along x and y, Coulomb friction included, N, shape (B, 2).
+            Disturbance forces along the axes, Coulomb friction included, N, shape (B, axes).
         """
         n = len(self.mass)
         viscous_impulse = self.viscous * (after[:, :n] - before[:, :n])  # Ns
@@ -326,10 +333,10 @@ class MotionModel:
         return (viscous_impulse + momentum_change) @ self.rigid / period - volts @ self.force_per_volt.T
 
     def top_speed(self) -> Array:
-        """Compute the steady speeds along x alone and along y alone with both drives at rated voltage.
+        """Compute the steady speeds along each axis alone with all drives at rated voltage.
 
         Returns:
-            Speeds along x and y, m/s, shape (2,); zero where Coulomb friction exceeds the drive force.
+            Speeds along the axes, m/s, shape (axes,); zero where Coulomb friction exceeds the drive force.
         """
         drive_force = np.abs(self.force_per_volt) @ self.rated
         friction = np.abs(self.rigid.T) @ self.coulomb

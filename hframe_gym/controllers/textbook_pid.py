@@ -1,4 +1,4 @@
-"""One PID controller per axis (x and y), tuned by pole placement: the baseline for comparisons."""
+"""One PID controller per axis of the tool, tuned by pole placement: the baseline for comparisons."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ..dynamics import mode_frequencies
 from ..machine import Machine
 from .base import CONTROLLERS, FullStateController
-from .motion_model import AXES
+from .motion_model import OperatingPointGrid
 
 Array = NDArray[np.float64]
 # Slowest belt mode, or half the sampling frequency where that is lower, over the bandwidth of the closed loop: the
@@ -18,7 +18,7 @@ FREQUENCY_MARGIN = 5.0
 
 @CONTROLLERS.register("textbook-pid")
 class TextbookPID(FullStateController):
-    """PID control of the tool position along x and y; integration stops while a drive saturates (anti-windup).
+    """PID control of each axis of the tool; integration stops while a drive saturates (anti-windup).
 
     Each axis is modeled as a rigid mass m with viscous friction b, m v' = f - b v for velocity v and force f, and the
     gains put all three closed-loop poles at -w, where w is the frequency of the slowest vibration mode of the belts (or
@@ -31,12 +31,12 @@ class TextbookPID(FullStateController):
 
     Attributes:
         model: Model of the machine.
-        proportional: Proportional gains of x and y, N/m, shape (2,).
-        derivative: Derivative gains of x and y, Ns/m, shape (2,).
-        integral: Integral gains of x and y, N/(m s), shape (2,).
+        proportional: Proportional gains of the axes, N/m, shape (axes,).
+        derivative: Derivative gains of the axes, Ns/m, shape (axes,).
+        integral: Integral gains of the axes, N/(m s), shape (axes,).
 
     Raises:
-        InputError: If the machine does not have two drives that can move both x and y, or the period is not positive.
+        InputError: If the machine does not have one drive per axis, or the period is not positive.
 
     References:
         Astrom and Hagglund (2006), Advanced PID Control, chapter 6.
@@ -46,7 +46,7 @@ class TextbookPID(FullStateController):
         super().__init__(machine, period)
         modes = [frequency for frequency in mode_frequencies(machine) if frequency > 0.0]
         bandwidth = 2.0 * np.pi * min([0.5 / period, *modes]) / FREQUENCY_MARGIN  # rad/s
-        # Mass and friction of all coordinates, seen along x and y with unstretched belts, kg and Ns/m, each (2,).
+        # Mass and friction of all coordinates, seen along the axes with unstretched belts, kg and Ns/m, each (axes,).
         travel_squared = self.model.rigid**2
         mass, viscous = travel_squared.T @ self.model.mass, travel_squared.T @ self.model.viscous
         # Coefficients of (s + w)^3 = s^3 + 3 w s^2 + 3 w^2 s + w^3 with w = bandwidth.
@@ -54,8 +54,34 @@ class TextbookPID(FullStateController):
         # No derivative action where friction damps more than the poles need.
         self.derivative = np.maximum(3.0 * mass * bandwidth - viscous, 0.0)
         self.integral = mass * bandwidth**3
-        self._integral_force = np.zeros((0, 2))  # N
-        self._axes = np.array([machine.coordinate_names.index(axis) for axis in AXES])
+        self._integral_force = np.zeros((0, len(mass)))  # N
+        self._axes = np.array([machine.coordinate_names.index(axis) for axis in self.model.axes])
+
+    def concern(self) -> str | None:
+        """Check the stability of the sampled linear closed loop, without saturation, friction and dead time.
+
+        Returns:
+            A sentence if an eigenvalue lies outside the unit circle at the center or an end of the workspace; else
+            None.
+        """
+        n, axes = len(self.model.mass), len(self._axes)
+        position, velocity = (np.eye(2 * n)[self._axes + shift] for shift in (0, n))  # select the tool from the state
+        volts_per_force = self.model.voltage(np.eye(axes)).T
+        integral = self.integral * self.period
+        state_gain = (self.proportional + integral)[:, None] * position + self.derivative[:, None] * velocity
+        largest = 0.0
+        for point in OperatingPointGrid(self.machine).points:
+            A, B, _ = self.model.discretize(point, self.period)
+            B = B @ volts_per_force
+            # State: that of the machine and the integrators' force.
+            loop = np.block([[A - B @ state_gain, B], [-integral[:, None] * position, np.eye(axes)]])
+            largest = max(largest, float(np.abs(np.linalg.eigvals(loop)).max()))
+        if largest <= 1.0 + 1e-9:
+            return None
+        return (
+            f"textbook-pid is unstable on machine {self.machine.name!r} at a control period of {self.period:g} s (largest "
+            f"eigenvalue of the closed loop {largest:.2f}): its one-mass model ignores that the belts stretch"
+        )
 
     def act_on_state(self, state: Array, goals: Array) -> Array:
         """Compute the actions for the control period that starts now from the states and goals of B simulated machines.
@@ -70,7 +96,7 @@ class TextbookPID(FullStateController):
             Voltages divided by the rated voltages, in [-1, 1], shape (B, 2).
         """
         if self._starts.resize(len(state)):
-            self._integral_force = np.zeros((len(state), 2))
+            self._integral_force = np.zeros((len(state), len(self._axes)))
         self._integral_force = np.where(self._starts.mask[:, None], 0.0, self._integral_force)
         self._starts.clear()
         error = goals[:, 0] - state[:, self._axes]
@@ -78,7 +104,7 @@ class TextbookPID(FullStateController):
         if goals.shape[1] > 1:
             velocity = velocity - (goals[:, 1] - goals[:, 0]) / self.period
         integral_force = self._integral_force + self.integral * self.period * error
-        force = self.proportional * error - self.derivative * velocity + integral_force  # N, along x and y, (B, 2)
+        force = self.proportional * error - self.derivative * velocity + integral_force  # N, (B, axes)
         volts = self.model.voltage(force)
         # Anti-windup: the integrators keep their values while a drive saturates.
         saturated = np.any(np.abs(volts) > self.model.rated, axis=1, keepdims=True)

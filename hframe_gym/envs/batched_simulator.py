@@ -21,9 +21,9 @@ from ..errors import InputError
 from ..machine import Machine, rest_state
 from .actuators import ActuatorModel
 from .counter_rng import compiled
+from .end_stops import with_end_stops
 from .machine_sampler import ParameterSpace
 from .measurements import DelayLine
-from .spaces import with_end_stops
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -137,9 +137,9 @@ class BatchedSimulator:
         self.blocks = -(-count // LANES)
         self._unused = np.arange(count, self.blocks * LANES)  # lanes of the last block without a machine
         self._n = len(machine.coordinates)
-        self._tool = [machine.coordinate_names.index(name) for name in ("x", "y")]
-        # Travel of every coordinate at rest with unstretched belts per meter of x and of y, (n, 2).
-        self._rest = np.stack([self._rest_travel(name) for name in ("x", "y")], axis=1)
+        self._tool = [machine.coordinate_names.index(name) for name in machine.tool_axes]
+        # Travel of every coordinate at rest with unstretched belts per meter of each axis, (n, axes).
+        self._rest = np.stack([self._rest_travel(name) for name in machine.tool_axes], axis=1)
         # The stepped machine may have end stops; their parameters come last and are constant.
         self._stepped = with_end_stops(machine) if end_stops else machine
         self._kernel = kernel_for(self._stepped)
@@ -179,7 +179,7 @@ class BatchedSimulator:
 
         Args:
             index: Indices of the machines, ascending, shape (k,).
-            position: Tool positions x, y, m, shape (k, 2).
+            position: Tool positions, m, shape (k, axes).
             values: All N parameters in the order of the constructor's `space`, SI, shape (k, N).
         """
         if index[-1] == self.count - 1:
@@ -189,7 +189,8 @@ class BatchedSimulator:
             position, values = position[source], values[source]
         # At rest, the travel of every coordinate is a linear function of the tool position; the rest of the state is 0.
         state = np.zeros((len(index), self.state.shape[1]))
-        state[:, : self._n] = position[:, :1] * self._rest[:, 0] + position[:, 1:] * self._rest[:, 1]
+        for axis, travel in enumerate(self._rest.T):
+            state[:, : self._n] += position[:, axis, None] * travel
         _put(index, state, self.state)
         _put(index, np.ascontiguousarray(values[:, : len(self.machine.parameters)]), self.parameters)
         _put(index, units_per_travel(self.machine, values), self.units_per_travel)
@@ -297,16 +298,16 @@ class BatchedSimulator:
             last: Index after the last block; default: to the end.
 
         Returns:
-            Positions x, y of the k machines in these blocks, m, float64, shape (k, 2).
+            Positions of the k machines in these blocks, m, float64, shape (k, axes).
         """
         last = self.blocks if last is None else last
         state, units = self.state[first:last], self.units_per_travel[first:last]
-        positions = state[:, self._tool]  # x and y are linear: their travel is the position; (blocks, 2, LANES)
-        for axis, name in enumerate(("x", "y")):
+        positions = state[:, self._tool]  # the axes are linear: their travel is the position; (blocks, axes, LANES)
+        for axis, name in enumerate(self.machine.tool_axes):
             a, b = self.tool_product(name)
             if a >= 0:
                 positions[:, axis] += state[:, a] * units[:, a] * (state[:, b] * units[:, b])
-        return positions.transpose(0, 2, 1).reshape(-1, 2)[: self.count - first * LANES].copy()
+        return positions.transpose(0, 2, 1).reshape(-1, len(self._tool))[: self.count - first * LANES].copy()
 
     def positions(self, b: int) -> dict[str, float]:
         """Convert the belt travel of one machine to the positions of its coordinates.

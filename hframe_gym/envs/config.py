@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
@@ -34,11 +35,13 @@ class EnvOptions(TypedDict, total=False):
 
     machine: MachineLike
     task: TaskLike
-    reward: RewardLike
+    reward: RewardLike | None
     randomize: RandomizationLike
     sensors: SensorsLike
     drives: ActuatorsLike
     privileged: bool
+    normalize: bool
+    flat: bool
     ends: Ends
     penalty: float
     period: float
@@ -52,8 +55,9 @@ class EnvConfig:
     Args:
         machine: A `Machine`, the name of a machine preset ("hframe", ...) or the path of a machine.json.
         task: Registered name ("reach", "track"), `package.module:name`, or a `Task`.
-        reward: Registered name ("dense", "sparse"), `package.module:name`, or a function of achieved and desired
-            tool positions, m, shape (n, 2) each, that returns n rewards.
+        reward: Registered name ("dense", "sparse", "progress"), `package.module:name`, or a function of achieved and
+            desired tool positions, m, shape (n, axes) each, that returns n rewards. Default: "dense", with `normalize`
+            "progress".
         randomize: "none", "default", "wide", "identified" (from the covariance of a machine.json that `hframe identify`
             wrote), or a list of `RandomizeParameter` and `RandomizeIdentified`.
         sensors: What is observed: "state" (the true positions and velocities of x, y and the driven coordinates), "rig"
@@ -63,6 +67,9 @@ class EnvConfig:
             converters that the machine declares), or `Actuators(...)`. Dead times and current limits that the machine
             has as effects act in any case.
         privileged: Whether the observation also has the true state and the randomized parameters, for a critic.
+        normalize: Whether observations and goals are divided by the scales of `env.unwrapped.entries`, so that every
+            entry is about -1 to 1, as learning libraries with default hyperparameters need it.
+        flat: Whether the observation is one array instead of a dict of arrays.
         ends: What happens at the workspace's edge: "stops" (rubber buffers) or "terminate" (the episode ends with
             `penalty`). With "terminate" an agent can learn to give up, so the penalty must outweigh that.
         penalty: Subtracted from the reward outside the workspace where `ends` is "terminate".
@@ -70,26 +77,35 @@ class EnvConfig:
         longest_step: Largest integration step, s, positive; a control period is divided into equal steps.
 
     Raises:
-        InputError: If `ends`, `privileged` or `penalty` is invalid. The environment checks the other options.
+        InputError: If `ends`, `penalty` or one of the switches is invalid. The environment checks the other options.
     """
 
     machine: MachineLike = "hframe"
     task: TaskLike = "reach"
-    reward: RewardLike = "dense"
+    reward: RewardLike | None = None
     randomize: RandomizationLike = "none"
     sensors: SensorsLike = "state"
     drives: ActuatorsLike = "ideal"
     privileged: bool = False
+    normalize: bool = False
+    flat: bool = False
     ends: Ends = "stops"
     penalty: float = PENALTY
     period: float = 0.01
     longest_step: float = LONGEST_STEP
 
+    @property
+    def chosen_reward(self) -> RewardLike:
+        """`reward`, or its default."""
+        return self.reward if self.reward is not None else "progress" if self.normalize else "dense"
+
     def __post_init__(self) -> None:
         if self.ends not in ("stops", "terminate"):
             raise InputError(f"ends is {self.ends!r}; choose 'stops' or 'terminate'")
-        if not isinstance(self.privileged, bool):
-            raise InputError(f"privileged is {self.privileged!r}, it must be True or False")
+        for name in ("privileged", "normalize", "flat"):
+            value = getattr(self, name)
+            if not isinstance(value, bool):
+                raise InputError(f"{name} is {value!r}, it must be True or False")
         if not (np.isfinite(self.penalty) and self.penalty >= 0.0):
             raise InputError(f"penalty is {self.penalty!r}, it must be a number that is not negative")
 
@@ -114,6 +130,24 @@ def check_keywords(constructor: str, options: dict[str, Any], others: tuple[str,
                 f"{constructor} got an unexpected keyword argument {keyword!r}.{suggestion} "
                 f"Its keywords are {', '.join((*names, *others))}"
             )
+
+
+def check_render_mode(mode: str | None, modes: Sequence[str]) -> str | None:
+    """Check that an environment supports a render mode.
+
+    Args:
+        mode: Render mode, or None for no rendering.
+        modes: Supported render modes.
+
+    Returns:
+        `mode`, unchanged.
+
+    Raises:
+        InputError: If `mode` is neither None nor in `modes`.
+    """
+    if mode is not None and mode not in modes:
+        raise InputError(f"render_mode is {mode!r}; choose one of {', '.join(modes)} or None")
+    return mode
 
 
 def as_machine(machine: MachineLike) -> Machine:

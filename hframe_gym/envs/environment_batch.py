@@ -21,18 +21,19 @@ from .batched_simulator import BatchedSimulator, block_ranges
 from .config import EnvConfig, as_machine
 from .counter_rng import compiled
 from .machine_sampler import MachineSampler
+from .observation_format import ObservationFormat
 from .observations import Observation, ObservationBuilder
 from .rewards import (
     BuiltinReward,
     PenalizedReward,
-    Reward,
     as_reward,
     distances,
     evaluate_rows,
     outside_workspace,
 )
 from .sensors import as_sensors
-from .spaces import observation_space, workspace_of
+from .spaces import observation_signals, workspace_of
+from .step_rewards import StepRewards
 from .tasks import as_task, check_point
 from .tasks.base import ReferenceTrajectories
 
@@ -69,11 +70,13 @@ class EnvironmentBatch:
 
     Attributes:
         machine: Machine without randomization, with the chosen sensors and actuators.
-        workspace: Rows x and y, columns low and high, m, shape (2, 2).
+        workspace: One row per axis of the tool (x and y), columns low and high, m, shape (axes, 2).
         simulator: Simulates the machines.
         sampler: Samples parameters at startup and reset.
         references: Computes the goals.
         observations: Computes observations from states or measurements.
+        format: Converts observations to the form that `normalize` and `flat` select; the batch itself uses SI units.
+        rewards: Computes the rewards of goals as observed.
         values: All N parameters of the running episodes, SI, order of `sampler.space.names`, shape (count, N).
         clipped: Number of action entries outside [-1, 1] in each running episode, shape (count,).
 
@@ -92,9 +95,10 @@ class EnvironmentBatch:
         self.machine = machine if sensors is None else sensors.apply(machine)
         self.task = as_task(config.task)
         self.task.check(self.workspace)
-        reward = as_reward(config.reward, self.task.band)
+        reward = as_reward(config.chosen_reward, self.task.band, len(self.workspace))
         penalized = config.ends == "terminate"
-        self.reward: Reward = PenalizedReward(reward, self.workspace, config.penalty) if penalized else reward
+        if penalized:
+            reward = PenalizedReward(reward, self.workspace, config.penalty)
         self.sampler = MachineSampler(self.machine, config.randomize, count, self.task.parameters)
         self.simulator = BatchedSimulator(
             self.machine,
@@ -107,19 +111,22 @@ class EnvironmentBatch:
         )
         observed = None if sensors is None else sensors.observed(self.machine)
         self.observations = ObservationBuilder(self.simulator, observed, self.sampler, privileged=config.privileged)
-        self.observation_space = observation_space(
+        signals = observation_signals(
             self.machine,
             len(self.task.ahead_s),
             observed=self.observations.entries,
             privileged=self.observations.privileged,
         )
+        self.format = ObservationFormat(signals, normalize=config.normalize, flat=config.flat)
         # What every step needs, so that a step of a single environment does not look it up.
         self._expected_shape = count, len(self.machine.drives)
         self._has_path = self.task.metrics == "track"
         self._ends = config.ends == "terminate"
         self._edges = self.workspace.astype(np.float32)
-        self._builtin = self.reward if isinstance(self.reward, BuiltinReward) else None
-        self.references = ReferenceTrajectories(self.task, count, config.period)
+        # Computed in the pass of the simulation, from goals that are not rounded by `normalize`.
+        self._builtin = reward if isinstance(reward, BuiltinReward) and not config.normalize else None
+        self.references = ReferenceTrajectories(self.task, count, config.period, axes=len(self.workspace))
+        self.rewards = StepRewards(reward, self.format, moving=self.references.moving)
         self.clipped = np.zeros(count, np.int64)
         self.values = np.tile(self.sampler.space.nominal, (count, 1))
         self._was_reset = False
@@ -136,8 +143,8 @@ class EnvironmentBatch:
 
         Args:
             index: Indices of the environments, ascending, shape (k,).
-            start: Tool positions at the start, m, shape (2,) or (k, 2). Default: the task chooses them.
-            target: Goal positions, m, shape (2,) or (k, 2). Default: the task chooses them.
+            start: Tool positions at the start, m, shape (axes,) or (k, axes). Default: the task chooses them.
+            target: Goal positions, m, shape (axes,) or (k, axes). Default: the task chooses them.
 
         Raises:
             InputError: If a position is outside the workspace, a sampled parameter is outside its limits, or `target`
@@ -153,15 +160,17 @@ class EnvironmentBatch:
         self.references.begin(index, plan if targets is None else self.task.aim(targets))
         self.simulator.reset(index, position if starts is None else starts, values)
         self.observations.begin(index, keys, values, self.sampler, self.elapsed)
+        if self.rewards.compares_steps:
+            self.rewards.begin(index, self._observe_rows(index))
         self._was_reset = True
 
     def _points(self, name: str, points: ArrayLike | None, k: int) -> Array | None:
-        """Return positions of an option of reset, m, shape (k, 2), or None without the option."""
+        """Return positions of an option of reset, m, shape (k, axes), or None without the option."""
         if points is None:
             return None
         values = np.asarray(points, np.float64)
         check_point(f"options[{name!r}]", values, self.workspace)
-        return np.array(np.broadcast_to(values, (k, 2)))
+        return np.array(np.broadcast_to(values, (k, len(self.workspace))))
 
     def randomized(self, index: Index) -> dict[str, Array]:
         """Return the values of the randomized parameters in the running episodes.
@@ -223,15 +232,14 @@ class EnvironmentBatch:
         result = StepResult(observation, np.empty(count), np.zeros(count, np.bool_), np.empty(count), contour)
         self.simulator.advance(actions, self.clipped, partial(self._finish_blocks, result, tool))
         if self._builtin is None:
-            desired = observation["desired_goal"]
-            result.distance[:] = distances(tool, desired)
-            result.reward[:] = self.reward(observation["achieved_goal"], desired)
+            result.distance[:] = distances(tool, observation["desired_goal"])
+            result.reward[:] = self.rewards.of_step(observation)
         if self._ends:
             result.terminated[:] = outside_workspace(tool, self._edges)
         return result
 
     def _finish_blocks(self, result: StepResult, tool: NDArray[np.float32], first: int, last: int) -> int:
-        """Write what follows from the new states of blocks first..last-1 to result and to tool (count, 2), m.
+        """Write what follows from the new states of blocks first..last-1 to result and to tool (count, axes), m.
 
         Return the index of an environment whose state is not finite, or -1.
         """
@@ -281,8 +289,16 @@ class EnvironmentBatch:
         self.observations.write(0, self.simulator.blocks, observation, tool)
         return observation
 
+    def _observe_rows(self, index: Index) -> Observation:
+        """Return observations of which only the rows of environments index (k,) are written."""
+        observation, tool = self._blank()
+        self.references.write(index, observation)
+        for first, last in block_ranges(index):
+            self.observations.write(first, last, observation, tool)
+        return observation
+
     def _blank(self) -> tuple[Observation, NDArray[np.float32]]:
-        """Allocate an observation of all environments, and true tool positions, shape (count, 2)."""
+        """Allocate an observation of all environments, and true tool positions, shape (count, axes)."""
         observation, tool = self.observations.blank()
         self.references.add_blank(observation)
         return observation, tool
@@ -307,25 +323,10 @@ class EnvironmentBatch:
         Returns:
             Distances, m, shape (k,).
         """
-        tool = np.empty((self.count, 2), np.float32)
+        tool = np.empty((self.count, len(self.workspace)), np.float32)
         for first, last in block_ranges(index):
             self.observations.write_tool(first, last, tool)
         return distances(tool[index], self.references.goals(index))
-
-    def compute_reward(self, achieved: ArrayLike, desired: ArrayLike) -> Any:
-        """Compute rewards of tool positions; for the goals of a step they equal its rewards to the bit.
-
-        Args:
-            achieved: Achieved tool positions, m, shape (2,) or (n, 2).
-            desired: Goal positions, m, the same shape.
-
-        Returns:
-            Reward as a float for shape (2,), or n rewards, shape (n,).
-        """
-        a, d = np.asarray(achieved, np.float32), np.asarray(desired, np.float32)
-        if a.ndim == 1:
-            return float(self.reward(a[None], d[None])[0])
-        return np.asarray(self.reward(a, d), np.float64)
 
 
 @compiled

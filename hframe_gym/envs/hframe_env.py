@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from typing import Any, ClassVar, Unpack
 
 import gymnasium as gym
@@ -10,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from .config import EnvConfig, EnvOptions, check_keywords
+from .config import EnvConfig, EnvOptions, check_keywords, check_render_mode
 from .environment_batch import EnvironmentBatch
 from .observations import Observation
-from .rendering import TRAIL_LENGTH, Renderer, Scene, check_render_mode
+from .rendering import TRAIL_LENGTH, Renderer, Scene, tool_point
 from .spaces import SignalSpec, action_space
 
 _ONLY = np.zeros(1, np.intp)
@@ -62,6 +63,7 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
     With d the distance from `achieved_goal` to `desired_goal`:
 
     - `"dense"`: minus the mean of d / (d + scale) over scales from 0.2 m to 20 um; 0 at the goal, near -1 far from it.
+    - `"progress"`: ln((1 mm + d before the step) / (1 mm + d after it)); what `normalize=True` chooses.
     - `"sparse"`: 0 within the task's band (1 mm), else -1.
     - a function of (achieved, desired), or a registered name.
 
@@ -88,11 +90,13 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
     |---|---|---|
     | `machine` | `"hframe"` | preset name, path of a machine.json, `Machine` |
     | `task` | `"reach"` | `"reach"`, `"track"`, `Reach(...)`, `Track(...)`, another registered task, `Task` |
-    | `reward` | `"dense"` | `"dense"`, `"sparse"`, another registered reward, a function |
+    | `reward` | `None` | `"dense"` (default), `"progress"` (default with `normalize`), `"sparse"`, a function |
     | `randomize` | `"none"` | `"none"`, `"default"`, `"wide"`, `"identified"`, a list of rules |
     | `sensors` | `"state"` | `"state"`, `"rig"`, `"machine"`, `Sensors(...)` |
     | `drives` | `"ideal"` | `"ideal"`, `"rig"`, `"machine"`, `Actuators(...)` |
     | `privileged` | `False` | whether the observation has `privileged` |
+    | `normalize` | `False` | whether observations and goals are divided by the scales in `entries` |
+    | `flat` | `False` | whether the observation is one array |
     | `ends` | `"stops"` | `"stops"`, `"terminate"` |
     | `penalty` | 100 | see Rewards |
     | `period` | 0.01 | control period, s |
@@ -111,7 +115,7 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
         self.batch = EnvironmentBatch(EnvConfig(**options), 1)
         self.render_mode = check_render_mode(render_mode, self.metadata["render_modes"])
         self.metadata = {**self.metadata, "render_fps": round(1.0 / self.batch.config.period)}  # type: ignore[misc]
-        self.observation_space = self.batch.observation_space  # type: ignore[assignment]
+        self.observation_space = self.batch.format.space  # type: ignore[assignment]
         self.action_space = action_space(self.batch.machine)  # type: ignore[assignment]
         self._seeded_by: np.random.Generator | None = None
         self._renderer: Renderer | None = None
@@ -119,8 +123,8 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     @property
     def entries(self) -> tuple[SignalSpec, ...]:
-        """Name, unit and bounds of every entry of `observation`, in order."""
-        return self.batch.observations.entries
+        """Name, unit, bounds and scale of every entry of `observation`, with `flat=True` of the array, in order."""
+        return self.batch.format.entries or self.batch.observations.entries
 
     @property
     def privileged_entries(self) -> tuple[SignalSpec, ...]:
@@ -149,7 +153,7 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
             self._seeded_by = self.np_random
             self.batch.sampler.seed(0, self.np_random)
         self.batch.reset(_ONLY, **check_reset_options(options))
-        observation = {k: v[0] for k, v in self.batch.observe().items()}
+        observation = self._first(self.batch.observe())
         info = self._info(self.batch.distance(_ONLY).item(), self.batch.contour(_ONLY))
         self._trail.clear()
         self._update_picture()
@@ -174,23 +178,33 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
             NotFiniteError: If a position or velocity is not finite (simulation diverged).
         """
         result = self.batch.step(self.batch.check_actions(np.asarray(action)[None]))
-        observation = {k: v[0] for k, v in result.observation.items()}
+        observation = self._first(result.observation)
         self._update_picture()
         info = self._info(result.distance.item(), result.contour)
         return observation, result.reward.item(), result.terminated.item(), False, info
 
-    def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
-        """Compute rewards of tool positions, for example to relabel goals (hindsight experience replay).
+    def _first(self, observation: Observation) -> Any:
+        """Return the observation of the only environment in the form that `normalize` and `flat` select."""
+        if self.batch.format.active:
+            formatted = self.batch.format.apply(observation)
+            if not isinstance(formatted, dict):
+                return formatted[0]
+            observation = formatted
+        return {key: values[0] for key, values in observation.items()}
 
-        Args:
-            achieved_goal: Achieved tool positions, m, shape (2,) or (n, 2).
-            desired_goal: Goal positions, m, the same shape.
-            info: Not used; part of the signature that stable-baselines3 calls.
+    @property
+    def compute_reward(self) -> Callable[[Any, Any, Any], Any]:
+        """Function (achieved_goal, desired_goal, info) -> reward, for example to relabel goals (hindsight replay).
 
-        Returns:
-            Reward as a float for shape (2,), or n rewards, shape (n,); the same bits as the rewards of `step`.
+        It takes goals as observed (m, or normalized), shape (2,) or (n, 2), ignores `info`, and returns a float, or n
+        rewards, shape (n,): the same bits as the rewards of `step`.
+
+        Raises:
+            AttributeError: With `flat=True`, because the observation then has no goals.
         """
-        return self.batch.compute_reward(achieved_goal, desired_goal)
+        if self.batch.config.flat:
+            raise AttributeError("with flat=True there is no compute_reward, because the observation has no goals")
+        return self.batch.rewards.compute
 
     def _info(self, distance: float, contour: NDArray[np.float64] | None) -> dict[str, Any]:
         """Return the info of a step or reset."""
@@ -201,6 +215,8 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
         }
         if contour is not None:
             info["contour_m"] = contour.item()
+        for key, goals in self.batch.rewards.info().items():
+            info[key] = goals[0]
         if self.batch.sampler.names:
             values = self.batch.randomized(_ONLY)
             info["parameters"] = {name: value.item() for name, value in values.items()}
@@ -211,8 +227,7 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
     def _update_picture(self) -> None:
         """Extend the trail of the picture, and update the window in mode "human"."""
         if self.render_mode is not None:
-            position = self.batch.simulator.positions(0)
-            self._trail.append((position["x"], position["y"]))
+            self._trail.append(tool_point(self.batch, 0))
         if self.render_mode == "human":
             self.render()
 

@@ -30,7 +30,7 @@ Observation = dict[str, NDArray[np.float32]]
 
 
 class StateView(NamedTuple):
-    """Select n positions and velocities of the simulated state for an observation; the first two are the tool position.
+    """Select n positions and velocities of the simulated state for an observation; the first are the tool position.
 
     Attributes:
         rows: For each entry the row of the state, the index of its coordinate, and the indices of two coordinates whose
@@ -47,7 +47,7 @@ class StateView(NamedTuple):
 
         Args:
             simulator: Simulator of the machines.
-            signals: Specifications of n positions and velocities; positions x and y come first.
+            signals: Specifications of n positions and velocities; those of the tool's axes come first.
 
         Returns:
             Rows and bounds of the n entries.
@@ -90,7 +90,7 @@ class ObservationBuilder:
         machine, count = simulator.machine, simulator.count
         self.measured = sensors is not None
         self.entries = state_signals(machine) if sensors is None else sensor_signals(machine, sensors)
-        self._tool = StateView.of(simulator, state_signals(machine, ("x", "y"))[:2])
+        self._tool = StateView.of(simulator, state_signals(machine, machine.tool_axes)[: len(machine.tool_axes)])
         self._sensors: SensorArray | None = None
         if sensors is None:
             self._state = StateView.of(simulator, self.entries)
@@ -101,7 +101,7 @@ class ObservationBuilder:
             self._goal_box = workspace_of(machine) + np.array([-MARGIN, MARGIN])
         self.privileged = privileged_signals(machine, sampler.normalized_bounds()) if privileged else ()
         self._all_state = StateView.of(simulator, [s for s in self.privileged if s.coordinate])
-        self._shapes = {"observation": (count, len(self.entries)), "achieved_goal": (count, 2)}
+        self._shapes = {"observation": (count, len(self.entries)), "achieved_goal": (count, len(machine.tool_axes))}
         if privileged:
             self._shapes["privileged"] = count, len(self.privileged)
         self._parameters = np.zeros((count, len(sampler.names) if privileged else 0), np.float32)
@@ -157,7 +157,7 @@ class ObservationBuilder:
 
         Returns:
             observation: `observation`, `achieved_goal` and, if enabled, `privileged`; float32, first axis count.
-            tool: Array for true tool positions, shape (count, 2); see `tool_array`.
+            tool: Array for true tool positions, shape (count, axes); see `tool_array`.
         """
         observation = {key: np.empty(shape, np.float32) for key, shape in self._shapes.items()}
         return observation, self.tool_array(observation)
@@ -169,7 +169,7 @@ class ObservationBuilder:
             observation: Observation arrays from `blank`.
 
         Returns:
-            The array `achieved_goal` itself if the state is observed, else a new float32 array, shape (count, 2).
+            The array `achieved_goal` itself if the state is observed, else a new float32 array, shape (count, axes).
         """
         achieved = observation["achieved_goal"]
         return np.empty_like(achieved) if self.measured else achieved
@@ -181,7 +181,7 @@ class ObservationBuilder:
             first: Index of the first block; block i holds environments i * LANES to (i + 1) * LANES - 1.
             last: Index after the last block.
             observation: Output, arrays from `blank`; other rows are not changed.
-            tool: Output, true tool positions x, y, m, shape (count, 2), from `tool_array`.
+            tool: Output, true tool positions, m, shape (count, axes), from `tool_array`.
 
         Returns:
             Index of an environment whose state is not finite, or -1 if all are finite.
@@ -213,7 +213,7 @@ class ObservationBuilder:
         Args:
             first: Index of the first block; block i holds environments i * LANES to (i + 1) * LANES - 1.
             last: Index after the last block.
-            tool: Output, positions x, y, m, shape (count, 2); other rows are not changed.
+            tool: Output, positions, m, shape (count, axes); other rows are not changed.
         """
         self._observe(first, last, self._tool, tool, tool)
 
@@ -233,10 +233,10 @@ def _write_measurements(
     out: Any,
     achieved: Any,
 ) -> None:
-    """Write observations out (B, 2 n) and achieved (B, 2) of environments index (k,) from measurements (B, 2, n).
+    """Write observations out (B, 2 n) and achieved (B, axes) of environments index (k,) from measurements (B, 2, n).
 
-    achieved is the measurement of x and y itself where that is strictly inside its range (B, n), else the position that
-    the other sensors give on unstretched belts. All are clipped to box (2, 2 n) and goal_box (2, 2).
+    achieved is the measurement of an axis itself where that is strictly inside its range (B, n), else the position that
+    the other sensors give on unstretched belts. All are clipped to box (2, 2 n) and goal_box (axes, 2).
     """
     n = measurements.shape[2]
     for i in range(index.shape[0]):
@@ -246,7 +246,7 @@ def _write_measurements(
             out[b, j] = np.float32(min(box[1, j], max(box[0, j], measurement)))
             rate = (measurement - measurements[b, 1, j]) / period
             out[b, n + j] = np.float32(min(box[1, n + j], max(box[0, n + j], rate)))
-        for axis in range(2):
+        for axis in range(achieved.shape[1]):
             position = 0.0
             undetermined = True
             for j in range(n):
@@ -260,7 +260,7 @@ def _write_measurements(
 
 @compiled
 def _observe(state: Any, units: Any, entries: Any, box: Any, first: int, last: int, out: Any, tool: Any) -> int:
-    """Write `StateView.rows` (n, 4) of the state as float32 to out (B, n or more), the first two also to tool (B, 2).
+    """Write `StateView.rows` (n, 4) of the state as float32 to out (B, n or more), the first also to tool (B, axes).
 
     units (blocks, coordinates, LANES): units per meter of travel; box (2, n): bounds. Return the index of an
     environment whose state is not finite, or -1.
@@ -283,7 +283,7 @@ def _observe(state: Any, units: Any, entries: Any, box: Any, first: int, last: i
         for lane in range(min(LANES, out.shape[0] - begin)):
             for j in range(count):
                 out[begin + lane, j] = values[j, lane]
-            for j in range(2):
+            for j in range(tool.shape[1]):
                 tool[begin + lane, j] = values[j, lane]
         if any_of(where(residue == 0.0, 0.0, 1.0) > 0.0):
             store(values, count, residue)

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
 from ..machine import Box, Machine, Point, stage_geometry
 
 if TYPE_CHECKING:
@@ -64,34 +63,27 @@ class Scene:
         angles = [position[c] for c in drives[:2]] + [0.0, 0.0]
         period = batch.config.period
         return cls(
-            position=(position["x"], position["y"]),
-            target=tuple(batch.references.goals(index)[0].tolist()),
+            position=tool_point(batch, b),
+            target=_in_plane(batch.references.goals(index)[0].tolist()),
             band=batch.task.band,
             angles=(angles[0], angles[1]),
             tensions=batch.simulator.tensions(b),
             trail=list(trail),
-            path=batch.references.path(b, np.arange(0.0, PATH_S, period)).tolist(),
+            path=[_in_plane(point) for point in batch.references.path(b, np.arange(0.0, PATH_S, period)).tolist()],
             time_s=float(batch.elapsed[b] * period),
             distance=float(batch.distance(index)[0]),
         )
 
 
-def check_render_mode(mode: str | None, modes: Sequence[str]) -> str | None:
-    """Check that an environment supports a render mode.
+def tool_point(batch: EnvironmentBatch, b: int) -> Point:
+    """Return the tool position of environment b of a batch in the picture, x and y in m; y is 0 with one axis."""
+    position = batch.simulator.positions(b)
+    return _in_plane([position[name] for name in batch.machine.tool_axes])
 
-    Args:
-        mode: Render mode, or None for no rendering.
-        modes: Supported render modes.
 
-    Returns:
-        `mode`, unchanged.
-
-    Raises:
-        InputError: If `mode` is neither None nor in `modes`.
-    """
-    if mode is not None and mode not in modes:
-        raise InputError(f"render_mode is {mode!r}; choose one of {', '.join(modes)} or None")
-    return mode
+def _in_plane(point: Sequence[float]) -> Point:
+    """Return a point of one or two axes as (x, y), m."""
+    return point[0], point[1] if len(point) > 1 else 0.0
 
 
 def tension_color(tension: float | None) -> Color:
@@ -124,7 +116,7 @@ class Renderer:
     """Draw scenes of one machine into a window or an array.
 
     Args:
-        machine: Machine whose coordinates x and y have ranges (the workspace).
+        machine: Machine with a workspace.
         mode: Render mode, "human" (a window) or "rgb_array" (an array).
         fps: Maximum frame rate of the window, 1/s.
 
@@ -196,8 +188,10 @@ class Renderer:
         self._draw_target(scene)
         draw.circle(surface, PAPER, self._pixel(scene.position), 5)
         draw.circle(surface, INK, self._pixel(scene.position), 2)
-        text = f"t = {scene.time_s:.2f} s    distance = {1e3 * scene.distance:.3f} mm    belts: "
-        text += "    ".join(f"{k} {v:+.0f} N" for k, v in list(scene.tensions.items())[:4])
+        belts = "".join(f"    {k} {v:+.0f} N" for k, v in list(scene.tensions.items())[:4])
+        text = f"t = {scene.time_s:.2f} s    distance = {1e3 * scene.distance:.3f} mm" + (
+            belts and f"    belts:{belts}"
+        )
         surface.blit(self._font.render(text, True, INK), (16, 12))
         return self._output()
 

@@ -1,8 +1,8 @@
 """Rewards: functions of the achieved and the desired position, and of nothing else.
 
-A reward is called with achieved and desired positions, float32, m, shape (n, 2) each, and returns (n,) float64. A
+A reward is called with achieved and desired positions, float32, m, shape (n, axes) each, and returns (n,) float64. A
 replay buffer can therefore compute the rewards again for other goals and gets the same bits. The built-in rewards use
-only arithmetic and the square root, which round alike on every machine.
+only arithmetic and the square root, which round alike on every machine; "progress" has a logarithm.
 
 Register a new one under a name with `@REWARDS.register("name")`: a class, or a function that returns a reward, which
 is called with the task's tolerance band in m.
@@ -34,11 +34,22 @@ _DENSE, _SPARSE = 0, 1
 
 
 @compiled
-def _distance(first: Any, second: Any, b: int) -> float:
-    """Return the distance of row b of two arrays of positions (n, 2), m."""
+def row_distance(first: Any, second: Any, b: int) -> float:
+    """Compute the distance of one row of two arrays of positions.
+
+    Args:
+        first: Positions, m, shape (n, 2) or (n, 1).
+        second: Positions, m, the same shape.
+        b: Index of the row.
+
+    Returns:
+        Distance, m.
+    """
+    last = first.shape[1] - 1
     x = np.float64(first[b, 0]) - np.float64(second[b, 0])
-    y = np.float64(first[b, 1]) - np.float64(second[b, 1])
-    return np.sqrt(x * x + y * y)
+    y = np.float64(first[b, last]) - np.float64(second[b, last])
+    # The factor is 1 with two axes and 0 with one; a branch would keep the compiler from vectorizing the loops.
+    return np.sqrt(x * x + np.float64(last) * (y * y))
 
 
 @compiled
@@ -57,10 +68,10 @@ def evaluate_rows(
     """Compute distances and built-in rewards of environments first to last - 1 (rows of the arrays).
 
     Args:
-        tool: True tool positions, m, shape (n, 2) for n environments.
-        achieved: Tool positions that the reward uses, true or measured, m, shape (n, 2).
+        tool: True tool positions, m, shape (n, axes) for n environments.
+        achieved: Tool positions that the reward uses, true or measured, m, shape (n, axes).
         measured: Whether `achieved` is measured, so that it can differ from `tool`.
-        desired: Goal positions, m, shape (n, 2).
+        desired: Goal positions, m, shape (n, axes).
         kind: Built-in reward: 0 dense, 1 sparse (`BuiltinReward.kind`).
         band: Distance to the goal within which the sparse reward is 0, m.
         first: Index of the first row.
@@ -70,10 +81,10 @@ def evaluate_rows(
     """
     # One loop for each operation, which the compiler vectorizes.
     for b in range(first, last):
-        distance[b] = _distance(tool, desired, b)
+        distance[b] = row_distance(tool, desired, b)
     if measured:
         for b in range(first, last):
-            reward[b] = _distance(achieved, desired, b)
+            reward[b] = row_distance(achieved, desired, b)
     else:
         reward[first:last] = distance[first:last]
     if kind == _SPARSE:
@@ -94,8 +105,8 @@ def distances(achieved: Positions, desired: Positions) -> Array:
     """Compute the Euclidean distance of each tool position to its goal.
 
     Args:
-        achieved: Tool positions, m, float32, shape (n, 2).
-        desired: Goal positions, m, float32, shape (n, 2).
+        achieved: Tool positions, m, float32, shape (n, axes).
+        desired: Goal positions, m, float32, shape (n, axes).
 
     Returns:
         Distances, m, float64, shape (n,).
@@ -123,8 +134,8 @@ class BuiltinReward:
         """Compute rewards of tool positions.
 
         Args:
-            achieved: Achieved tool positions, m, float32, shape (n, 2).
-            desired: Goal positions, m, float32, shape (n, 2).
+            achieved: Achieved tool positions, m, float32, shape (n, axes).
+            desired: Goal positions, m, float32, shape (n, axes).
 
         Returns:
             Rewards, shape (n,).
@@ -165,7 +176,7 @@ class PenalizedReward:
 
     Args:
         reward: Reward inside the workspace, a function of achieved and desired positions.
-        workspace: Rows x and y, columns low and high, m, shape (2, 2).
+        workspace: One row per axis of the tool, columns low and high, m, shape (axes, 2).
         penalty: Amount subtracted where the achieved position is outside the workspace, not negative.
     """
 
@@ -177,8 +188,8 @@ class PenalizedReward:
         """Compute rewards and subtract the penalty where `achieved` is outside the workspace.
 
         Args:
-            achieved: Achieved tool positions, m, float32, shape (n, 2).
-            desired: Goal positions, m, float32, shape (n, 2).
+            achieved: Achieved tool positions, m, float32, shape (n, axes).
+            desired: Goal positions, m, float32, shape (n, axes).
 
         Returns:
             Rewards, shape (n,).
@@ -191,8 +202,8 @@ def outside_workspace(positions: Positions, workspace: NDArray[Any]) -> NDArray[
     """Test which positions lie outside the workspace; its edge counts as inside.
 
     Args:
-        positions: Positions x, y, m, shape (n, 2).
-        workspace: Rows x and y, columns low and high, m, shape (2, 2).
+        positions: Positions x, y, m, shape (n, axes).
+        workspace: One row per axis of the tool, columns low and high, m, shape (axes, 2).
 
     Returns:
         True for each position outside, shape (n,).
@@ -201,16 +212,17 @@ def outside_workspace(positions: Positions, workspace: NDArray[Any]) -> NDArray[
     return np.asarray(beyond.any(axis=1))
 
 
-def as_reward(reward: RewardLike, band: float) -> Reward:
+def as_reward(reward: RewardLike, band: float, axes: int = 2) -> Reward:
     """Convert the environment option `reward` to a reward function.
 
     Args:
         reward: Registered name ("dense", "sparse"), `package.module:name`, or a function of achieved and desired
-            positions, m, float32, shape (n, 2) each, that returns n rewards.
+            positions, m, float32, shape (n, axes) each, that returns n rewards.
         band: Distance to the goal that counts as a success, m; an argument of registered rewards.
+        axes: Number of axes of the tool.
 
     Returns:
-        Function of achieved and desired positions, m, shape (n, 2) each, that returns rewards, shape (n,).
+        Function of achieved and desired positions, m, shape (n, axes) each, that returns rewards, shape (n,).
 
     Raises:
         InputError: If the name is unknown, or the reward does not return one finite number per row.
@@ -223,11 +235,11 @@ def as_reward(reward: RewardLike, band: float) -> Reward:
         names = ", ".join(map(repr, REWARDS))
         raise InputError(f"reward is {reward!r}; choose {names} or a function of (achieved, desired)")
     if not isinstance(function, BuiltinReward):
-        positions = np.zeros((3, 2), np.float32)
+        positions = np.zeros((3, axes), np.float32)
         result = np.asarray(function(positions, positions))
         if result.shape != (3,) or result.dtype.kind not in "fiub" or not np.all(np.isfinite(result)):
             raise InputError(
-                f"reward: for positions of shape (3, 2) the function returned shape {result.shape} of {result.dtype}; "
-                "it must return one finite number per row, shape (3,)"
+                f"reward: for positions of shape (3, {axes}) the function returned shape {result.shape} of "
+                f"{result.dtype}; it must return one finite number per row, shape (3,)"
             )
     return function

@@ -8,11 +8,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Any, Unpack
 
+import gymnasium as gym
 import numpy as np
+from gymnasium.envs.registration import load_env_creator
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from .config import EnvOptions
+from ..errors import InputError
+from .config import EnvOptions, check_keywords
 from .vector_env import HFrameVectorEnv
 
 try:
@@ -21,6 +24,16 @@ except ImportError as error:
     raise ImportError("this adapter needs stable-baselines3: pip install 'hframe_gym[agents]'") from error
 
 Indices = None | int | Iterable[int]
+
+
+def _vector_entry_point(env_id: str) -> tuple[type[HFrameVectorEnv], dict[str, Any]]:
+    """Return the vector environment of an id and the keywords of its registration; raises InputError for another id."""
+    spec = gym.registry.get(env_id)
+    make = load_env_creator(spec.vector_entry_point) if spec and isinstance(spec.vector_entry_point, str) else None
+    if not (isinstance(make, type) and issubclass(make, HFrameVectorEnv)):
+        names = [name for name in gym.registry if name.startswith("HFrame")]
+        raise InputError(f"env_id is {env_id!r}; choose one of {', '.join(names)}")
+    return make, dict(spec.kwargs) if spec else {}
 
 
 class HFrameVecEnv(VecEnv):  # type: ignore[misc]
@@ -32,6 +45,7 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
 
     Args:
         num_envs: Number of environments.
+        env_id: Id of the environment, for example "HFrameTrack-v0" or "HFrameFlat-v0".
         max_episode_steps: Control periods until truncation, or None.
         render_mode: None or "rgb_array".
         **options: Keywords of `EnvConfig`, as for `HFrameEnv`.
@@ -41,33 +55,38 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
         reset_infos: One dict per environment; `parameters` holds the randomized parameters, SI, by full name.
 
     Raises:
-        InputError: If an option is invalid or options do not fit together.
-        TypeError: If a keyword is unknown.
+        InputError: If an option is invalid, options do not fit together, or the id is not one of this package.
+        TypeError: If a keyword is unknown; the message lists the keywords.
     """
 
     def __init__(
         self,
-        num_envs: int,
+        num_envs: int = 1,
         *,
+        env_id: str = "HFrame-v0",
         max_episode_steps: int | None = 150,
         render_mode: str | None = None,
         **options: Unpack[EnvOptions],
     ) -> None:
-        self.envs = HFrameVectorEnv(
+        check_keywords(type(self).__name__, dict(options), ("num_envs", "env_id", "max_episode_steps", "render_mode"))
+        if not isinstance(num_envs, int | np.integer):
+            raise InputError(f"num_envs is {num_envs!r}, it must be a number; HFrameVecEnv(8, env_id='HFrameTrack-v0')")
+        make, keywords = _vector_entry_point(env_id)
+        self.envs = make(
             num_envs,
             max_episode_steps=max_episode_steps,
             autoreset_mode=AutoresetMode.SAME_STEP,
             render_mode=render_mode,
-            **options,
+            **{**keywords, **options},
         )
         self._actions: NDArray[Any] | None = None
         super().__init__(num_envs, self.envs.single_observation_space, self.envs.single_action_space)
 
-    def reset(self) -> dict[str, NDArray[np.float32]]:
+    def reset(self) -> Any:
         """Begin episodes in all environments, with the seeds and options that `seed` and `set_options` stored.
 
         Returns:
-            Observation arrays by key, float32, first axis num_envs.
+            Observation arrays by key, float32, first axis num_envs; one array for a flat id.
 
         Raises:
             ValueError: If only some environments have an option.
@@ -97,7 +116,7 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
 
     def step_wait(
         self,
-    ) -> tuple[dict[str, NDArray[np.float32]], NDArray[np.float64], NDArray[np.bool_], list[dict[str, Any]]]:
+    ) -> tuple[Any, NDArray[np.float64], NDArray[np.bool_], list[dict[str, Any]]]:
         """Advance by one control period with the actions of `step_async`.
 
         Returns:

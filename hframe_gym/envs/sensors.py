@@ -136,20 +136,29 @@ class Sensors(SensorSuite):
 
         Returns:
             Copy of the machine with these sensors and the ranges of the lasers.
+
+        Raises:
+            InputError: If a drive acts on an axis of the tool itself, which a laser measures already.
         """
+        both = [d.coordinate for d in machine.drives if d.coordinate in machine.tool_axes]
+        if both and self.encoders is not None and self.lasers is not None:
+            raise InputError(
+                f"sensors: on machine {machine.name!r} encoder and laser would both measure {both[0]}; choose "
+                "sensors='machine', or Sensors with encoders=None or lasers=None"
+            )
         if self.encoders is not None:
             for drive in machine.drives:
                 quantum = self.encoders.quantum(drive.gear_ratio)
                 machine = _with_sensor(machine, drive.coordinate, noise=0.0, resolution=quantum, kind="encoder")
         if self.lasers is not None:
-            for axis, middle in zip(("x", "y"), self.lasers.centre, strict=True):
+            for axis, middle in zip(machine.tool_axes, self.lasers.centre, strict=False):
                 machine = _with_sensor(machine, axis, noise=self.lasers.noise, resolution=0.0, kind="laser")
                 low, high = middle - self.lasers.span / 2, middle + self.lasers.span / 2
                 machine = _with_range(machine, _sensor_of(machine, axis), low, high)
         return machine
 
     def observed(self, machine: Machine) -> tuple[Sensor, ...]:
-        """Select the sensors of x and y (lasers), then those of the driven coordinates (encoders).
+        """Select the sensors of the tool's axes (lasers), then those of the driven coordinates (encoders).
 
         Args:
             machine: Result of `apply`.
@@ -157,7 +166,7 @@ class Sensors(SensorSuite):
         Returns:
             Sensors in the order of the observation.
         """
-        lasers = ("x", "y") if self.lasers is not None else ()
+        lasers = machine.tool_axes if self.lasers is not None else ()
         encoders = tuple(d.coordinate for d in machine.drives) if self.encoders is not None else ()
         return tuple(machine.sensor(_sensor_of(machine, name)) for name in dict.fromkeys((*lasers, *encoders)))
 
@@ -178,7 +187,7 @@ class DeclaredSensors(SensorSuite):
         return machine
 
     def observed(self, machine: Machine) -> tuple[Sensor, ...]:
-        """Select all sensors, ordered by coordinate: x, y, the driven coordinates, then the others.
+        """Select all sensors, ordered by coordinate: the tool's axes, the driven coordinates, then the others.
 
         Args:
             machine: Machine with its sensors.
@@ -186,7 +195,7 @@ class DeclaredSensors(SensorSuite):
         Returns:
             Sensors in the order of the observation.
         """
-        first = ["x", "y", *(d.coordinate for d in machine.drives)]
+        first = [*machine.tool_axes, *(d.coordinate for d in machine.drives)]
         order = [*first, *(c for c in machine.coordinate_names if c not in first)]
         return tuple(sorted(machine.sensors, key=lambda sensor: order.index(sensor.coordinate)))
 
@@ -284,10 +293,10 @@ class PositionFromSensors:
     """Map the measurements of n sensors to the tool position.
 
     Attributes:
-        belts: Matrix from measurements of coordinates other than x and y to x and y (m), for unstretched belts, shape
-            (2, n); zero where these sensors do not determine the axis.
-        direct: Index of the sensor that measures x, and of the one that measures y; -1 for none. Shape (2,).
-        scale: Factor from the measurement of the sensor `direct` to the tool position (m), shape (2,).
+        belts: Matrix from measurements of other coordinates to the tool's axes (m), for unstretched belts, shape
+            (axes, n); zero where these sensors do not determine the axis.
+        direct: Index of the sensor that measures each axis; -1 for none. Shape (axes,).
+        scale: Factor from the measurement of the sensor `direct` to the tool position (m), shape (axes,).
     """
 
     belts: Array
@@ -306,27 +315,28 @@ class PositionFromSensors:
             Map from the n measurements, in the units of the sensors' channels, to the tool position, m.
 
         Raises:
-            InputError: If the sensors do not determine both x and y.
+            InputError: If the sensors do not determine every axis.
         """
-        direct, scale = np.full(2, -1, np.intp), np.ones(2)
-        for axis, name in enumerate(("x", "y")):
+        axes = machine.tool_axes
+        direct, scale = np.full(len(axes), -1, np.intp), np.ones(len(axes))
+        for axis, name in enumerate(axes):
             for j, sensor in enumerate(sensors):
                 if sensor.coordinate == name and direct[axis] < 0:
                     direct[axis], scale[axis] = j, 1.0 / sensor.row[name]
-        belts = np.zeros((2, len(sensors)))
-        others = [j for j, sensor in enumerate(sensors) if sensor.coordinate not in ("x", "y")]
+        belts = np.zeros((len(axes), len(sensors)))
+        others = [j for j, sensor in enumerate(sensors) if sensor.coordinate not in axes]
         if others:
             rows = np.array([machine.sensor_matrix[machine.output_channels.index(sensors[j].channel)] for j in others])
             linear = [c.name for c in machine.coordinates if c.kind == "linear"]
             count = len(machine.coordinates)
-            # All coordinates with unstretched belts where the tool is 1 m along x, and 1 m along y.
-            unit = [rest_state(machine, [float(c == axis) for c in linear])[:count] for axis in ("x", "y")]
-            per_position = rows @ np.stack(unit, axis=1)  # measurements per meter of x and of y, (others, 2)
-            if np.linalg.matrix_rank(per_position) == 2:
-                # More than two sensors determine the position by least squares.
-                invert = np.linalg.inv if len(others) == 2 else np.linalg.pinv
+            # All coordinates with unstretched belts where the tool is 1 m along each axis.
+            unit = [rest_state(machine, [float(c == axis) for c in linear])[:count] for axis in axes]
+            per_position = rows @ np.stack(unit, axis=1)  # measurements per meter of each axis, (others, axes)
+            if np.linalg.matrix_rank(per_position) == len(axes):
+                # More sensors than axes determine the position by least squares.
+                invert = np.linalg.inv if len(others) == len(axes) else np.linalg.pinv
                 belts[:, others] = invert(per_position)
-        for axis, name in enumerate(("x", "y")):
+        for axis, name in enumerate(axes):
             if direct[axis] < 0 and not belts[axis].any():
                 channels = ", ".join(sensor.channel for sensor in sensors) or "none"
                 raise InputError(

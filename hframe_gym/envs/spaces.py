@@ -1,29 +1,22 @@
-"""The workspace with its end stops, the action and observation spaces, and the bounds of every observation entry.
-
-References:
-    Hunt and Crossley, "Coefficient of restitution interpreted as damping in vibroimpact" (1975), for the end stops.
-"""
+"""The workspace, the action and observation spaces, and the bounds of every observation entry."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from ..dynamics.elementwise import copysign, maximum
 from ..errors import InputError
-from ..machine import Effect, EffectParameter, Machine, Sensor, rest_state
+from ..machine import Machine, Sensor, rest_state
 
 Array = NDArray[np.float64]
 
 MARGIN = 0.05  # m: a position is reported up to this distance outside its range
 SPEED_FACTOR = 3.0  # of the drives' no-load speed: more than any motion that a drive can cause
-# Rubber buffers at the ends of x and y.
-BUFFER_STIFFNESS = 2e5  # N/m: both motors at full voltage compress it by 1.2 mm; the cart oscillates on it below 2 kHz
-BUFFER_DAMPING = 1.5  # s/m: an impact at 0.5 m/s rebounds with less than half its speed
 
 
 @dataclass(frozen=True)
@@ -37,6 +30,9 @@ class SignalSpec:
         velocity: Whether the entry is a velocity.
         low: Lower bound, in `unit`.
         high: Upper bound, in `unit`.
+        center: Value that `normalize=True` maps to 0, in `unit`: the middle of the range of a position or parameter.
+        scale: Difference to `center` that `normalize=True` maps to 1, in `unit`: half the range of a position or
+            parameter, the drives' no-load speed for a velocity.
     """
 
     name: str
@@ -45,88 +41,42 @@ class SignalSpec:
     velocity: bool
     low: float
     high: float
+    center: float
+    scale: float
 
 
 def workspace_of(machine: Machine) -> Array:
-    """Return the ranges of the coordinates x and y, the workspace of the tool.
+    """Return the ranges of the tool's axes, x and y or the only linear coordinate: the workspace of the tool.
 
     Args:
-        machine: Machine with coordinates x and y.
+        machine: Machine with these coordinates (`Machine.tool_axes`).
 
     Returns:
-        Rows x and y, columns low and high, m, shape (2, 2).
+        One row per axis, columns low and high, m, shape (axes, 2).
 
     Raises:
-        InputError: If the machine does not have coordinates x and y with ranges, and two drives.
+        InputError: If the machine has no such coordinates, one of them has no range, or there is not one drive per
+            axis.
     """
-    for name in ("x", "y"):
-        if name not in machine.coordinate_names:
-            raise InputError(
-                f"machine {machine.name!r} has no coordinate {name!r}; the environment moves a tool in x and y. "
-                "Use a machine with both, for example a copy of 'hframe'; `hframe simulate` takes any machine"
-            )
-    for name in ("x", "y"):
+    axes = machine.tool_axes
+    if not axes:
+        linear = [c.name for c in machine.coordinates if c.kind == "linear"]
+        raise InputError(
+            f"machine {machine.name!r} has the linear coordinates {', '.join(linear) or 'none'}; the environment moves "
+            "a tool along x and y, or along the only linear coordinate. Name two of them x and y, or describe one axis"
+        )
+    for name in axes:
         if machine.coordinate(name).range is None:
             raise InputError(
                 f"machine {machine.name!r}: coordinate {name!r} has no range; the environment needs one as its "
                 f'workspace. Add "range": [low, high] in m to this coordinate in the machine.json'
             )
-    if len(machine.drives) != 2:
+    if len(machine.drives) != len(axes):
         raise InputError(
-            f"machine {machine.name!r} has {len(machine.drives)} drives; the environment needs two, one for each motor"
+            f"machine {machine.name!r} has {len(machine.drives)} drives; to move its tool along {' and '.join(axes)} "
+            f"the environment needs {len(axes)}"
         )
-    return np.array([machine.coordinate(name).range for name in ("x", "y")], dtype=np.float64)
-
-
-def _buffer_force(q, v, t, low, high, stiffness, damping):  # type: ignore[no-untyped-def]
-    """Return f = -k d max(0, 1 + c v sign d), N, with the depth d beyond [low, high], m."""
-    depth = maximum(q - high, 0.0) - maximum(low - q, 0.0)
-    return -stiffness * depth * maximum(1.0 + damping * copysign(1.0, depth) * v, 0.0)
-
-
-def _compresses_buffer(q, low, high):  # type: ignore[no-untyped-def]
-    """Return whether the coordinate is beyond [low, high]."""
-    return (q < low) | (q > high)
-
-
-END_STOP = Effect(
-    name="end_stop",
-    family="force",
-    site="coordinate",
-    formula="f = -k d max(0, 1 + c v sign d), d the depth beyond [low, high]",
-    source="Hunt and Crossley 1975",
-    force=_buffer_force,
-    active_region=_compresses_buffer,
-    parameters=(
-        EffectParameter("low", "position", -1e3, 1e3, scale=1e-3, grid=(0.0,)),
-        EffectParameter("high", "position", -1e3, 1e3, scale=1e-3, grid=(0.0,)),
-        EffectParameter("stiffness", "stiffness", 0.0, 1e9, scale=1e4, grid=(BUFFER_STIFFNESS,)),
-        EffectParameter("damping", "s/m", 0.0, 1e3, scale=0.1, grid=(BUFFER_DAMPING,)),
-    ),
-)
-
-
-def with_end_stops(machine: Machine) -> Machine:
-    """Add rubber buffers at both ends of the ranges of x and y to a copy of a machine.
-
-    A buffer of stiffness k and damping c, compressed by d at the rate v, pushes back with k d (1 + c v) and never
-    pulls: it is stiff in compression and soft in release, so that an impact loses energy (Hunt and Crossley 1975 with
-    exponent 1).
-
-    Args:
-        machine: Machine whose coordinates x and y have ranges.
-
-    Returns:
-        Copy with two more effects `end_stop`, one for x and one for y. Their parameters follow those of the machine.
-
-    Raises:
-        InputError: If the machine has no workspace or not two drives; see `workspace_of`.
-    """
-    stops = [
-        END_STOP.at(name, low=low, high=high, stiffness=BUFFER_STIFFNESS, damping=BUFFER_DAMPING)
-        for name, (low, high) in zip(("x", "y"), workspace_of(machine).tolist(), strict=True)
-    ]
-    return machine.with_effects(*stops)
+    return np.array([machine.coordinate(name).range for name in axes], dtype=np.float64)
 
 
 def state_signals(machine: Machine, names: Sequence[str] | None = None) -> tuple[SignalSpec, ...]:
@@ -134,13 +84,13 @@ def state_signals(machine: Machine, names: Sequence[str] | None = None) -> tuple
 
     Args:
         machine: Machine with its coordinates.
-        names: Names of coordinates. Default: x, y and the driven coordinates.
+        names: Names of coordinates. Default: the tool's axes and the driven coordinates.
 
     Returns:
         Specifications of all positions, then of all velocities, in the order of `names`.
 
     Raises:
-        InputError: If the machine has no workspace or not two drives; see `workspace_of`.
+        InputError: If the machine has no workspace; see `workspace_of`.
     """
     workspace = workspace_of(machine)
     # m/s of belt: without load at rated voltage, times a margin
@@ -149,28 +99,40 @@ def state_signals(machine: Machine, names: Sequence[str] | None = None) -> tuple
         for d in machine.drives
     )
     positions, velocities = [], []
-    for name in tuple(dict.fromkeys(("x", "y", *(d.coordinate for d in machine.drives)))) if names is None else names:
+    default = dict.fromkeys((*machine.tool_axes, *(d.coordinate for d in machine.drives)))
+    for name in default if names is None else names:
         c = machine.coordinate(name)
-        if name in ("x", "y"):
-            low, high = (workspace[("x", "y").index(name)] + np.array([-MARGIN, MARGIN])).tolist()
+        if name in machine.tool_axes:
+            positions.append(_tool_signal(machine, workspace, name))
         else:
-            high = _largest_position(machine, name, workspace)
-            low = -high
+            farthest, high = _largest_position(machine, name, workspace)
+            positions.append(SignalSpec(name, c.unit("position"), name, False, -high, high, 0.0, farthest))
         speed = fastest / c.travel_per_unit
-        positions.append(SignalSpec(name, c.unit("position"), name, False, low, high))
-        velocities.append(SignalSpec(f"{name} velocity", c.unit("speed"), name, True, -speed, speed))
+        bounds = -speed, speed, 0.0, speed / SPEED_FACTOR
+        velocities.append(SignalSpec(f"{name} velocity", c.unit("speed"), name, True, *bounds))
     return (*positions, *velocities)
 
 
-def _largest_position(machine: Machine, name: str, workspace: Array) -> float:
-    """Return 1.5 times a coordinate's position at the furthest corner, at least `MARGIN` of travel, m or rad."""
+def _tool_signal(machine: Machine, workspace: Array, name: str, label: str = "") -> SignalSpec:
+    """Specify the position of the tool or of a goal along an axis, with a label before its name."""
+    low, high = workspace[machine.tool_axes.index(name)].tolist()
+    span = low - MARGIN, high + MARGIN, 0.5 * (low + high), 0.5 * (high - low)
+    return SignalSpec(f"{label}{name}", "m", name, False, *span)
+
+
+def _largest_position(machine: Machine, name: str, workspace: Array) -> tuple[float, float]:
+    """Return a coordinate's position at the farthest corner and its upper bound, 1.5 times that, m or rad.
+
+    Both are at least `MARGIN` of travel.
+    """
     linear = [c.name for c in machine.coordinates if c.kind == "linear"]
     index = machine.coordinate_names.index(name)
     total = 0.0
-    for axis, edges in zip(("x", "y"), workspace, strict=True):
+    for axis, edges in zip(machine.tool_axes, workspace, strict=True):
         unit = rest_state(machine, [float(c == axis) for c in linear])[index]
         total += abs(unit) * float(np.abs(edges).max())
-    return float(max(1.5 * total, MARGIN / machine.coordinate(name).travel_per_unit))
+    margin = MARGIN / machine.coordinate(name).travel_per_unit
+    return float(max(total, margin)), float(max(1.5 * total, margin))
 
 
 def sensor_signals(machine: Machine, sensors: Sequence[Sensor]) -> tuple[SignalSpec, ...]:
@@ -187,7 +149,7 @@ def sensor_signals(machine: Machine, sensors: Sequence[Sensor]) -> tuple[SignalS
         coordinate, or of the sensor's channel if several sensors measure the same coordinate.
 
     Raises:
-        InputError: If the machine has no workspace or not two drives; see `workspace_of`.
+        InputError: If the machine has no workspace; see `workspace_of`.
     """
     coordinates = [sensor.coordinate for sensor in sensors]
     specs = state_signals(machine, coordinates)
@@ -198,7 +160,8 @@ def sensor_signals(machine: Machine, sensors: Sequence[Sensor]) -> tuple[SignalS
         name = spec.name
         if coordinates.count(sensor.coordinate) > 1:
             name = f"{sensor.channel} rate" if spec.velocity else sensor.channel
-        signals.append(SignalSpec(name, spec.unit, spec.coordinate, spec.velocity, low, high))
+        bounds = low, high, factor * spec.center, abs(factor) * spec.scale
+        signals.append(SignalSpec(name, spec.unit, spec.coordinate, spec.velocity, *bounds))
     return tuple(signals)
 
 
@@ -213,12 +176,56 @@ def privileged_signals(machine: Machine, bounds: Mapping[str, tuple[float, float
         Specifications of all positions, all velocities, then all parameters.
 
     Raises:
-        InputError: If the machine has no workspace or not two drives; see `workspace_of`.
+        InputError: If the machine has no workspace; see `workspace_of`.
     """
     observed = [spec.coordinate for spec in state_signals(machine) if not spec.velocity]
     others = [name for name in machine.coordinate_names if name not in observed]
-    parameters = (SignalSpec(name, "1", "", False, *edges) for name, edges in bounds.items())
+    parameters = []
+    for name, (low, high) in bounds.items():
+        half = 0.5 * (high - low)
+        # An unbounded rule yields an infinite range, and equal bounds none: then a parameter is not scaled.
+        center, scale = (0.5 * (low + high), half) if 0.0 < half < np.inf else (1.0, 1.0)
+        parameters.append(SignalSpec(name, "1", "", False, low, high, center, scale))
     return (*state_signals(machine, [*observed, *others]), *parameters)
+
+
+def observation_signals(
+    machine: Machine,
+    previews: int = 0,
+    *,
+    observed: Sequence[SignalSpec] | None = None,
+    privileged: Sequence[SignalSpec] = (),
+) -> dict[str, tuple[SignalSpec, ...]]:
+    """Specify every entry of an observation.
+
+    Args:
+        machine: Machine with a workspace.
+        previews: Number of future goals in the observation; 0 for a goal that does not move.
+        observed: Entries of `observation`. Default: positions and velocities of the tool's axes and the driven
+            coordinates.
+        privileged: Entries of `privileged`; empty: the observation does not have this key.
+
+    Returns:
+        Specifications by key, in alphabetical order of the keys as in a space of Gymnasium: `achieved_goal` and
+        `desired_goal` (one entry per axis), `observation`, and if requested `preview` (axes * previews) and
+        `privileged`.
+
+    Raises:
+        InputError: If the machine has no workspace; see `workspace_of`.
+    """
+    workspace = workspace_of(machine)
+
+    def goal(label: str) -> tuple[SignalSpec, ...]:
+        return tuple(_tool_signal(machine, workspace, axis, f"{label} ") for axis in machine.tool_axes)
+
+    signals = {
+        "achieved_goal": goal("achieved_goal"),
+        "desired_goal": goal("desired_goal"),
+        "observation": state_signals(machine) if observed is None else tuple(observed),
+        "preview": tuple(signal for i in range(previews) for signal in goal(f"preview {i + 1}")),
+        "privileged": tuple(privileged),
+    }
+    return {key: specs for key, specs in signals.items() if specs}
 
 
 def observation_space(
@@ -228,38 +235,37 @@ def observation_space(
     observed: Sequence[SignalSpec] | None = None,
     privileged: Sequence[SignalSpec] = (),
 ) -> spaces.Dict:
-    """Create the observation space of an environment.
+    """Create the observation space of an environment without the options `normalize` and `flat`.
 
     Args:
-        machine: Machine with coordinates x and y.
+        machine: Machine with a workspace.
         previews: Number of future goals in the observation; 0 for a goal that does not move.
-        observed: Entries of `observation`. Default: positions and velocities of x, y and the driven coordinates.
+        observed: Entries of `observation`. Default: positions and velocities of the tool's axes and the driven
+            coordinates.
         privileged: Entries of `privileged`; empty: the observation does not have this key.
 
     Returns:
-        Bounded float32 boxes by key: `observation`, `achieved_goal` (2,), `desired_goal` (2,), and if requested
-        `preview` (2 * previews,) and `privileged`.
+        Bounded float32 boxes by key: `observation`, `achieved_goal` (axes,), `desired_goal` (axes,), and if requested
+        `preview` (axes * previews,) and `privileged`.
 
     Raises:
-        InputError: If the machine has no workspace or not two drives; see `workspace_of`.
+        InputError: If the machine has no workspace; see `workspace_of`.
     """
-    workspace = workspace_of(machine)
-    goal = (workspace[:, 0] - MARGIN, workspace[:, 1] + MARGIN)
-    boxes = {
-        "observation": bounds_of(state_signals(machine) if observed is None else observed),
-        "achieved_goal": goal,
-        "desired_goal": goal,
-    }
-    if previews:
-        boxes["preview"] = (np.tile(goal[0], previews), np.tile(goal[1], previews))
-    if privileged:
-        boxes["privileged"] = bounds_of(privileged)
-    return spaces.Dict(
-        {
-            key: spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
-            for key, (low, high) in boxes.items()
-        }
-    )
+    signals = observation_signals(machine, previews, observed=observed, privileged=privileged)
+    return spaces.Dict({key: box(*bounds_of(specs)) for key, specs in signals.items()})
+
+
+def box(low: NDArray[np.floating[Any]], high: NDArray[np.floating[Any]]) -> spaces.Box:
+    """Create a float32 box.
+
+    Args:
+        low: Lower bounds, shape (n,).
+        high: Upper bounds, shape (n,).
+
+    Returns:
+        Box of shape (n,).
+    """
+    return spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
 
 
 def bounds_of(signals: Sequence[SignalSpec]) -> tuple[Array, Array]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, Unpack
 
 import numpy as np
@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..machine import Machine
-from .config import EnvConfig, EnvOptions, check_keywords
+from .config import EnvConfig, EnvOptions, check_keywords, check_render_mode
 from .environment_batch import EnvironmentBatch, Flags, Index, StepResult
 from .hframe_env import check_reset_options, require_path
 from .observations import Observation
-from .rendering import TRAIL_LENGTH, Renderer, Scene, check_render_mode
+from .rendering import TRAIL_LENGTH, Renderer, Scene, tool_point
 from .spaces import SignalSpec, action_space
 
 Array = NDArray[np.float64]
@@ -39,7 +39,7 @@ class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]])
     As for `HFrameEnv`, with truncation after `max_episode_steps`. The autoreset modes are Gymnasium's: "NextStep"
     (the step after an episode's end resets and ignores its action), "SameStep" (the last step resets; `final_obs` and
     `final_info` hold the end of the episode) and "Disabled" (reset with options={"reset_mask": (num_envs,) bool}).
-    The columns of `parameters` in an info are read-only; a reset replaces them.
+    The columns of `parameters` in an info are read-only.
 
     ## Arguments
 
@@ -81,7 +81,7 @@ class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]])
         self.render_mode = check_render_mode(render_mode, self.metadata["render_modes"])
         fps = round(1.0 / self.batch.config.period)
         self.metadata = {**self.metadata, "render_fps": fps, "autoreset_mode": self.autoreset_mode}  # type: ignore[misc]
-        self.single_observation_space = self.batch.observation_space
+        self.single_observation_space = self.batch.format.space  # type: ignore[assignment]
         self.single_action_space = action_space(self.batch.machine)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -94,8 +94,8 @@ class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]])
 
     @property
     def entries(self) -> tuple[SignalSpec, ...]:
-        """Name, unit and bounds of every entry of `observation`, in order."""
-        return self.batch.observations.entries
+        """Name, unit, bounds and scale of every entry of `observation`, with `flat=True` of the array, in order."""
+        return self.batch.format.entries or self.batch.observations.entries
 
     @property
     def privileged_entries(self) -> tuple[SignalSpec, ...]:
@@ -151,7 +151,7 @@ class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]])
         distance[index] = self.batch.distance(index)
         info: dict[str, Any] = {}
         self._describe(info, self._mask(index), distance, self.batch.contour(slice(None)))
-        return self.batch.observe(), info
+        return self.batch.format.apply(self.batch.observe()), info
 
     def _selected(self, mask: Any) -> Index:
         """Return the environments of a mask, all without one; raises TypeError or ValueError for an invalid mask."""
@@ -207,32 +207,33 @@ class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]])
             self._over = terminated | truncated
         self._describe(info, None, result.distance, result.contour)
         self._update_trails(resetting)
-        return result.observation, result.reward, terminated, truncated, info
+        return self.batch.format.apply(result.observation), result.reward, terminated, truncated, info
 
     def _restart(self, index: Index, result: StepResult) -> None:
         """Begin new episodes of environments index (k,) within a step."""
         self.batch.restart(index, result)
         self._collect_parameters()
 
-    def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
-        """Compute rewards of tool positions, for example to relabel goals (hindsight experience replay).
+    @property
+    def compute_reward(self) -> Callable[[Any, Any, Any], Any]:
+        """Function (achieved_goal, desired_goal, info) -> reward, for example to relabel goals (hindsight replay).
 
-        Args:
-            achieved_goal: Achieved tool positions, m, shape (2,) or (n, 2).
-            desired_goal: Goal positions, m, the same shape.
-            info: Not used.
+        It takes goals as observed (m, or normalized), shape (2,) or (n, 2), ignores `info`, and returns a float, or n
+        rewards, shape (n,): the same bits as the rewards of `step`.
 
-        Returns:
-            Reward as a float for shape (2,), or n rewards, shape (n,); the same bits as the rewards of `step`.
+        Raises:
+            AttributeError: With `flat=True`, because the observation then has no goals.
         """
-        return self.batch.compute_reward(achieved_goal, desired_goal)
+        if self.batch.config.flat:
+            raise AttributeError("with flat=True there is no compute_reward, because the observation has no goals")
+        return self.batch.rewards.compute
 
     # -- info: each key with its mask "_key" -----------------------------------------------------------------------
 
     def _describe(self, info: dict[str, Any], mask: Flags | None, distance: Array, contour: Array | None) -> None:
         """Add what every info has; mask: the environments that it describes, None for all."""
         columns = {"distance_m": distance, "is_success": distance <= self.batch.task.band}
-        columns["clipped_actions"] = self.batch.clipped.copy()
+        columns |= {"clipped_actions": self.batch.clipped.copy(), **self.batch.rewards.info()}
         if contour is not None:
             columns["contour_m"] = contour
         _add_columns(info, columns, mask, self.num_envs)
@@ -256,9 +257,9 @@ class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]])
         """Return `final_obs` and `final_info` of environments index (k,), whose episodes end in this step."""
         mask = self._mask(index)
         final_obs = np.full(self.num_envs, None, dtype=object)
-        copies = {key: values[index] for key, values in result.observation.items()}
+        copies = self.batch.format.apply({key: values[index] for key, values in result.observation.items()})
         for i, b in enumerate(index.tolist()):
-            final_obs[b] = {key: values[i] for key, values in copies.items()}
+            final_obs[b] = {k: v[i] for k, v in copies.items()} if isinstance(copies, dict) else copies[i]
         final_info: dict[str, Any] = {}
         self._describe(final_info, mask, result.distance, result.contour)
         return {"final_obs": final_obs, "_final_obs": mask, "final_info": final_info, "_final_info": mask.copy()}
@@ -276,8 +277,7 @@ class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]])
         for b in fresh.tolist():
             self._trails[b].clear()
         for b, trail in enumerate(self._trails):
-            position = self.batch.simulator.positions(b)
-            trail.append((position["x"], position["y"]))
+            trail.append(tool_point(self.batch, b))
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:  # type: ignore[override]
         """Draw the machine of every environment from above.
@@ -312,7 +312,11 @@ class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]])
 def _add_columns(info: dict[str, Any], columns: dict[str, Any], mask: Flags | None, count: int) -> None:
     """Add columns (count,) and their masks to an info, zero where the mask is False; mask None: all True."""
     for key, values in columns.items():
-        info[key] = values if mask is None else np.where(mask, values, np.zeros((), values.dtype))
+        info[key] = (
+            values
+            if mask is None
+            else np.where(mask.reshape(-1, *[1] * (values.ndim - 1)), values, values.dtype.type(0))
+        )
         info[f"_{key}"] = np.ones(count, np.bool_) if mask is None else mask.copy()
 
 

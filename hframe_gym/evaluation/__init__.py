@@ -1,4 +1,4 @@
-"""Evaluation of controllers on identical episodes: scenarios, scores with confidence intervals, plots."""
+"""Evaluation of controllers on identical episodes: scenarios, scores with confidence intervals, plots, data sets."""
 
 from .metrics import (
     BANDS,
@@ -13,6 +13,7 @@ from .metrics import (
     settling_times,
     stored_bounds,
 )
+from .minari_export import ExportedDataset, export_dataset
 from .runner import Evaluation, evaluate, plot_episode, rollout, save_plot, write_scores
 from .scenario import (
     CONTROLLER_SOURCES,
@@ -22,6 +23,7 @@ from .scenario import (
     Scenario,
     episode_conditions,
     make_controller,
+    period_concern,
 )
 
 __all__ = [
@@ -34,13 +36,16 @@ __all__ = [
     "EpisodeConditions",
     "Episodes",
     "Evaluation",
+    "ExportedDataset",
     "Scenario",
     "StoredBounds",
     "condition_digests",
     "episode_conditions",
     "evaluate",
+    "export_dataset",
     "make_controller",
     "mean_with_interval",
+    "period_concern",
     "plot_episode",
     "ratio_of_means",
     "rollout",

@@ -7,6 +7,7 @@ are resolved to a tenth of a control period.
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,7 +22,7 @@ from ..envs import HFrameVectorEnv, MachineLike, RandomizationLike, SensorsLike,
 from ..errors import InputError
 from ..machine import Machine
 from .metrics import BANDS, score_episodes, stored_bounds
-from .scenario import Episodes, Scenario, make_controller
+from .scenario import Episodes, Scenario, make_controller, period_concern
 
 Array = NDArray[np.float64]
 SAMPLES_PER_PERIOD = 10
@@ -80,6 +81,9 @@ def evaluate(
     scenario = machine
     if not isinstance(scenario, Scenario):
         scenario = Scenario(scenario, task, randomize, sensors, episodes, seed, period, duration_s)
+    concern = period_concern(scenario.declared_machine, scenario.period)
+    if concern:
+        warnings.warn(concern, stacklevel=2)
     if not isinstance(controllers, Mapping):
         names = [controllers] if isinstance(controllers, str) else list(controllers)
         controllers = {name: make_controller(name, scenario) for name in dict.fromkeys(names)}
@@ -159,7 +163,7 @@ class _Recorder:
         machine = self.envs.machine
         loads = _Loads(machine, self.envs.parameters)
         rated = np.array([d.rated_voltage for d in machine.drives])
-        position, goal = np.empty((2, count, samples, 2))
+        position, goal = np.empty((2, count, samples, len(machine.tool_axes)))
         contour = np.empty((count, samples)) if "contour_m" in info else None
         volts = np.empty((count, scenario.periods, len(rated)))
         energy, peak = np.zeros(count), np.zeros(count)
@@ -267,8 +271,14 @@ def plot_episode(episodes: Episodes, episode: int = 0, *, title: str = "") -> An
 
 
 def _plot_path(axes: Any, episodes: Episodes, episode: int) -> None:
-    """Plot the path of the tool, with its start and its goal or the goal's path."""
+    """Plot the path of the tool, with its start and its goal or the goal's path; one axis over time."""
     position, goal = 1e3 * episodes.position[episode], 1e3 * episodes.goal[episode]
+    if position.shape[1] == 1:
+        axes.plot(episodes.time_s, position[:, 0], lw=1.2)
+        axes.axhline(goal[-1, 0], color="0.6", lw=0.7, ls="--", label="goal")
+        axes.set(xlabel="time (s)", ylabel="position (mm)")
+        axes.legend(frameon=False)
+        return
     if episodes.contour is not None:
         axes.plot(*goal.T, color="0.6", lw=2.5, label="path")
     axes.plot(*position.T, lw=1.2)

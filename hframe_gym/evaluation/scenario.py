@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import warnings
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..controllers import CONTROLLERS, Controller, OutputFeedbackController, StateEstimator, check_period
+from ..dynamics import mode_frequencies
 from ..envs import (
     HFrameVectorEnv,
     MachineLike,
@@ -29,6 +31,7 @@ from ..machine import Machine
 from ..registry import Registry, load_plugins
 
 Array = NDArray[np.float64]
+SAMPLES_PER_MODE = 4.0  # control periods per period of the slowest belt mode that a warning suggests
 
 
 @dataclass(frozen=True)
@@ -114,8 +117,8 @@ class Episodes:
 
     Attributes:
         time_s: Sample times, s, shape (n,).
-        position: True tool position, m, shape (B, n, 2).
-        goal: Goal, m, shape (B, n, 2).
+        position: True tool position, m, shape (B, n, axes).
+        goal: Goal, m, shape (B, n, axes).
         contour: Distance of the tool to the path (contour error), m, shape (B, n); None for a task without a path.
         volts: Applied voltages, V, shape (B, m, drives).
         rated: Rated voltages, V, shape (drives,).
@@ -271,8 +274,36 @@ def _make_registered(name: str, scenario: Scenario) -> Controller:
         )
     try:
         controller = controller_class(machine, scenario.period)
+        concern = controller.concern()
+        if concern:
+            warnings.warn(concern, stacklevel=3)
         if observed is not None and controller_class.feedback == "estimated_state":
             return OutputFeedbackController(controller, StateEstimator(observed, scenario.period))
     except ValueError as error:
         raise InputError(str(error)) from None
     return controller
+
+
+def period_concern(machine: Machine, period: float) -> str | None:
+    """Describe why a control period is too long for a machine: half the control rate is below its slowest belt mode.
+
+    A sampled controller neither sees nor damps a vibration above half its rate (Nyquist frequency).
+
+    Args:
+        machine: Machine model.
+        period: Control period, s.
+
+    Returns:
+        One sentence with a shorter period, or None if the period is short enough.
+    """
+    modes = [frequency for frequency in mode_frequencies(machine) if frequency > 0.0]
+    if not modes or min(modes) <= 0.5 / period:
+        return None
+    slowest = float(min(modes))
+    longest = 1.0 / (SAMPLES_PER_MODE * slowest)
+    decade = 10.0 ** np.floor(np.log10(longest))
+    shorter = max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= longest)
+    return (
+        f"machine {machine.name!r}: its slowest belt mode, {slowest:.0f} Hz, is above half the control rate of "
+        f"{1.0 / period:.0f} Hz, so no controller can damp it; try a control period of {shorter:g} s (--period {shorter:g})"
+    )

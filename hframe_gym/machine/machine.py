@@ -161,6 +161,14 @@ class Machine:
         return (by_drive | by_sensor | {name: name for name in self.coordinate_names}).get(site)
 
     @cached_property
+    def tool_axes(self) -> tuple[str, ...]:
+        """Coordinates of the tool position: x and y if it has both, else the only linear one; empty if neither."""
+        if {"x", "y"} <= set(self.coordinate_names):
+            return "x", "y"
+        linear = tuple(c.name for c in self.coordinates if c.kind == "linear")
+        return linear if len(linear) == 1 else ()
+
+    @cached_property
     def spring_loaded(self) -> tuple[str, ...]:
         """Names of the coordinates added by effects; a spring returns each of them to zero at rest."""
         return tuple(e.definition.coordinate for e in self.effects if e.definition.coordinate)

@@ -182,12 +182,12 @@ def axis() -> Machine:
     """Return a single motor-driven axis with one input and one output, as a template for other machines.
 
     Returns:
-        The preset `axis`: coordinate x (1 kg, 5 Ns/m, 1 N), no belts, one drive of 12 V, sensor x_m.
+        The preset `axis`: coordinate x (1 kg, 5 Ns/m, 1 N, range 0.5 m), no belts, one drive of 12 V, sensor x_m.
     """
     return Machine(
         name="axis",
         description="One carriage on one motor-driven axis; copy it and edit it to describe a machine.",
-        coordinates=(Coordinate("x", mass=1.0, viscous=5.0, coulomb=1.0),),
+        coordinates=(Coordinate("x", mass=1.0, viscous=5.0, coulomb=1.0, range=(-0.25, 0.25)),),
         belts=(),
         drives=(Drive("motor", "v_V", "x", Kt=0.05, Ke=0.05, resistance=1.0, gear_ratio=50.0, rated_voltage=12.0),),
         sensors=(Sensor("x_m", {"x": 1.0}, noise=20e-6),),

@@ -35,7 +35,7 @@ class StageGeometry:
 
     Args:
         workspace: Rows x and y, columns low and high, m, shape (2, 2).
-        bridge_axis: Axis along which the bridge moves, 0 (x) or 1 (y).
+        bridge_axis: Axis along which the bridge moves, 0 (x) or 1 (y). None: a single axis along x without a bridge.
 
     Attributes:
         left, right, low, high: Ends of the workspace along x and along y, m.
@@ -49,22 +49,25 @@ class StageGeometry:
     radius = PULLEY_RADIUS
     clearance = CLEARANCE  # m, from the workspace to the frame, on the sides to which the bridge reaches
 
-    def __init__(self, workspace: NDArray[np.float64], bridge_axis: int = 0) -> None:
+    def __init__(self, workspace: NDArray[np.float64], bridge_axis: int | None = 0) -> None:
         (self.left, self.right), (self.low, self.high) = np.asarray(workspace, float).tolist()
         self.bridge_axis = bridge_axis
         out = [self.clearance, self.clearance]  # m, from the workspace to the rails and pulleys, along x and y
-        out[bridge_axis] = CLEARANCE + HALF_BRIDGE
+        if bridge_axis is not None:
+            out[bridge_axis] = CLEARANCE + HALF_BRIDGE
         self.x0, self.x1 = self.left - out[0], self.right + out[0]
         self.y0, self.y1 = self.low - out[1], self.high + out[1]
         self.motors: tuple[tuple[int, float], ...] = ()
         self.belts: dict[str, str] = {}
 
     def rails(self) -> list[Box]:
-        """Compute the rails on which the bridge runs.
+        """Compute the rails on which the bridge, or the carriage of a single axis, runs.
 
         Returns:
-            Boxes of two rails, m.
+            Boxes of two rails, or one, m.
         """
+        if self.bridge_axis is None:
+            return [(self.x0 - 0.03, -0.03, self.x1 + 0.03, 0.03)]
         if self.bridge_axis == 0:
             return [(self.x0 - 0.03, y - 0.03, self.x1 + 0.03, y + 0.03) for y in (self.y0, self.y1)]
         return [(x - 0.03, self.y0 - 0.03, x + 0.03, self.y1 + 0.03) for x in (self.x0, self.x1)]
@@ -77,8 +80,10 @@ class StageGeometry:
             y: Tool position along y, m.
 
         Returns:
-            Boxes, m.
+            Boxes, m; none for a single axis.
         """
+        if self.bridge_axis is None:
+            return []
         if self.bridge_axis == 0:
             plates = [(x - 0.04, end - 0.02, x + 0.04, end + 0.02) for end in (self.y0, self.y1)]
             return [*plates, (x - 0.012, self.y0, x + 0.012, self.y1)]
@@ -297,16 +302,21 @@ def stage_geometry(machine: Machine) -> StageGeometry:
     """Choose the plan view of a machine by its kinematics, whatever its belts are called.
 
     Args:
-        machine: Machine with the linear coordinates x and y; an axis without a range gets `DEFAULT_RANGE`.
+        machine: Machine with the linear coordinates x and y, or one of them; an axis without a range gets
+            `DEFAULT_RANGE`.
 
     Returns:
         `BeltGeometry` if both motors pull x and y by one common belt (H-frame), `CoreXYGeometry` if each motor has one
         belt, else `StageGeometry` without belts.
 
     Raises:
-        ValueError: If the machine has no coordinate x or y.
+        ValueError: If the machine has no tool axes.
     """
-    axes = [machine.coordinate(name) for name in ("x", "y")]
+    axes = [machine.coordinate(name) for name in machine.tool_axes]
+    if not axes:
+        raise ValueError(f"machine {machine.name!r} has no tool axes")
+    if len(axes) == 1:
+        return StageGeometry(np.array([axes[0].range or DEFAULT_RANGE, (-0.05, 0.05)]), None)
     workspace = np.array([axis.range or DEFAULT_RANGE for axis in axes])
     bridge_axis = 0 if axes[0].mass >= axes[1].mass else 1
     travel = _belt_travel(machine)

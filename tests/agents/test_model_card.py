@@ -2,10 +2,12 @@
 
 import json
 
+import numpy as np
 import pytest
 
 from hframe_gym.agents import shipped_agent_folder
-from hframe_gym.agents.model_card import progress_line, ranking_cost, render_card
+from hframe_gym.agents.model_card import episode_costs, improves, progress_line, render_card
+from hframe_gym.evaluation import Episodes
 
 LENGTH_S = 1.5  # of an evaluation episode
 EPISODES = 256
@@ -27,24 +29,47 @@ def reaching_row(settled_1mm, settled_02mm, final_error_mm, time_s=0.3):
     }
 
 
+def reaching_episodes(settled, final_error_mm, time_s=0.3):
+    """Return episodes of which the first `settled` jump to their final error after `time_s`; the others end 30 mm off."""
+    time = np.linspace(0.0, LENGTH_S, 151)
+    error = np.full((EPISODES, len(time), 1), 0.03)
+    error[:settled, time >= time_s] = 1e-3 * final_error_mm
+    return Episodes(time, error, np.zeros_like(error), None, *np.zeros((4, EPISODES)))
+
+
 @pytest.mark.parametrize(
     ("better", "worse"),
     [
-        pytest.param(reaching_row(18, 0, 3.1), reaching_row(1, 1, 31.7), id="one lucky episode does not decide"),
-        pytest.param(reaching_row(0, 0, 4.1), reaching_row(0, 0, 23.0), id="nothing settles: final error decides"),
-        pytest.param(reaching_row(256, 8, 0.43), reaching_row(100, 8, 0.43), id="more settle within 1 mm"),
-        pytest.param(reaching_row(256, 240, 0.08), reaching_row(256, 8, 0.43), id="more settle within 0.2 mm"),
-        pytest.param(reaching_row(256, 256, 0.05), reaching_row(256, 256, 0.04, 0.31), id="faster, equal otherwise"),
+        pytest.param(reaching_episodes(256, 3.1), reaching_episodes(1, 0.1), id="one lucky episode does not decide"),
+        pytest.param(reaching_episodes(256, 4.1), reaching_episodes(0, 0.0), id="nothing settles: final error decides"),
+        pytest.param(reaching_episodes(256, 0.4), reaching_episodes(100, 0.4), id="more settle within 1 mm"),
+        pytest.param(reaching_episodes(256, 0.1), reaching_episodes(256, 0.4), id="they settle within 0.2 mm"),
+        pytest.param(reaching_episodes(256, 0.04), reaching_episodes(256, 0.06), id="they settle within 0.05 mm"),
+        pytest.param(reaching_episodes(256, 0.05), reaching_episodes(256, 0.04, 0.31), id="faster, equal otherwise"),
     ],
 )
-def test_ranking_with_a_fixed_goal(better, worse):
-    assert ranking_cost(better) < ranking_cost(worse)
+def test_the_better_agent_is_kept_with_a_fixed_goal(better, worse):
+    assert improves(episode_costs(better), episode_costs(worse))
+    assert not improves(episode_costs(worse), episode_costs(better))
 
 
-def test_ranking_along_a_path_counts_a_tool_that_stays_at_its_start_as_bad():
-    follower = {"contour_rms_mm": 0.1, "tracking_rms_mm": 0.5, "tracking_max_mm": 1.0}
-    unmoved = {"contour_rms_mm": 0.0, "tracking_rms_mm": 35.0, "tracking_max_mm": 50.0}
-    assert ranking_cost(follower) < ranking_cost(unmoved)
+def test_an_agent_that_is_better_in_one_episode_only_does_not_replace_another():
+    lucky, kept = reaching_episodes(101, 0.04), reaching_episodes(100, 0.04)
+    assert episode_costs(lucky).mean() < episode_costs(kept).mean()
+    assert not improves(episode_costs(lucky), episode_costs(kept))
+    assert improves(episode_costs(reaching_episodes(104, 0.04)), episode_costs(kept))
+    assert improves(episode_costs(kept), None)
+
+
+def test_along_a_path_a_tool_that_stays_at_its_start_is_bad():
+    def episodes(contour_mm, tracking_mm):
+        position = np.full((4, 10, 2), 1e-3 * tracking_mm / np.sqrt(2.0))
+        return Episodes(
+            np.arange(10.0), position, np.zeros_like(position), np.full((4, 10), 1e-3 * contour_mm), *np.zeros((4, 4))
+        )
+
+    np.testing.assert_allclose(episode_costs(episodes(0.1, 0.5)), 0.6)
+    assert improves(episode_costs(episodes(0.1, 0.5)), episode_costs(episodes(0.0, 35.0)))
 
 
 def test_progress_line_names_the_bands():

@@ -29,6 +29,8 @@ SOME = [
     {"ends": "terminate", "period": 0.002, "drives": "rig"},
     {"machine": "hframe-order20", "privileged": True},
     {"machine": "hframe-literal"},
+    {"normalize": True},
+    {"normalize": True, "flat": True, "task": "track", "randomize": "wide", "sensors": "rig", "privileged": True},
 ]
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from hframe_gym.envs import HFrameVectorEnv
-from hframe_gym.envs.spaces import END_STOP, with_end_stops
+from hframe_gym.envs.end_stops import END_STOP, with_end_stops
 
 
 def test_the_active_region_is_where_the_force_is():

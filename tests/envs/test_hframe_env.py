@@ -173,7 +173,6 @@ def test_end_stops_hold_the_tool():
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"machine": "axis"}, "no coordinate 'y'.*Use a machine with both"),
         ({"machine": "no-such-machine"}, "no-such-machine"),
         ({"task": "juggle"}, "juggle"),
         ({"reward": 1.0}, "reward is 1.0; choose 'dense'"),

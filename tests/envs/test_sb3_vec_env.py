@@ -1,5 +1,6 @@
 """The stable-baselines3 adapter returns the bits of the vector environment."""
 
+import gymnasium as gym
 import numpy as np
 import pytest
 from stable_baselines3 import SAC, HerReplayBuffer
@@ -7,6 +8,7 @@ from stable_baselines3.common.vec_env import VecMonitor
 
 from hframe_gym.envs import HFrameVectorEnv
 from hframe_gym.envs.sb3_vec_env import HFrameVecEnv
+from hframe_gym.errors import InputError
 
 
 def test_bits_and_episode_ends():
@@ -41,6 +43,26 @@ def test_an_end_at_the_edge_is_not_a_truncation():
     while not done.any():
         _, _, done, infos = vec.step(np.array([[-1.0, 1.0]], np.float32))
     assert infos[0]["TimeLimit.truncated"] is False
+
+
+@pytest.mark.parametrize("name", ["HFrameTrack-v0", "HFrameTrackFlat-v0"])
+def test_an_id_selects_the_environment(name):
+    vec = HFrameVecEnv(2, env_id=name, normalize=True)
+    plain = gym.make_vec(name, num_envs=2, normalize=True)
+    assert vec.observation_space == plain.single_observation_space
+    vec.seed(1)
+    observation, expected = vec.reset(), plain.reset(seed=1)[0]
+    for key in expected if isinstance(expected, dict) else (slice(None),):
+        np.testing.assert_array_equal(observation[key], expected[key])
+
+
+def test_wrong_keywords_are_answered_with_the_right_ones():
+    with pytest.raises(TypeError, match=r"HFrameVecEnv.*'n_envs'. Did you mean 'num_envs'\?.*env_id"):
+        HFrameVecEnv(n_envs=4)
+    with pytest.raises(InputError, match="choose one of HFrame-v0, HFrameTrack-v0, HFrameFlat-v0"):
+        HFrameVecEnv(2, env_id="Pendulum-v1")
+    with pytest.raises(InputError, match="env_id='HFrameTrack-v0'"):
+        HFrameVecEnv("HFrameTrack-v0")
 
 
 def test_options_must_be_the_same_for_all():

@@ -33,7 +33,7 @@ class Task(ABC):
         metrics: Set of evaluation metrics: "reach" for a fixed goal (settling time, success at the end), "track" for a
             goal that moves along a path (contour and tracking errors). A task of metrics "track" implements `contour`.
         draws: Number of uniform random numbers per episode that `begin` uses.
-        plan_size: Number of entries in a plan.
+        plan_size: Number of entries in a plan. Plans may be shorter for a machine with one axis.
         band: Distance to the goal that counts as a success, m.
     """
 
@@ -61,7 +61,7 @@ class Task(ABC):
         """Check that the task fits into the workspace.
 
         Args:
-            workspace: Rows x and y, columns low and high, m, shape (2, 2).
+            workspace: One row per axis of the tool, columns low and high, m, shape (axes, 2).
 
         Raises:
             InputError: If it does not fit.
@@ -74,13 +74,13 @@ class Task(ABC):
         """Choose start positions and plans of k episodes; a plan defines the goals of an episode at all times.
 
         Args:
-            workspace: Rows x and y, columns low and high, m, shape (2, 2).
+            workspace: One row per axis of the tool, columns low and high, m, shape (axes, 2).
             uniforms: Uniform random numbers in (0, 1), shape (k, draws).
             parameters: Randomized values of the property `parameters`, SI, shape (k,) each, by name without "task.".
                 Default: nominal values.
 
         Returns:
-            start: Start positions x, y of the tool, m, shape (k, 2).
+            start: Start positions of the tool, m, shape (k, axes).
             plan: Plans, shape (k, plan_size).
         """
 
@@ -93,14 +93,14 @@ class Task(ABC):
             elapsed_s: Times since the reset, s, not negative, shape (n,) or (n, m).
 
         Returns:
-            Goal positions x, y, m, shape (n, 2) or (n, m, 2).
+            Goal positions, m, shape (n, axes) or (n, m, axes).
         """
 
     def aim(self, target: Array) -> Array:
         """Make plans whose goals are given targets (option `target` of an environment's `reset`).
 
         Args:
-            target: Target positions x, y of k episodes, m, shape (k, 2).
+            target: Target positions of k episodes, m, shape (k, axes).
 
         Returns:
             Plans, as `begin` returns them, shape (k, plan_size).
@@ -154,16 +154,17 @@ def check_point(label: str, points: Array, workspace: Array) -> None:
 
     Args:
         label: Name of the option that the points come from, for the message.
-        points: Points x, y, m, shape (2,) or (k, 2).
-        workspace: Rows x and y, columns low and high, m, shape (2, 2).
+        points: Points, m, shape (axes,) or (k, axes).
+        workspace: One row per axis of the tool, columns low and high, m, shape (axes, 2).
 
     Raises:
-        InputError: If a point is not finite or outside the workspace, or the last axis is not of length 2.
+        InputError: If a point is not finite or outside the workspace, or has another number of coordinates.
     """
-    inside = (points >= workspace[:, 0]) & (points <= workspace[:, 1]) if points.shape[-1:] == (2,) else np.False_
-    if not np.all(inside):
-        (x0, x1), (y0, y1) = workspace
-        raise InputError(f"{label} must be (x, y) with x in [{x0:g}, {x1:g}] m and y in [{y0:g}, {y1:g}] m")
+    fits = points.shape[-1:] == (len(workspace),)
+    if not (fits and np.all((points >= workspace[:, 0]) & (points <= workspace[:, 1]))):
+        names = ("x", "y")[: len(workspace)]
+        ranges = " and ".join(f"{n} in [{low:g}, {high:g}] m" for n, (low, high) in zip(names, workspace, strict=True))
+        raise InputError(f"{label} must be ({', '.join(names)}{',' * (len(names) == 1)}) with {ranges}")
 
 
 class ReferenceTrajectories:
@@ -175,19 +176,20 @@ class ReferenceTrajectories:
         task: Task of all environments.
         count: Number of environments.
         period: Control period, s.
+        axes: Number of axes of the tool.
 
     Attributes:
         moving: Whether goals move during an episode.
     """
 
-    def __init__(self, task: Task, count: int, period: float) -> None:
+    def __init__(self, task: Task, count: int, period: float, axes: int = 2) -> None:
         self._task, self._period = task, period
         # Time is counted once for all environments, in control periods; an episode remembers when it began.
         self._now = 0
         self._began = np.zeros(count, np.int64)
         self.moving = bool(task.ahead_s) or task.metrics == "track"
         self._plans = np.zeros((count, task.plan_size))
-        self._fixed_goals = np.zeros((count, 2), np.float32)  # goals at reset; all there is if goals do not move
+        self._fixed_goals = np.zeros((count, axes), np.float32)  # goals at reset; all there is if goals do not move
         self._times = np.array([0.0, *task.ahead_s])
 
     @property
@@ -206,6 +208,8 @@ class ReferenceTrajectories:
             index: Indices of the environments, shape (k,).
             plans: Plans from `Task.begin` or `Task.aim`, shape (k, plan_size).
         """
+        if plans.shape[1] != self._plans.shape[1]:
+            self._plans = np.zeros((len(self._plans), plans.shape[1]))
         self._plans[index] = plans
         self._began[index] = self._now
         self._fixed_goals[index] = self._task.goal(plans, np.zeros(len(index)))
@@ -217,7 +221,7 @@ class ReferenceTrajectories:
             index: Indices of k environments, shape (k,), or a slice of them.
 
         Returns:
-            Goal positions x, y, m, float32, shape (k, 2), a new array.
+            Goal positions, m, float32, shape (k, axes), a new array.
         """
         if not self.moving:
             return np.array(self._fixed_goals[index])
@@ -227,14 +231,15 @@ class ReferenceTrajectories:
         """Allocate the goal arrays of an observation.
 
         Args:
-            observation: Gets `desired_goal`, shape (count, 2), which holds the goals already if these do not move, and
-                for a task with p future goals `preview`, shape (count, 2 p); m, float32.
+            observation: Gets `desired_goal`, shape (count, axes), which holds the goals already if these do not move,
+                and for a task with p future goals `preview`, shape (count, axes p); m, float32.
         """
         if not self.moving:
             observation["desired_goal"] = self._fixed_goals.copy()
             return
-        count, size = len(self._fixed_goals), 2 * len(self._task.ahead_s)
-        observation["desired_goal"] = np.empty((count, 2), np.float32)
+        count, axes = self._fixed_goals.shape
+        size = axes * len(self._task.ahead_s)
+        observation["desired_goal"] = np.empty((count, axes), np.float32)
         if size:
             observation["preview"] = np.empty((count, size), np.float32)
 
@@ -243,17 +248,18 @@ class ReferenceTrajectories:
 
         Args:
             index: Indices of the environments, shape (k,), or a slice of them; other rows are not changed.
-            observation: Output; `desired_goal`, m, shape (count, 2), and `preview`, m, shape (count, 2 * previews): x
-                and y of the next future goal, then of the one after it, ...
+            observation: Output, m; `desired_goal`, shape (count, axes), and `preview`, shape (count, axes * previews):
+                x and y of the next future goal, then of the one after it, ...
         """
         if not self.moving:
             observation["desired_goal"][index] = self._fixed_goals[index]
             return
         times = self._elapsed_s(index)[:, None] + self._times
         goals = self._task.goal(self._plans[index], times).reshape(len(times), -1)
-        observation["desired_goal"][index] = goals[:, :2]
+        axes = self._fixed_goals.shape[1]
+        observation["desired_goal"][index] = goals[:, :axes]
         if "preview" in observation:
-            observation["preview"][index] = goals[:, 2:]
+            observation["preview"][index] = goals[:, axes:]
 
     def path(self, b: int, elapsed_s: Array) -> NDArray[np.float32]:
         """Compute the goals of one environment at n times, for example to draw its path.
@@ -263,10 +269,10 @@ class ReferenceTrajectories:
             elapsed_s: Times since its reset, s, shape (n,).
 
         Returns:
-            Goal positions x, y, m, float32, shape (n, 2); shape (0, 2) if goals do not move.
+            Goal positions, m, float32, shape (n, axes); shape (0, axes) if goals do not move.
         """
         if not self.moving:
-            return np.zeros((0, 2), np.float32)
+            return np.zeros((0, self._fixed_goals.shape[1]), np.float32)
         return self._task.goal(self._plans[b : b + 1], elapsed_s[None])[0].astype(np.float32)
 
     def contour(self, index: Index | slice, tools: Array) -> Array | None:
@@ -274,7 +280,7 @@ class ReferenceTrajectories:
 
         Args:
             index: Indices of k environments, shape (k,), or a slice of them.
-            tools: Tool positions x, y of these environments, m, shape (k, 2).
+            tools: Tool positions of these environments, m, shape (k, axes).
 
         Returns:
             Distances, m, shape (k,); None for a task without a path.

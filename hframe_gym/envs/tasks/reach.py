@@ -18,8 +18,9 @@ class Reach(Task):
     """Move the tool to a point and keep it there.
 
     Args:
-        start: Start position (x, y), m. Default: random, uniform in the workspace reduced by `margin`.
-        target: Target position (x, y), m. Default: random, uniform in the workspace reduced by `margin`.
+        start: Start position (x, y), or (x,) with one axis, m. Default: random, uniform in the workspace reduced by
+            `margin`.
+        target: Target position, likewise.
         margin: Minimum distance of random positions from the edge of the workspace, m, not negative.
         band: Distance to the target that counts as a success, m, positive.
     """
@@ -36,7 +37,7 @@ class Reach(Task):
         """Check that band and margin are valid and that start and target lie in the workspace.
 
         Args:
-            workspace: Rows x and y, columns low and high, m, shape (2, 2).
+            workspace: One row per axis of the tool, columns low and high, m, shape (axes, 2).
 
         Raises:
             InputError: If `band` or `margin` is invalid, or `start` or `target` is outside the workspace.
@@ -56,16 +57,16 @@ class Reach(Task):
         """Choose start and target positions of k episodes.
 
         Args:
-            workspace: Rows x and y, columns low and high, m, shape (2, 2).
+            workspace: One row per axis of the tool, columns low and high, m, shape (axes, 2).
             uniforms: Uniform random numbers in (0, 1): two for the start, two for the target, shape (k, 4).
             parameters: Not used; the task has no parameters to randomize.
 
         Returns:
-            start: Start positions x, y of the tool, m, shape (k, 2).
-            plan: Plans, which are the target positions x, y, m, shape (k, 2).
+            start: Start positions of the tool, m, shape (k, axes).
+            plan: Plans, which are the target positions, m, shape (k, axes).
         """
         low, high = workspace[:, 0] + self.margin, workspace[:, 1] - self.margin
-        points = [low + (high - low) * uniforms[:, i : i + 2] for i in (0, 2)]
+        points = [low + (high - low) * uniforms[:, i : i + len(low)] for i in (0, 2)]
         for i, point in enumerate((self.start, self.target)):
             if point is not None:
                 points[i] = np.broadcast_to(np.asarray(point, float), points[i].shape)
@@ -75,10 +76,10 @@ class Reach(Task):
         """Make plans for given targets; a plan of this task is its target.
 
         Args:
-            target: Target positions x, y, m, shape (k, 2).
+            target: Target positions, m, shape (k, axes).
 
         Returns:
-            The same array as plans, shape (k, 2).
+            The same array as plans, shape (k, axes).
         """
         return target
 
@@ -86,10 +87,10 @@ class Reach(Task):
         """Return the targets as goals; they do not change over time.
 
         Args:
-            plan: Plans of n episodes, which are the targets x, y, m, shape (n, 2).
+            plan: Plans of n episodes, which are the targets, m, shape (n, axes).
             elapsed_s: Times since the reset, s, shape (n,) or (n, m); only the shape is used.
 
         Returns:
-            Goal positions x, y, m, shape (n, 2) or (n, m, 2).
+            Goal positions, m, shape (n, axes) or (n, m, axes).
         """
         return plan if elapsed_s.ndim == 1 else np.repeat(plan[:, None], elapsed_s.shape[1], axis=1)

@@ -120,8 +120,11 @@ class Track(Task):
             workspace: Rows x and y, columns low and high, m, shape (2, 2).
 
         Raises:
-            InputError: If the path or its margin does not fit; for a file the message names row and column.
+            InputError: If the machine has one axis, or the path or its margin does not fit; for a file the message
+                names row and column.
         """
+        if len(workspace) != 2:
+            raise InputError("task track needs a machine that moves along x and y; choose the task reach for one axis")
         if self._is_file:
             self._check_file(workspace)
             return

@@ -1,0 +1,165 @@
+"""Rewards of steps: from the goals as observed, and for the reward "progress" also from those of the step before.
+
+References:
+    Ng, Harada and Russell, "Policy invariance under reward transformations" (1999), for the reward "progress".
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from .counter_rng import compiled
+from .observation_format import ObservationFormat
+from .rewards import REWARDS, Array, PenalizedReward, Positions, Reward, row_distance
+
+PROGRESS_SCALE = 1e-3  # m; below this distance, coming closer pays less and less
+
+
+@REWARDS.register("progress")
+@dataclass(frozen=True)
+class ProgressReward:
+    """Reward for coming closer to the goal in a step: ln((d0 + d before) / (d0 + d after)) with d0 = 1 mm.
+
+    Each halving of the distance d pays 0.69, at 100 mm as at 10 mm, and moving away costs as much. A critic has little
+    to learn before the policy can improve, so that PPO with its default hyperparameters learns several times as fast
+    as with "dense". It is the potential-based shaping of Ng, Harada and Russell (1999): with a discount factor g it has
+    the same best policy as the reward (1 - g) * potential.
+
+    The class itself computes the potential; `StepRewards` holds the goals of the step before.
+
+    Args:
+        band: Not used.
+    """
+
+    band: float
+
+    def __call__(self, achieved: Positions, desired: Positions) -> Array:
+        """Compute the potential -ln(1 + d / d0) of tool positions, whose increase in a step is the reward.
+
+        Args:
+            achieved: Achieved tool positions, m, float32, shape (n, axes).
+            desired: Goal positions, m, float32, shape (n, axes).
+
+        Returns:
+            Potentials, shape (n,).
+        """
+        potential = np.empty(len(achieved))
+        _potential(achieved, desired, potential)
+        return potential
+
+
+@compiled
+def _potential(achieved: Any, desired: Any, potential: Any) -> None:
+    """Write -ln(1 + d / PROGRESS_SCALE) of the rows of two arrays of positions (n, axes) to potential (n,)."""
+    for b in range(len(achieved)):
+        potential[b] = -math.log1p(row_distance(achieved, desired, b) / PROGRESS_SCALE)
+
+
+class StepRewards:
+    """Compute the rewards of steps, and of relabeled goals, by a reward function.
+
+    Args:
+        reward: Function of achieved and desired positions, m.
+        observation_format: Converts between positions and goals as observed.
+        moving: Whether goals move, so that the desired goal before a step differs from that after it.
+
+    Attributes:
+        reward: As given.
+    """
+
+    def __init__(self, reward: Reward, observation_format: ObservationFormat, *, moving: bool) -> None:
+        self.reward, self._format = reward, observation_format
+        inside = reward.reward if isinstance(reward, PenalizedReward) else reward
+        # Of the goals before and after the last step, m, these are kept; none unless the reward compares two steps.
+        self._keys: tuple[str, ...] = ()
+        if isinstance(inside, ProgressReward):
+            self._keys = ("achieved_goal", "desired_goal") if moving else ("achieved_goal",)
+        self._before: dict[str, Positions] = {}
+        self._after: dict[str, Positions] = {}
+
+    @property
+    def compares_steps(self) -> bool:
+        """Whether the reward needs the goals of the step before."""
+        return bool(self._keys)
+
+    def begin(self, index: NDArray[np.intp], observation: Mapping[str, Positions]) -> None:
+        """Store the goals of episodes that begin.
+
+        Args:
+            index: Indices of their environments, shape (k,).
+            observation: Arrays by key, m, of which the rows `index` are used, shape (count, axes).
+        """
+        for key in self._keys:
+            for goals in (self._before, self._after):
+                goals.setdefault(key, np.zeros_like(observation[key]))[index] = observation[key][index]
+
+    def of_step(self, observation: Mapping[str, Positions]) -> Array:
+        """Compute the rewards of the step that led to an observation.
+
+        Args:
+            observation: Arrays by key, m, shape (count, axes).
+
+        Returns:
+            Rewards, shape (count,).
+        """
+        self._before, self._after = self._after, {key: observation[key].copy() for key in self._keys}
+        achieved, desired = (
+            self._format.goal_as_observed(observation[f"{key}_goal"]) for key in ("achieved", "desired")
+        )
+        rewards: Array = self.compute(achieved, desired, self.info())
+        return rewards
+
+    def info(self) -> dict[str, Positions]:
+        """Return what an info says about the goals before the last step; nothing unless the reward needs them.
+
+        Returns:
+            `previous_achieved_goal` and, where goals move, `previous_desired_goal`, as observed, shape (count, axes).
+        """
+        return {f"previous_{key}": np.array(self._format.goal_as_observed(g)) for key, g in self._before.items()}
+
+    def compute(self, achieved_goal: Any, desired_goal: Any, info: Any = None) -> Any:
+        """Compute rewards of goals as observed; for the goals of a step they equal its rewards to the bit.
+
+        Args:
+            achieved_goal: Achieved goals as observed (m, or normalized), shape (axes,) or (n, axes).
+            desired_goal: Desired goals as observed, the same shape.
+            info: Info of the step, or one info per row; only used by a reward that compares two steps.
+
+        Returns:
+            Reward as a float for shape (axes,), or n rewards, shape (n,).
+
+        Raises:
+            InputError: If the reward compares two steps and an info lacks the goals of the step before.
+        """
+        achieved, desired = np.asarray(achieved_goal), np.asarray(desired_goal)
+        rewards = self._evaluate(achieved, desired)
+        if self.compares_steps:
+            rewards = rewards - self._evaluate(*_previous_goals(info, desired))
+        return rewards if achieved.ndim > 1 else float(rewards[0])
+
+    def _evaluate(self, achieved: NDArray[Any], desired: NDArray[Any]) -> Array:
+        """Return the values (n,) of the reward function for goals as observed (n, axes) or (axes,)."""
+        goals = (np.atleast_2d(self._format.goal_in_meters(goal)) for goal in (achieved, desired))
+        return np.asarray(self.reward(*goals), np.float64)
+
+
+def _previous_goals(info: Any, desired: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Return the achieved and the desired goals before a step, of the shape of `desired`, from one or many infos."""
+    infos = [info] if isinstance(info, Mapping) else list(info if info is not None else ())
+    if not infos or any("previous_achieved_goal" not in each for each in infos):
+        raise InputError(
+            "reward 'progress' compares two steps and needs info['previous_achieved_goal'], which "
+            "HerReplayBuffer(copy_info_dict=True) keeps; or choose reward='sparse' or 'dense'"
+        )
+    shape = desired.shape
+    achieved = np.reshape([each["previous_achieved_goal"] for each in infos], shape)
+    if "previous_desired_goal" not in infos[0]:
+        return achieved, desired
+    return achieved, np.reshape([each["previous_desired_goal"] for each in infos], shape)
