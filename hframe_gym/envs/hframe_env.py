@@ -14,7 +14,8 @@ from ..errors import InputError
 from .config import EnvConfig, EnvOptions, check_keywords, check_render_mode
 from .environment_batch import EnvironmentBatch
 from .observations import Observation
-from .rendering import TRAIL_LENGTH, Renderer, Scene, tool_point
+from .rendering import Renderer
+from .scene import TRAIL_LENGTH, Scene, tool_point
 from .spaces import SignalSpec, action_space
 
 _ONLY = np.zeros(1, np.intp)
@@ -240,6 +241,7 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
 
         Raises:
             ImportError: If pygame is missing; the message names the extra.
+            InputError: In mode "human", if there is no display.
         """
         if self.render_mode is None:
             gym.logger.warn(
