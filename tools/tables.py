@@ -1,12 +1,14 @@
 """Write the tables of the documentation from benchmarks/results/*.json, and docs/effects.md from the library.
 
-    python -m tools.tables
+    python -m tools.tables            # write
+    python -m tools.tables --check    # write nothing; fail if a page is out of date
 
 The text of a page between `<!-- table: NAME -->` and `<!-- end -->` is replaced by the table of that name.
 """
 
 from __future__ import annotations
 
+import argparse
 import importlib
 import inspect
 import itertools
@@ -21,7 +23,7 @@ from hframe_gym.atomic_files import write_text
 from hframe_gym.effects import EFFECTS
 from hframe_gym.machine import Effect
 
-PAGES = ("README.md", "RESULTS.md", "docs/identification.md")
+PAGES = ("README.md", "RESULTS.md", "docs/identification_results.md")
 STAGES = ("declared", "before", "after")
 
 
@@ -306,8 +308,8 @@ def surroundings(results: dict[str, Any]) -> str:
     return f"Python {results['python']}, {results['machine']['cores']} cores, {versions}{seed}."
 
 
-def fill(path: Path) -> None:
-    """Replace the tables of a page for which there are results."""
+def filled(path: Path) -> str:
+    """Return the text of a page with the tables for which there are results."""
 
     def table(match: re.Match[str]) -> str:
         name = match[1]
@@ -318,14 +320,17 @@ def fill(path: Path) -> None:
         note = "" if path.name == "README.md" else f"\n\n{surroundings(results)}"
         return f"<!-- table: {name} -->\n{TABLES[name](results)}{note}\n<!-- end -->"
 
-    text = path.read_text()
-    write_text(path, re.sub(r"<!-- table: (\w+) -->.*?<!-- end -->", table, text, flags=re.DOTALL))
+    return re.sub(r"<!-- table: (\w+) -->.*?<!-- end -->", table, path.read_text(), flags=re.DOTALL)
 
 
-_EFFECTS_HEAD = """# Effects
+_EFFECTS_HEAD = """# Effect library
 
-Generated from `hframe_gym/effects/` by `python -m tools.tables`. Units in words depend on the site: a force is in N at
-x and in Nm at a motor. An effect vanishes where its amplitude is zero.
+Generated from `hframe_gym/effects/` by `python -m tools.tables`. An effect is a physical phenomenon that the basic model
+([physics](physics.md)) lacks. It acts at a site of a machine: a coordinate, a drive and its motor, the belts, a sensor, or the machine
+as a whole. `hframe identify` tries every effect at every site; [Extending](extending.md#an-effect) shows how to add one.
+
+Units in words depend on the site: a force is in N at x and in Nm at a motor. Bounds are in SI units. An effect vanishes where its
+amplitude is zero.
 
 """
 _EFFECTS_TAIL = """
@@ -356,15 +361,27 @@ def _section(effect: Effect) -> str:
     equivalent = f"\n\nEquivalent in every recording: {', '.join(effect.equivalent)}." if effect.equivalent else ""
     return (
         f"\n## {effect.name}\n\n{text}\n\nSite: {effect.site}.{family} Source: {effect.source}.\n\n"
-        f"    {effect.formula}\n\n{markdown(['parameter', 'unit', 'bounds', 'kind'], rows, '---')}{equivalent}\n"
+        f"```text\n{effect.formula}\n```\n\n{markdown(['parameter', 'unit', 'bounds', 'kind'], rows, '---')}{equivalent}\n"
     )
 
 
+def pages() -> dict[Path, str]:
+    """Return the text of all pages with generated parts by path."""
+    return {ROOT / page: filled(ROOT / page) for page in PAGES} | {ROOT / "docs" / "effects.md": effects_page()}
+
+
 def main() -> None:
-    """Write all pages."""
-    for page in PAGES:
-        fill(ROOT / page)
-    write_text(ROOT / "docs" / "effects.md", effects_page())
+    """Write all pages, or check that they are up to date."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--check", action="store_true", help="write nothing; fail if a page is out of date")
+    check = parser.parse_args().check
+    texts = pages()
+    outdated = [path for path, text in texts.items() if not path.is_file() or path.read_text() != text]
+    if check and outdated:
+        names = ", ".join(str(path.relative_to(ROOT)) for path in outdated)
+        raise SystemExit(f"{names}: generated parts are out of date; run `make tables`")
+    for path in outdated:
+        write_text(path, texts[path])
 
 
 if __name__ == "__main__":
