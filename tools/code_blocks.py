@@ -3,10 +3,11 @@
     python -m tools.code_blocks docs/environment.md           # without the slow blocks
     python -m tools.code_blocks docs/environment.md --slow    # all blocks
 
-Blocks of the languages `python` and `sh` are executed in the order of the page. Python blocks of a page share their variables.
-The working directory is a temporary folder that contains the repository as links, so `examples/rig_a` exists and `out/` is
-discarded. Blocks are slow if they call a command of `SLOW_COMMANDS`, or if the line `<!-- slow -->` precedes them. A block
-whose first line is `# Not executed in the tests: REASON` is skipped. Lines that install something are skipped as well.
+Blocks of the languages `python` and `sh` are executed in the order of the page. Python blocks of a page share their
+variables. The working directory is a temporary folder that contains the repository as links, so `examples/rig_a` exists
+and `out/` is discarded. Blocks are slow if they call a command of `SLOW_COMMANDS`, or if the line `<!-- slow -->`
+precedes them. A block whose first line is `# Not executed in the tests: REASON` is skipped. Lines that install
+something are skipped as well.
 """
 
 from __future__ import annotations

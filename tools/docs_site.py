@@ -2,8 +2,8 @@
 
     make docs    # or: python -m mkdocs build --strict
 
-Links in docs/ are relative to the repository, so that the pages also work where they are read as files. On the site, links
-to files outside docs/ become links to their page, if they have one, or the plain path of the file.
+Links in docs/ are relative to the repository, so that the pages also work where they are read as files. On the site,
+links to files outside docs/ become links to their page, if they have one, or the plain path of the file.
 """
 
 from __future__ import annotations
@@ -82,14 +82,19 @@ def resolve_links(markdown: str, source: str, uri: str) -> str:
         elif target in ROOT_PAGES:
             inside = ROOT_PAGES[target]
         else:
-            return f"{label} (`{target}` in the repository)" if (ROOT / target).exists() else match[0]
+            return _repository_path(label, target) if (ROOT / target).exists() else match[0]
         if (ROOT / "docs" / inside / "README.md").is_file():
             inside += "/README.md"
         elif (ROOT / "docs" / inside).is_dir():
-            return f"{label} (`{target}` in the repository)"
+            return _repository_path(label, target)
         return f"{image}[{label}]({posixpath.relpath(inside, posixpath.dirname(uri) or '.')}{anchor})"
 
     return _LINK.sub(resolve, markdown)
+
+
+def _repository_path(label: str, path: str) -> str:
+    """Return the text of a link to a file that is not on the site."""
+    return f"`{path}`" if label.strip("`") == path else f"{label} (`{path}` in the repository)"
 
 
 def format_math(source: str, *_: Any, **__: Any) -> str:
@@ -113,8 +118,8 @@ def commands_page() -> str:
         The page in Markdown.
     """
     sections = [
-        "# Command line\n\nGenerated from the help texts of `hframe COMMAND --help`. Exit codes: 0 done, 1 internal error "
-        "or a fault found by `hframe check`, 2 the input is at fault. `hframe` and `python -m hframe_gym` are the same."
+        "# Command line\n\nGenerated from the help texts of `hframe COMMAND --help`. `hframe` and `python -m hframe_gym` are "
+        "the same. Exit codes: 0 done, 1 internal error or a fault found by `hframe check`, 2 the input is at fault."
     ]
     _add_commands(sections, typer.main.get_command(app), "hframe")
     return "\n\n".join(sections) + "\n"
