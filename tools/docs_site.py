@@ -26,6 +26,7 @@ from hframe_gym.cli.support import registered_choices
 ROOT = Path(__file__).parents[1]
 # Pages of the site that are files of the repository's root folder.
 ROOT_PAGES = {"RESULTS.md": "results.md", "CHANGELOG.md": "changelog.md", "CONTRIBUTING.md": "contributing.md"}
+TABLES_AND_HISTORY = ("identification_results.md", "results.md", "changelog.md")
 _LINK = re.compile(r"(!?)\[([^\]]+)\]\((?!https?:|#|mailto:)([^)#\s]+)(#[^)\s]*)?\)")
 
 
@@ -58,6 +59,8 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
         The text with links that stay inside the site.
     """
     uri = page.file.src_uri
+    if uri in TABLES_AND_HISTORY:
+        page.meta["search"] = {"boost": 0.2}  # below the pages that explain
     source = next((name for name, target in ROOT_PAGES.items() if target == uri), f"docs/{uri}")
     return resolve_links(markdown, source, uri)
 
