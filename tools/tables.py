@@ -1,9 +1,10 @@
-"""Write the tables of the documentation from benchmarks/results/*.json, and docs/effects.md from the library.
+"""Write the tables of the documentation from benchmarks/results/*.json, and other pages from the library.
 
     python -m tools.tables            # write
     python -m tools.tables --check    # write nothing; fail if a page is out of date
 
 The text of a page between `<!-- table: NAME -->` and `<!-- end -->` is replaced by the table of that name.
+docs/effects.md, docs/machine.schema.json and the field tables of docs/machine.md are generated from the package.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from benchmarks.results_file import RESULTS, ROOT
 from hframe_gym.atomic_files import write_text
 from hframe_gym.effects import EFFECTS
 from hframe_gym.machine import Effect
+from tools.machine_page import field_tables, schema_text
 
 PAGES = ("README.md", "RESULTS.md", "docs/identification_results.md")
 STAGES = ("declared", "before", "after")
@@ -368,9 +370,20 @@ def _section(effect: Effect) -> str:
     )
 
 
+def with_field_tables(text: str) -> str:
+    """Replace the field tables of docs/machine.md by the present ones."""
+    tables = f"<!-- fields -->\n{field_tables()}\n<!-- end -->"
+    return re.sub(r"<!-- fields -->.*?<!-- end -->", lambda _: tables, text, flags=re.DOTALL)
+
+
 def pages() -> dict[Path, str]:
     """Return the text of all pages with generated parts by path."""
-    return {ROOT / page: filled(ROOT / page) for page in PAGES} | {ROOT / "docs" / "effects.md": effects_page()}
+    docs = ROOT / "docs"
+    return {ROOT / page: filled(ROOT / page) for page in PAGES} | {
+        docs / "effects.md": effects_page(),
+        docs / "machine.md": with_field_tables((docs / "machine.md").read_text()),
+        docs / "machine.schema.json": schema_text(),
+    }
 
 
 def main() -> None:
