@@ -4,7 +4,7 @@ BIN := $(VENV)/bin
 PYTHON ?= python3
 INSTALLED := $(VENV)/.installed
 
-.PHONY: demo test check bench tables docs clean
+.PHONY: demo test check wheel bench tables docs clean
 
 demo: $(INSTALLED)  ## identify a recorded rig, control the corrected machine
 	$(BIN)/hframe identify examples/rig_a --out out/demo
@@ -14,11 +14,20 @@ demo: $(INSTALLED)  ## identify a recorded rig, control the corrected machine
 test: $(INSTALLED)  ## all tests but the slow ones
 	$(BIN)/pytest -n auto --dist worksteal
 
-check: $(INSTALLED) hframe_gym/agents  ## format, lint, docstrings, types, layers
+check: $(INSTALLED) hframe_gym/agents  ## format, lint, docstrings, types, layers, pinned versions and licenses
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo
+	$(BIN)/python -m tools.dependencies --check
+
+wheel: $(INSTALLED)  ## wheel and source distribution in dist/, checked, installed in empty environments and used
+	$(BIN)/pip install -q --disable-pip-version-check -c constraints.txt -e '.[release]'
+	rm -rf dist
+	$(BIN)/python -m build
+	$(BIN)/twine check --strict dist/*
+	$(BIN)/check-wheel-contents dist/*.whl
+	$(BIN)/pytest -m slow -s tests/test_wheel.py
 
 bench: $(INSTALLED)  ## all numbers of RESULTS.md
 	$(BIN)/pip install -q -c constraints.txt -e '.[bench]'

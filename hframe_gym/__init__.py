@@ -22,7 +22,6 @@ their subpackage when they are first used:
 from __future__ import annotations
 
 import importlib
-from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
@@ -60,6 +59,8 @@ __all__ = [
     "simulate",
 ]
 
+__version__ = "0.2.0"  # the only place of the version; pyproject.toml reads it
+
 _SUBPACKAGES = {
     "EFFECTS": "effects",
     "HFrameEnv": "envs",
@@ -82,11 +83,6 @@ _ENVIRONMENTS = {
     "HFrame-v0": ("hframe_gym.envs:HFrameEnv", "hframe_gym.envs:HFrameVectorEnv"),
     "HFrameTrack-v0": ("hframe_gym.envs:HFrameTrackEnv", "hframe_gym.envs:HFrameTrackVectorEnv"),
 }
-
-try:
-    __version__ = version("hframe_gym")
-except PackageNotFoundError:  # run from a source tree that is not installed
-    __version__ = "0.0.0"
 
 
 def __getattr__(name: str) -> Any:

@@ -1,7 +1,6 @@
 """Hold the limits on language, module size, function size and docstring sections."""
 
 import ast
-import tomllib
 from pathlib import Path
 
 import pytest
@@ -34,15 +33,6 @@ def test_no_function_is_too_long(repository: House) -> None:
 
 def test_public_functions_have_all_docstring_sections(repository: House) -> None:
     assert repository.undocumented == []
-
-
-def test_every_package_is_installed() -> None:
-    project = tomllib.loads((house.ROOT / "pyproject.toml").read_text("utf-8"))
-    packages = [path.parent for path in house.source_files(house.ROOT) if path.stem == "__init__"]
-    names = {".".join(folder.relative_to(house.ROOT).parts) for folder in packages}
-    assert set(project["tool"]["setuptools"]["packages"]) == {
-        name if name.startswith("hframe_gym") else f"hframe_gym.{name}" for name in names
-    }
 
 
 def _function(source: str) -> Function:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
-from importlib.metadata import version
+from pathlib import Path
 
 import gymnasium as gym
 import pytest
@@ -25,18 +26,41 @@ def test_an_unknown_name_is_an_attribute_error() -> None:
         hframe_gym.no_such_name  # noqa: B018
 
 
-def test_the_version_is_that_of_the_installed_package() -> None:
-    assert hframe_gym.__version__ == version("hframe_gym")
+def test_the_version_is_the_newest_of_the_changelog() -> None:
+    changelog = (Path(__file__).parents[1] / "CHANGELOG.md").read_text("utf-8")
+    versions = re.findall(r"^## (\d\S*) - \d{4}-\d{2}-\d{2}$", changelog, re.MULTILINE)
+    assert versions[0] == hframe_gym.__version__
+    assert f"\nversion: {versions[0]}\n" in (Path(__file__).parents[1] / "CITATION.cff").read_text("utf-8")
 
 
 def test_importing_registers_the_environments_without_loading_the_simulator() -> None:
     code = (
         "import sys, hframe_gym, gymnasium;"
         "assert {'HFrame-v0', 'HFrameTrack-v0'} <= set(gymnasium.registry);"
-        "print([m for m in ('numba', 'scipy', 'pydantic', 'hframe_gym.dynamics') if m in sys.modules])"
+        "heavy = ('numba', 'scipy', 'torch', 'matplotlib', 'pydantic', 'pygame', 'rich', 'hframe_gym.dynamics');"
+        "print([m for m in heavy if m in sys.modules])"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert result.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("option", ["--help", "--version"])
+def test_help_and_version_of_the_command_load_no_simulator(option: str) -> None:
+    code = (
+        "import sys; from hframe_gym.cli import main;"
+        f"sys.argv[1:] = [{option!r}];"
+        "heavy = ('numba', 'scipy', 'torch', 'matplotlib', 'pydantic', 'hframe_gym.dynamics');\n"
+        "try: main()\n"
+        "except SystemExit: print('loaded', [m for m in heavy if m in sys.modules])"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert result.stdout.strip().endswith("loaded []")
+
+
+def test_gymnasium_imports_the_package_by_its_name_in_the_id() -> None:
+    code = "import gymnasium, sys; gymnasium.make('hframe_gym:HFrame-v0').reset(seed=1); print('made')"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert result.stdout.strip() == "made"
 
 
 @pytest.mark.parametrize("name", ["HFrame-v0", "HFrameTrack-v0"])

@@ -319,11 +319,11 @@ def filled(path: Path) -> str:
         file = RESULTS / f"{name}.json"
         if not file.is_file():
             return match[0]
-        results = json.loads(file.read_text())
+        results = json.loads(file.read_text("utf-8"))
         note = "" if path.name == "README.md" else f"\n\n{surroundings(results)}"
         return f"<!-- table: {name} -->\n{TABLES[name](results)}{note}\n<!-- end -->"
 
-    return re.sub(r"<!-- table: (\w+) -->.*?<!-- end -->", table, path.read_text(), flags=re.DOTALL)
+    return re.sub(r"<!-- table: (\w+) -->.*?<!-- end -->", table, path.read_text("utf-8"), flags=re.DOTALL)
 
 
 _EFFECTS_HEAD = """# Effect library
@@ -381,7 +381,7 @@ def pages() -> dict[Path, str]:
     docs = ROOT / "docs"
     return {ROOT / page: filled(ROOT / page) for page in PAGES} | {
         docs / "effects.md": effects_page(),
-        docs / "machine.md": with_field_tables((docs / "machine.md").read_text()),
+        docs / "machine.md": with_field_tables((docs / "machine.md").read_text("utf-8")),
         docs / "machine.schema.json": schema_text(),
     }
 
@@ -392,7 +392,7 @@ def main() -> None:
     parser.add_argument("--check", action="store_true", help="write nothing; fail if a page is out of date")
     check = parser.parse_args().check
     texts = pages()
-    outdated = [path for path, text in texts.items() if not path.is_file() or path.read_text() != text]
+    outdated = [path for path, text in texts.items() if not path.is_file() or path.read_text("utf-8") != text]
     if check and outdated:
         names = ", ".join(str(path.relative_to(ROOT)) for path in outdated)
         raise SystemExit(f"{names}: generated parts are out of date; run `make tables`")

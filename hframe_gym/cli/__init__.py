@@ -10,11 +10,11 @@ from __future__ import annotations
 import os
 import sys
 import warnings
-from importlib import metadata
 from typing import Annotated
 
 import typer
 
+from .. import __version__
 from . import control_commands, machine_commands, recording_commands
 from .app import app, log
 from .support import DEBUG_VARIABLE, describe_failure, print_warning
@@ -25,7 +25,7 @@ __all__ = ["app", "control_commands", "machine_commands", "main", "recording_com
 def _print_version(requested: bool) -> None:
     """Print the version and exit if --version is given."""
     if requested:
-        log(f"hframe_gym {metadata.version('hframe_gym')}")
+        log(f"hframe_gym {__version__}")
         raise typer.Exit
 
 

@@ -2,7 +2,7 @@
 
 from .belts import BeltState
 from .equations import Equations, ForceBalance
-from .kernel import Kernel, in_blocks, kernel_for, kernel_source_text
+from .kernel import Kernel, in_blocks, kernel_for, kernel_source_text, share_kernel
 from .linearization import StateSpace, linearize, mode_frequencies, stiffness_matrix
 from .motion_forces import (
     belt_forces,
@@ -40,6 +40,7 @@ __all__ = [
     "net_forces",
     "rollout",
     "sensor_readings",
+    "share_kernel",
     "simulate",
     "simulate_batch",
     "stiffness_matrix",

@@ -15,7 +15,8 @@ import inspect
 import os
 import sys
 import tempfile
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -27,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..atomic_files import write_text
-from ..machine import Machine
+from ..machine import HOOKS, AppliedEffect, Machine
 from . import friction, simd, simd_math, time_loops
 from .kernel_source import KernelSource, Layout
 from .simd import LANES
@@ -86,6 +87,7 @@ class Kernel:
         delayed: Whether the voltage of a drive has a delay.
         lagged: Whether a sensor has a delay.
         states: Number of rows of a state: travel and speed of each coordinate, time, effect states.
+        forced: Whether `rollout` takes an external force on every coordinate.
         source: Path of the file with the generated source.
     """
 
@@ -99,6 +101,7 @@ class Kernel:
     delayed: bool
     lagged: bool
     states: int
+    forced: bool
     source: str
 
 
@@ -219,9 +222,95 @@ def kernel_for(machine: Machine, *, forced: bool = False) -> Kernel:
             delayed=source.delayed,
             lagged=source.lagged,
             states=source.states,
+            forced=forced,
             source=str(module.__file__),
         )
     return _KERNELS[key]
+
+
+# Effects with these hooks only, and with an amplitude, change no bit of a simulation while their amplitudes are zero.
+_ADDITIVE_HOOKS = {"force", "active_region", "coulomb", "viscous", "voltage", "measurement", "next_state"}
+_MAX_SHARED_KERNELS = 8
+
+
+class _SharedKernel:
+    """Kernel of a machine with additive effects, which also simulates the machine without some of them.
+
+    Args:
+        machine: Machine with all the effects.
+
+    Attributes:
+        kernel: Its compiled functions, with external forces.
+    """
+
+    def __init__(self, machine: Machine) -> None:
+        self.kernel = kernel_for(machine, forced=True)
+        *self._structure, _, self._ties = machine.shape
+        self._effects = {(e.definition, e.site): _can_be_absent(e) for e in machine.effects}
+        amplitudes = {f"{e.label}.{name}" for e in machine.effects for name in e.definition.amplitudes}
+        values = {name: 0.0 if name in amplitudes else value for name, value in machine.parameters.items()}
+        self._values_if_absent = np.array(list(values.values()))
+
+    def simulates(self, machine: Machine) -> bool:
+        """Return whether a machine is this one without some of its effects that can be absent."""
+        *structure, effects, ties = machine.shape
+        if structure != self._structure or ties != self._ties:
+            return False
+        kept = tuple(
+            effect for effect, can_be_absent in self._effects.items() if effect in effects or not can_be_absent
+        )
+        return kept == effects
+
+    def parameters(self, machine: Machine, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return parameters (B, P) of variants of a machine in the order of the kernel's layout."""
+        table = np.tile(self._values_if_absent, (len(values), 1))
+        table[:, [self.kernel.layout.parameters[name] for name in machine.parameters]] = values
+        return table
+
+
+_SHARED: deque[_SharedKernel] = deque(maxlen=_MAX_SHARED_KERNELS)
+
+
+def _can_be_absent(effect: AppliedEffect) -> bool:
+    """Return whether zero amplitudes make the effect disappear without a change of any bit."""
+    hooks = {hook for hook in HOOKS if getattr(effect.definition, hook)}
+    return bool(effect.definition.amplitudes) and hooks <= _ADDITIVE_HOOKS and effect.definition.structure is None
+
+
+def share_kernel(machine: Machine, effects: Sequence[AppliedEffect]) -> None:
+    """Prepare one kernel for `rollout_kernel` that simulates a machine with any selection of some effects.
+
+    A search that tries many effects one at a time compiles once instead of once per effect. Simulations are the same to
+    the bit. Effects that do not merely add a term (delays, belts, structural effects) are left out.
+
+    Args:
+        machine: Machine with the effects that it has already.
+        effects: Further effects that it may have, one each or several.
+    """
+    additional = [effect for effect in effects if _can_be_absent(effect)]
+    if additional:
+        _SHARED.append(_SharedKernel(machine.with_effects(*additional)))
+
+
+def rollout_kernel(
+    machine: Machine, parameters: NDArray[np.float64], *, forced: bool
+) -> tuple[Kernel, NDArray[np.float64]]:
+    """Return compiled functions that simulate a machine, and its parameters in the layout of these functions.
+
+    Args:
+        machine: The machine.
+        parameters: P parameters in the order of `Machine.parameters`, SI, shape (B, P) for B variants of the machine.
+        forced: Whether an external force must be possible.
+
+    Returns:
+        kernel: That of the machine's shape if it exists, else that of `share_kernel`, else a newly generated one.
+        parameters: Parameters in the order of the kernel's layout, SI, shape (B, parameters of the kernel).
+    """
+    if (machine.shape, forced) not in _KERNELS:
+        for shared in reversed(_SHARED):
+            if shared.simulates(machine):
+                return shared.kernel, shared.parameters(machine, parameters)
+    return kernel_for(machine, forced=forced), parameters
 
 
 def in_blocks(values: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..machine import Machine, Trajectory, rest_state
-from .kernel import Kernel, kernel_for
+from .kernel import Kernel, rollout_kernel
 from .simd import LANES
 
 LONGEST_STEP = 0.25e-3  # s; 0.2 um median error over 0.4 s of random voltages (benchmarks/accuracy.py)
@@ -151,17 +151,19 @@ def simulate_batch(
     Returns:
         Positions, velocities and readings with the batch axis first. Motions that diverged contain NaN or large values.
     """
-    kernel = kernel_for(machine, forced=extra_force is not None)
+    parameters = parameter_batch(machine) if parameters is None else parameters
+    kernel, parameters = rollout_kernel(machine, parameters, forced=extra_force is not None)
     count = len(machine.coordinates)
     radii = machine.travel_per_unit  # the compiled functions work in belt travel: position * radius
 
     inputs, force, observed = _series(inputs), _series(extra_force), _series(measured)
-    parameters = parameter_batch(machine) if parameters is None else parameters
     start = np.atleast_2d(rest_state(machine) if start is None else start)
     batch = max(map(len, (inputs, parameters, start, force, observed)))
     parameters = _rows(parameters, batch)
     travel = _rows(start * np.tile(radii, 2), batch)
-    force = np.ascontiguousarray(force / radii) if len(force) else np.zeros((1, 1, count))
+    force = (
+        np.ascontiguousarray(force / radii) if len(force) else np.zeros((1, len(time_s) if kernel.forced else 1, count))
+    )
     travel_gains = gains * np.tile(radii, 2)[:, None] if gains is not None else _NOTHING
     grid = np.ascontiguousarray(time_s, float)
     out = np.empty((batch, len(grid), 2 * count)) if states else _NO_SERIES

@@ -43,6 +43,8 @@ class SelectionCriteria:
         min_confirmed_fraction: Smallest fraction of an effect's gain that remains if the parameters are fitted to the
             other runs (leave-one-run-out).
         min_force_ratio: Smallest force of an effect relative to the force that remains unexplained beside it.
+        max_form_error: Force that an effect adds, relative to that of another effect which depends on the same variable
+            of the same component, below which it counts as an error in the form of the other.
         max_effects: Largest number of effects that the forward selection adds.
         max_full_fits: Number of screened candidates that are fitted together with all parameters of the machine, per
             step.
@@ -99,6 +101,7 @@ class SelectionCriteria:
     min_trial_gain: float = 0.5
     min_confirmed_fraction: float = 0.3
     min_force_ratio: float = 1.0
+    max_form_error: float = 0.2
     max_effects: int = 5
     max_full_fits: int = 5
     min_promise: float = 0.4

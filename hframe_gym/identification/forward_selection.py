@@ -16,9 +16,17 @@ from .criteria import SelectionCriteria
 from .dataset import Dataset
 from .estimation import Fit
 from .machine_validation import validation_fault
-from .model_error import effect_force, fit_with_model_error, leave_one_out_gain, long_run_variance, residue_force
+from .model_error import (
+    depend_on_same_variable,
+    effect_force,
+    fit_with_model_error,
+    force_difference,
+    leave_one_out_gain,
+    long_run_variance,
+    residue_force,
+)
 from .prediction import SEARCH_BANDWIDTH
-from .trial_fits import converge, trial_fits, without_effect
+from .trial_fits import converge, replacement_fit, trial_fits, without_effect
 
 Log = Callable[[str], None]
 
@@ -80,6 +88,7 @@ class EffectSearch:
 
     Args:
         data: Prepared recordings to fit.
+        plain: Machine before effects are added.
         criteria: Decision thresholds.
         log: Called with a line of text for the candidates of each step, selected or not.
 
@@ -87,8 +96,8 @@ class EffectSearch:
         considered: Effects that reduced the error but failed a test, by label (name@site).
     """
 
-    def __init__(self, data: Dataset, criteria: SelectionCriteria, log: Log) -> None:
-        self._data, self._criteria, self._log = data, criteria, log
+    def __init__(self, data: Dataset, plain: Machine, criteria: SelectionCriteria, log: Log) -> None:
+        self._data, self._plain, self._criteria, self._log = data, plain, criteria, log
         self.considered: dict[str, ConsideredEffect] = {}
 
     def with_data(self, data: Dataset) -> EffectSearch:
@@ -100,7 +109,7 @@ class EffectSearch:
         Returns:
             New search.
         """
-        search = EffectSearch(data, self._criteria, self._log)
+        search = EffectSearch(data, self._plain, self._criteria, self._log)
         search.considered = dict(self.considered)
         return search
 
@@ -130,10 +139,34 @@ class EffectSearch:
             rivals = _rivals(trials, current, data, criteria)
             rival_names = (*(e.label for e in rivals), *effect.definition.equivalent)
             selected = (*selected, SelectedEffect(effect, rival_names, gain, current.machine, rivals))
-            current = fit_with_model_error(best, data)
+            current, selected = self._exchange(fit_with_model_error(best, data), selected)
         for s in selected:
             self.considered.pop(s.effect.label, None)
         return current, tuple(s.with_values(current.machine) for s in selected)
+
+    def _exchange(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection:
+        """Replace earlier effects by others that explain the data better beside the later ones (recursively).
+
+        The first effects are selected while others are still missing, and may stand for a mixture of causes.
+        """
+        data, criteria = self._data, self._criteria
+        if current.chi2 <= criteria.noise_level:
+            return current, selected
+        for old in selected[:-1]:  # the last one has just won against all others
+            reduced = without_effect(current, old.effect.label, data, self._plain, thorough=False)
+            better = reduced and replacement_fit(current, reduced, old.effect.label, data, criteria)
+            if reduced is None or better is None:
+                continue
+            gain = (current.cost - better.cost) / data.count
+            if gain < minimum_gain(current, criteria) or self._doubt(reduced, better):
+                continue
+            effect = better.machine.effects[-1]
+            self._log(f"  {effect.label} replaces {old.effect.label}: it {describe_gain(current, better)}")
+            total = (reduced.cost - better.cost) / data.count
+            new = SelectedEffect(effect, effect.definition.equivalent, total, reduced.machine)
+            others = tuple(s for s in selected if s is not old)
+            return self._exchange(fit_with_model_error(better, data), (*others, new))
+        return current, selected
 
     def _best(self, current: Fit, trials: list[Fit], enough: float) -> Fit | None:
         """Return the converged fit of the first trial that passes all tests, None if there is none."""
@@ -155,8 +188,8 @@ class EffectSearch:
     def prune(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection:
         """Remove effects that fail a test in the machine with all other effects, weakest first (recursively).
 
-        Later effects may make earlier ones superfluous. Structural effects are kept, because the other effects act on
-        the coordinates that they add.
+        Later effects may make earlier ones superfluous. A structural effect is kept if another effect acts on a
+        coordinate that it adds.
 
         Args:
             current: Fit of the machine with all selected effects; its observer bandwidth is used throughout.
@@ -167,9 +200,9 @@ class EffectSearch:
             The remaining effects with their fitted parameters.
         """
         for candidate in sorted(selected, key=lambda s: s.gain):
-            if candidate.effect.definition.structure:
+            reduced = without_effect(current, candidate.effect.label, self._data, self._plain)
+            if reduced is None:
                 continue
-            reduced = without_effect(current, candidate.effect.label, self._data)
             doubt = self._doubt_beside_others(reduced, current, candidate.effect)
             if doubt:
                 self._log(f"  {candidate.effect.label} is removed: it {doubt}")
@@ -191,6 +224,7 @@ class EffectSearch:
             or validation_fault(current.machine)
             or self._by_chance(reduced, current)
             or self._too_small(current, effect)
+            or self._form_error(reduced, current, effect)
         )
 
     def _doubt(self, current: Fit, trial: Fit) -> str:
@@ -203,6 +237,7 @@ class EffectSearch:
             or validation_fault(trial.machine)
             or self._by_chance(current, trial)
             or self._too_small(trial, trial.machine.effects[-1])
+            or self._form_error(current, trial, trial.machine.effects[-1])
         )
 
     def _unconfirmed(self, without: Fit, with_effect: Fit) -> str:
@@ -227,6 +262,19 @@ class EffectSearch:
         if size >= self._criteria.min_force_ratio * residue:
             return ""
         return f"has a force of {1e3 * size:.2g} mN, where {1e3 * residue:.2g} mN remain unexplained"
+
+    def _form_error(self, without: Fit, with_effect: Fit, effect: AppliedEffect) -> str:
+        """Return that an effect may be an error in the form of a larger one, "" if nothing speaks for that."""
+        machine, data = with_effect.machine, self._data
+        for other in machine.effects:
+            if other.label != effect.label and depend_on_same_variable(effect, other, machine):
+                # The force beyond what the parameters of the machine and of the other effect can represent.
+                new_force = force_difference(without.machine, machine, data)
+                fraction = new_force / max(effect_force(machine, other, data), 1e-12)
+                if fraction < self._criteria.max_form_error:
+                    percent = f"adds {100 * fraction:.0f} % to the force of {other.label}"
+                    return f"{percent}, which depends on the same variable: the form of that effect may be in error"
+        return ""
 
 
 def describe_gain(before: Fit, after: Fit) -> str:

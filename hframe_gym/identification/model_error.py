@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..dynamics import net_forces
-from ..machine import AppliedEffect, Machine
+from ..machine import HOOKS, AppliedEffect, Machine, argument_names
 from .criteria import SelectionCriteria
 from .dataset import Dataset, PreparedRecording
 from .estimation import Fit, fit
@@ -43,6 +43,18 @@ Array = NDArray[np.float64]
 
 # Bandwidths that are compared, rad/s. The likelihood changes little between neighbors.
 BANDWIDTHS = (SEARCH_BANDWIDTH, 30.0, 15.0, 7.0, 3.0, SIMULATION)
+# Variable of a coordinate, drive or belt by the name of an argument of an effect's formulas (`Effect`).
+_VARIABLES = {
+    "q": "position",
+    "dq": "position",
+    "v": "speed",
+    "direction": "speed",
+    "t": "time",
+    "V": "voltage",
+    "i": "current",
+    "s": "extension",
+    "rate": "extension",
+}
 _CORRELATION_S = 0.05  # s; longer than the correlation of a sensor's noise
 _SEARCH_STEP_NARROW = 0.25e-3  # s; a narrow observer does not forgive the error of longer integration steps
 
@@ -172,15 +184,56 @@ def effect_force(machine: Machine, effect: AppliedEffect, data: Dataset) -> floa
     if effect.definition.structure or effect.definition.measurement or effect.definition.measurement_delay:
         return np.inf
     without = machine.replace(effects=tuple(e for e in machine.effects if e.label != effect.label))
-    with_effect = without.with_effects(effect)
+    return force_difference(without, without.with_effects(effect), data)
+
+
+def force_difference(first: Machine, second: Machine, data: Dataset) -> float:
+    """Return the size of the difference between the forces of two machines during the recordings.
+
+    Args:
+        first: Machine whose predicted motion is used.
+        second: Machine with the same coordinates, for example with an effect, fitted to the same data. What parameters
+            of the first machine can represent of that effect is then not a part of the difference.
+        data: Runs over which the motion is predicted.
+
+    Returns:
+        Root mean square over all rows of the root sum of squares over the coordinates, as a force at the belt (torque /
+        pulley radius), N.
+    """
 
     def of_run(run: PreparedRecording) -> Array:
-        motion = predict(without, run, SEARCH_BANDWIDTH, period=data.period, states=True)
+        motion = predict(first, run, SEARCH_BANDWIDTH, period=data.period, states=True)
         record = (run.time_s, motion.positions[0], motion.velocities[0], run.inputs)
-        change: Array = net_forces(with_effect, *record) - net_forces(without, *record)
-        return change.reshape(-1, len(machine.coordinates)) / machine.travel_per_unit
+        change: Array = net_forces(second, *record) - net_forces(first, *record)
+        return change.reshape(-1, len(first.coordinates)) / first.travel_per_unit
 
     return _size(np.concatenate(list(map_runs(of_run, data))))
+
+
+def depend_on_same_variable(first: AppliedEffect, second: AppliedEffect, machine: Machine) -> bool:
+    """Check whether two effects act on the same component and depend on the same variable of it.
+
+    A small effect can then be an error in the form of a large one: a formula that describes friction as a function of
+    the speed to 10 % leaves a force that is a function of the speed as well.
+
+    Args:
+        first: One effect.
+        second: Another effect.
+        machine: Machine on which both act.
+
+    Returns:
+        True for example for Stribeck friction and quadratic drag of one coordinate, two functions of its speed.
+    """
+    sites = [machine.coordinate_of_site(e.site) or e.site for e in (first, second)]
+    return sites[0] == sites[1] and bool(_variables(first) & _variables(second))
+
+
+def _variables(effect: AppliedEffect) -> set[tuple[str, bool]]:
+    """Return the variables on which the formulas of an effect depend, and whether it is periodic in them."""
+    periodic = any(p.role in ("period", "rate") for p in effect.definition.parameters)
+    hooks = [getattr(effect.definition, hook) for hook in HOOKS if getattr(effect.definition, hook)]
+    arguments = {name for hook in hooks for name in argument_names(hook)}
+    return {(_VARIABLES[name], periodic) for name in arguments & set(_VARIABLES)}
 
 
 def drive_force(machine: Machine, data: Dataset) -> float:

@@ -167,25 +167,25 @@ def _without_unconfirmed(
 ) -> _Outcome:
     """Remove effects that do not reduce the error of the held-out runs, weakest first.
 
-    The held-out runs can only remove an effect here, never add or change one. Structural effects stay, because the
-    others act on the coordinates that they add.
+    The held-out runs can only remove an effect here, never add or change one.
     """
     verdict, after, selected, considered = outcome
-    while removable := [s for s in selected if not s.effect.definition.structure]:
+    while selected:
         runs = refine_encoder_offsets(validation, after.machine, data)
-        gains = [_held_out_gain(s, after.machine, runs, after.bandwidth) for s in removable]
+        gains = [_held_out_gain(s, after.machine, runs, after.bandwidth) for s in selected]
         if min(gains) > 0.0:
             break
-        weakest = removable[gains.index(min(gains))]
-        reason = "does not reduce the error of the held-out runs"
+        weakest, reason = selected[gains.index(min(gains))], "does not reduce the error of the held-out runs"
         log(f"  {weakest.effect.label} is removed: it {reason}")
-        reduced = without_effect(after, weakest.effect.label, refine_encoder_offsets(data, after.machine))
+        refined = refine_encoder_offsets(data, after.machine)
+        reduced = without_effect(after, weakest.effect.label, refined, before.machine)
+        if reduced is None:  # another one acts on its coordinate
+            break
         entry = ConsideredEffect(weakest.effect, after.machine, reduced.machine, reason)
         selected = tuple(s for s in selected if s is not weakest)
         after, considered = reduced if selected else before, (*considered, entry)
         selected = tuple(s.with_values(after.machine) for s in selected)
-        if not selected:
-            verdict = "no_effect" if before_explains else "unexplained"
+        verdict = verdict if selected else "no_effect" if before_explains else "unexplained"
     return _Outcome(verdict, after, selected, considered)
 
 
@@ -281,7 +281,7 @@ class _Search:
     def _known_effects(self) -> tuple[Fit, tuple[SelectedEffect, ...], tuple[ConsideredEffect, ...]]:
         """Return the fit with effects of the library, the effects, and those that failed a test."""
         criteria, data, log = self._criteria, self._data, self._log
-        search = EffectSearch(data, criteria, log)
+        search = EffectSearch(data, self._before.machine, criteria, log)
         current, effects = search.run(self._before)
         refined = refine_encoder_offsets(data, current.machine)
         if refined is not data:
@@ -305,7 +305,7 @@ class _Search:
             if len(more) > len(known):
                 # No further search beside a table: what its straight pieces leave looks like many a small effect.
                 refined = polish(fit_with_model_error(fitted, data), data)
-                candidate, kept = EffectSearch(data, criteria, log).prune(refined, more)
+                candidate, kept = EffectSearch(data, self._before.machine, criteria, log).prune(refined, more)
                 limit = criteria.max_table_cost_fraction * min(self._base.cost, wide.cost)
                 if kept and (self._explains(candidate) or self._wide_cost(candidate) < limit):
                     return candidate, kept

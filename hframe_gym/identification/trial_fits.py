@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ..dynamics import share_kernel
 from ..machine import Machine
 from .candidates import candidates, effect_parameters
 from .criteria import SelectionCriteria
@@ -36,20 +37,15 @@ def trial_fits(current: Fit, data: Dataset, enough: float, criteria: SelectionCr
     Returns:
         One fit per candidate with few iterations, in no particular order.
     """
-    scales = typical_scales(current, data)
-    proposed = candidates(
-        current.machine,
-        data,
-        scales,
-        missing_force(current.machine, data),
-        slow_friction=current.bandwidth < SEARCH_BANDWIDTH,
-    )
+    scales, ranked = _ranked_candidates(current, data)
     # Chi-squared per sample of a correct model; in one-step prediction, quantization keeps it above 1.
     floor = criteria.one_step_floor if current.bandwidth >= SEARCH_BANDWIDTH else 1.0
     trials: list[Fit] = []
     remainder = 1.0  # smallest fraction of the excess over the floor that a candidate leaves
     best_promise = 0.0  # largest linearized gain of a candidate that explains the data
-    for scored in _promising(current, screen(current, proposed, data), data, enough, criteria):
+    promising = _promising(current, ranked, data, enough, criteria)
+    share_kernel(current.machine, [scored.candidate.applied(scored.amounts) for scored in promising])
+    for scored in promising:
         # Where a candidate explains the data, only those that may be its rivals are fitted as well.
         if scored.gain > criteria.rival_promise * best_promise:
             trials.append(fit_with_candidate(current, scored, scales, data))
@@ -62,6 +58,44 @@ def trial_fits(current: Fit, data: Dataset, enough: float, criteria: SelectionCr
         machines = screen_structures(current, data, scales, least)
         trials += [_replace(current, machine, scales, data) for machine in machines]
     return trials
+
+
+def _ranked_candidates(current: Fit, data: Dataset) -> tuple[TypicalScales, list[ScoredCandidate]]:
+    """Return typical sizes on the machine and its screened candidates, largest predicted reduction of cost first."""
+    scales = typical_scales(current, data)
+    proposed = candidates(
+        current.machine,
+        data,
+        scales,
+        missing_force(current.machine, data),
+        slow_friction=current.bandwidth < SEARCH_BANDWIDTH,
+    )
+    return scales, screen(current, proposed, data)
+
+
+def replacement_fit(
+    current: Fit, reduced: Fit, replaced: str, data: Dataset, criteria: SelectionCriteria
+) -> Fit | None:
+    """Fit the machine with the effect that may explain the data better than one which was selected before.
+
+    Effects that were selected while others were missing may stand for a mixture of several causes.
+
+    Args:
+        current: Fit with all selected effects.
+        reduced: Fit without one of them, at the same observer bandwidth.
+        replaced: Label of that effect, name@site.
+        data: Prepared recordings to fit.
+        criteria: Decision thresholds.
+
+    Returns:
+        Converged fit; None if no other effect promises as much as the one that it replaces.
+    """
+    scales, ranked = _ranked_candidates(reduced, data)
+    best = next((scored for scored in ranked if scored.candidate.label != replaced), None)
+    if best is None or best.gain < criteria.linear_gain_ratio * (reduced.cost - current.cost):
+        return None
+    share_kernel(reduced.machine, [best.candidate.applied(best.amounts)])
+    return converge(fit_with_candidate(reduced, best, scales, data), data, thorough=False)
 
 
 def _promising(
@@ -158,27 +192,33 @@ def converge(trial: Fit, data: Dataset, *, thorough: bool) -> Fit:
     return min(fits, key=lambda candidate_fit: candidate_fit.cost)
 
 
-def without_effect(current: Fit, label: str, data: Dataset) -> Fit:
+def without_effect(current: Fit, label: str, data: Dataset, plain: Machine, *, thorough: bool = True) -> Fit | None:
     """Remove one effect from the machine and fit the remaining free parameters again.
 
     Args:
         current: Fit of the machine with the effect; its observer bandwidth is used.
         label: Label of the effect, name@site.
         data: Prepared recordings to fit.
+        plain: Machine before effects were added, from which a machine without a structural effect is built.
+        thorough: Whether to fit until convergence with the shortest integration step, rather than with few iterations.
 
     Returns:
-        Fit without the effect, with the shortest integration step.
+        Fit without the effect; None if another effect acts on a coordinate that this one adds.
     """
     others = tuple(e for e in current.machine.effects if e.label != label)
-    kept = [i for i, free in enumerate(current.free) if not free.name.startswith(f"{label}.")]
-    return fit(
-        current.machine.replace(effects=others),
-        [current.free[i] for i in kept],
-        data,
-        current.bandwidth,
-        theta=current.theta[kept],
-        longest_step=POLISH_STEP,
-    )
+    machine = current.machine.replace(effects=others)
+    if any(e.definition.structure for e in current.machine.effects if e.label == label):
+        try:
+            machine = plain.with_effects(*(e for e in others if e not in plain.effects))
+        except ValueError:  # a site is missing
+            return None
+        kept_values = {name: value for name, value in current.machine.parameters.items() if name in machine.parameters}
+        machine = machine.replace(kept_values)
+    kept = [i for i, free in enumerate(current.free) if free.name in machine.parameters]
+    free, theta = tuple(current.free[i] for i in kept), current.theta[kept]
+    if not thorough:
+        return _trial_fit(machine, free, theta, current, data)
+    return fit(machine, free, data, current.bandwidth, theta=theta, longest_step=POLISH_STEP)
 
 
 def typical_scales(current: Fit, data: Dataset) -> TypicalScales:

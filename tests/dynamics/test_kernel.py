@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
+from collections import deque
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from hframe_gym.dynamics import in_blocks, kernel_for, kernel_source_text
-from hframe_gym.dynamics.kernel import cache_folder
+from hframe_gym.dynamics import in_blocks, kernel, kernel_for, kernel_source_text, share_kernel, simulate_batch
+from hframe_gym.dynamics.kernel import cache_folder, rollout_kernel
+from hframe_gym.dynamics.simulation import parameter_batch
 from hframe_gym.effects import EFFECTS
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
+from tests.effects.one_of_each import CASES
 
 pytestmark = pytest.mark.unit
 
@@ -80,3 +84,25 @@ def test_blocks_repeat_the_last_machine_in_spare_lanes() -> None:
     assert blocks.shape == (2, 2, 8)
     np.testing.assert_array_equal(blocks[1, :, 2], values[10])
     np.testing.assert_array_equal(blocks[1, :, 7], values[10])
+
+
+def test_shared_kernel_simulates_each_effect_to_the_bit(hframe: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    time_s = np.arange(300) * 1e-3
+    voltages = np.stack([6.0 * np.sin(40 * time_s), 5.0 * np.sign(np.sin(25 * time_s))], axis=1)
+    effects = [case.effect for case in CASES.values()]
+
+    def readings(machine: Machine) -> NDArray[np.float64]:
+        return simulate_batch(machine, time_s, voltages).readings
+
+    machines = [hframe, *(hframe.with_effects(e) for e in effects)]
+    alone = [readings(machine) for machine in machines]
+    monkeypatch.setattr(kernel, "_KERNELS", {})
+    monkeypatch.setattr(kernel, "_SHARED", deque())
+    share_kernel(hframe, effects)
+    shared_kernel = kernel._SHARED[0]
+    shared = [machine for machine in machines if shared_kernel.simulates(machine)]
+    assert len(shared) > 12
+    for machine, expected in zip(machines, alone, strict=True):
+        if machine in shared:  # the others have effects that do more than add a term
+            assert rollout_kernel(machine, parameter_batch(machine), forced=False)[0] is shared_kernel.kernel
+            assert np.array_equal(readings(machine), expected), machine.effects[-1:]

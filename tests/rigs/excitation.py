@@ -190,8 +190,8 @@ def _play(
                     returning[axis] = False
                 if returning[axis]:
                     axes[axis] = np.clip(-30.0 * position[axis], -3.0, 3.0)
-                elif (move := moves[axis]) is not None:
-                    axes[axis] = move(t - began, position[axis])
+                elif (current := moves[axis]) is not None:
+                    axes[axis] = current(t - began, position[axis])
             # r phi1 = -x - y, r phi2 = x - y.
             volts = np.array([-axes[0] - axes[1], axes[0] - axes[1]])
             volts *= min(1.0, MAX_VOLTAGE_V / max(np.abs(volts).max(), 1e-9))
