@@ -4,7 +4,7 @@ BIN := $(VENV)/bin
 PYTHON ?= python3
 INSTALLED := $(VENV)/.installed
 
-.PHONY: demo test check wheel bench docs clean
+.PHONY: demo test check wheel bench tables docs clean
 
 demo: $(INSTALLED)  ## identify a recorded rig, control the corrected machine
 	$(BIN)/hframe identify examples/rig_a --out out/demo
@@ -33,8 +33,13 @@ bench: $(INSTALLED)  ## all numbers of RESULTS.md
 	$(BIN)/pip install -q -c constraints.txt -e '.[bench]'
 	$(BIN)/python -m benchmarks
 
-docs: $(INSTALLED)  ## generated tables and pages
+tables: $(INSTALLED)  ## generated tables of README.md, RESULTS.md and docs/, and docs/effects.md
 	$(BIN)/python -m tools.tables
+
+docs: $(INSTALLED) hframe_gym/agents  ## the documentation site, out/site; fails at every warning and outdated table
+	$(BIN)/python -m tools.tables --check
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
+	@echo "open out/site/index.html"
 
 # mypy and import-linter look for hframe_gym.agents beside the package's other folders.
 hframe_gym/agents:

@@ -1,6 +1,7 @@
 """Write the tables of the documentation from benchmarks/results/*.json, and other pages from the library.
 
-    python -m tools.tables
+    python -m tools.tables            # write
+    python -m tools.tables --check    # write nothing; fail if a page is out of date
 
 The text of a page between `<!-- table: NAME -->` and `<!-- end -->` is replaced by the table of that name.
 docs/effects.md, docs/machine.schema.json and the field tables of docs/machine.md are generated from the package.
@@ -8,6 +9,8 @@ docs/effects.md, docs/machine.schema.json and the field tables of docs/machine.m
 
 from __future__ import annotations
 
+import argparse
+import html
 import importlib
 import inspect
 import itertools
@@ -23,7 +26,7 @@ from hframe_gym.effects import EFFECTS
 from hframe_gym.machine import Effect
 from tools.machine_page import field_tables, schema_text
 
-PAGES = ("README.md", "RESULTS.md", "docs/identification.md")
+PAGES = ("README.md", "RESULTS.md", "docs/identification_results.md")
 STAGES = ("declared", "before", "after")
 
 
@@ -308,26 +311,30 @@ def surroundings(results: dict[str, Any]) -> str:
     return f"Python {results['python']}, {results['machine']['cores']} cores, {versions}{seed}."
 
 
-def fill(path: Path) -> None:
-    """Replace the tables of a page for which there are results."""
+def filled(path: Path) -> str:
+    """Return the text of a page with the tables for which there are results."""
 
     def table(match: re.Match[str]) -> str:
         name = match[1]
         file = RESULTS / f"{name}.json"
         if not file.is_file():
             return match[0]
-        results = json.loads(file.read_text())
+        results = json.loads(file.read_text("utf-8"))
         note = "" if path.name == "README.md" else f"\n\n{surroundings(results)}"
         return f"<!-- table: {name} -->\n{TABLES[name](results)}{note}\n<!-- end -->"
 
-    text = path.read_text()
-    write_text(path, re.sub(r"<!-- table: (\w+) -->.*?<!-- end -->", table, text, flags=re.DOTALL))
+    return re.sub(r"<!-- table: (\w+) -->.*?<!-- end -->", table, path.read_text("utf-8"), flags=re.DOTALL)
 
 
-_EFFECTS_HEAD = """# Effects
+_EFFECTS_HEAD = """# Effect library
 
-Generated from `hframe_gym/effects/` by `python -m tools.tables`. Units in words depend on the site: a force is in N at
-x and in Nm at a motor. An effect vanishes where its amplitude is zero.
+Generated from `hframe_gym/effects/` by `python -m tools.tables`. An effect is a physical phenomenon that the basic
+model ([physics](physics.md)) lacks. It acts at a site of a machine: a coordinate, a drive and its motor, the belts, a
+sensor, or the machine as a whole. `hframe identify` tries every effect at every site;
+[Extending](extending.md#an-effect) shows how to add one.
+
+Units in words depend on the site: a force is in N at x and in Nm at a motor. Bounds are in SI units. An effect vanishes
+where its amplitude is zero.
 
 """
 _EFFECTS_TAIL = """
@@ -340,14 +347,14 @@ piecewise linear functions, with two dozen knots, of a position, a velocity, the
 
 def effects_page() -> str:
     """Return docs/effects.md: the library as a table, then one section per effect."""
-    rows = [[f"[`{e.name}`](#{e.name})", e.site, f"`{_in_cell(e.formula)}`"] for e in EFFECTS.values()]
+    rows = [[f"[`{e.name}`](#{e.name})", e.site, _code_cell(e.formula)] for e in EFFECTS.values()]
     table = markdown(["effect", "site", "formula"], rows, "---")
     return f"{_EFFECTS_HEAD}{table}\n{''.join(map(_section, EFFECTS.values()))}{_EFFECTS_TAIL}"
 
 
-def _in_cell(text: str) -> str:
-    """Escape the separator of Markdown tables."""
-    return text.replace("|", "\\|")
+def _code_cell(text: str) -> str:
+    """Return code for a cell of a table, in which the sign | would begin the next cell."""
+    return f"<code>{html.escape(text, quote=False).replace('|', '&#124;')}</code>" if "|" in text else f"`{text}`"
 
 
 def _section(effect: Effect) -> str:
@@ -356,9 +363,10 @@ def _section(effect: Effect) -> str:
     rows = [[f"`{p.name}`", p.unit, f"{p.lower:g} to {p.upper:g}", p.role] for p in effect.parameters]
     family = "" if effect.family == effect.name else f" Family: {effect.family}."
     equivalent = f"\n\nEquivalent in every recording: {', '.join(effect.equivalent)}." if effect.equivalent else ""
+    table = markdown(["parameter", "unit", "bounds", "kind"], rows, "---")
     return (
         f"\n## {effect.name}\n\n{text}\n\nSite: {effect.site}.{family} Source: {effect.source}.\n\n"
-        f"    {effect.formula}\n\n{markdown(['parameter', 'unit', 'bounds', 'kind'], rows, '---')}{equivalent}\n"
+        f"```text\n{effect.formula}\n```\n\n{table}{equivalent}\n"
     )
 
 
@@ -368,14 +376,28 @@ def with_field_tables(text: str) -> str:
     return re.sub(r"<!-- fields -->.*?<!-- end -->", lambda _: tables, text, flags=re.DOTALL)
 
 
+def pages() -> dict[Path, str]:
+    """Return the text of all pages with generated parts by path."""
+    docs = ROOT / "docs"
+    return {ROOT / page: filled(ROOT / page) for page in PAGES} | {
+        docs / "effects.md": effects_page(),
+        docs / "machine.md": with_field_tables((docs / "machine.md").read_text("utf-8")),
+        docs / "machine.schema.json": schema_text(),
+    }
+
+
 def main() -> None:
-    """Write all pages."""
-    for page in PAGES:
-        fill(ROOT / page)
-    write_text(ROOT / "docs" / "effects.md", effects_page())
-    write_text(ROOT / "docs" / "machine.schema.json", schema_text())
-    fields_page = ROOT / "docs" / "machine.md"
-    write_text(fields_page, with_field_tables(fields_page.read_text("utf-8")))
+    """Write all pages, or check that they are up to date."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--check", action="store_true", help="write nothing; fail if a page is out of date")
+    check = parser.parse_args().check
+    texts = pages()
+    outdated = [path for path, text in texts.items() if not path.is_file() or path.read_text("utf-8") != text]
+    if check and outdated:
+        names = ", ".join(str(path.relative_to(ROOT)) for path in outdated)
+        raise SystemExit(f"{names}: generated parts are out of date; run `make tables`")
+    for path in outdated:
+        write_text(path, texts[path])
 
 
 if __name__ == "__main__":
