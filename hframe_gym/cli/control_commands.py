@@ -9,7 +9,13 @@ from typing import Annotated, Any
 import typer
 
 from .app import MachineOption, OutOption, RandomizeOption, TaskOption, app, console, log
-from .support import CommandWithChoices, require_folder, task_with_path, value_errors_as_input_errors
+from .support import (
+    CommandWithChoices,
+    repeat_warnings,
+    require_folder,
+    task_with_path,
+    value_errors_as_input_errors,
+)
 
 
 @app.command(cls=CommandWithChoices)
@@ -75,10 +81,11 @@ def evaluate(
     period: Annotated[float, typer.Option(help="Control period in seconds.")] = 0.01,
     episodes: Annotated[int, typer.Option(min=1, help="Number of episodes; the same for every controller.")] = 512,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the starts, goals and machine parameters.")] = 0,
+    html: Annotated[bool, typer.Option("--html", help="Also write scorecard.html, one self-contained page.")] = False,
 ) -> None:
     """Score controllers on identical episodes; writes scores.json and a plot of each one's first episode.
 
-    Example:  hframe evaluate pid textbook-pid --episodes 64 --out out/scores
+    Example:  hframe evaluate pid textbook-pid --episodes 64 --html --out out/scores
     """
     from ..evaluation import evaluate as run_evaluation
     from ..evaluation import write_scores
@@ -90,7 +97,7 @@ def evaluate(
     declared = load_machine(machine)
     require_folder(out)
     options: dict[str, Any] = {"randomize": randomize, "sensors": sensors, "episodes": episodes, "seed": seed}
-    with value_errors_as_input_errors():
+    with value_errors_as_input_errors(), repeat_warnings() as warned:
         built_task = task_with_path(task, path)
         scores, recorded = run_evaluation(controllers, declared, task=built_task, period=period, **options)
     written = write_scores(out, scores)
@@ -99,12 +106,14 @@ def evaluate(
         log(reason)
     log(f"wrote {written}")
     try:
-        from ..evaluation import save_plot
+        from ..evaluation import save_plot, write_scorecard
 
         for name, episode in recorded.items():
             label = Path(name).name.replace(":", "-")  # of a folder the last part; no colon in a file name
             plot = out / f"{label}.png"
             save_plot(plot, episode, title=f"{label} on {declared.name}")
             log(f"wrote {plot}")
+        if html:
+            log(f"wrote {write_scorecard(out, scores, recorded, warned)}")
     except ImportError as error:
         log(f"no plots: {error}")

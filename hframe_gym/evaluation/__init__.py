@@ -13,7 +13,8 @@ from .metrics import (
     settling_times,
     stored_bounds,
 )
-from .runner import Evaluation, evaluate, plot_episode, rollout, save_plot, write_scores
+from .plots import plot_episode, save_plot
+from .runner import Evaluation, evaluate, rollout, write_scores
 from .scenario import (
     CONTROLLER_SOURCES,
     ControllerSource,
@@ -23,6 +24,7 @@ from .scenario import (
     episode_conditions,
     make_controller,
 )
+from .scorecard import write_scorecard
 
 __all__ = [
     "BANDS",
@@ -48,5 +50,6 @@ __all__ = [
     "score_episodes",
     "settling_times",
     "stored_bounds",
+    "write_scorecard",
     "write_scores",
 ]
