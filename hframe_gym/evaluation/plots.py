@@ -14,6 +14,7 @@ from .metrics import BANDS
 from .scenario import Episodes
 
 SMALLEST_ERROR_MM = 1e-3  # mm, lower end of the logarithmic error axis of a plot
+BAND_TEXTS = {name: f"{1e3 * band:g} mm" for name, band in BANDS.items()}  # settling bands as written for readers
 
 
 def plot_episode(episodes: Episodes, episode: int = 0, *, title: str = "") -> Any:
@@ -97,7 +98,7 @@ def _mark_bands(axes: Any, end_s: float) -> None:
     """Draw the settling bands as horizontal lines that are named at their right end, and label the axis in mm."""
     for name, band in BANDS.items():
         axes.axhline(1e3 * band, color=color("muted"), lw=0.7, ls="--")
-        axes.annotate(name, (end_s, 1e3 * band), ha="right", va="bottom", fontsize=7, color=color("muted"))
+        axes.annotate(BAND_TEXTS[name], (end_s, 1e3 * band), ha="right", va="bottom", fontsize=7, color=color("muted"))
     axes.yaxis.set_major_formatter(lambda value, _: number(value))
     axes.minorticks_off()
 
@@ -221,13 +222,13 @@ def success_panel(title: str, success: Mapping[str, Mapping[str, float]]) -> Pan
             values = [100 * by_band[band] for band in bands]
             bars = axes.barh(rows, values, 0.9 * height, color=color(SERIES[k % len(SERIES)]), label=name)
             axes.bar_label(bars, fmt="%.0f", padding=2, fontsize=7)
-        axes.set(yticks=range(len(bands)), yticklabels=bands, xlim=(0, 112), xlabel="% of the episodes")
+        axes.set(yticks=range(len(bands)), yticklabels=list(BAND_TEXTS.values()), xlim=(0, 112), xlabel="% of the episodes")
         axes.invert_yaxis()
         axes.grid(False, axis="y")
         legend_above(axes)
 
     values = "; ".join(
-        f"{name}: " + ", ".join(f"{100 * by_band[band]:.1f} % within {band}" for band in bands)
+        f"{name}: " + ", ".join(f"{100 * by_band[band]:.1f} % within {BAND_TEXTS[band]}" for band in bands)
         for name, by_band in success.items()
     )
     return Panel(title, f"{title}. {values}.", draw, 1.3 + 0.4 * len(success))

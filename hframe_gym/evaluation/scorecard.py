@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from ..web_page import Panel, number, write_page
-from .metrics import BANDS, BOUND_BAND
-from .plots import distance_panel, episode_panels, interval_panel, success_panel
+from .metrics import BANDS, BOUND_BAND, mean_with_interval, settling_times
+from .plots import BAND_TEXTS, distance_panel, episode_panels, interval_panel, success_panel
 from .scenario import Episodes
 
 _FURTHER_METRICS = {  # column headings of the metrics that all tasks have
@@ -47,7 +47,7 @@ def write_scorecard(
     """
     recorded, controllers = recorded or {}, scores["controllers"]
     reaches = all("settling_s" in score for score in controllers.values())
-    heading, tone, sentences = _reach_verdict(scores) if reaches else _track_verdict(scores)
+    heading, tone, sentences = _reach_verdict(scores, recorded) if reaches else _track_verdict(scores)
     reasons = [score.get("over_bound_reason") for score in controllers.values()]
     values = {
         "title": f"Scorecard: {_task_name(scores)} on {scores['machine']}",
@@ -59,8 +59,8 @@ def write_scorecard(
         "warnings": list(dict.fromkeys([*scores.get("warnings", ()), *warnings])),
         "bound_reasons": list(dict.fromkeys(reason for reason in reasons if reason)),
         "reaches": reaches,
-        "bands": list(BANDS),
-        "bound_band": BOUND_BAND,
+        "bands": list(BAND_TEXTS.values()),
+        "bound_band": BAND_TEXTS[BOUND_BAND],
         "rows": [_row(name, score, reaches) for name, score in controllers.items()],
         "further": _further_metrics(controllers),
         "panels": _panels(controllers, recorded, reaches),
@@ -76,28 +76,36 @@ def _task_name(scores: Mapping[str, Any]) -> str:
     return str(scores["task"]).partition("(")[0].lower()
 
 
-def _reach_verdict(scores: Mapping[str, Any]) -> tuple[str, str, list[str]]:
+def _reach_verdict(scores: Mapping[str, Any], recorded: Mapping[str, Episodes]) -> tuple[str, str, list[str]]:
     """Return heading, tone and sentences about the fastest of the most successful controllers."""
     controllers = scores["controllers"]
     ranked = sorted(controllers, key=lambda n: (-controllers[n]["success"][BOUND_BAND], _settling(controllers[n])["mean"]))
     best = controllers[ranked[0]]
     success, settling = best["success"][BOUND_BAND], _settling(best)
     if success == 0.0:
-        sentence = f"No controller comes to rest within {BOUND_BAND} of its goal in any of the episodes."
+        sentence = f"No controller comes to rest within {BAND_TEXTS[BOUND_BAND]} of its goal in any of the episodes."
         return "No controller succeeds", "warning", [sentence]
     sentences = [
-        f"{ranked[0]} comes to rest within {BOUND_BAND} of the goal in {100 * success:.1f} % of the episodes, after "
+        f"{ranked[0]} comes to rest within {BAND_TEXTS[BOUND_BAND]} of the goal in {100 * success:.1f} % of the episodes, after "
         f"{settling['mean']:.3f} s on average (95 % interval {_interval(settling, '.3f')} s)."
     ]
     ratio = _bound_ratio(best)
     if ratio:
         sentences.append(f"This is {ratio['mean']:.2f} times the shortest possible time.")
-    if len(ranked) > 1:
-        second = controllers[ranked[1]]
-        low, high = _settling(second)["ci95"]
-        if second["success"][BOUND_BAND] == success and low <= settling["ci95"][1] and settling["ci95"][0] <= high:
-            sentences.append(f"The intervals of {ranked[0]} and {ranked[1]} overlap, so their difference may be chance.")
+    if len(ranked) > 1 and set(ranked[:2]) <= set(recorded):
+        sentences.append(_difference_sentence(ranked[1], recorded[ranked[0]], recorded[ranked[1]], scores["seed"]))
     return f"Best: {ranked[0]}", "good" if success > 0.99 else "neutral", sentences
+
+
+def _difference_sentence(name: str, best: Episodes, second: Episodes, seed: int) -> str:
+    """Return a sentence about the settling times of the second best controller, compared episode by episode."""
+    times = [settling_times(e.goal_error, e.time_s, BANDS[BOUND_BAND])[0] for e in (second, best)]
+    difference = mean_with_interval(times[0] - times[1], seed)
+    interval = f"95 % interval {_interval(difference, '.3f')} s"
+    if difference["ci95"][0] <= 0.0 <= difference["ci95"][1]:
+        return f"In the same episodes {name} is not significantly slower or faster ({interval} of the difference)."
+    word = "slower" if difference["mean"] > 0 else "faster"
+    return f"In the same episodes {name} is {abs(difference['mean']):.3f} s {word} ({interval} of the difference)."
 
 
 def _track_verdict(scores: Mapping[str, Any]) -> tuple[str, str, list[str]]:
@@ -172,7 +180,7 @@ def _panels(
     else:
         panels = [success_panel("Episodes that end within a band around the goal", success)]
         values = {name: _settling(score) for name, score in controllers.items()}
-        panels.append(interval_panel(f"Settling time to {BOUND_BAND}", "s", values))
+        panels.append(interval_panel(f"Settling time to {BAND_TEXTS[BOUND_BAND]}", "s", values))
         ratios = {name: _bound_ratio(score) for name, score in controllers.items()}
         if any(ratios.values()):
             panels.append(interval_panel("Settling time / shortest possible time", "", ratios))
