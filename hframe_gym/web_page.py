@@ -70,11 +70,11 @@ class Panel(NamedTuple):
     height: float = 2.3
 
 
-def plot_style() -> dict[str, Any]:
+def plot_style() -> Any:  # matplotlib's type lists the names of all settings
     """Return the settings of matplotlib (rcParams) for panels.
 
     Returns:
-        Settings by name, for `matplotlib.rc_context`.
+        Settings by name, a dictionary for `matplotlib.rc_context`.
 
     Raises:
         ImportError: If matplotlib is missing; the message names the extra.

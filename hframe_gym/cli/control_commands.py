@@ -1,4 +1,4 @@
-"""Commands on controllers: train, evaluate."""
+"""Commands on controllers: train, evaluate, play."""
 
 from __future__ import annotations
 
@@ -117,3 +117,52 @@ def evaluate(
             log(f"wrote {write_scorecard(out, scores, recorded, warned)}")
     except ImportError as error:
         log(f"no plots: {error}")
+
+
+@app.command(cls=CommandWithChoices)
+def play(
+    controller: Annotated[
+        str | None, typer.Argument(help="What drives the stage: {controllers}, {agents}, ... (default: you).")
+    ] = None,
+    beside: Annotated[
+        str | None, typer.Option(help="Controller of a second stage: {controllers}, {agents}, the folder of an agent.")
+    ] = None,
+    machine: MachineOption = "hframe",
+    task: TaskOption = "reach",
+    path: Annotated[
+        str | None, typer.Option(help="Path to follow, for the task track: circle, square, lissajous or a CSV file.")
+    ] = None,
+    randomize: RandomizeOption = "none",
+    sensors: Annotated[str, typer.Option(help="What controllers observe: {sensors}.")] = "state",
+    period: Annotated[float, typer.Option(help="Control period in seconds.")] = 0.01,
+    speed: Annotated[float, typer.Option(help="Speed relative to real time; a hand is slower than a motor.")] = 0.3,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the first start and goal.")] = 0,
+    frames: Annotated[int | None, typer.Option(min=1, help="Stop after this number of frames (50 per second).")] = None,
+    picture: Annotated[Path | None, typer.Option(help="PNG file for the last frame.")] = None,
+) -> None:
+    """Drive a stage by mouse or keys, with a controller on the same task beside it.
+
+    Arrow keys push the tool (with Shift: full voltage); the left mouse button pulls it to the pointer, the right one
+    sets a target. N begins a new episode, R repeats it, Space pauses, Q quits.
+
+    Example:  hframe play --beside pid
+    """
+    from ..evaluation import Scenario
+    from ..evaluation.play import Game
+    from ..recordings import load_machine
+
+    # Registers the agents as controllers, also where the package is used without its installed entry points.
+    import_module("hframe_gym.agents")
+    declared = load_machine(machine)
+    options: dict[str, Any] = {"randomize": randomize, "sensors": sensors, "seed": seed, "period": period}
+    with value_errors_as_input_errors():
+        scenario = Scenario(declared, task_with_path(task, path), **options)
+        game = Game(scenario, controller, beside, speed)
+    game.run(frames)
+    for stage in game.stages:
+        state = "outside the band" if stage.settled_s is None else f"in the band since {stage.settled_s:.2f} s"
+        log(f"{stage.name}: {1e3 * stage.distance:.3f} mm from the goal after {stage.elapsed_s:.2f} s, {state}")
+    if picture is not None:
+        game.save_picture(picture)
+        log(f"wrote {picture}")
+    game.close()

@@ -59,7 +59,7 @@ def effects(context: typer.Context) -> None:
         from .tables import effect_table
 
         console.print(effect_table())
-        log("If none of them fits, lookup tables: smooth_force[VARIABLE], smooth_friction[VARIABLE]")
+        log("If none fits, lookup tables: smooth_force[VARIABLE], smooth_friction[VARIABLE]")
 
 
 @effects_app.command("new")

@@ -134,7 +134,12 @@ def episode_panels(name: str, episodes: Episodes, episode: int = 0) -> list[Pane
     route += f" to the goal at ({goal[0]:.0f}, {goal[1]:.0f}) mm" if episodes.contour is None else " along the path"
     largest = float(np.abs(episodes.volts[episode]).max())
     return [
-        Panel(f"{name}: tool path", f"Path of the tool under {name}, {route}.", lambda a: _plot_path(a, episodes, episode), 2.6),
+        Panel(
+            f"{name}: tool path",
+            f"Path of the tool under {name}, {route}.",
+            lambda a: _plot_path(a, episodes, episode),
+            2.6,
+        ),
         Panel(
             f"{name}: distance to the goal",
             f"Distance of the tool to its goal over time under {name}, {number(final_mm)} mm at the end.",
@@ -222,7 +227,9 @@ def success_panel(title: str, success: Mapping[str, Mapping[str, float]]) -> Pan
             values = [100 * by_band[band] for band in bands]
             bars = axes.barh(rows, values, 0.9 * height, color=color(SERIES[k % len(SERIES)]), label=name)
             axes.bar_label(bars, fmt="%.0f", padding=2, fontsize=7)
-        axes.set(yticks=range(len(bands)), yticklabels=list(BAND_TEXTS.values()), xlim=(0, 112), xlabel="% of the episodes")
+        axes.set(
+            yticks=range(len(bands)), yticklabels=list(BAND_TEXTS.values()), xlim=(0, 112), xlabel="% of the episodes"
+        )
         axes.invert_yaxis()
         axes.grid(False, axis="y")
         legend_above(axes)

@@ -79,15 +79,17 @@ def _task_name(scores: Mapping[str, Any]) -> str:
 def _reach_verdict(scores: Mapping[str, Any], recorded: Mapping[str, Episodes]) -> tuple[str, str, list[str]]:
     """Return heading, tone and sentences about the fastest of the most successful controllers."""
     controllers = scores["controllers"]
-    ranked = sorted(controllers, key=lambda n: (-controllers[n]["success"][BOUND_BAND], _settling(controllers[n])["mean"]))
+    ranked = sorted(
+        controllers, key=lambda n: (-controllers[n]["success"][BOUND_BAND], _settling(controllers[n])["mean"])
+    )
     best = controllers[ranked[0]]
     success, settling = best["success"][BOUND_BAND], _settling(best)
     if success == 0.0:
         sentence = f"No controller comes to rest within {BAND_TEXTS[BOUND_BAND]} of its goal in any of the episodes."
         return "No controller succeeds", "warning", [sentence]
     sentences = [
-        f"{ranked[0]} comes to rest within {BAND_TEXTS[BOUND_BAND]} of the goal in {100 * success:.1f} % of the episodes, after "
-        f"{settling['mean']:.3f} s on average (95 % interval {_interval(settling, '.3f')} s)."
+        f"{ranked[0]} comes to rest within {BAND_TEXTS[BOUND_BAND]} of the goal in {100 * success:.1f} % of the "
+        f"episodes, after {settling['mean']:.3f} s on average (95 % interval {_interval(settling, '.3f')} s)."
     ]
     ratio = _bound_ratio(best)
     if ratio:
@@ -117,7 +119,8 @@ def _track_verdict(scores: Mapping[str, Any]) -> tuple[str, str, list[str]]:
     contour = controllers[best]["contour_mm"]
     sentence = (
         f"{best} follows the path with a contour error of {number(contour['rms']['mean'])} mm rms (95 % interval "
-        f"{_interval(contour['rms'], '.3g')} mm) and {number(contour['max']['mean'])} mm at most, means over the episodes."
+        f"{_interval(contour['rms'], '.3g')} mm) and {number(contour['max']['mean'])} mm at most, means over the "
+        "episodes."
     )
     return f"Best: {best}", "good", [sentence]
 
@@ -154,7 +157,9 @@ def _row(name: str, score: Mapping[str, Any], reaches: bool) -> dict[str, Any]:
     if reaches:
         cells = [_cell(score["settling_s"][band], ".3f") for band in BANDS] + [_cell(_bound_ratio(score), ".3f")]
     else:
-        cells = [_cell(score[key][kind]) if key in score else _cell(None) for key in _PATH_ERRORS for kind in ("rms", "max")]
+        cells = [
+            _cell(score[key][kind]) if key in score else _cell(None) for key in _PATH_ERRORS for kind in ("rms", "max")
+        ]
     return {"name": name, "success": [f"{100 * score['success'][band]:.1f}" for band in BANDS], "cells": cells}
 
 
@@ -162,7 +167,8 @@ def _further_metrics(controllers: Mapping[str, Mapping[str, Any]]) -> dict[str, 
     """Return headings and rows of the table of the other metrics that any controller has."""
     keys = [key for key in _FURTHER_METRICS if any(key in score for score in controllers.values())]
     rows = {
-        name: [_cell(score.get(key), ".3g", _FACTORS.get(key, 1.0)) for key in keys] for name, score in controllers.items()
+        name: [_cell(score.get(key), ".3g", _FACTORS.get(key, 1.0)) for key in keys]
+        for name, score in controllers.items()
     }
     return {"headings": [_FURTHER_METRICS[key] for key in keys], "rows": rows}
 

@@ -18,6 +18,7 @@ TABLE_FAMILY = "smooth_table"  # Family of the effects that are curves, not form
 _STAGES = {"declared": "as declared", "before": "before (refitted)", "after": "after (with effects)"}
 _STAGES_WITHOUT_EFFECT = {"declared": "as declared", "before": "refitted"}  # nothing was added: no machine "after"
 _SCALES = {"m": ((1e6, "µm"), (1e3, "mm")), "rad": ((1e3, "mrad"),)}
+_SLOW = 0.05  # Fraction of a coordinate's top speed below which friction shows its behavior at low speed.
 _MAX_RUNS = 2  # Held-out runs whose errors are drawn over time.
 _MEAN_BINS = 40  # Points of the mean curve through the residual force.
 _MAX_DOTS = 1000  # Points of the residual force that a panel shows of each machine.
@@ -106,7 +107,9 @@ def _error_by_channel(report: Mapping[str, Any], channels: list[str]) -> Panel:
         for k, (stage, label) in enumerate(stages.items()):
             rows = np.arange(len(channels)) + 0.27 * (k - (len(stages) - 1) / 2)
             bars = axes.barh(rows, ratios[stage], height=0.25, color=color(stage), label=label)
-            axes.bar_label(bars, labels=["" if np.isnan(v) else number(v) for v in ratios[stage]], padding=2, fontsize=8)
+            axes.bar_label(
+                bars, labels=["" if np.isnan(v) else number(v) for v in ratios[stage]], padding=2, fontsize=8
+            )
         axes.axvline(1.0, color=color("ink"), lw=1, ls="--")
         axes.set(xscale="log", yticks=range(len(channels)), yticklabels=channels)
         axes.set_xlabel("rms error / sensor noise (dashed: 1)")
@@ -122,7 +125,9 @@ def _error_by_channel(report: Mapping[str, Any], channels: list[str]) -> Panel:
         for j, channel in enumerate(channels)
     )
     description = f"Bar chart of the error on the held-out runs in multiples of the sensor noise. {values}."
-    return Panel("Error on the held-out runs, in multiples of the sensor noise", description, draw, 1.0 + 0.5 * len(channels))
+    return Panel(
+        "Error on the held-out runs, in multiples of the sensor noise", description, draw, 1.0 + 0.5 * len(channels)
+    )
 
 
 def _compared_stages(report: Mapping[str, Any]) -> dict[str, str]:
@@ -234,3 +239,24 @@ def _coverage(label: str, values: Array) -> Panel:
 
     description = f"Histogram of {label} in the fitted runs, from {number(values.min())} to {number(values.max())}."
     return Panel(label, description, draw, 1.7)
+
+
+def slow_fractions(curves: Mapping[str, Array]) -> dict[str, str]:
+    """Compute the fraction of the moving time that each coordinate spent below a twentieth of its top speed.
+
+    Args:
+        curves: Curves by name, see `result.plot_data`.
+
+    Returns:
+        Fractions as text, such as "23 %", by name of the coordinate; without coordinates that never move.
+    """
+    fractions = {}
+    for name, velocity in curves.items():
+        _, is_velocity, coordinate = name.partition("coverage/velocity of ")
+        if not is_velocity:
+            continue
+        top = float(np.percentile(np.abs(velocity), 99))
+        moving = np.abs(velocity[np.abs(velocity) > 1e-3 * top]) if top else velocity[:0]
+        if len(moving):
+            fractions[coordinate] = f"{100 * float(np.mean(moving < _SLOW * top)):.0f} %"
+    return fractions

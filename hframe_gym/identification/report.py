@@ -13,7 +13,7 @@ from ..errors import InputError
 from ..machine import Machine
 from ..web_page import number, write_page
 from .parameter_diagnostics import parameter_doubts, sum_text
-from .plots import TABLE_FAMILY, readable_unit, report_panels, save_plots
+from .plots import TABLE_FAMILY, readable_unit, report_panels, save_plots, slow_fractions
 from .saved_result import SavedResult, load_result
 
 Array = NDArray[np.float64]
@@ -24,7 +24,6 @@ _VERDICTS = {  # heading and tone of the page
 }
 _STAGES = ("declared", "before", "after")
 _NOTICEABLE_ERROR = 1.3  # Remaining error over noise from which the report says that something is unexplained.
-_SLOW = 0.05  # Fraction of a coordinate's top speed below which friction shows its behavior at low speed.
 _MAX_NOISE_RATIO = 50.0  # Simulation error over noise beyond which the simulation drifted, if a force error exists.
 
 
@@ -62,9 +61,8 @@ def build_report(folder: Path) -> Path:
         "determined": _determined_sums(report, machine),
         "left": _remaining_error(report),
         "steps": _next_steps(saved, folder),
-        "slow": _slow_fractions(curves),
+        "slow": slow_fractions(curves),
         "panels": panels,
-        "shown_panels": len(channels),  # the error over time of further runs is folded
     }
     try:
         save_plots(panels, folder / "plots")
@@ -90,7 +88,9 @@ def verdict_sentence(report: Mapping[str, Any], channels: Sequence[str]) -> str:
     unit = "% of the drives' force" if by_force else "times the sensors' noise"
 
     def error(stage: str) -> str:
-        return number(100 * report[stage]["held_out"]["force_error"] if by_force else _noise_ratio(report, stage, channels))
+        return number(
+            100 * report[stage]["held_out"]["force_error"] if by_force else _noise_ratio(report, stage, channels)
+        )
 
     if report["verdict"] == "effect_found":
         names = ", ".join(f"{e['name'].replace('_', ' ')} at {e['site']}" for e in report["effects"])
@@ -137,9 +137,9 @@ def _remainder(report: Mapping[str, Any]) -> str:
 def _tiles(report: Mapping[str, Any], channels: Sequence[str]) -> list[dict[str, str]]:
     """Return the key figures of the first screen: two errors, what the effects explain, and the data."""
     by_force = _drifts(report, channels)
-    stages = {"before": "Error before", "after": "Error after"}
+    stages = ("declared", "Error as declared"), ("before", "Error refitted")
     tiles = []
-    for stage, name in (stages if report["effects"] else {"declared": "Error as declared", "before": "Refitted"}).items():
+    for stage, name in (("before", "Error before"), ("after", "Error after")) if report["effects"] else stages:
         errors = report[stage]["held_out"]
         if by_force:
             value, note = f"{number(100 * errors['force_error'])} %", "of the drives' force"
@@ -150,12 +150,14 @@ def _tiles(report: Mapping[str, Any], channels: Sequence[str]) -> list[dict[str,
         note = "of the squared error beyond the noise"
         tiles.append({"name": "Explained", "value": f"{_percent(report['explained'])} %", "note": note})
     fitted, held_out = (len(report["runs"][kind]) for kind in ("fitted", "held_out"))
-    tiles.append({"name": "Recordings", "value": f"{fitted} + {held_out}", "note": "runs fitted + held out for the errors"})
+    tiles.append(
+        {"name": "Recordings", "value": f"{fitted} + {held_out}", "note": "runs fitted + held out for the errors"}
+    )
     return tiles
 
 
 def _largest_position_error(errors: Mapping[str, Any]) -> str:
-    """Return the largest rms error of the position channels, or else of all channels, with the channel's name."""
+    """Return the largest rms error of the position channels, or of all channels if there is no position."""
     measured = {c: e["rmse"] for c, e in errors.items() if isinstance(e, dict) and e["rmse"] is not None}
     positions = {c: rmse for c, rmse in measured.items() if c.endswith("_m")} or measured
     if not positions:
@@ -225,7 +227,9 @@ def _effect_rows(report: Mapping[str, Any], machine: Machine) -> list[dict[str, 
                 "formula": definition.formula,
                 "table": table,
                 "parameters": [] if table else parameters,
-                "size": "" if e["size"] is None else f"Its force is {number(100 * e['size'])} % of the drives' force (rms).",
+                "size": ""
+                if e["size"] is None
+                else f"Its force is {number(100 * e['size'])} % of the drives' force (rms).",
                 "gain": _gain_sentence(e["held_out_gain"]),
                 "rivals": [r for r in e["rivals"] if r not in definition.equivalent],
                 "equivalent": [r for r in e["rivals"] if r in definition.equivalent],
@@ -262,8 +266,8 @@ def _remaining_error(report: Mapping[str, Any]) -> list[str]:
     if report["residual"]["depends_on"] and not report["effects"]:
         strongest = report["residual"]["depends_on"][0]
         sentences.append(
-            f"The force that the model lacks on {strongest['coordinate']} depends most on {strongest['variable']}, which "
-            f"explains {100 * strongest['share']:.0f} % of its variance."
+            f"The force that the model lacks on {strongest['coordinate']} depends most on {strongest['variable']}, "
+            f"which explains {100 * strongest['share']:.0f} % of its variance."
         )
     return sentences
 
@@ -295,8 +299,9 @@ def _next_steps(saved: SavedResult, folder: Path) -> list[dict[str, str]]:
         )
         return [*steps, {"text": text, "command": "hframe check RUNS"}]
     which = "corrected" if report["effects"] else "refitted"
-    text = f"Design and compare controllers on the {which} machine; in Python: gym.make(\"HFrame-v0\", machine=...)."
-    command = f"hframe evaluate pid --machine {folder / 'machine.json'} --randomize identified --html --out {folder / 'control'}"
+    text = f'Design and compare controllers on the {which} machine; in Python: gym.make("HFrame-v0", machine=...).'
+    randomize = " --randomize identified" if saved.machine.uncertainty else ""
+    command = f"hframe evaluate pid --machine {folder / 'machine.json'}{randomize} --html --out {folder / 'control'}"
     return [*steps, {"text": text, "command": command}]
 
 
@@ -335,17 +340,3 @@ def _determined_sums(report: Mapping[str, Any], machine: Machine) -> list[dict[s
         ]
         rows.append({"names": ", ".join(group["parameters"]), "sums": "; ".join(sums) or "no combination"})
     return rows
-
-
-def _slow_fractions(curves: Mapping[str, Array]) -> dict[str, str]:
-    """Return by coordinate the fraction of the moving time that it spent below a twentieth of its top speed."""
-    fractions = {}
-    for name, velocity in curves.items():
-        _, is_velocity, coordinate = name.partition("coverage/velocity of ")
-        if not is_velocity:
-            continue
-        top = float(np.percentile(np.abs(velocity), 99))
-        moving = np.abs(velocity[np.abs(velocity) > 1e-3 * top]) if top else velocity[:0]
-        if len(moving):
-            fractions[coordinate] = f"{100 * float(np.mean(moving < _SLOW * top)):.0f} %"
-    return fractions
