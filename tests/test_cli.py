@@ -379,7 +379,7 @@ def test_machines_lists_the_built_in_machines(hframe_command: Command) -> None:
 
 @pytest.mark.parametrize("width", [80, 60])
 def test_errors_of_an_identification_are_not_cut(width: int) -> None:
-    channels = ("phi1_rad", "phi2_rad", "x_m", "bridge_left_end_x_m")
+    channels = ("phi1_rad", "phi2_rad", "x_m", "bridge_left_m")
     errors = {channel: {"rmse": 1.2345e-5, "noise_ratio": 1234.5} for channel in channels} | {"force_error": 0.5}
     report = {stage: {"held_out": errors} for stage in ("declared", "before", "after")}
     text = printed(cli_tables.identification_table(report, channels), width)

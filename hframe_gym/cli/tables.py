@@ -19,7 +19,6 @@ BANDS = ("1mm", "0.2mm", "0.05mm")
 BOUND_BAND = "0.2mm"  # band of the time-optimal bound
 PATH_ERRORS = {"contour_mm": "contour", "tracking_mm": "track"}
 LISTED_MODES = 3
-LONGEST_NAME = 20  # characters of a channel's name that are kept in one line on a narrow terminal
 
 
 def identification_table(report: Mapping[str, Any], channels: Sequence[str]) -> Table:
@@ -36,11 +35,9 @@ def identification_table(report: Mapping[str, Any], channels: Sequence[str]) -> 
     """
     title = "simulation error on held-out recordings: rmse (x: multiple of the sensor noise)"
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
-    name_width = min(LONGEST_NAME, max(map(len, ("channel", *channels))))
-    table.add_column("channel", overflow="fold", min_width=name_width)
-    for column in ("declared", "before (refitted)", "after (with effects)"):
-        # A narrow terminal shows the multiple on a second line; 9 characters hold the longest error, "-1.23e-05".
-        table.add_column(column, justify="right", min_width=9)
+    table.add_column("channel", overflow="fold")
+    for column in ("declared", "before\n(refitted)", "after\n(with effects)"):
+        table.add_column(column, justify="right")  # a narrow terminal shows the multiple on a second line
     errors = [report[stage]["held_out"] for stage in ("declared", "before", "after")]
     for channel in channels:
         if errors[0][channel]["rmse"] is None:
