@@ -1,8 +1,9 @@
-"""Write the tables of the documentation from benchmarks/results/*.json, and docs/effects.md from the library.
+"""Write the tables of the documentation from benchmarks/results/*.json, and other pages from the library.
 
     python -m tools.tables
 
 The text of a page between `<!-- table: NAME -->` and `<!-- end -->` is replaced by the table of that name.
+docs/effects.md, docs/machine.schema.json and the field tables of docs/machine.md are generated from the package.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from benchmarks.results_file import RESULTS, ROOT
 from hframe_gym.atomic_files import write_text
 from hframe_gym.effects import EFFECTS
 from hframe_gym.machine import Effect
+from tools.machine_page import field_tables, schema_text
 
 PAGES = ("README.md", "RESULTS.md", "docs/identification.md")
 STAGES = ("declared", "before", "after")
@@ -360,11 +362,20 @@ def _section(effect: Effect) -> str:
     )
 
 
+def with_field_tables(text: str) -> str:
+    """Replace the field tables of docs/machine.md by the present ones."""
+    tables = f"<!-- fields -->\n{field_tables()}\n<!-- end -->"
+    return re.sub(r"<!-- fields -->.*?<!-- end -->", lambda _: tables, text, flags=re.DOTALL)
+
+
 def main() -> None:
     """Write all pages."""
     for page in PAGES:
         fill(ROOT / page)
     write_text(ROOT / "docs" / "effects.md", effects_page())
+    write_text(ROOT / "docs" / "machine.schema.json", schema_text())
+    page = ROOT / "docs" / "machine.md"
+    write_text(page, with_field_tables(page.read_text()))
 
 
 if __name__ == "__main__":

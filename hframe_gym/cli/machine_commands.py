@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -12,6 +13,9 @@ from ..errors import InputError
 from .app import MachineOption, app, console, log
 
 app.add_typer(effects_app := typer.Typer(), name="effects")
+app.add_typer(machines_app := typer.Typer(), name="machines")
+
+PLOT_SUFFIXES = (".png", ".svg", ".pdf")
 
 
 @app.command()
@@ -38,15 +42,102 @@ def simulate(
     log(f"wrote {out}: {len(recording.time_s)} rows of {declared.name}")
 
 
-@app.command()
-def machines() -> None:
-    """List the built-in machines.
+@machines_app.callback(invoke_without_command=True)
+def machines(context: typer.Context) -> None:
+    """List the built-in machines; show a machine, describe a new one, print the JSON Schema.
 
     Example:  hframe machines
     """
-    from .tables import machine_table
+    if context.invoked_subcommand is None:
+        from .tables import machine_table
 
-    console.print(machine_table())
+        console.print(machine_table())
+        log("Yours: hframe machines new --like corexy --out my.json (see docs/machine.md)")
+
+
+@machines_app.command("show")
+def show_machine(
+    machine: Annotated[str, typer.Argument(help="A machine.json or a built-in name (see `hframe machines`).")],
+    plot: Annotated[Path | None, typer.Option(help="Draw the machine into this file (.png, .svg or .pdf).")] = None,
+) -> None:
+    """Print a machine as tables with units, and draw it.
+
+    Example:  hframe machines show my.json --plot my.png
+    """
+    from ..recordings import load_machine
+    from .tables import belt_mode_line, machine_tables
+
+    if plot is not None and plot.suffix not in PLOT_SUFFIXES:
+        raise InputError(f"--plot {plot}: must end in one of {', '.join(PLOT_SUFFIXES)}")
+    declared = load_machine(machine)
+    log(f"{declared.name}: {declared.description}" if declared.description else declared.name)
+    for table in machine_tables(declared):
+        console.print(table)
+    log(belt_mode_line(declared))
+    if plot is not None:
+        from ..atomic_files import atomic_file
+        from ..machine import draw_machine
+
+        figure = draw_machine(declared)
+        with atomic_file(plot) as temporary:
+            figure.savefig(temporary, dpi=120)
+        log(f"wrote {plot}")
+
+
+@machines_app.command("schema")
+def print_schema() -> None:
+    """Print the JSON Schema of machine.json, with which editors complete and check the fields.
+
+    Example:  hframe machines schema > machine.schema.json
+    """
+    from ..recordings import machine_json_schema
+
+    sys.stdout.write(json.dumps(machine_json_schema(), indent=1, ensure_ascii=False) + "\n")
+
+
+@machines_app.command("new")
+def new_machine_file(
+    like: Annotated[str, typer.Option(help="Template: hframe, axis or corexy.")] = "",
+    out: Annotated[Path | None, typer.Option(help="File to write.")] = None,
+    name: Annotated[str, typer.Option(help="Name of the machine (default: that of the file).")] = "",
+    travel: Annotated[str, typer.Option(help="Travel along x and y, m, for example 0.3,0.2.")] = "",
+    mass: Annotated[str, typer.Option(help="Moving mass along x and y, kg, for example 0.4,1.2.")] = "",
+    pulley_radius: Annotated[float | None, typer.Option(help="Pitch radius of the motors' pulleys, m.")] = None,
+    gear_ratio: Annotated[float | None, typer.Option(help="Turns of the motor per turn of the pulley.")] = None,
+    rotor_inertia: Annotated[float | None, typer.Option(help="Inertia of a motor's rotor, kg m^2.")] = None,
+    torque_constant: Annotated[float | None, typer.Option("--Kt", help="Torque constant = Ke, Nm/A.")] = None,
+    resistance: Annotated[float | None, typer.Option(help="Resistance of a motor, ohm.")] = None,
+    rated_voltage: Annotated[float | None, typer.Option(help="Rated voltage, V.")] = None,
+    encoder_lines: Annotated[int | None, typer.Option(help="Lines of the motors' encoders; 0: none.")] = None,
+    linear_sensor: Annotated[bool | None, typer.Option(help="Whether sensors measure x and y.")] = None,
+    values: Annotated[list[str] | None, typer.Option("--set", help="PARAMETER=VALUE in SI, e.g. x.coulomb=2.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
+) -> None:
+    """Write a commented machine.json; without --like and --out, ask for the values.
+
+    For an axis, --travel and --mass are one number each.
+
+    Example:  hframe machines new --like corexy --travel 0.3,0.3 --mass 0.4,1.2 --out my.json
+    """
+    from .machine_questions import MachineAnswers, create_machine_file
+
+    answers = MachineAnswers(
+        like=like,
+        out=out,
+        name=name,
+        travel=travel,
+        mass=mass,
+        pulley_radius=pulley_radius,
+        gear_ratio=gear_ratio,
+        rotor_inertia=rotor_inertia,
+        Kt=torque_constant,
+        resistance=resistance,
+        rated_voltage=rated_voltage,
+        encoder_lines=encoder_lines,
+        linear_sensor=linear_sensor,
+        values=tuple(values or ()),
+    )
+    create_machine_file(answers, force=force, log=log)
 
 
 @effects_app.callback(invoke_without_command=True)

@@ -11,7 +11,7 @@ from rich.table import Table
 
 from ..dynamics import mode_frequencies
 from ..effects import EFFECTS
-from ..machine import BUILTIN_MACHINES
+from ..machine import BUILTIN_MACHINES, Machine, Row, motion_limits, rigid_motions
 from ..registry import load_plugins
 from ..web_page import number
 
@@ -160,3 +160,131 @@ def _table(first: str, second: str) -> Table:
 def _count(count: int, noun: str) -> str:
     """Return a number with its noun: "1 belt", "3 belts"."""
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def machine_tables(machine: Machine) -> list[Table]:
+    """Format a machine as tables with units: coordinates, belts, drives, sensors, effects, and what the drives can do.
+
+    Args:
+        machine: Machine to print.
+
+    Returns:
+        Tables (rich), without those that would be empty.
+    """
+    tables = [_coordinate_table(machine), _belt_table(machine), _drive_table(machine), _sensor_table(machine)]
+    effects = _titled("effects", "effect@site", "parameters")
+    for effect in machine.effects:
+        values = (f"{k} = {v:.4g} {_unit(machine, f'{effect.label}.{k}')}" for k, v in effect.parameters.items())
+        effects.add_row(effect.label, escape(", ".join(values)))
+    return [table for table in (*tables, effects, _limits_table(machine)) if table.row_count]
+
+
+def _titled(title: str, *columns: str) -> Table:
+    """Return an empty table with a title at the left, whose first column is never wrapped."""
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    for column in columns:
+        table.add_column(column, overflow="fold", no_wrap=column == columns[0])
+    return table
+
+
+def _unit(machine: Machine, parameter: str) -> str:
+    """Return the unit of a parameter, empty if it has none."""
+    unit = machine.unit(parameter)
+    return "" if unit == "1" else unit
+
+
+def _cell(machine: Machine, parameter: str, value: float) -> str:
+    """Format a value with its unit, and with its standard deviation if it was identified."""
+    std = machine.uncertainty.std(parameter) if machine.uncertainty else None
+    spread = "" if std is None else f" +- {std:.2g}"
+    return f"{value:.4g}{spread} {_unit(machine, parameter)}".rstrip()
+
+
+def _sum(row: Row) -> str:
+    """Format a row of factors as a sum, for example "x + y - phi1"."""
+    text = ""
+    for name, factor in row.items():
+        if factor:
+            sign = (" - " if factor < 0 else " + ") if text else ("-" if factor < 0 else "")
+            text += sign + ("" if abs(factor) == 1 else f"{abs(factor):.4g} ") + name
+    return text or "-"
+
+
+def _coordinate_table(machine: Machine) -> Table:
+    """Format the coordinates."""
+    table = _titled("coordinates", "name", "mass or inertia", "viscous", "Coulomb", "radius", "range")
+    for c in machine.coordinates:
+        cells = [_cell(machine, f"{c.name}.{key}", getattr(c, key)) for key in ("mass", "viscous", "coulomb")]
+        radius = _cell(machine, f"{c.name}.radius", c.radius) if c.kind == "rotary" else "-"
+        limits = f"{c.range[0]:g} to {c.range[1]:g} {c.unit('position')}" if c.range else "-"
+        table.add_row(c.name, *cells, radius, limits)
+    return table
+
+
+def _belt_table(machine: Machine) -> Table:
+    """Format the belts; the stiffness is that at position 0."""
+    title = "belt sections (sums of travel in m; that of a pulley is radius * angle)"
+    table = _titled(title, "name", "EA", "rest length", "stiffness at 0", "stretch", "longer by")
+    for b in machine.belts:
+        length = _cell(machine, f"{b.name}.rest_length", b.rest_length)
+        stiffness = f"{b.EA / b.rest_length:.4g} N/m"
+        table.add_row(
+            b.name, _cell(machine, f"{b.name}.EA", b.EA), length, stiffness, _sum(b.extension), _sum(b.length)
+        )
+    return table
+
+
+def _drive_table(machine: Machine) -> Table:
+    """Format the drives."""
+    table = _titled("drives", "name", "channel", "moves", "Kt", "Ke", "R", "gear ratio", "rated")
+    for d in machine.drives:
+        cells = [_cell(machine, f"{d.name}.{key}", getattr(d, key)) for key in d.PARAMETERS]
+        table.add_row(d.name, d.channel, d.coordinate, *cells, f"{d.rated_voltage:g} V")
+    return table
+
+
+def _sensor_table(machine: Machine) -> Table:
+    """Format the sensors."""
+    table = _titled("sensors", "channel", "kind", "measures", "noise", "resolution")
+    for s in machine.sensors:
+        cells = [_cell(machine, f"{s.channel}.{key}", value) for key, value in s.device_parameters.items()]
+        table.add_row(s.channel, s.kind, _sum(s.row), *cells)
+    return table
+
+
+def _limits_table(machine: Machine) -> Table:
+    """Format what the drives can do along each rigid motion; wrong units in a file show here."""
+    title = "motion at rated voltage, belts not stretched: are these values plausible?"
+    table = _titled(title, "along", "moved mass", "force at rest", "acceleration", "top speed", "other coordinates")
+    motions = rigid_motions(machine)
+    for name, limit in motion_limits(machine).items():
+        leading = machine.coordinate(name)
+        turns = [
+            f"{other}: {rate:.4g} {machine.coordinate(other).unit('position')}/{leading.unit('position')}"
+            for other, rate in zip(machine.coordinate_names, motions[name].tolist(), strict=True)
+            if rate and other != name
+        ]
+        cells = [
+            f"{limit.inertia:.3g} {leading.unit('mass')}",
+            f"{limit.force:.3g} {leading.unit('force')}",
+            f"{limit.force / limit.inertia:.3g} {leading.unit('speed')}^2",
+            f"{limit.speed:.3g} {leading.unit('speed')}",
+        ]
+        table.add_row(name, *cells, "\n".join(turns) or "-")
+    return table
+
+
+def belt_mode_line(machine: Machine) -> str:
+    """Describe the natural frequencies of a machine at position 0 in one line.
+
+    Args:
+        machine: Machine to describe.
+
+    Returns:
+        Text without a line break.
+    """
+    modes = [f for f in mode_frequencies(machine).tolist() if f > 0]
+    if not modes:
+        return "belt modes: none (no elastic belt)"
+    more = ", ..." if len(modes) > LISTED_MODES else ""
+    return "belt modes: " + ", ".join(f"{f:.1f}" for f in modes[:LISTED_MODES]) + f"{more} Hz"

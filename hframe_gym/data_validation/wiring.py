@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..dynamics import rollout
 from ..identification import Dataset, PreparedRecording
-from ..machine import Machine, rigid_motions
+from ..machine import Machine, Sensor, rigid_motions
 from ..recordings import bridge_blanks
 from .findings import Finding
 
@@ -41,8 +41,8 @@ _CONTRADICTION = (
 )
 _UNIT_TOLERANCE = 2.0  # factor by which the speed of a machine without redundant sensors may differ from the simulated
 _CAUSE = "is its unit or gain wrong?"
-# Suspected unit by kind of the coordinate: value per m or rad, and its name.
-_SUSPECTS = {"linear": ((1000.0, "millimeters"), (0.001, "kilometers")), "rotary": ((180 / np.pi, "degrees"),)}
+# Suspected unit by the unit of the channel: value per m or rad, and its name.
+_SUSPECTS = {"m": ((1000.0, "millimeters"), (0.001, "kilometers")), "rad": ((180 / np.pi, "degrees"),)}
 
 
 def sensor_motions(machine: Machine) -> Array:
@@ -246,13 +246,13 @@ def _units(measured: Array, simulated: Array, data: Dataset, machine: Machine) -
         size = float(np.std(simulated[rows, j])) if rows.any() else 0.0
         if size == 0.0:
             continue
-        coordinate = machine.coordinate(sensor.coordinate)
+        unit = _channel_unit(sensor, machine)
         factor = float(np.std(measured[rows, j])) / size
         if 1 / _SPEED_FACTOR < factor < _SPEED_FACTOR or (factor < 1 and _is_resting(measured[rows, j], data, j)):
             continue
         suspects = [
             (value, name)
-            for value, name in _SUSPECTS[coordinate.kind]
+            for value, name in _SUSPECTS[unit]
             if factor > 1 and 1 / _SPEED_FACTOR < factor / value < _SPEED_FACTOR
         ]
         prediction = rigid_prediction(measured, j, machine)
@@ -264,12 +264,18 @@ def _units(measured: Array, simulated: Array, data: Dataset, machine: Machine) -
             ratio = float(np.std(measured[both, j])) / expected if expected else 1.0
             certain = not 1 / _CONTRADICTION < ratio < _CONTRADICTION
         if factor > 1:
-            cause = f"is the column in {suspects[0][1]}, not in {coordinate.unit('position')}?" if suspects else _CAUSE
+            cause = f"is the column in {suspects[0][1]}, not in {unit}?" if suspects else _CAUSE
             message = f"moves {factor:.3g} times as fast as the machine simulates: {cause}"
         else:
             message = f"moves at {factor:.2g} of the simulated speed: {_CAUSE[:-1]}, or is it blocked?"
         findings.append(Finding("fault" if certain else "advice", "", sensor.channel, message))
     return findings
+
+
+def _channel_unit(sensor: Sensor, machine: Machine) -> str:
+    """Return the unit, m or rad, that the name of a channel ends with, else that of the sensor's coordinate."""
+    ending = sensor.channel.rpartition("_")[2]
+    return ending if ending in _SUSPECTS else machine.coordinate(sensor.coordinate).unit("position")
 
 
 def _ratios(data: Dataset, machine: Machine) -> list[Finding]:

@@ -24,13 +24,17 @@ def _sides(machine: Machine) -> dict[str, float]:
 def fits(machine: Machine) -> bool:
     """Check whether a machine can have this effect: belts on both sides of the bridge and no coordinate `yaw` yet.
 
+    The bridge must move along x: then x has the larger mass, because the bridge carries the cart.
+
     Args:
         machine: The machine.
 
     Returns:
         True if the effect can be added.
     """
-    return set(_sides(machine).values()) == {1.0, -1.0} and "yaw" not in machine.coordinate_names
+    if set(_sides(machine).values()) != {1.0, -1.0} or "yaw" in machine.coordinate_names:
+        return False
+    return machine.coordinate("x").mass >= machine.coordinate("y").mass
 
 
 def structure(machine: Machine, effect: AppliedEffect) -> Machine:

@@ -1,4 +1,4 @@
-"""The machine model: components, parameters, rest states, rigid motions and presets.
+"""The machine model: components, parameters, rest states, rigid motions, presets, plan views and drawings.
 
 This package holds no integrator and reads no files.
 """
@@ -16,10 +16,12 @@ from .components import (
     SensorKind,
     Uncertainty,
 )
+from .diagram import draw_machine
 from .effect import HOOKS, AppliedEffect, Effect, EffectParameter, Hook, argument_names
 from .machine import Machine
-from .motion import SIMULATORS, Simulator, Trajectory, rest_state, rigid_motions
+from .motion import SIMULATORS, MotionLimits, Simulator, Trajectory, motion_limits, rest_state, rigid_motions
 from .presets import BUILTIN_MACHINES, with_constant_stiffness
+from .stage_geometry import BeltGeometry, Box, CoreXYGeometry, Point, StageGeometry, stage_geometry
 
 __all__ = [
     "BUILTIN_MACHINES",
@@ -30,21 +32,30 @@ __all__ = [
     "UNITS",
     "AppliedEffect",
     "Belt",
+    "BeltGeometry",
+    "Box",
     "Coordinate",
     "CoordinateKind",
+    "CoreXYGeometry",
     "Drive",
     "Effect",
     "EffectParameter",
     "Hook",
     "Machine",
+    "MotionLimits",
+    "Point",
     "Row",
     "Sensor",
     "SensorKind",
     "Simulator",
+    "StageGeometry",
     "Trajectory",
     "Uncertainty",
     "argument_names",
+    "draw_machine",
+    "motion_limits",
     "rest_state",
     "rigid_motions",
+    "stage_geometry",
     "with_constant_stiffness",
 ]

@@ -221,6 +221,8 @@ class Machine:
             return self.coordinate(self.sensor(owner).coordinate).unit("position")
         if owner in self.coordinate_names:
             return self.coordinate(owner).unit(key)
+        if key == "gear_ratio":
+            return self.coordinate(self.drive(owner).coordinate).unit("rad/position")
         for effect in self.effects:
             if effect.label == owner:
                 return self.effect_unit(effect, key)

@@ -115,3 +115,40 @@ def rigid_motions(machine: Machine) -> dict[str, Array]:
             if np.max(np.abs(G @ motion)) < _RIGID_EXTENSION:
                 motions[coordinate.name] = motion
     return motions
+
+
+@dataclass(frozen=True)
+class MotionLimits:
+    """What the drives can do along one rigid motion at rated voltage, for a plausibility check of a machine.
+
+    Attributes:
+        inertia: Inertia that moves, referred to the leading coordinate, kg or kg m^2.
+        force: Force of all drives at standstill, minus Coulomb friction, N or Nm.
+        speed: Steady speed at rated voltage, m/s or rad/s; infinite without friction and back-EMF.
+    """
+
+    inertia: float
+    force: float
+    speed: float
+
+
+def motion_limits(machine: Machine) -> dict[str, MotionLimits]:
+    """Compute inertia, force and speed along each rigid motion with every drive at its rated voltage.
+
+    Args:
+        machine: Machine; its effects are ignored.
+
+    Returns:
+        Limits by name of the leading coordinate of `rigid_motions`.
+    """
+    limits = {}
+    for name, motion in rigid_motions(machine).items():
+        rates = dict(zip(machine.coordinate_names, np.abs(motion).tolist(), strict=True))
+        force = sum(d.gain * d.rated_voltage * rates[d.coordinate] for d in machine.drives)
+        force -= sum(c.coulomb * rates[c.name] for c in machine.coordinates)
+        damping = sum(c.viscous * rates[c.name] ** 2 for c in machine.coordinates)
+        damping += sum(d.back_emf * rates[d.coordinate] ** 2 for d in machine.drives)
+        inertia = sum(c.mass * rates[c.name] ** 2 for c in machine.coordinates)
+        force = max(force, 0.0)
+        limits[name] = MotionLimits(inertia, force, force / damping if damping else float("inf"))
+    return limits

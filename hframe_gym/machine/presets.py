@@ -1,4 +1,4 @@
-"""Preset machines: the variants of the H-frame rig of Sollmann et al. (2010), "the paper" below, and a single axis.
+"""Preset machines: the variants of the H-frame rig of Sollmann et al. (2010), "the paper" below, an axis and a CoreXY.
 
 References:
     Sollmann, Jouaneh and Lavender (2010), Tables 1, 3 and 4; errata in docs/errata.md.
@@ -194,10 +194,76 @@ def axis() -> Machine:
     )
 
 
+# A CoreXY stage of the size of a desktop 3D printer. The values are typical ones, not those of a particular machine.
+COREXY_RADIUS = 20 * 2e-3 / (2 * math.pi)  # m, pitch radius of a pulley of 20 teeth with a pitch of 2 mm
+# N. A belt of 6 mm with glass cords stretches by about 1 % under a load of 10 kg (acceptance test of FarmBot's belt).
+COREXY_EA = 1.0e4
+COREXY_TRAVEL = 0.15  # m, to either side of the center, x and y
+# m, from the motor to the carriage at the center: 0.23 m along the frame and 0.20 m along the bridge.
+COREXY_SHORT = 0.43
+COREXY_LONG = 1.35  # m, the other way around the frame, which is 0.46 m wide and deep
+
+
+def corexy() -> Machine:
+    """Return a CoreXY stage with two belts and two 24 V motors without gears.
+
+    Both motors stand at the front. Each belt runs from its motor to the carriage on two ways: a short one along its own
+    side of the frame, and a long one around the rear and along the other side. With p = radius * phi the kinematics are
+    x = (p1 + p2) / 2 and y = (p1 - p2) / 2. The carriage moves along x on the bridge, which moves along y.
+
+    Returns:
+        The preset `corexy`: 4 coordinates x, y (m), phi1, phi2 (rad), 4 belt sections, 2 drives, 4 sensors. Both
+        sections of a belt have one EA (`ties`).
+    """
+    motion = {"belt1": {"x": 1.0, "y": 1.0}, "belt2": {"x": 1.0, "y": -1.0}}  # belt travel at the motor
+    belts = []
+    for number, (name, row) in enumerate(motion.items(), start=1):
+        # The short section of belt 1 becomes longer where that of belt 2 becomes shorter: the motors are at its ends.
+        sign = 1.0 if number == 1 else -1.0
+        sections = (("short", COREXY_SHORT, sign), ("long", COREXY_LONG, -sign))
+        for section, length, direction in sections:
+            change = {axis: direction * factor for axis, factor in row.items()}
+            belts.append(
+                Belt(f"{name}_{section}", COREXY_EA, length, {**change, f"phi{number}": -direction}, length=change)
+            )
+    # Stall torque 24 V * 0.04 Nm/A / 2 ohm = 0.48 Nm, the holding torque of a common 42 mm stepper; the inertia is that
+    # of such a rotor with its pulley.
+    drives = tuple(
+        Drive(f"motor{i}", f"v{i}_V", f"phi{i}", Kt=0.04, Ke=0.04, resistance=2.0, gear_ratio=1.0, rated_voltage=24.0)
+        for i in (1, 2)
+    )
+    pulleys = (
+        Coordinate(f"phi{i}", mass=6e-6, viscous=2e-5, coulomb=0.01, kind="rotary", radius=COREXY_RADIUS)
+        for i in (1, 2)
+    )
+    quantum = 2 * math.pi / (4 * 1000)  # rad; encoders of 1000 lines, read in quadrature, on the motor shafts
+    travel = (-COREXY_TRAVEL, COREXY_TRAVEL)
+    return Machine(
+        name="corexy",
+        description="A CoreXY stage: two belts, two 24 V motors, carriage along x on a bridge along y.",
+        coordinates=(
+            # Friction of recirculating ball rails: one along x, two along y.
+            Coordinate("x", mass=0.35, viscous=4.0, coulomb=1.0, range=travel),
+            Coordinate("y", mass=1.1, viscous=8.0, coulomb=2.0, range=travel),
+            *pulleys,
+        ),
+        belts=tuple(belts),
+        drives=drives,
+        sensors=(
+            Sensor("phi1_rad", {"phi1": 1.0}, resolution=quantum, kind="encoder"),
+            Sensor("phi2_rad", {"phi2": 1.0}, resolution=quantum, kind="encoder"),
+            Sensor("x_m", {"x": 1.0}, noise=20e-6),
+            Sensor("y_m", {"y": 1.0}, noise=20e-6),
+        ),
+        ties={f"{name}_long.EA": (f"{name}_short.EA", 1.0) for name in motion},
+    )
+
+
 BUILTIN_MACHINES: dict[str, Callable[[], Machine]] = {
     "hframe": hframe,
     "hframe-linear": hframe_linear,
     "hframe-literal": hframe_literal,
     "hframe-order20": hframe_order20,
     "axis": axis,
+    "corexy": corexy,
 }

@@ -2,22 +2,34 @@
 
 from .cleaning import GAP_PERIODS, bridge_blanks, fill_gaps, outlier_mask, without_outliers
 from .machine_file import load_machine, machine_to_dict, save_machine
+from .machine_schema import TABLES, Table, field_descriptions, field_units, machine_json_schema, table_summary
+from .machine_template import TEMPLATES, MachineOptions, new_machine, write_machine_template
 from .recording import Recording, load_recording, load_recordings, run_name, write_trajectory
 from .table_file import read_path
 
 __all__ = [
     "GAP_PERIODS",
+    "TABLES",
+    "TEMPLATES",
+    "MachineOptions",
     "Recording",
+    "Table",
     "bridge_blanks",
+    "field_descriptions",
+    "field_units",
     "fill_gaps",
     "load_machine",
     "load_recording",
     "load_recordings",
+    "machine_json_schema",
     "machine_to_dict",
+    "new_machine",
     "outlier_mask",
     "read_path",
     "run_name",
     "save_machine",
+    "table_summary",
     "without_outliers",
+    "write_machine_template",
     "write_trajectory",
 ]

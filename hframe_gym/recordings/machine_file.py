@@ -2,46 +2,18 @@
 
 from __future__ import annotations
 
+import difflib
 import json
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
-import numpy as np
 from pydantic import ValidationError
 
 from ..atomic_files import write_text
-from ..effects import EFFECTS, effect_sites, get_effect
 from ..errors import InputError
-from ..machine import (
-    BUILTIN_MACHINES,
-    FIXED_UNITS,
-    SENSOR_KINDS,
-    UNITS,
-    AppliedEffect,
-    Belt,
-    Coordinate,
-    CoordinateKind,
-    Drive,
-    Machine,
-    Sensor,
-    Uncertainty,
-)
-from .machine_schema import (
-    SCHEMA_VERSION,
-    BeltEntry,
-    CoordinateEntry,
-    DriveEntry,
-    EffectEntry,
-    MachineFile,
-    QuantityEntry,
-    SensorEntry,
-    Table,
-    UncertaintyEntry,
-)
-
-# All other parameters of the components must be positive.
-_MAY_BE_ZERO = ("viscous", "coulomb", "Ke", "noise", "resolution")
+from ..machine import BUILTIN_MACHINES, Machine, Sensor
+from .machine_reader import MachineReader
+from .machine_schema import SCHEMA_VERSION, MachineFile, QuantityEntry, Table, field_units
 
 
 def load_machine(source: str | Path | Machine) -> Machine:
@@ -67,14 +39,14 @@ def load_machine(source: str | Path | Machine) -> Machine:
         raise InputError(f"machine {str(source)!r} is neither a file nor one of {', '.join(BUILTIN_MACHINES)}")
     try:
         text = path.read_text(encoding="utf-8")
-        content = MachineFile.model_validate_json(text)
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: not a machine.json: it is not a text file in UTF-8 ({error.reason})") from None
+    try:
+        content = MachineFile.model_validate_json(text)
     except ValidationError as error:
-        first = error.errors()[0]
-        reason = "unknown field; delete it" if first["type"] == "extra_forbidden" else first["msg"]
-        raise InputError(f"{path}: {_field_name(first['loc'], text)}: {reason}") from None
-    return _FileReader(path, content).machine()
+        first: Any = error.errors()[0]
+        raise InputError(f"{path}: {_field_name(first['loc'], text)}: {_reason(first)}") from None
+    return MachineReader(path, content).machine()
 
 
 def save_machine(machine: Machine, path: str | Path) -> None:
@@ -163,183 +135,45 @@ def _field_name(location: tuple[int | str, ...], text: str) -> str:
             value = value[key]
         except (KeyError, IndexError, TypeError):  # the field is missing
             value = None
-        if isinstance(key, int) and isinstance(value, dict):
-            labels[-1] = str(value.get("name", value.get("channel", key)))
+        if isinstance(key, int):
+            names = value if isinstance(value, dict) else {}
+            labels[-1] = str(names.get("name", names.get("channel", f"entry {key + 1}")))
     return ".".join(labels) or "file"
 
 
-@dataclass(frozen=True)
-class _FileReader:
-    """Converts the content of one file to a machine; every error names the file and the field."""
+def _reason(error: dict[str, Any]) -> str:
+    """Return what is wrong in a field and what to do.
 
-    path: Path
-    content: MachineFile
+    Args:
+        error: Error of pydantic, with its type, location, message and input.
+    """
+    *parents, field = error["loc"] or ("",)
+    table = _table_at(parents)
+    fields = [info.alias or name for name, info in table.model_fields.items()]
+    if error["type"] == "extra_forbidden":
+        similar = difflib.get_close_matches(str(field), fields, 1)
+        hint = f"did you mean {similar[0]!r}? " if similar else ""
+        return f"unknown field; {hint}The fields here are {', '.join(sorted(fields))}"
+    if error["type"] == "missing":
+        quantity = table is not QuantityEntry and "Quantity" in str(table.model_fields[str(field)].annotation)
+        units = f'; write {{"value": ..., "unit": "{" or ".join(field_units(field))}"}}' if quantity else ""
+        return f"missing{units}"
+    if error["type"] == "model_type" and _table_at(error["loc"]) is QuantityEntry:
+        return 'must be a value with its unit: {"value": ..., "unit": "..."}'
+    if error["type"] == "json_invalid":
+        return f'{error["msg"]}. JSON has no comments; write them as "comment": "..."'
+    return str(error["msg"])
 
-    def machine(self) -> Machine:
-        """Return the machine of the file."""
-        file = self.content
-        if len(self.kinds) < len(file.coordinates):
-            raise self.error("coordinates", "two have the same name; rename one of them")
-        machine = Machine(
-            name=file.name,
-            coordinates=tuple(map(self.coordinate, file.coordinates)),
-            belts=tuple(map(self.belt, file.belts)),
-            drives=tuple(map(self.drive, file.drives)),
-            sensors=tuple(map(self.sensor, file.sensors)),
-            description=file.description,
-        )
-        names = [*self.kinds, *(b.name for b in machine.belts), *(d.name for d in machine.drives)]
-        channels = [*machine.input_channels, *machine.output_channels]
-        for what, labels in (("names of coordinates, belts and drives", names), ("channels", channels)):
-            repeated = next((label for i, label in enumerate(labels) if label in labels[:i]), None)
-            if repeated is not None:
-                raise self.error(what, f"must all differ; {repeated!r} occurs twice")
-        for entry in [*file.effects, *self.declared_effects(machine)]:
-            machine = machine.replace(effects=(*machine.effects, self.effect(entry, machine)))
-        for tied, (owner, _) in file.ties.items():
-            if tied not in machine.parameters or owner not in machine.parameters or owner in file.ties:
-                raise self.error(f"ties.{tied}", f"{tied!r} and {owner!r} must be parameters, and {owner!r} not tied")
-        machine = machine.replace(ties=file.ties)
-        if file.uncertainty is None:
-            return machine
-        return machine.replace(uncertainty=self.uncertainty(file.uncertainty, machine))
 
-    @property
-    def kinds(self) -> dict[str, CoordinateKind]:
-        """Kind of each coordinate by name."""
-        return {c.name: c.kind for c in self.content.coordinates}
-
-    def error(self, field: str, reason: str) -> InputError:
-        """Return an error that names the file and the field."""
-        return InputError(f"{self.path}: {field}: {reason}")
-
-    def values(self, field: str, table: Table, units: dict[str, str]) -> dict[str, float]:
-        """Return the values of quantities by key after checking unit and sign."""
-        values = {}
-        for key, unit in units.items():
-            quantity: QuantityEntry = getattr(table, key)
-            if quantity.unit != unit:
-                raise self.error(f"{field}.{key}", f"unit is {quantity.unit!r}, must be {unit!r}")
-            if quantity.value < 0 or (quantity.value == 0 and key not in _MAY_BE_ZERO):
-                sign = "zero or more" if key in _MAY_BE_ZERO else "positive"
-                raise self.error(f"{field}.{key}", f"{quantity.value:g} must be {sign}")
-            values[key] = quantity.value
-        return values
-
-    def row(
-        self, field: str, row: dict[str, float], *, empty: bool = False, products: bool = False
-    ) -> dict[str, float]:
-        """Return a row of coefficients after checking that it names coordinates of the file."""
-        for name in (factor for key in row for factor in (key.split("*") if products else (key,))):
-            if name not in self.kinds:
-                raise self.error(field, f"no coordinate is called {name!r}; there are {', '.join(self.kinds)}")
-        if not empty and not any(value for key, value in row.items() if "*" not in key):
-            raise self.error(field, "needs a coefficient other than zero for at least one coordinate")
-        return row
-
-    def coordinate(self, entry: CoordinateEntry) -> Coordinate:
-        """Return a coordinate."""
-        field = f"coordinates.{entry.name}"
-        if (entry.radius is None) != (entry.kind == "linear"):
-            raise self.error(f"{field}.radius", "a rotary coordinate needs a radius, a linear one has none")
-        if entry.range is not None and not entry.range[0] < entry.range[1]:
-            raise self.error(f"{field}.range", "must be [lowest, highest]")
-        keys = [key for key in Coordinate.PARAMETERS if key != "radius" or entry.radius is not None]
-        units = {key: Coordinate(entry.name, mass=0.0, kind=entry.kind).unit(key) for key in keys}
-        return Coordinate(entry.name, kind=entry.kind, range=entry.range, **self.values(field, entry, units))
-
-    def belt(self, entry: BeltEntry) -> Belt:
-        """Return a belt."""
-        field = f"belts.{entry.name}"
-        values = self.values(field, entry, {key: FIXED_UNITS[key] for key in Belt.PARAMETERS})
-        extension = self.row(f"{field}.extension", entry.extension)
-        return Belt(
-            entry.name, extension=extension, length=self.row(f"{field}.length", entry.length, empty=True), **values
-        )
-
-    def drive(self, entry: DriveEntry) -> Drive:
-        """Return a drive."""
-        field = f"drives.{entry.name}"
-        if entry.coordinate not in self.kinds:
-            raise self.error(f"{field}.coordinate", f"no coordinate is called {entry.coordinate!r}")
-        keys = (*Drive.PARAMETERS, "rated_voltage", *(() if entry.voltage_range is None else ("voltage_range",)))
-        values: dict[str, Any] = self.values(field, entry, {key: FIXED_UNITS[key] for key in keys})
-        return Drive(entry.name, entry.channel, entry.coordinate, converter_bits=entry.converter_bits, **values)
-
-    def sensor(self, entry: SensorEntry) -> Sensor:
-        """Return a sensor; without a declared kind, an encoder on a rotary coordinate and a laser on a linear one."""
-        field = f"sensors.{entry.channel}"
-        coordinate_kind = self.kinds[
-            Sensor(entry.channel, self.row(f"{field}.row", entry.row, products=True)).coordinate
-        ]
-        kind = entry.kind or ("encoder" if coordinate_kind == "rotary" else "laser")
-        if kind not in SENSOR_KINDS:  # `SENSOR_KINDS.get` would import the module of a name such as "module:kind"
-            choices = ", ".join(SENSOR_KINDS)
-            raise self.error(f"{field}.kind", f"sensor kind {kind!r} is not registered; choose one of {choices}")
-        if entry.range is not None and not entry.range[0] < entry.range[1]:
-            raise self.error(f"{field}.range", "must be [lowest, highest]")
-        unit = UNITS[coordinate_kind]["position"]
-        values = self.values(field, entry, {"noise": unit, "resolution": unit})
-        if entry.zero is None:
-            return Sensor(entry.channel, entry.row, kind=kind, **values)
-        if entry.zero.unit != unit:
-            raise self.error(f"{field}.zero", f"unit is {entry.zero.unit!r}, must be {unit!r}")
-        return Sensor(entry.channel, entry.row, kind=kind, zero=entry.zero.value, zero_std=entry.zero.std, **values)
-
-    def declared_effects(self, machine: Machine) -> list[EffectEntry]:
-        """Return the effects that the fields `range`, `delay` and `current_limit` of sensors and drives declare."""
-
-        def effect(name: str, site: str, **parameters: QuantityEntry) -> EffectEntry:
-            return EffectEntry(name=name, site=site, parameters=parameters)
-
-        effects = []
-        for sensor in self.content.sensors:
-            if sensor.range is not None:
-                unit = machine.unit(f"{sensor.channel}.noise")
-                low, high = (QuantityEntry(value=limit, unit=unit) for limit in sensor.range)
-                effects.append(effect("sensor_range", sensor.channel, low=low, high=high))
-            if sensor.delay is not None:
-                effects.append(effect("sensor_delay", sensor.channel, d=sensor.delay))
-        drives = self.content.drives
-        effects += [effect("current_limit", d.name, I=d.current_limit) for d in drives if d.current_limit is not None]
-        delays = {d.name: d.delay for d in drives if d.delay is not None}
-        if len(delays) == len(drives) and all(delay == drives[0].delay for delay in delays.values()):
-            delays = {"drives": delays[drives[0].name]}
-        return effects + [effect("input_delay", site, d=delay) for site, delay in delays.items()]
-
-    def effect(self, entry: EffectEntry, machine: Machine) -> AppliedEffect:
-        """Return an effect at its site."""
-        field = f"effects.{entry.name}"
-        try:
-            definition = get_effect(entry.name)
-        except KeyError:
-            raise self.error(field, f"no such effect; there are {', '.join(EFFECTS)}") from None
-        sites = effect_sites(definition, machine)
-        # A file may declare sites that no search tries, and already has the components that a structural effect adds.
-        if definition.structure or definition.site in ("drive", "drives"):
-            sites = definition.possible_sites(machine)
-        if entry.site not in sites:
-            raise self.error(field, f"site {entry.site!r} is none of {', '.join(sites) or 'this machine'}")
-        try:
-            applied = definition.at(entry.site, **{key: q.value for key, q in entry.parameters.items()})
-        except ValueError as error:
-            raise self.error(field, str(error)) from None
-        if any(applied.label == other.label for other in machine.effects):
-            raise self.error(field, f"declared twice at {entry.site}; delete one of the declarations")
-        for key, quantity in entry.parameters.items():
-            unit = machine.effect_unit(applied, key)
-            if quantity.unit != unit:
-                raise self.error(f"{field}.{key}", f"unit is {quantity.unit!r}, must be {unit!r}")
-        return applied
-
-    def uncertainty(self, table: UncertaintyEntry, machine: Machine) -> Uncertainty:
-        """Return the covariance of the parameters."""
-        size = len(table.names)
-        square = len(table.covariance) == size and all(len(row) == size for row in table.covariance)
-        covariance = np.array(table.covariance, float).reshape(size, size) if square else np.zeros((0, 0))
-        if not square or not np.allclose(covariance, covariance.T, rtol=1e-6):
-            raise self.error("uncertainty.covariance", f"must be a symmetric {size} x {size} matrix, one row per name")
-        unknown = sorted(set(table.names) - set(machine.parameters))
-        if unknown:
-            raise self.error("uncertainty.names", f"the machine has no parameter {', '.join(unknown)}")
-        return Uncertainty(tuple(table.names), covariance)
+def _table_at(location: list[Any] | tuple[Any, ...]) -> type[Table]:
+    """Return the table of the schema at a location in the file."""
+    table: type[Table] = MachineFile
+    for key in location:
+        by_name = {info.alias or name: info.annotation for name, info in table.model_fields.items()}
+        pending = [by_name.get(key)]
+        while pending:  # a list, dictionary or optional contains the class of a table
+            annotation = pending.pop()
+            if isinstance(annotation, type) and issubclass(annotation, Table):
+                table = annotation
+            pending += get_args(annotation)
+    return table

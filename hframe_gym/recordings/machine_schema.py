@@ -1,20 +1,66 @@
-"""Define the schema of machine.json: its fields and their types."""
+"""Define the schema of machine.json: its fields, their types, units and limits.
+
+The descriptions in the JSON Schema and in docs/machine.md are the `Attributes` sections of the docstrings.
+"""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+import inspect
+import re
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
-from ..machine import CoordinateKind
+from ..machine import FIXED_UNITS, UNITS, CoordinateKind
 
 SCHEMA_VERSION = 1
+# Quantities that may be zero; the zero of an encoder may also be negative, and all others are positive.
+MAY_BE_ZERO = ("viscous", "coulomb", "Ke", "noise", "resolution")
+MAY_BE_NEGATIVE = ("zero",)
+# Quantities of the kind of a coordinate under another name than in `UNITS`, and units of effects that a field declares.
+_QUANTITIES = {"coulomb": "force", "noise": "position", "resolution": "position", "zero": "position"}
+_DECLARED_EFFECT_UNITS = {"current_limit": "A", "delay": "s"}
+
+
+def field_units(field: str) -> tuple[str, ...]:
+    """Return the units that a quantity in machine.json may have.
+
+    Args:
+        field: Name of the field, for example "mass".
+
+    Returns:
+        Accepted units; where there are two, the first is for linear coordinates and the second for rotary ones. A gear
+        ratio at a linear coordinate may also have the unit "1".
+
+    Raises:
+        KeyError: If no field of this name holds a quantity.
+    """
+    if field == "gear_ratio":
+        return tuple(UNITS[kind]["rad/position"] for kind in UNITS)
+    if field in FIXED_UNITS or field in _DECLARED_EFFECT_UNITS:
+        return ((FIXED_UNITS | _DECLARED_EFFECT_UNITS)[field],)
+    return tuple(UNITS[kind][_QUANTITIES.get(field, field)] for kind in UNITS)
+
+
+def _quantity(field: str) -> Any:
+    """Return the metadata of a field that holds a quantity: units and limits for the JSON Schema."""
+    properties: dict[str, Any] = {"unit": {"enum": list(field_units(field))}}
+    if field not in MAY_BE_NEGATIVE:
+        properties["value"] = {"minimum" if field in MAY_BE_ZERO else "exclusiveMinimum": 0}
+    return Field(json_schema_extra={"properties": properties})
 
 
 class Table(BaseModel):
-    """Base class of all objects in machine.json: unknown fields and implicit type conversions are errors."""
+    """Base class of all objects in machine.json: unknown fields and implicit type conversions are errors.
+
+    Attributes:
+        comment: Text for the reader, a string or a list of lines. It is ignored, and not kept in files that the
+            commands derive from this one.
+    """
 
     model_config = ConfigDict(extra="forbid", strict=True)
+
+    comment: str | list[str] | None = None
 
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
@@ -25,8 +71,8 @@ class QuantityEntry(Table):
 
     Attributes:
         value: Value in the unit.
-        unit: SI unit, such as "kg".
-        std: Standard deviation of an identified value, in the unit. None: unknown.
+        unit: SI unit, such as "kg". Values are never converted, so each field accepts only one unit.
+        std: Standard deviation of an identified value, in the unit. `hframe identify` writes it.
     """
 
     value: FiniteFloat
@@ -38,40 +84,47 @@ class CoordinateEntry(Table):
     """One coordinate (degree of freedom) of the machine.
 
     Attributes:
-        name: Name of the coordinate.
-        kind: "linear" or "rotary".
-        mass: Mass, kg, or moment of inertia, kg m^2.
-        viscous: Viscous friction coefficient, N s/m or Nm s/rad.
+        name: Name by which belts, drives, sensors and effects refer to the coordinate. The environment and the
+            controllers of a two-axis stage need coordinates with the names x and y.
+        kind: "linear" (a carriage, positions in m) or "rotary" (a pulley, angles in rad).
+        mass: Everything that moves with the coordinate: mass, kg, or moment of inertia, kg m^2. The rotor of a motor
+            behind a gear counts gear_ratio^2 times its inertia.
+        viscous: Viscous friction coefficient, Ns/m or Nms (per rad/s). Without the back-EMF of the motor.
         coulomb: Coulomb friction, N or Nm.
-        radius: Pulley radius of a rotary coordinate, m. None for a linear one.
-        range: Lowest and highest position, m or rad. None: unlimited.
+        radius: Pitch radius of the pulley, m; required for a rotary coordinate, not allowed for a linear one.
+        range: Lowest and highest position [low, high], m or rad. Default: unlimited. The environment needs the ranges
+            of x and y, which are its workspace.
     """
 
     name: Name
     kind: CoordinateKind
-    mass: QuantityEntry
-    viscous: QuantityEntry
-    coulomb: QuantityEntry
-    radius: QuantityEntry | None = None
+    mass: Annotated[QuantityEntry, _quantity("mass")]
+    viscous: Annotated[QuantityEntry, _quantity("viscous")]
+    coulomb: Annotated[QuantityEntry, _quantity("coulomb")]
+    radius: Annotated[QuantityEntry | None, _quantity("radius")] = None
     range: tuple[FiniteFloat, FiniteFloat] | None = None
 
 
 class BeltEntry(Table):
     """One belt section.
 
-    Belt travel is the displacement of a linear coordinate, or radius times angle of a rotary one, m.
+    The travel of a coordinate is its position (linear), or its angle times its radius (rotary), in m. The section has
+    the stiffness EA / (rest_length + change of length) and the force stiffness times extension.
 
     Attributes:
         name: Name of the belt section.
-        EA: Young's modulus times cross-section area, N.
-        rest_length: Length with all coordinates at zero, m.
-        extension: Extension per unit of belt travel, by name of the coordinate, dimensionless.
-        length: Change of the section's length per unit of belt travel, by name of the coordinate, dimensionless.
+        EA: Axial stiffness: Young's modulus times cross-section area, N. It is the force that would double the length.
+        rest_length: Length of the section with all coordinates at zero, m.
+        extension: Extension of the section per travel, m/m, by name of the coordinate. It is positive if a positive
+            motion of this coordinate alone stretches the section. A pulley usually has 1 or -1; its radius is not part
+            of it.
+        length: Change of the section's length per travel, m/m, by name of the coordinate. Usually the factors of the
+            carriages in `extension`. Empty (default): constant stiffness.
     """
 
     name: Name
-    EA: QuantityEntry
-    rest_length: QuantityEntry
+    EA: Annotated[QuantityEntry, _quantity("EA")]
+    rest_length: Annotated[QuantityEntry, _quantity("rest_length")]
     extension: dict[str, FiniteFloat]
     length: dict[str, FiniteFloat] = {}
 
@@ -81,65 +134,72 @@ class DriveEntry(Table):
 
     Attributes:
         name: Name of the drive.
-        channel: Column of its voltage in recordings.
+        channel: Column of its voltage in recordings, for example v1_V. Positive voltage accelerates the coordinate in
+            positive direction.
         coordinate: Name of the coordinate that it drives.
         Kt: Torque constant of the motor, Nm/A.
-        Ke: Back-EMF constant of the motor, V s/rad.
-        resistance: Resistance of the winding, ohm.
-        gear_ratio: Angle of the motor shaft per unit of the coordinate, rad/rad or rad/m.
-        rated_voltage: Rated voltage, V.
-        converter_bits: Bits of the digital-to-analog converter; 0 for a continuous voltage.
-        voltage_range: Largest voltage of the converter in either direction, V. None: the rated voltage.
-        current_limit: Largest current, A (declares the effect current_limit). None: unlimited.
-        delay: Delay of the voltage, s (declares the effect input_delay). None: no delay.
+        Ke: Back-EMF constant of the motor, Vs/rad. Equal to Kt in these units, if the data sheet does not give it.
+        resistance: Resistance between the terminals, ohm.
+        gear_ratio: Angle of the motor shaft per unit of the coordinate: "1" (rad/rad) at a pulley, rad/m at a carriage.
+            There it is 1 / radius for a belt and 2 pi / lead for a screw, times the ratio of the gear.
+        rated_voltage: Voltage that an action of 1 in the environment applies, V.
+        converter_bits: Bits of the digital-to-analog converter; 0 (default) for a continuous voltage.
+        voltage_range: Largest voltage of the converter in either direction, V. Default: the rated voltage.
+        current_limit: Largest current, A (declares the effect current_limit). Default: unlimited.
+        delay: Delay of the voltage, s (declares the effect input_delay). Default: no delay.
     """
 
     name: Name
     channel: str
     coordinate: str
-    Kt: QuantityEntry
-    Ke: QuantityEntry
-    resistance: QuantityEntry
-    gear_ratio: QuantityEntry
-    rated_voltage: QuantityEntry
+    Kt: Annotated[QuantityEntry, _quantity("Kt")]
+    Ke: Annotated[QuantityEntry, _quantity("Ke")]
+    resistance: Annotated[QuantityEntry, _quantity("resistance")]
+    gear_ratio: Annotated[QuantityEntry, _quantity("gear_ratio")]
+    rated_voltage: Annotated[QuantityEntry, _quantity("rated_voltage")]
     converter_bits: Annotated[int, Field(ge=0, le=32)] = 0
-    voltage_range: QuantityEntry | None = None
-    current_limit: QuantityEntry | None = None
-    delay: QuantityEntry | None = None
+    voltage_range: Annotated[QuantityEntry | None, _quantity("voltage_range")] = None
+    current_limit: Annotated[QuantityEntry | None, _quantity("current_limit")] = None
+    delay: Annotated[QuantityEntry | None, _quantity("delay")] = None
 
 
 class SensorEntry(Table):
-    """One sensor, whose measurement is the sum of coordinates times coefficients.
+    """One sensor, whose measurement is the sum of coefficients times coordinates.
+
+    Its unit is m or rad, that of the coordinate with the largest coefficient.
 
     Attributes:
-        channel: Column of its measurements in recordings; the ending gives the unit, m or rad.
-        kind: "encoder" (incremental), "laser" (fixed zero) or a registered kind. None: follows from the coordinate.
-        row: Coefficient by name of a coordinate, or of a product of two such as "y*yaw".
-        noise: Standard deviation of the noise, m or rad.
-        resolution: Quantization step, m or rad; 0 for none.
-        range: Lowest and highest measurement, m or rad (declares the effect sensor_range). None: unlimited.
-        delay: Delay of the measurement, s (declares the effect sensor_delay). None: no delay.
+        channel: Column of its measurements in recordings; the name ends in the unit, _m or _rad.
+        kind: "encoder" (incremental, unknown zero), "laser" (fixed zero: any absolute sensor) or a registered kind.
+            Default: encoder on a rotary coordinate, laser on a linear one.
+        row: Coefficient by name of a coordinate, usually {"x": 1.0}; or of a product of two, such as "y*yaw".
+        noise: Standard deviation of the noise, m or rad; 0 if it is below the resolution.
+        resolution: Quantization step, m or rad; 0 for a continuous sensor. An encoder on the motor shaft that is read
+            in quadrature has 2 pi / (4 * lines * gear_ratio).
+        range: Lowest and highest measurement [low, high], m or rad (declares the effect sensor_range). Default:
+            unlimited.
+        delay: Delay of the measurement, s (declares the effect sensor_delay). Default: no delay.
         zero: Measurement of an encoder at position 0 in the runs from which the machine was identified, if it kept this
-            zero; its `std` is the scatter from run to run, where belts stretched at rest caused one. None: unknown.
+            zero; its `std` is the scatter from run to run, where belts stretched at rest caused one. Default: unknown.
     """
 
     channel: str
     kind: str | None = None
     row: dict[str, FiniteFloat]
-    noise: QuantityEntry
-    resolution: QuantityEntry
+    noise: Annotated[QuantityEntry, _quantity("noise")]
+    resolution: Annotated[QuantityEntry, _quantity("resolution")]
     range: tuple[FiniteFloat, FiniteFloat] | None = None
-    delay: QuantityEntry | None = None
-    zero: QuantityEntry | None = None
+    delay: Annotated[QuantityEntry | None, _quantity("delay")] = None
+    zero: Annotated[QuantityEntry | None, _quantity("zero")] = None
 
 
 class EffectEntry(Table):
     """One effect (additional physical term) of the machine.
 
     Attributes:
-        name: Name of the effect in the library.
-        site: Name of the coordinate, drive or sensor on which it acts, or "machine".
-        parameters: Values with units, by name of the effect's parameter.
+        name: Name of the effect in the library (`hframe effects`).
+        site: Where it acts: name of a coordinate, drive or sensor channel, or "drives", "belts", "machine".
+        parameters: Quantities by name of the effect's parameter.
     """
 
     name: str
@@ -163,19 +223,22 @@ class MachineFile(Table):
     """Content of a machine.json.
 
     Attributes:
-        schema_: Version of the format, field "schema".
+        schema: Version of the format.
+        $schema: Path or address of the JSON Schema, for editors that complete and check fields; it is ignored.
         name: Name of the machine.
         description: Sentence about the machine.
         coordinates: Coordinates, at least one.
-        belts: Belt sections.
-        drives: Drives, at least one.
+        belts: Belt sections. Default: none.
+        drives: Drives, at least one; their order is that of the actions of the environment.
         sensors: Sensors, at least one.
-        effects: Effects on the machine.
-        ties: Parameters that are a factor times another one: name -> (other name, factor).
-        uncertainty: Covariance of the identified parameters. None for a declared machine.
+        effects: Effects on the machine. Default: none.
+        ties: Parameters that are a factor times another one, {name: [other name, factor]}, for example
+            {"belt1_long.EA": ["belt1_short.EA", 1.0]}: they are not estimated or randomized separately.
+        uncertainty: Covariance of the identified parameters. `hframe identify` writes it.
     """
 
     schema_: Literal[1] = Field(alias="schema")
+    json_schema: str | None = Field(default=None, alias="$schema")
     name: str
     description: str = ""
     coordinates: list[CoordinateEntry] = Field(min_length=1)
@@ -185,3 +248,66 @@ class MachineFile(Table):
     effects: list[EffectEntry] = []
     ties: dict[str, tuple[str, FiniteFloat]] = {}
     uncertainty: UncertaintyEntry | None = None
+
+
+TABLES: tuple[type[Table], ...] = (
+    MachineFile,
+    CoordinateEntry,
+    BeltEntry,
+    DriveEntry,
+    SensorEntry,
+    EffectEntry,
+    UncertaintyEntry,
+    QuantityEntry,
+)
+
+
+def field_descriptions(table: type[Table]) -> dict[str, str]:
+    """Read the descriptions of the fields of a table from the `Attributes` sections of its docstring and of `Table`.
+
+    Args:
+        table: Class of the table, one of `TABLES`.
+
+    Returns:
+        Description by name of the field in the file; the field `comment` is last.
+    """
+    descriptions: dict[str, str] = {}
+    for documented in (table, Table):
+        _, _, section = (inspect.getdoc(documented) or "").partition("Attributes:\n")
+        entries = re.findall(r"^    (\S+): (.*(?:\n {8}.*)*)", section, re.MULTILINE)
+        descriptions |= {name: " ".join(text.split()) for name, text in entries}
+    return descriptions
+
+
+def table_summary(table: type[Table]) -> str:
+    """Read what a table describes from its docstring.
+
+    Args:
+        table: Class of the table, one of `TABLES`.
+
+    Returns:
+        Text of the docstring before the section `Attributes`, in one line.
+    """
+    return " ".join((inspect.getdoc(table) or "").partition("Attributes:")[0].split())
+
+
+def machine_json_schema() -> dict[str, Any]:
+    """Return the JSON Schema (draft 2020-12) of machine.json, with the description and the units of every field.
+
+    It checks types, units and signs. That names refer to each other and that units fit the kind of their coordinate is
+    checked by `load_machine` only.
+
+    Returns:
+        JSON Schema as dictionaries, lists, strings and numbers.
+    """
+    schema = MachineFile.model_json_schema(by_alias=True)
+    definitions = schema.pop("$defs")
+    for table in TABLES:
+        definition = schema if table is MachineFile else definitions[table.__name__]
+        definition["description"] = table_summary(table)
+        descriptions = field_descriptions(table)
+        for name, field in definition["properties"].items():
+            field.pop("title", None)
+            field["description"] = descriptions[name]
+    schema["title"] = "machine.json of hframe_gym"
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "$defs": definitions}

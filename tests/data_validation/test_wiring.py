@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -49,6 +51,14 @@ def test_on_a_single_axis_the_sign_of_sensor_and_motor_cannot_be_distinguished()
 def test_a_wrong_unit_is_named(column: int, factor: float, unit: str, runs: list[Recording], hframe: Machine) -> None:
     lines = faults(check_recordings(with_column(runs, column, lambda y: factor * y), hframe))
     assert any(hframe.output_channels[column] in line and unit in line for line in lines)
+
+
+def test_the_name_of_a_channel_decides_which_unit_is_suspected(runs: list[Recording], hframe: Machine) -> None:
+    first, *others = hframe.sensors
+    machine = hframe.replace(sensors=(dataclasses.replace(first, channel="belt_m"), *others))
+    lines = faults(check_recordings(with_column(runs, PHI1, lambda y: 57.3 * y), machine))
+    assert any("belt_m: moves" in line for line in lines)
+    assert not any("degrees" in line for line in lines)
 
 
 @pytest.mark.parametrize("factor", [20.0, 40.0, 57.3, 1000.0])

@@ -1,5 +1,6 @@
 """Pictures: shape, content, and the message where pygame is missing."""
 
+import dataclasses
 import itertools
 import shutil
 import subprocess
@@ -10,7 +11,8 @@ import numpy as np
 import pytest
 
 from hframe_gym.envs import HFrameEnv, HFrameVectorEnv
-from hframe_gym.envs.rendering import HEIGHT, NEUTRAL, PATH, TARGET, TAUT, UNKNOWN, WIDTH, BeltGeometry, tension_color
+from hframe_gym.envs.rendering import HEIGHT, NEUTRAL, PATH, TARGET, TAUT, UNKNOWN, WIDTH, tension_color
+from hframe_gym.machine import BUILTIN_MACHINES, BeltGeometry
 
 
 def test_picture_shows_the_target_and_the_motion():
@@ -42,6 +44,33 @@ def test_the_belt_is_one_closed_line(position):
     for a, b in itertools.pairwise(path):
         np.testing.assert_allclose(a[-1], b[0], atol=1e-9)
     assert path[0][0] == pytest.approx(path[-1][-1])
+
+
+@pytest.mark.parametrize("machine", ["hframe", "corexy"])
+def test_stretched_belts_are_colored_on_every_stage(machine):
+    env = HFrameEnv(machine=machine, render_mode="rgb_array", period=0.002)
+    env.reset(seed=0)
+
+    def reddish():
+        red, green, blue = np.moveaxis(env.render().astype(int), 2, 0)
+        return ((red - green > 25) & (abs(green - blue) < 20)).sum()
+
+    assert reddish() == 0
+    for _ in range(10):
+        env.step(np.array([1.0, 0.0], np.float32))
+    assert reddish() > 500
+
+
+def test_a_stage_of_another_kind_is_drawn_without_belts():
+    corexy = BUILTIN_MACHINES["corexy"]()
+    x_belt, _, y_belt, _ = corexy.belts
+    belts = (
+        dataclasses.replace(x_belt, extension={"x": 1.0, "phi1": -1.0}, length={}),
+        dataclasses.replace(y_belt, extension={"y": 1.0, "phi2": -1.0}, length={}),
+    )
+    env = HFrameEnv(machine=corexy.replace(belts=belts, ties={}), render_mode="rgb_array")
+    env.reset(seed=0)
+    assert not (env.render() == np.array(NEUTRAL)).all(axis=2).any()
 
 
 def test_colors_follow_the_tension():

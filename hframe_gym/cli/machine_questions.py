@@ -1,0 +1,192 @@
+"""The command `hframe machines new`: its options, the questions that it asks on a terminal, and the file."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import typer
+
+from ..errors import InputError
+from ..machine import Machine
+from ..recordings import TEMPLATES, MachineOptions, new_machine, write_machine_template
+
+# Option, question, and the templates to which it applies.
+_QUESTIONS = (
+    ("travel", "Travel along x and y, m", ("hframe", "corexy")),
+    ("travel", "Travel, m", ("axis",)),
+    ("mass", "Moving mass along x and y, kg", ("hframe", "corexy")),
+    ("mass", "Moving mass without the motor, kg", ("axis",)),
+    ("pulley_radius", "Pitch radius of the motors' pulleys, m", TEMPLATES),
+    ("gear_ratio", "Turns of the motor per turn of the pulley", TEMPLATES),
+    ("rotor_inertia", "Moment of inertia of a motor's rotor, kg m^2", TEMPLATES),
+    ("Kt", "Torque constant of the motors, Nm/A", TEMPLATES),
+    ("resistance", "Resistance of a motor, ohm", TEMPLATES),
+    ("rated_voltage", "Rated voltage, V", TEMPLATES),
+    ("encoder_lines", "Lines of the encoders on the motors (0: none)", TEMPLATES),
+)
+_AXIS_PULLEY = 0.02  # m; with it and no gear, the template `axis` has its 50 rad/m
+
+
+@dataclass(frozen=True)
+class MachineAnswers:
+    """Values of the options of `hframe machines new`; what is not given is empty or None.
+
+    Attributes:
+        like: Name of the template.
+        out: File to write.
+        name: Name of the machine.
+        travel: Travel along the axes, m, separated by commas.
+        mass: Moving masses along the axes, kg, separated by commas.
+        pulley_radius: Pitch radius of the motors' pulleys, m.
+        gear_ratio: Turns of the motor per turn of the pulley.
+        rotor_inertia: Moment of inertia of a rotor, kg m^2.
+        Kt: Torque constant, Nm/A.
+        resistance: Resistance of a motor, ohm.
+        rated_voltage: Rated voltage, V.
+        encoder_lines: Lines of the encoders; 0 for none.
+        linear_sensor: Whether sensors measure x and y.
+        values: Further values as texts "PARAMETER=VALUE", SI.
+    """
+
+    like: str = ""
+    out: Path | None = None
+    name: str = ""
+    travel: str = ""
+    mass: str = ""
+    pulley_radius: float | None = None
+    gear_ratio: float | None = None
+    rotor_inertia: float | None = None
+    Kt: float | None = None
+    resistance: float | None = None
+    rated_voltage: float | None = None
+    encoder_lines: int | None = None
+    linear_sensor: bool | None = None
+    values: tuple[str, ...] = ()
+
+    def options(self) -> MachineOptions:
+        """Convert the answers to the options of the new machine.
+
+        Returns:
+            Options with numbers.
+
+        Raises:
+            InputError: If a text is no number, or no PARAMETER=VALUE.
+        """
+        plain = ("pulley_radius", "gear_ratio", "rotor_inertia", "Kt", "resistance", "rated_voltage", "encoder_lines")
+        values = {}
+        for text in self.values:
+            parameter, separator, value = text.partition("=")
+            if not separator:
+                raise InputError(f"--set {text}: write PARAMETER=VALUE, for example x.coulomb=2")
+            values[parameter.strip()] = _number("set", value)
+        return MachineOptions(
+            travel=_numbers("travel", self.travel),
+            mass=_numbers("mass", self.mass),
+            linear_sensor=self.linear_sensor is not False,
+            values=values,
+            **{name: getattr(self, name) for name in plain},
+        )
+
+
+def create_machine_file(answers: MachineAnswers, force: bool, log: Callable[[str], None]) -> None:
+    """Write a new machine.json; ask for what is missing if the template or the file is not given.
+
+    Args:
+        answers: Values of the options.
+        force: Whether an existing file is replaced.
+        log: Called with a line of text for the user.
+
+    Raises:
+        InputError: If a value is wrong, the file exists, or something is missing and there is no terminal to ask.
+    """
+    if not answers.like or answers.out is None:
+        missing = " and ".join(f"--{name}" for name in ("like", "out") if not getattr(answers, name))
+        if not sys.stdin.isatty():
+            raise InputError(f"{missing}: missing, for example hframe machines new --like corexy --out my.json")
+        answers = ask(answers, log)
+    path = answers.out
+    if path is None or path.suffix != ".json":
+        raise InputError(f"--out {path}: must end in .json")
+    if path.exists() and not force:
+        raise InputError(f"--out {path}: exists already; choose another name, or replace it with --force")
+    machine = new_machine(answers.like, answers.name or path.stem, answers.options())
+    write_machine_template(answers.like, machine, path)
+    log(f"wrote {path}: {answers.like} with {', '.join(machine.input_channels + machine.output_channels)}")
+    log(f"next: edit its values, then `hframe machines show {path}` and `hframe check RUNS --machine {path}`")
+
+
+def ask(answers: MachineAnswers, log: Callable[[str], None]) -> MachineAnswers:
+    """Ask on the terminal for every value that is not given; Enter accepts the value of the template.
+
+    Args:
+        answers: Values of the options.
+        log: Called with a line of text for the user.
+
+    Returns:
+        Complete answers.
+
+    Raises:
+        InputError: If the template is unknown.
+    """
+    log("Enter accepts the value in brackets. All values are in SI units.")
+    like = answers.like or typer.prompt("Template (hframe, axis or corexy)", default="corexy")
+    out = answers.out or Path(typer.prompt("File to write", default=f"my_{like}.json"))
+    template = new_machine(like, "template", MachineOptions())
+    new: dict[str, object] = {"like": like, "out": out}
+    for option, question, templates in _QUESTIONS:
+        if like in templates and getattr(answers, option) in ("", None):
+            default = template_value(template, option)
+            answer = typer.prompt(question, default=default, type=type(default))
+            if answer != default:  # the template's value stays, to the last digit
+                new[option] = answer
+    if answers.linear_sensor is None:
+        axes = "x" if like == "axis" else "x and y"
+        new["linear_sensor"] = typer.confirm(f"Does a sensor measure {axes} directly?", default=True)
+    return dataclasses.replace(answers, **new)  # type: ignore[arg-type]
+
+
+def template_value(template: Machine, option: str) -> str | float | int:
+    """Return the value that a template has for an option.
+
+    Args:
+        template: Machine that `new_machine` made without options.
+        option: Name of the option, for example "pulley_radius".
+
+    Returns:
+        Value, SI; for `travel` and `mass` a text with one value per axis, separated by commas.
+    """
+    drive = template.drives[0]
+    moved = template.coordinate(drive.coordinate)
+    axes = [c for c in template.coordinates if c.kind == "linear"]
+    if option == "travel":
+        return ",".join(f"{c.range[1] - c.range[0]:g}" if c.range else "1" for c in axes)
+    if option == "mass":
+        return ",".join(f"{c.mass:g}" for c in axes)
+    if option == "encoder_lines":
+        quanta = [s.resolution for s in template.sensors if s.kind == "encoder"]
+        return round(2 * math.pi / (4 * quanta[0] * drive.gear_ratio)) if quanta else 0
+    values = {
+        "pulley_radius": moved.radius if moved.kind == "rotary" else _AXIS_PULLEY,
+        "gear_ratio": drive.gear_ratio if moved.kind == "rotary" else 1.0,
+        "rotor_inertia": moved.mass / drive.gear_ratio**2 if moved.kind == "rotary" else 0.0,
+    }
+    value = values[option] if option in values else getattr(drive, option)
+    return float(f"{value:.4g}")
+
+
+def _numbers(option: str, text: str) -> tuple[float, ...] | None:
+    """Return the numbers of a text separated by commas, or None for an empty text."""
+    return tuple(_number(option, part) for part in text.split(",")) if text else None
+
+
+def _number(option: str, text: str) -> float:
+    """Return the number of a text."""
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError(f"--{option}: {text!r} is not a number") from None

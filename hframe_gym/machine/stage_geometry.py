@@ -1,0 +1,340 @@
+"""Plan views of stages: rails, bridge, pulleys and the path of the belts, for pictures of a machine from above.
+
+Positions are points (x, y) in m. Which axis the bridge moves along follows from the masses: the bridge carries the
+carriage, so that the mass of its axis is larger. Sizes that a machine.json does not declare (frame, bridge, pulleys)
+are chosen for a readable picture.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .machine import Machine
+from .motion import rigid_motions
+
+Point = tuple[float, float]
+Box = tuple[float, float, float, float]  # x and y of one corner, then of the opposite one, m
+
+PULLEY_RADIUS = 0.0194  # m, of the H-frame's pulleys
+SMALL_RADIUS = 0.011  # m, as drawn for the pulleys of a CoreXY stage
+HALF_BRIDGE = 0.045  # m, from the bridge's middle to the belts at its sides
+CLEARANCE = 0.075  # m, from the workspace to the frame
+DEFAULT_RANGE = (-0.25, 0.25)  # m, drawn for an axis without a range
+HALF_PI = math.pi / 2
+
+# The lumped belts of the 8th-order H-frame and the belt sections of the 20th-order one that each consists of.
+LUMPED_SECTIONS = {"left": ("s1", "s5", "s7"), "right": ("s2", "s6", "s8"), "bottom": ("s3", "s4", "s9")}
+
+
+class StageGeometry:
+    """Plan view of a stage without belts: two rails, a bridge and a carriage. Stages with belts derive from it.
+
+    Args:
+        workspace: Rows x and y, columns low and high, m, shape (2, 2).
+        bridge_axis: Axis along which the bridge moves, 0 (x) or 1 (y).
+
+    Attributes:
+        left, right, low, high: Ends of the workspace along x and along y, m.
+        x0, x1, y0, y1: Positions of the rails and of the corner pulleys, m.
+        radius: Radius of the pulleys, m.
+        motors: For each drive, index of its pulley in `pulleys` and its direction of rotation for a positive angle,
+            1 counterclockwise and -1 clockwise.
+        belts: Name of the machine's belt by name of the drawn section; sections of no single belt have no entry.
+    """
+
+    radius = PULLEY_RADIUS
+    clearance = CLEARANCE  # m, from the workspace to the frame, on the sides to which the bridge reaches
+
+    def __init__(self, workspace: NDArray[np.float64], bridge_axis: int = 0) -> None:
+        (self.left, self.right), (self.low, self.high) = np.asarray(workspace, float).tolist()
+        self.bridge_axis = bridge_axis
+        out = [self.clearance, self.clearance]  # m, from the workspace to the rails and pulleys, along x and y
+        out[bridge_axis] = CLEARANCE + HALF_BRIDGE
+        self.x0, self.x1 = self.left - out[0], self.right + out[0]
+        self.y0, self.y1 = self.low - out[1], self.high + out[1]
+        self.motors: tuple[tuple[int, float], ...] = ()
+        self.belts: dict[str, str] = {}
+
+    def rails(self) -> list[Box]:
+        """Compute the rails on which the bridge runs.
+
+        Returns:
+            Boxes of two rails, m.
+        """
+        if self.bridge_axis == 0:
+            return [(self.x0 - 0.03, y - 0.03, self.x1 + 0.03, y + 0.03) for y in (self.y0, self.y1)]
+        return [(x - 0.03, self.y0 - 0.03, x + 0.03, self.y1 + 0.03) for x in (self.x0, self.x1)]
+
+    def bridge(self, x: float, y: float) -> list[Box]:
+        """Compute the parts of the bridge: two end plates and the beam between them.
+
+        Args:
+            x: Tool position along x, m.
+            y: Tool position along y, m.
+
+        Returns:
+            Boxes, m.
+        """
+        if self.bridge_axis == 0:
+            plates = [(x - 0.04, end - 0.02, x + 0.04, end + 0.02) for end in (self.y0, self.y1)]
+            return [*plates, (x - 0.012, self.y0, x + 0.012, self.y1)]
+        plates = [(end - 0.02, y - 0.04, end + 0.02, y + 0.04) for end in (self.x0, self.x1)]
+        return [*plates, (self.x0, y - 0.012, self.x1, y + 0.012)]
+
+    def pulleys(self, x: float, y: float = 0.0) -> list[Point]:
+        """Compute the centers of the pulleys.
+
+        Args:
+            x: Tool position along x, m.
+            y: Tool position along y, m.
+
+        Returns:
+            Points (x, y), m; none for a stage whose belts are not drawn.
+        """
+        del x, y
+        return []
+
+    def sections(self, x: float, y: float) -> dict[str, list[Point]]:
+        """Compute the lines along which the belt sections are drawn.
+
+        Args:
+            x: Tool position along x, m.
+            y: Tool position along y, m.
+
+        Returns:
+            Vertices (x, y), m, by name of the section; empty for a stage whose belts are not drawn.
+        """
+        del x, y
+        return {}
+
+
+class BeltGeometry(StageGeometry):
+    """Plan view of an H-frame: where the pulleys are, and the path of the belt around them.
+
+    The path follows the sections of the 20th-order model (eq. 25-34 of Sollmann et al. 2010): from the cart down the
+    left side of the bridge, out along the frame, around two corner pulleys (the right one is the motor), back to the
+    right side of the bridge, up, and the same above.
+
+    Args:
+        workspace: Rows x and y, columns low and high, m, shape (2, 2).
+        machine: Machine whose belts color the sections. None: none is known.
+    """
+
+    def __init__(self, workspace: NDArray[np.float64], machine: Machine | None = None) -> None:
+        super().__init__(workspace, bridge_axis=0)
+        self._corners = [(self.x0, self.y0), (self.x1, self.y0), (self.x0, self.y1), (self.x1, self.y1)]
+        # From above, with the belt as drawn, a positive angle turns both motors counterclockwise.
+        self.motors = ((1, 1.0), (3, 1.0))
+        names = {b.name for b in machine.belts} if machine else set()
+        for lumped, sections in LUMPED_SECTIONS.items():
+            found = {section: section if section in names else lumped for section in sections}
+            self.belts |= {section: name for section, name in found.items() if name in names}
+
+    def bridge(self, x: float, y: float) -> list[Box]:
+        """Compute the parts of the bridge, whose ends carry two pulleys each.
+
+        Args:
+            x: Tool position along x, m.
+            y: Tool position along y, m.
+
+        Returns:
+            Boxes, m.
+        """
+        boxes = []
+        for end, inward in ((self.y0, 1.0), (self.y1, -1.0)):
+            low, high = sorted((end - 0.012 * inward, end + 0.062 * inward))
+            boxes.append((x - 0.092, low, x + 0.092, high))
+        return [*boxes, (x - 0.025, self.y0, x + 0.025, self.y1)]
+
+    def pulleys(self, x: float, y: float = 0.0) -> list[Point]:
+        """Compute the centers of the eight pulleys.
+
+        Args:
+            x: Position of the bridge, m.
+            y: Tool position along y, m; the pulleys do not depend on it.
+
+        Returns:
+            Points (x, y), m, of the pulleys phi3, phi1 (motor), phi4, phi2 (motor), phi7, phi5, phi8, phi6.
+        """
+        d, rise = HALF_BRIDGE + PULLEY_RADIUS, 2 * PULLEY_RADIUS
+        bridge = [(x - d, self.y0 + rise), (x + d, self.y0 + rise), (x - d, self.y1 - rise), (x + d, self.y1 - rise)]
+        return [*self._corners, *bridge]
+
+    def sections(self, x: float, y: float) -> dict[str, list[Point]]:
+        """Compute the lines along which the nine belt sections are drawn.
+
+        Args:
+            x: Tool position along x, m.
+            y: Tool position along y, m.
+
+        Returns:
+            Vertices (x, y), m, by name of the section, "s1" to "s9".
+        """
+        phi3, phi1, phi4, phi2, phi7, phi5, phi8, phi6 = self.pulleys(x)  # centers (x, y)
+        # Each section is a straight line, which touches the pulleys at a distance r from their centers, and the arc
+        # around the pulley at its end.
+        half = HALF_PI
+        side, r = HALF_BRIDGE, PULLEY_RADIUS
+        return {
+            "s7": [(x - side, y), (x - side, phi7[1]), *_arc(phi7, 0.0, -half)],
+            "s5": [(phi7[0], phi7[1] - r), (phi3[0], phi3[1] + r), *_arc(phi3, half, 3 * half)],
+            "s1": [(phi3[0], phi3[1] - r), (phi1[0], phi1[1] - r), *_arc(phi1, -half, half)],
+            "s3": [(phi1[0], phi1[1] + r), (phi5[0], phi5[1] - r), *_arc(phi5, -half, -2 * half)],
+            "s9": [(x + side, phi5[1]), (x + side, phi6[1]), *_arc(phi6, 2 * half, half)],
+            "s4": [(phi6[0], phi6[1] + r), (phi2[0], phi2[1] - r), *_arc(phi2, -half, half)],
+            "s2": [(phi2[0], phi2[1] + r), (phi4[0], phi4[1] + r), *_arc(phi4, half, 3 * half)],
+            "s6": [(phi4[0], phi4[1] - r), (phi8[0], phi8[1] + r), *_arc(phi8, half, 0.0)],
+            "s8": [(x - side, phi8[1]), (x - side, y)],
+        }
+
+
+class CoreXYGeometry(StageGeometry):
+    """Plan view of a CoreXY stage: two belts, each on a motor at the front and around the rear of the frame.
+
+    Args:
+        workspace: Rows x and y, columns low and high, m, shape (2, 2).
+        machine: Machine with the kinematics of a CoreXY stage, see `stage_geometry`.
+        bridge_axis: Axis along which the bridge moves, 0 (x) or 1 (y).
+        travel: Belt travel at each drive per travel along x and y, 1 or -1, shape (2, 2).
+    """
+
+    radius = SMALL_RADIUS
+    clearance = 0.11  # m; the carriage does not cover the pulleys on the bridge
+
+    def __init__(
+        self, workspace: NDArray[np.float64], machine: Machine, bridge_axis: int, travel: NDArray[np.float64]
+    ) -> None:
+        super().__init__(workspace, bridge_axis)
+        along, across = 1 - bridge_axis, bridge_axis  # of the carriage on the bridge, and of the bridge
+        signs = np.sign(travel)
+        # The belt of a motor at the left becomes longer in front of the bridge with both positions.
+        self._first = 0 if signs[0, along] == signs[0, across] else 1  # drive whose motor is at the left
+        mirrored = 1.0 if bridge_axis == 1 else -1.0  # exchanging x and y reverses rotations
+        spins = [mirrored * float(row[along]) for row in signs]
+        self.motors = tuple((0 if drive == self._first else 1, spins[drive]) for drive in (0, 1))
+        axis = ("x", "y")[across]
+        for drive, label in ((self._first, "1"), (1 - self._first, "2")):
+            rows = [b for b in machine.belts if machine.drives[drive].coordinate in b.extension]
+            for b in rows:
+                for section in (
+                    ("front", "rear")
+                    if len(rows) == 1
+                    else (("front",) if b.extension.get(axis, 0.0) > 0 else ("rear",))
+                ):
+                    self.belts[section + label] = b.name
+
+    def pulleys(self, x: float, y: float = 0.0) -> list[Point]:
+        """Compute the centers of the ten pulleys.
+
+        Args:
+            x: Tool position along x, m.
+            y: Tool position along y, m.
+
+        Returns:
+            Points (x, y), m: motor at the left, motor at the right, idlers at the rear of the first belt (left, right)
+            and of the second one, pulleys on the bridge: left and right of the short sections, then of the long ones.
+        """
+        return [self._swap(point) for point in self._pulleys(*self._swap((x, y)))]
+
+    def sections(self, x: float, y: float) -> dict[str, list[Point]]:
+        """Compute the lines along which the four belt sections are drawn.
+
+        Args:
+            x: Tool position along x, m.
+            y: Tool position along y, m.
+
+        Returns:
+            Vertices (x, y), m, by name of the section: "front1" and "rear1" of the belt of the motor at the left, in
+            front of the bridge and around the rear; "front2" and "rear2" of the other belt.
+        """
+        u, v = self._swap((x, y))  # along the bridge, and along the motion of the bridge
+        motor1, motor2, left1, right1, left2, right2, front_l, front_r, rear_l, rear_r = self._pulleys(u, v)
+        r, pi = self.radius, math.pi
+        lines = {
+            "front1": [*_arc(motor1, 1.5 * pi, 2 * pi, r), *_arc(front_l, pi, HALF_PI, r), (u, v - r)],
+            "rear1": [
+                *_arc(motor1, 1.5 * pi, pi, r),
+                *_arc(left1, pi, HALF_PI, r),
+                *_arc(right1, HALF_PI, 0.0, r),
+                *_arc(rear_r, 0.0, -HALF_PI, r),
+                (u, v + r),
+            ],
+            "front2": [*_arc(motor2, 1.5 * pi, pi, r), *_arc(front_r, 0.0, HALF_PI, r), (u, v - r)],
+            "rear2": [
+                *_arc(motor2, 1.5 * pi, 2 * pi, r),
+                *_arc(right2, 0.0, HALF_PI, r),
+                *_arc(left2, HALF_PI, pi, r),
+                *_arc(rear_l, pi, 1.5 * pi, r),
+                (u, v + r),
+            ],
+        }
+        return {name: [self._swap(point) for point in line] for name, line in lines.items()}
+
+    def _swap(self, point: Point) -> Point:
+        """Convert between (x, y) and (along the bridge, along the motion of the bridge)."""
+        return point if self.bridge_axis == 1 else (point[1], point[0])
+
+    def _pulleys(self, u: float, v: float) -> list[Point]:
+        """Return the pulleys in the coordinates along the bridge and along the motion of the bridge, m."""
+        (u0, v0), (u1, v1) = self._swap((self.x0, self.y0)), self._swap((self.x1, self.y1))
+        r = self.radius
+        inner = v1 - 3.5 * r  # the second belt runs inside the first one at the rear, where they cross
+        bridge = [(end, v + side) for side in (-2 * r, 2 * r) for end in (u0 + 2 * r, u1 - 2 * r)]
+        return [(u0, v0), (u1, v0), (u0, v1), (u1 - 2 * r, v1), (u0 + 2 * r, inner), (u1, inner), *bridge]
+
+
+def _arc(center: Point, start: float, end: float, radius: float = PULLEY_RADIUS) -> list[Point]:
+    """Return points on a pulley from one angle to another, rad."""
+    angles = np.linspace(start, end, max(2, int(abs(end - start) / 0.2) + 1)).tolist()
+    return [(center[0] + radius * math.cos(a), center[1] + radius * math.sin(a)) for a in angles]
+
+
+def stage_geometry(machine: Machine) -> StageGeometry:
+    """Choose the plan view of a machine by its kinematics, whatever its belts are called.
+
+    Args:
+        machine: Machine with the linear coordinates x and y; an axis without a range gets `DEFAULT_RANGE`.
+
+    Returns:
+        `BeltGeometry` if both motors pull x and y by one common belt (H-frame), `CoreXYGeometry` if each motor has one
+        belt, else `StageGeometry` without belts.
+
+    Raises:
+        ValueError: If the machine has no coordinate x or y.
+    """
+    axes = [machine.coordinate(name) for name in ("x", "y")]
+    workspace = np.array([axis.range or DEFAULT_RANGE for axis in axes])
+    bridge_axis = 0 if axes[0].mass >= axes[1].mass else 1
+    travel = _belt_travel(machine)
+    if travel is None:
+        return StageGeometry(workspace, bridge_axis)
+    if _connected(machine, [d.coordinate for d in machine.drives]):
+        return BeltGeometry(workspace, machine)
+    if travel[0].prod() * travel[1].prod() < 0:
+        return CoreXYGeometry(workspace, machine, bridge_axis, travel)
+    return StageGeometry(workspace, bridge_axis)
+
+
+def _belt_travel(machine: Machine) -> NDArray[np.float64] | None:
+    """Return the belt travel at both drives per travel along x and y, (2, 2), or None if it is not 1 or -1."""
+    motions = rigid_motions(machine)
+    drives = [machine.coordinate(d.coordinate) for d in machine.drives]
+    if len(drives) != 2 or not {"x", "y"} <= set(motions) or any(d.kind == "linear" for d in drives):
+        return None
+    columns = [machine.coordinate_names.index(d.name) for d in drives]
+    travel = np.array([[motions[axis][c] * d.radius for axis in "xy"] for c, d in zip(columns, drives, strict=True)])
+    return travel if np.allclose(np.abs(travel), 1.0, atol=0.05) else None
+
+
+def _connected(machine: Machine, coordinates: Sequence[str]) -> bool:
+    """Return whether belts connect two rotary coordinates, if need be by way of other pulleys."""
+    rotary = {c.name for c in machine.coordinates if c.kind == "rotary"} - set(machine.spring_loaded)
+    groups = [set(b.extension) & rotary for b in machine.belts]
+    reached = {coordinates[0]}
+    for _ in groups:
+        reached |= {name for group in groups if group & reached for name in group}
+    return coordinates[1] in reached

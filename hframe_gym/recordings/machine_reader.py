@@ -1,0 +1,328 @@
+"""Build a machine from the content of a machine.json; check names, units and signs, and warn of implausible values."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..effects import EFFECTS, effect_sites, get_effect
+from ..errors import InputError
+from ..machine import (
+    FIXED_UNITS,
+    SENSOR_KINDS,
+    UNITS,
+    AppliedEffect,
+    Belt,
+    Coordinate,
+    CoordinateKind,
+    Drive,
+    Machine,
+    Sensor,
+    Uncertainty,
+    rigid_motions,
+)
+from .machine_schema import (
+    MAY_BE_ZERO,
+    BeltEntry,
+    CoordinateEntry,
+    DriveEntry,
+    EffectEntry,
+    MachineFile,
+    QuantityEntry,
+    SensorEntry,
+    Table,
+    UncertaintyEntry,
+)
+
+# m; larger values are probably millimeters. Belt axes of more than 10 m exist, hence a warning and no error.
+_LARGEST = {"range": 10.0, "rest_length": 50.0, "radius": 1.0, "noise": 0.1, "resolution": 0.1}
+_OTHER_UNITS = ("_mm", "_um", "_cm", "_deg", "_counts")
+
+
+@dataclass(frozen=True)
+class MachineReader:
+    """Convert the content of one file to a machine; every error and warning names the file and the field.
+
+    Attributes:
+        path: Path of the file.
+        content: Its content, which has the right fields and types.
+    """
+
+    path: Path
+    content: MachineFile
+
+    def machine(self) -> Machine:
+        """Convert the content to a machine and warn of values that are possible but not plausible.
+
+        Returns:
+            The machine.
+
+        Raises:
+            InputError: If a name, unit, sign or site is wrong.
+        """
+        machine = self._convert()
+        for field, doubt in implausible_values(machine):
+            warnings.warn(f"{self.path}: {field}: {doubt}", UserWarning, stacklevel=3)
+        return machine
+
+    def _convert(self) -> Machine:
+        """Convert the content to a machine.
+
+        Returns:
+            The machine.
+
+        Raises:
+            InputError: If a name, unit, sign or site is wrong.
+        """
+        file = self.content
+        if len(self._kinds) < len(file.coordinates):
+            raise self._error("coordinates", "two have the same name; rename one of them")
+        machine = Machine(
+            name=file.name,
+            coordinates=tuple(map(self._coordinate, file.coordinates)),
+            belts=tuple(map(self._belt, file.belts)),
+            drives=tuple(map(self._drive, file.drives)),
+            sensors=tuple(map(self._sensor, file.sensors)),
+            description=file.description,
+        )
+        names = [*self._kinds, *(b.name for b in machine.belts), *(d.name for d in machine.drives)]
+        channels = [*machine.input_channels, *machine.output_channels]
+        for what, labels in (("names of coordinates, belts and drives", names), ("channels", channels)):
+            repeated = next((label for i, label in enumerate(labels) if label in labels[:i]), None)
+            if repeated is not None:
+                raise self._error(what, f"must all differ; {repeated!r} occurs twice")
+        for entry in [*file.effects, *self._declared_effects(machine)]:
+            machine = machine.replace(effects=(*machine.effects, self._effect(entry, machine)))
+        for tied, (owner, _) in file.ties.items():
+            if tied not in machine.parameters or owner not in machine.parameters or owner in file.ties:
+                raise self._error(f"ties.{tied}", f"{tied!r} and {owner!r} must be parameters, and {owner!r} not tied")
+        machine = machine.replace(ties=file.ties)
+        if file.uncertainty is None:
+            return machine
+        return machine.replace(uncertainty=self._uncertainty(file.uncertainty, machine))
+
+    @property
+    def _kinds(self) -> dict[str, CoordinateKind]:
+        """Kind of each coordinate by name."""
+        return {c.name: c.kind for c in self.content.coordinates}
+
+    def _error(self, field: str, reason: str) -> InputError:
+        """Create an error that names the file and the field.
+
+        Args:
+            field: Dotted name of the field, such as "drives.motor1.Kt".
+            reason: What is wrong and what to do.
+
+        Returns:
+            The error.
+        """
+        return InputError(f"{self.path}: {field}: {reason}")
+
+    def _values(self, field: str, table: Table, units: dict[str, str]) -> dict[str, float]:
+        """Check unit and sign of quantities.
+
+        Args:
+            field: Dotted name of the table.
+            table: Table that has the quantities.
+            units: Unit by name of the quantity.
+
+        Returns:
+            Value by name of the quantity.
+
+        Raises:
+            InputError: If a unit or sign is wrong.
+        """
+        values = {}
+        for key, unit in units.items():
+            quantity: QuantityEntry = getattr(table, key)
+            # Older files have the unit "1" for every gear ratio.
+            if quantity.unit != unit and not (key == "gear_ratio" and quantity.unit == "1"):
+                raise self._error(f"{field}.{key}", f"unit is {quantity.unit!r}, must be {unit!r}")
+            if quantity.value < 0 or (quantity.value == 0 and key not in MAY_BE_ZERO):
+                sign = "zero or more" if key in MAY_BE_ZERO else "positive"
+                raise self._error(f"{field}.{key}", f"{quantity.value:g} must be {sign}")
+            values[key] = quantity.value
+        return values
+
+    def _row(
+        self, field: str, row: dict[str, float], *, empty: bool = False, products: bool = False
+    ) -> dict[str, float]:
+        """Return a row of coefficients after checking that it names coordinates of the file."""
+        for name in (factor for key in row for factor in (key.split("*") if products else (key,))):
+            if name not in self._kinds:
+                raise self._error(field, f"no coordinate is called {name!r}; there are {', '.join(self._kinds)}")
+        if not empty and not any(value for key, value in row.items() if "*" not in key):
+            raise self._error(field, "needs a coefficient other than zero for at least one coordinate")
+        return row
+
+    def _coordinate(self, entry: CoordinateEntry) -> Coordinate:
+        """Return a coordinate."""
+        field = f"coordinates.{entry.name}"
+        if (entry.radius is None) != (entry.kind == "linear"):
+            raise self._error(f"{field}.radius", "a rotary coordinate needs a radius, a linear one has none")
+        if entry.range is not None and not entry.range[0] < entry.range[1]:
+            raise self._error(f"{field}.range", "must be [lowest, highest]")
+        keys = [key for key in Coordinate.PARAMETERS if key != "radius" or entry.radius is not None]
+        units = {key: Coordinate(entry.name, mass=0.0, kind=entry.kind).unit(key) for key in keys}
+        return Coordinate(entry.name, kind=entry.kind, range=entry.range, **self._values(field, entry, units))
+
+    def _belt(self, entry: BeltEntry) -> Belt:
+        """Return a belt."""
+        field = f"belts.{entry.name}"
+        values = self._values(field, entry, {key: FIXED_UNITS[key] for key in Belt.PARAMETERS})
+        extension = self._row(f"{field}.extension", entry.extension)
+        return Belt(
+            entry.name, extension=extension, length=self._row(f"{field}.length", entry.length, empty=True), **values
+        )
+
+    def _drive(self, entry: DriveEntry) -> Drive:
+        """Return a drive."""
+        field = f"drives.{entry.name}"
+        if entry.coordinate not in self._kinds:
+            raise self._error(f"{field}.coordinate", f"no coordinate is called {entry.coordinate!r}")
+        keys = (*Drive.PARAMETERS, "rated_voltage", *(() if entry.voltage_range is None else ("voltage_range",)))
+        units = {key: FIXED_UNITS[key] for key in keys}
+        units["gear_ratio"] = UNITS[self._kinds[entry.coordinate]]["rad/position"]
+        values: dict[str, Any] = self._values(field, entry, units)
+        return Drive(entry.name, entry.channel, entry.coordinate, converter_bits=entry.converter_bits, **values)
+
+    def _sensor(self, entry: SensorEntry) -> Sensor:
+        """Return a sensor; without a declared kind, an encoder on a rotary coordinate and a laser on a linear one."""
+        field = f"sensors.{entry.channel}"
+        coordinate_kind = self._kinds[
+            Sensor(entry.channel, self._row(f"{field}.row", entry.row, products=True)).coordinate
+        ]
+        kind = entry.kind or ("encoder" if coordinate_kind == "rotary" else "laser")
+        if kind not in SENSOR_KINDS:  # `SENSOR_KINDS.get` would import the module of a name such as "module:kind"
+            choices = ", ".join(SENSOR_KINDS)
+            raise self._error(f"{field}.kind", f"sensor kind {kind!r} is not registered; choose one of {choices}")
+        if entry.range is not None and not entry.range[0] < entry.range[1]:
+            raise self._error(f"{field}.range", "must be [lowest, highest]")
+        unit = UNITS[coordinate_kind]["position"]
+        values = self._values(field, entry, {"noise": unit, "resolution": unit})
+        if entry.zero is None:
+            return Sensor(entry.channel, entry.row, kind=kind, **values)
+        if entry.zero.unit != unit:
+            raise self._error(f"{field}.zero", f"unit is {entry.zero.unit!r}, must be {unit!r}")
+        return Sensor(entry.channel, entry.row, kind=kind, zero=entry.zero.value, zero_std=entry.zero.std, **values)
+
+    def _declared_effects(self, machine: Machine) -> list[EffectEntry]:
+        """Return the effects that the fields `range`, `delay` and `current_limit` of sensors and drives declare."""
+
+        def declare(name: str, site: str, **parameters: QuantityEntry) -> EffectEntry:
+            return EffectEntry(name=name, site=site, parameters=parameters)
+
+        effects = []
+        for sensor in self.content.sensors:
+            if sensor.range is not None:
+                unit = machine.unit(f"{sensor.channel}.noise")
+                low, high = (QuantityEntry(value=limit, unit=unit) for limit in sensor.range)
+                effects.append(declare("sensor_range", sensor.channel, low=low, high=high))
+            if sensor.delay is not None:
+                effects.append(declare("sensor_delay", sensor.channel, d=sensor.delay))
+        drives = self.content.drives
+        effects += [declare("current_limit", d.name, I=d.current_limit) for d in drives if d.current_limit is not None]
+        delays = {d.name: d.delay for d in drives if d.delay is not None}
+        if len(delays) == len(drives) and all(delay == drives[0].delay for delay in delays.values()):
+            delays = {"drives": delays[drives[0].name]}
+        return effects + [declare("input_delay", site, d=delay) for site, delay in delays.items()]
+
+    def _effect(self, entry: EffectEntry, machine: Machine) -> AppliedEffect:
+        """Return an effect at its site."""
+        field = f"effects.{entry.name}"
+        try:
+            definition = get_effect(entry.name)
+        except KeyError:
+            raise self._error(field, f"no such effect; there are {', '.join(EFFECTS)}") from None
+        sites = effect_sites(definition, machine)
+        # A file may declare sites that no search tries, and already has the components that a structural effect adds.
+        if definition.structure or definition.site in ("drive", "drives"):
+            sites = definition.possible_sites(machine)
+        if entry.site not in sites:
+            raise self._error(field, f"site {entry.site!r} is none of {', '.join(sites) or 'this machine'}")
+        try:
+            applied = definition.at(entry.site, **{key: q.value for key, q in entry.parameters.items()})
+        except ValueError as error:
+            raise self._error(field, str(error)) from None
+        if any(applied.label == other.label for other in machine.effects):
+            raise self._error(field, f"declared twice at {entry.site}; delete one of the declarations")
+        for key, quantity in entry.parameters.items():
+            unit = machine.effect_unit(applied, key)
+            if quantity.unit != unit:
+                raise self._error(f"{field}.{key}", f"unit is {quantity.unit!r}, must be {unit!r}")
+        return applied
+
+    def _uncertainty(self, table: UncertaintyEntry, machine: Machine) -> Uncertainty:
+        """Return the covariance of the parameters."""
+        size = len(table.names)
+        square = len(table.covariance) == size and all(len(row) == size for row in table.covariance)
+        covariance = np.array(table.covariance, float).reshape(size, size) if square else np.zeros((0, 0))
+        if not square or not np.allclose(covariance, covariance.T, rtol=1e-6):
+            raise self._error("uncertainty.covariance", f"must be a symmetric {size} x {size} matrix, one row per name")
+        unknown = sorted(set(table.names) - set(machine.parameters))
+        if unknown:
+            raise self._error("uncertainty.names", f"the machine has no parameter {', '.join(unknown)}")
+        return Uncertainty(tuple(table.names), covariance)
+
+
+def implausible_values(machine: Machine) -> list[tuple[str, str]]:
+    """List values that are probably mistakes: lengths in millimeters, wrong factors of belts, other units of sensors.
+
+    Args:
+        machine: Machine as its file declares it.
+
+    Returns:
+        Dotted name of the field, and what is doubtful about it with advice, for each doubt.
+    """
+    doubts = [*_large_lengths(machine), *_doubtful_belts(machine)]
+    for sensor in machine.sensors:
+        ending = next((ending for ending in _OTHER_UNITS if sensor.channel.endswith(ending)), None)
+        unit = machine.unit(f"{sensor.channel}.noise")
+        if ending is not None:
+            advice = f"call the column {sensor.channel.removesuffix(ending)}_{unit} and convert its values"
+            doubts.append((f"sensors.{sensor.channel}", f"measurements are in {unit}, not in {ending[1:]}: {advice}"))
+    return doubts
+
+
+def _large_lengths(machine: Machine) -> list[tuple[str, str]]:
+    """List lengths that are probably in millimeters."""
+    lengths: list[tuple[str, tuple[float, ...]]]
+    lengths = [(f"coordinates.{c.name}.range", c.range) for c in machine.coordinates if c.kind == "linear" and c.range]
+    lengths += [(f"coordinates.{c.name}.radius", (c.radius,)) for c in machine.coordinates if c.kind == "rotary"]
+    lengths += [(f"belts.{b.name}.rest_length", (b.rest_length,)) for b in machine.belts]
+    for s in machine.sensors:
+        if machine.unit(f"{s.channel}.noise") == "m":
+            lengths += [(f"sensors.{s.channel}.{key}", (value,)) for key, value in s.device_parameters.items()]
+    doubts = []
+    for field, values in lengths:
+        largest = max(map(abs, values))
+        if largest > _LARGEST[field.rpartition(".")[2]]:
+            doubts.append((field, f"{largest:g} m: is it in millimeters? All lengths are in m"))
+    return doubts
+
+
+def _doubtful_belts(machine: Machine) -> list[tuple[str, str]]:
+    """List factors of belts that are not plausible, carriages that cannot move, and negative lengths."""
+    doubts = []
+    rotary = {c.name for c in machine.coordinates if c.kind == "rotary"} - set(machine.spring_loaded)
+    for belt in machine.belts:
+        for name, factor in belt.extension.items():
+            if name in rotary and not float(2 * factor).is_integer():
+                reason = "is not a small integer; it multiplies the belt travel, which is radius * angle already"
+                doubts.append((f"belts.{belt.name}.extension.{name}", f"{factor:g} {reason}: usually it is 1 or -1"))
+        ranges = {c.name: c.range for c in machine.coordinates if c.range is not None and c.kind == "linear"}
+        changes = [min(f * end for end in ranges[name]) for name, f in belt.length.items() if name in ranges]
+        shortest = belt.rest_length + sum(changes)
+        if shortest <= 0:
+            reason = f"the section would be {shortest:.3g} m long at an end of the coordinates' ranges"
+            doubts.append((f"belts.{belt.name}.rest_length", f"{reason}: correct rest_length, length or the ranges"))
+    motions = rigid_motions(machine)
+    for c in machine.coordinates:
+        if c.kind == "linear" and c.name not in motions:
+            reason = "cannot move without stretching a belt: check the signs of the factors in `extension`"
+            doubts.append((f"coordinates.{c.name}", reason))
+    return doubts

@@ -1,0 +1,291 @@
+"""Write the machine.json of a new machine: a built-in machine with other values, and comments on its fields."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import json
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ..atomic_files import write_text
+from ..errors import InputError
+from ..machine import BUILTIN_MACHINES, Drive, Machine, Sensor
+from .machine_file import machine_to_dict
+from .machine_reader import MachineReader
+from .machine_schema import MachineFile
+
+TEMPLATES = ("hframe", "axis", "corexy")
+# m of rest length per m of travel along x and y: the frame grows with the travel, and with it the belts.
+_LENGTH_PER_TRAVEL = {
+    "left": (1.5, 0.5),
+    "right": (1.5, 0.5),
+    "bottom": (1.0, 1.0),
+    "belt1_short": (0.5, 0.5),
+    "belt2_short": (0.5, 0.5),
+    "belt1_long": (1.5, 1.5),
+    "belt2_long": (1.5, 1.5),
+}
+_QUADRATURE = 4  # edges per line of an encoder
+_LINE = 100  # characters of a line of the file, comments excepted
+_LONGEST = {"travel": 20.0, "pulley_radius": 1.0}  # m; larger values are refused, they are in millimeters
+_KINEMATICS = {
+    "hframe": "H-frame: one belt for both motors. With p = radius * phi: x = (p2 - p1) / 2 and y = -(p1 + p2) / 2.",
+    "axis": "One axis: the motor moves the carriage directly, gear_ratio is the angle of its shaft per m of travel.",
+    "corexy": "CoreXY: one belt per motor. With p = radius * phi: x = (p1 + p2) / 2 and y = (p1 - p2) / 2.",
+}
+_COORDINATE_COMMENTS = {
+    ("hframe", "x"): "The bridge. mass: everything that moves along x, i.e. bridge, cart and tool.",
+    ("hframe", "y"): "The cart on the bridge. mass: everything that moves along y, i.e. cart and tool.",
+    ("axis", "x"): "The carriage. mass: everything that moves, plus gear_ratio^2 times the inertia of the rotor.",
+    ("corexy", "x"): "The carriage on the bridge. mass: everything that moves along x, i.e. carriage and tool.",
+    ("corexy", "y"): "The bridge. mass: everything that moves along y, i.e. bridge, carriage and tool.",
+}
+_PULLEY_COMMENT = (
+    "The pulley of a motor, behind the gear. mass: moment of inertia of the pulley, plus gear_ratio^2 times that of "
+    "the rotor. viscous: without the back-EMF, which follows from Ke. radius: pitch radius, teeth * pitch / (2 pi)."
+)
+_BELT_COMMENT = (
+    "A section of a belt. EA: force that would double its length. rest_length: its length with all coordinates at 0. "
+    "extension: m of stretch per m of travel of each coordinate (1 or -1; a pulley's travel is radius * angle)."
+)
+_DRIVE_COMMENT = (
+    "A DC motor; channel is the column of its voltage in the recordings. Kt and Ke are equal in SI units. resistance: "
+    "between the terminals, cables included. Optional: current_limit (A), delay (s), converter_bits, voltage_range (V)."
+)
+_ENCODER_COMMENT = (
+    "An incremental encoder. resolution: 2 pi / (4 * lines * gear_ratio) for one on the motor shaft; noise: 0 if it is "
+    "below the resolution."
+)
+_LASER_COMMENT = "A sensor with a fixed zero. noise: standard deviation at rest; resolution: 0 for an analog sensor."
+
+
+@dataclass(frozen=True)
+class MachineOptions:
+    """Values in which a new machine differs from its template; None keeps the template's value.
+
+    Attributes:
+        travel: Length of the workspace along x and y (an axis: along x only), m.
+        mass: Moving masses along x and y (an axis: along x only), kg.
+        pulley_radius: Pitch radius of the motors' pulleys, m. For an axis: the gear ratio becomes gear_ratio / radius.
+        gear_ratio: Turns of the motor per turn of the pulley; for an axis without `pulley_radius` rad/m.
+        rotor_inertia: Moment of inertia of a motor's rotor, kg m^2. It replaces the pulleys' moment of inertia, or is
+            added to the mass of an axis, times gear_ratio^2.
+        Kt: Torque constant of the motors, Nm/A; Ke becomes the same, in Vs/rad.
+        resistance: Resistance of the motors, ohm.
+        rated_voltage: Rated voltage of the motors, V.
+        encoder_lines: Lines of the encoders on the motor shafts, read in quadrature; 0 for no encoders.
+        linear_sensor: Whether sensors measure x and y (an axis: x).
+        values: Further values by full name, SI, for example {"x.coulomb": 2.0, "x_m.noise": 1e-5}.
+    """
+
+    travel: tuple[float, ...] | None = None
+    mass: tuple[float, ...] | None = None
+    pulley_radius: float | None = None
+    gear_ratio: float | None = None
+    rotor_inertia: float | None = None
+    Kt: float | None = None
+    resistance: float | None = None
+    rated_voltage: float | None = None
+    encoder_lines: int | None = None
+    linear_sensor: bool = True
+    values: Mapping[str, float] = field(default_factory=dict)
+
+
+def new_machine(like: str, name: str, options: MachineOptions) -> Machine:
+    """Create a machine from a template.
+
+    Args:
+        like: Template, one of `TEMPLATES`.
+        name: Name of the new machine.
+        options: Values that replace those of the template.
+
+    Returns:
+        The machine. Lengths of belts follow the travel, and the encoders' resolution follows lines and gear ratio.
+
+    Raises:
+        InputError: If the template is unknown, or an option is not positive, does not fit the template or leaves no
+            sensor.
+    """
+    if like not in TEMPLATES:
+        raise InputError(f"--like {like}: choose one of {', '.join(TEMPLATES)}")
+    machine = BUILTIN_MACHINES[like]().replace(name=name, description=f"A machine like {like}; see docs/machine.md.")
+    _check(like, options)
+    machine = _with_travel(machine, options)
+    machine = machine.replace(drives=tuple(_drive(machine, d, options) for d in machine.drives))
+    machine = _with_masses(machine, options)
+    gear_ratios = {d.coordinate: d.gear_ratio for d in BUILTIN_MACHINES[like]().drives}
+    machine = machine.replace(sensors=_sensors(machine, gear_ratios, options))
+    if not machine.sensors:
+        raise InputError("no sensor is left: give --encoder-lines, or keep the linear sensor")
+    return _with_values(machine, options.values)
+
+
+def write_machine_template(like: str, machine: Machine, path: Path) -> None:
+    """Write a machine.json with comments that explain its fields.
+
+    Args:
+        like: Template of the machine, one of `TEMPLATES`.
+        machine: Machine that `new_machine` created from it.
+        path: File to write; its folder is created if necessary, and an existing file is replaced.
+
+    Raises:
+        InputError: If a value of the machine is not allowed; nothing is written then.
+        OSError: If the file cannot be written.
+    """
+    content = machine_to_dict(machine)
+    first = [
+        "Machine description of hframe_gym. All values are in SI units; docs/machine.md describes every field.",
+        _KINEMATICS[like],
+        "Comments like this one are allowed in every object. They are ignored.",
+        f"Next: hframe machines show {path.name}, then hframe check RUNS --machine {path.name}",
+    ]
+    comments = {
+        "coordinates": lambda entry: _COORDINATE_COMMENTS.get((like, entry["name"]), _PULLEY_COMMENT),
+        "belts": lambda entry: _BELT_COMMENT,
+        "drives": lambda entry: _DRIVE_COMMENT,
+        "sensors": lambda entry: _ENCODER_COMMENT if entry["kind"] == "encoder" else _LASER_COMMENT,
+    }
+    for key, comment in comments.items():
+        content[key] = _commented(content[key], comment)
+    schema = content.pop("schema")
+    text = compact_json({"schema": schema, "comment": first, **content}) + "\n"
+    MachineReader(path, MachineFile.model_validate_json(text)).machine()  # checks the values
+    write_text(path, text)
+
+
+def compact_json(value: Any, indent: int = 0) -> str:
+    """Format JSON for people: objects and lists that fit into a line are on one line.
+
+    Args:
+        value: Dictionaries, lists, strings and numbers.
+        indent: Number of spaces before the lines after the first one.
+
+    Returns:
+        JSON text without a line break at the end.
+    """
+    text = json.dumps(value, ensure_ascii=False)
+    if len(text) + indent <= _LINE or not isinstance(value, dict | list):
+        return text
+    if isinstance(value, dict):
+        lines = [f"{json.dumps(key)}: {compact_json(item, indent + 2)}" for key, item in value.items()]
+    else:
+        lines = [compact_json(item, indent + 2) for item in value]
+    opening, closing = "{}" if isinstance(value, dict) else "[]"
+    pad = " " * (indent + 2)
+    return f"{opening}\n{pad}" + f",\n{pad}".join(lines) + f"\n{' ' * indent}{closing}"
+
+
+def _commented(entries: list[dict[str, Any]], comment: Callable[[dict[str, Any]], str]) -> list[dict[str, Any]]:
+    """Return entries with comments after their first fields; a comment that would be repeated is left out."""
+    result, used = [], set()
+    for entry in entries:
+        text = comment(entry)
+        (first, value), *_ = entry.items()
+        result.append({first: value} | ({} if text in used else {"comment": text}) | entry)
+        used.add(text)
+    return result
+
+
+def _check(like: str, options: MachineOptions) -> None:
+    """Check that options are positive and fit the template."""
+    axes = 1 if like == "axis" else 2
+    for name in ("travel", "mass"):
+        values = getattr(options, name)
+        if values is not None and len(values) != axes:
+            example = "0.5" if axes == 1 else "0.3,0.2"
+            raise InputError(f"--{name}: {like} needs {axes} value{'s'[: axes - 1]}, for example --{name} {example}")
+    for info in dataclasses.fields(options):
+        value = getattr(options, info.name)
+        numbers = value if isinstance(value, tuple) else (value,) if isinstance(value, int | float) else ()
+        zero_allowed = info.name == "encoder_lines" or isinstance(value, bool)
+        for number in numbers:
+            if not math.isfinite(number) or number < 0 or (number == 0 and not zero_allowed):
+                raise InputError(f"--{info.name.replace('_', '-')} {number:g}: must be positive")
+            if number > _LONGEST.get(info.name, math.inf):
+                raise InputError(f"--{info.name.replace('_', '-')} {number:g}: is it in millimeters? Give it in m")
+
+
+def _with_travel(machine: Machine, options: MachineOptions) -> Machine:
+    """Return a machine with other ranges, and belts that are longer or shorter accordingly."""
+    if options.travel is None:
+        return machine
+    travel = dict(zip(("x", "y"), options.travel, strict=False))
+    change = dict.fromkeys(("x", "y"), 0.0)  # m
+    coordinates = list(machine.coordinates)
+    for index, c in enumerate(coordinates):
+        if c.name in travel:
+            change[c.name] = travel[c.name] - (c.range[1] - c.range[0] if c.range else 0.0)
+            coordinates[index] = dataclasses.replace(c, range=(-travel[c.name] / 2, travel[c.name] / 2))
+    belts = []
+    for b in machine.belts:
+        per_x, per_y = _LENGTH_PER_TRAVEL[b.name]
+        length = b.rest_length + per_x * change["x"] + per_y * change["y"]
+        belts.append(dataclasses.replace(b, rest_length=round(length, 6)))
+    return machine.replace(coordinates=tuple(coordinates), belts=tuple(belts))
+
+
+def _drive(machine: Machine, drive: Drive, options: MachineOptions) -> Drive:
+    """Return a drive with the values of the options."""
+    new: dict[str, float] = {}
+    if options.Kt is not None:
+        new |= {"Kt": options.Kt, "Ke": options.Kt}
+    given = {"resistance": options.resistance, "rated_voltage": options.rated_voltage, "gear_ratio": options.gear_ratio}
+    new |= {key: value for key, value in given.items() if value is not None}
+    if options.pulley_radius is not None and machine.coordinate(drive.coordinate).kind == "linear":
+        new["gear_ratio"] = (options.gear_ratio or 1.0) / options.pulley_radius
+    return dataclasses.replace(drive, **new)  # type: ignore[arg-type]
+
+
+def _with_masses(machine: Machine, options: MachineOptions) -> Machine:
+    """Return a machine with other masses, pulleys and rotors."""
+    mass = dict(zip(("x", "y"), options.mass or (), strict=False))
+    coordinates = []
+    for c in machine.coordinates:
+        new: dict[str, float] = {"mass": mass[c.name]} if c.name in mass else {}
+        if c.kind == "rotary" and options.pulley_radius is not None:
+            new["radius"] = options.pulley_radius
+        drives = [d for d in machine.drives if d.coordinate == c.name]
+        if drives and options.rotor_inertia is not None:
+            reflected = drives[0].gear_ratio ** 2 * options.rotor_inertia
+            new["mass"] = reflected if c.kind == "rotary" else mass.get(c.name, c.mass) + reflected
+        coordinates.append(dataclasses.replace(c, **new))  # type: ignore[arg-type]
+    return machine.replace(coordinates=tuple(coordinates))
+
+
+def _sensors(machine: Machine, gear_ratios: Mapping[str, float], options: MachineOptions) -> tuple[Sensor, ...]:
+    """Return the sensors: encoders on the motor shafts, then the sensors of the carriages.
+
+    Args:
+        machine: Machine with the new drives.
+        gear_ratios: Gear ratios of the template by name of the drives' coordinates, rad/rad or rad/m.
+        options: Values that replace those of the template.
+    """
+    carriages = [s for s in machine.sensors if s.kind != "encoder"] if options.linear_sensor else []
+    if options.encoder_lines is None:
+        ratio = {d.coordinate: gear_ratios[d.coordinate] / d.gear_ratio for d in machine.drives}
+        encoders = [s for s in machine.sensors if s.kind == "encoder"]
+        encoders = [dataclasses.replace(s, resolution=s.resolution * ratio[s.coordinate]) for s in encoders]
+        return (*encoders, *carriages)
+    encoders = []
+    for drive in machine.drives if options.encoder_lines else ():
+        kind = machine.coordinate(drive.coordinate).kind
+        channel = f"{drive.coordinate}_rad" if kind == "rotary" else "x_encoder_m" if carriages else "x_m"
+        quantum = 2 * math.pi / (_QUADRATURE * options.encoder_lines * drive.gear_ratio)
+        encoders.append(Sensor(channel, {drive.coordinate: 1.0}, resolution=quantum, kind="encoder"))
+    return (*encoders, *carriages)
+
+
+def _with_values(machine: Machine, values: Mapping[str, float]) -> Machine:
+    """Return a machine with other parameter values."""
+    names = machine.parameters | machine.device_parameters
+    unknown = [name for name in values if name not in names]
+    if unknown and unknown[0] in machine.ties:
+        raise InputError(f"--set {unknown[0]}: it is tied to {machine.ties[unknown[0]][0]}; set that parameter")
+    if unknown:
+        similar = difflib.get_close_matches(unknown[0], names, 3) or sorted(names)
+        raise InputError(f"--set {unknown[0]}: there is no such parameter; there are {', '.join(similar)}")
+    return machine.replace(values)

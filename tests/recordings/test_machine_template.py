@@ -1,0 +1,115 @@
+"""New machines from templates: options, comments, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hframe_gym.errors import InputError
+from hframe_gym.machine import BUILTIN_MACHINES, rigid_motions
+from hframe_gym.recordings import TEMPLATES, MachineOptions, load_machine, new_machine, write_machine_template
+
+
+@pytest.mark.parametrize("like", TEMPLATES)
+def test_a_template_without_options_is_the_built_in_machine_with_comments(like: str, tmp_path: Path) -> None:
+    path = tmp_path / "mine.json"
+    write_machine_template(like, new_machine(like, "mine", MachineOptions()), path)
+    machine, preset = load_machine(path), BUILTIN_MACHINES[like]()
+    assert machine.name == "mine"
+    assert machine.parameters == preset.parameters
+    assert machine.sensors == preset.sensors
+    content = json.loads(path.read_text())
+    assert "SI units" in content["comment"][0]
+    for key in ("coordinates", "drives", "sensors"):
+        assert content[key][0]["comment"]
+    assert max(len(line) for line in path.read_text().splitlines() if "comment" not in line and "    " in line) <= 120
+
+
+def test_options_of_a_corexy_machine() -> None:
+    options = MachineOptions(
+        travel=(0.4, 0.2),
+        mass=(0.5, 1.5),
+        pulley_radius=0.008,
+        gear_ratio=3.0,
+        rotor_inertia=1e-6,
+        Kt=0.05,
+        resistance=1.5,
+        rated_voltage=36.0,
+        encoder_lines=500,
+        values={"x.coulomb": 2.5, "belt1_short.EA": 2e4},
+    )
+    machine, preset = new_machine("corexy", "mine", options), BUILTIN_MACHINES["corexy"]()
+    assert machine.coordinate("x").range == (-0.2, 0.2)
+    assert machine.coordinate("y").range == (-0.1, 0.1)
+    assert (machine.coordinate("x").mass, machine.coordinate("y").mass) == (0.5, 1.5)
+    assert machine.coordinate("phi2").mass == pytest.approx(9e-6)
+    assert [(d.Kt, d.Ke, d.resistance, d.rated_voltage, d.gear_ratio) for d in machine.drives] == [
+        (0.05, 0.05, 1.5, 36.0, 3.0)
+    ] * 2
+    assert machine.sensor("phi1_rad").resolution == pytest.approx(2 * math.pi / (2000 * 3.0))
+    assert machine.parameters["x.coulomb"] == 2.5
+    assert {b.EA for b in machine.belts if b.name.startswith("belt1")} == {2e4}  # tied
+    # x is 0.1 m longer and y 0.1 m shorter: what the belt gains along x, it loses along y.
+    assert [b.rest_length for b in machine.belts] == pytest.approx([b.rest_length for b in preset.belts])
+    assert set(rigid_motions(machine)) == {"x", "y"}
+
+
+def test_a_longer_frame_has_longer_belts_in_proportion_to_its_sides() -> None:
+    machine = new_machine("corexy", "mine", MachineOptions(travel=(0.5, 0.3)))
+    preset = BUILTIN_MACHINES["corexy"]()
+    gain = {b.name: b.rest_length - p.rest_length for b, p in zip(machine.belts, preset.belts, strict=True)}
+    # The short section ends at the middle of the bridge; the long one runs along the rear and half of the bridge.
+    assert gain == pytest.approx({"belt1_short": 0.1, "belt1_long": 0.3, "belt2_short": 0.1, "belt2_long": 0.3})
+
+
+def test_a_gear_changes_the_resolution_of_the_encoders_on_the_motor_shafts() -> None:
+    machine = new_machine("hframe", "mine", MachineOptions(gear_ratio=11.8))
+    before = BUILTIN_MACHINES["hframe"]().sensor("phi1_rad").resolution
+    assert machine.sensor("phi1_rad").resolution == pytest.approx(before / 2)
+
+
+def test_an_axis_with_a_pulley_a_rotor_and_an_encoder_only() -> None:
+    options = MachineOptions(
+        travel=(0.6,), mass=(2.5,), pulley_radius=0.012, rotor_inertia=1e-5, encoder_lines=500, linear_sensor=False
+    )
+    machine = new_machine("axis", "rig", options)
+    (drive,), (sensor,) = machine.drives, machine.sensors
+    assert drive.gear_ratio == pytest.approx(1 / 0.012)
+    assert machine.unit("motor.gear_ratio") == "rad/m"
+    assert machine.coordinate("x").mass == pytest.approx(2.5 + 1e-5 / 0.012**2)
+    assert (sensor.channel, sensor.kind) == ("x_m", "encoder")
+    assert sensor.resolution == pytest.approx(2 * math.pi * 0.012 / 2000)
+    both = new_machine("axis", "rig", MachineOptions(encoder_lines=500))
+    assert both.output_channels == ("x_encoder_m", "x_m")
+
+
+@pytest.mark.parametrize(
+    ("like", "options", "message"),
+    [
+        ("delta", {}, "choose one of hframe, axis, corexy"),
+        ("corexy", {"travel": (0.3,)}, "--travel: corexy needs 2 values"),
+        ("axis", {"mass": (1.0, 2.0)}, "--mass: axis needs 1 value,"),
+        ("corexy", {"Kt": -1.0}, "--Kt -1: must be positive"),
+        ("corexy", {"pulley_radius": 0.0}, "--pulley-radius 0: must be positive"),
+        ("corexy", {"rated_voltage": math.inf}, "--rated-voltage inf"),
+        ("corexy", {"travel": (300.0, 200.0)}, "--travel 300: is it in millimeters"),
+        ("corexy", {"encoder_lines": 0, "linear_sensor": False}, "no sensor is left"),
+        ("corexy", {"values": {"x.mas": 1.0}}, "--set x.mas: there is no such parameter; there are x.mass"),
+        ("corexy", {"values": {"belt1_long.EA": 1.0}}, "tied to belt1_short.EA"),
+    ],
+)
+def test_a_wrong_option_is_named(like: str, options: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError) as error:
+        new_machine(like, "mine", MachineOptions(**options))
+    assert message in str(error.value)
+
+
+def test_a_value_that_the_reader_refuses_is_not_written(tmp_path: Path) -> None:
+    machine = new_machine("corexy", "mine", MachineOptions(values={"x.mass": -1.0}))
+    with pytest.raises(InputError, match=r"coordinates\.x\.mass: -1 must be positive"):
+        write_machine_template("corexy", machine, tmp_path / "m.json")
+    assert list(tmp_path.iterdir()) == []

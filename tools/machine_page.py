@@ -1,0 +1,64 @@
+"""Tables of docs/machine.md and the JSON Schema of machine.json, from the pydantic models of the file format."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from hframe_gym.recordings import TABLES, Table, field_descriptions, field_units, machine_json_schema, table_summary
+
+# Titles of the sections; the classes are private to the reader of the file.
+TITLES = {
+    "MachineFile": "The file",
+    "CoordinateEntry": "Coordinates",
+    "BeltEntry": "Belts",
+    "DriveEntry": "Drives",
+    "SensorEntry": "Sensors",
+    "EffectEntry": "Effects",
+    "UncertaintyEntry": "Uncertainty",
+    "QuantityEntry": "Quantities",
+}
+
+
+def schema_text() -> str:
+    """Return the content of docs/machine.schema.json."""
+    return json.dumps(machine_json_schema(), indent=1, ensure_ascii=False) + "\n"
+
+
+def field_tables() -> str:
+    """Format the fields of every table of machine.json in Markdown, one section per table."""
+    return "\n\n".join(map(_section, TABLES))
+
+
+def _section(table: type[Table]) -> str:
+    """Return the section of a table: what it describes, then its fields, without `comment`."""
+    descriptions = field_descriptions(table)
+    rows = ["| field | value | meaning |", "| --- | --- | --- |"]
+    for name, info in table.model_fields.items():
+        if name != "comment":
+            field = info.alias or name
+            required = "" if info.is_required() else ", optional"
+            cells = (f"`{field}`", _value(name, info.annotation) + required, descriptions[field])
+            rows.append(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |")
+    return f"### {TITLES[table.__name__]}\n\n{table_summary(table)}\n\n" + "\n".join(rows)
+
+
+def _value(name: str, annotation: Any) -> str:
+    """Describe what a field contains: a quantity with its units, a list, an object or a plain value."""
+    text = str(annotation)
+    if "QuantityEntry" in text and "dict" not in text:
+        return "quantity, " + " or ".join(f"`{unit}`" for unit in field_units(name))
+    kinds = {
+        "list[hframe_gym": "list of objects",
+        "dict": "object",
+        "UncertaintyEntry": "object",
+        "list[list": "list of lists",
+        "list": "list",
+        "tuple": "list of two numbers",
+        "Literal[1]": "`1`",
+        "Literal": "text",
+        "str": "text",
+        "int": "whole number",
+        "float": "number",
+    }
+    return next(kind for key, kind in kinds.items() if key in text)
