@@ -8,15 +8,19 @@ import os
 import shutil
 import subprocess
 import sys
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from rich.console import Console
+from rich.table import Table
 
 from hframe_gym import cli
 from hframe_gym.cli import tables as cli_tables
+from hframe_gym.controllers import CONTROLLERS, ModelBasedController
+from hframe_gym.data_validation import Finding, print_findings
 from hframe_gym.effects import EFFECTS
 from hframe_gym.errors import InputError
 from hframe_gym.identification import simulate_recording
@@ -29,7 +33,7 @@ Command = Callable[..., tuple[int, str, str]]
 
 ROOT = Path(__file__).parents[1]
 COMMANDS = (
-    *("simulate", "import", "check", "identify", "report", "train", "evaluate", "export"),
+    *("simulate", "import", "check", "identify", "report", "train", "evaluate", "play", "export"),
     *("machines", "effects", "kernel"),
 )
 
@@ -327,19 +331,46 @@ def test_evaluate_follows_a_path(hframe_command: Command, tmp_path: Path) -> Non
     assert f"{scores['controllers']['pid']['contour_mm']['rms']['mean']:.3f}" in out
 
 
+def test_evaluate_writes_a_scorecard_with_the_warnings(
+    hframe_command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("matplotlib")
+
+    def make_pid(machine: Machine, period: float) -> ModelBasedController:
+        warnings.warn("this controller is not for this machine", stacklevel=2)
+        return ModelBasedController(machine, period)
+
+    monkeypatch.setattr(make_pid, "feedback", "state", raising=False)
+    monkeypatch.setitem(CONTROLLERS._parts, "warning-pid", make_pid)
+    code, out, err = hframe_command("evaluate", "warning-pid", "--episodes", 2, "--html", "--out", tmp_path)
+    assert code == 0
+    assert "hframe: warning: this controller is not for this machine" in err
+    page = (tmp_path / "scorecard.html").read_text()
+    assert f"wrote {tmp_path / 'scorecard.html'}" in " ".join(out.split())
+    assert "<li>this controller is not for this machine</li>" in page
+
+
+def printed(table: Table, width: int) -> str:
+    """Return a table as a terminal of a width shows it, and check that nothing is cut."""
+    console = Console(width=width, record=True, file=io.StringIO())
+    console.print(table)
+    text = console.export_text()
+    assert "…" not in text
+    assert max(map(len, text.splitlines())) <= width
+    return text
+
+
+@pytest.mark.parametrize("width", [80, 60])
 @pytest.mark.parametrize("metric", ["settling_s", "contour_mm"])
-def test_scores_are_not_cut_on_80_columns(metric: str) -> None:
+def test_scores_are_not_cut(metric: str, width: int) -> None:
     success = {band: {"1mm": 1.0, "0.2mm": 0.998, "0.05mm": 0.125}[band] for band in cli_tables.BANDS}
     keys = cli_tables.BANDS if metric == "settling_s" else ("rms", "max")
     errors = {key: {"mean": 1.2345 + i} for i, key in enumerate(keys)}
     score = {"success": success, metric: errors, "tracking_mm": errors}
     names = ("pid", "my_package.my_controllers:a-controller")
     scores = {"task": "reach", "episodes": 512, "machine": "hframe", "randomize": "default", "sensors": "state"}
-    console = Console(width=80, record=True, file=io.StringIO())
-    console.print(cli_tables.score_table({**scores, "seed": 0, "controllers": dict.fromkeys(names, score)}))
-    text = console.export_text()
-    assert "…" not in text
-    assert max(map(len, text.splitlines())) <= 80
+    text = printed(cli_tables.score_table({**scores, "seed": 0, "controllers": dict.fromkeys(names, score)}), width)
+    assert "pid" in text.split()
     for number in ("100.0", "99.8", "12.5", *(f"{cell['mean']:.3f}" for cell in errors.values())):
         assert text.count(number) >= len(names)
 
@@ -350,14 +381,43 @@ def test_machines_lists_the_built_in_machines(hframe_command: Command) -> None:
     assert {"hframe", "hframe-linear", "axis"} <= set(out.split())
 
 
-def test_effects_keeps_every_name_complete_on_80_columns_and_in_a_pipe() -> None:
-    code = "import sys; sys.argv = ['hframe', 'effects']; from hframe_gym.cli import main; main()"
+@pytest.mark.parametrize("width", [80, 60])
+def test_errors_of_an_identification_are_not_cut(width: int) -> None:
+    channels = ("phi1_rad", "phi2_rad", "x_m", "bridge_left_m")
+    errors = {channel: {"rmse": 1.2345e-5, "noise_ratio": 1234.5} for channel in channels} | {"force_error": 0.5}
+    report = {stage: {"held_out": errors} for stage in ("declared", "before", "after")}
+    text = printed(cli_tables.identification_table(report, channels), width)
+    assert set(channels) <= set(text.split())
+    assert text.count("1.23e-05") == text.count("(1234x)") == 3 * len(channels)
+
+
+@pytest.mark.parametrize("width", [80, 60])
+def test_machines_and_effects_are_not_cut(width: int) -> None:
+    assert set(BUILTIN_MACHINES) <= set(printed(cli_tables.machine_table(), width).split())
+    assert set(EFFECTS) <= set(printed(cli_tables.effect_table(), width).split())
+
+
+@pytest.mark.parametrize("width", [80, 60])
+def test_findings_are_not_cut(width: int) -> None:
+    findings = [
+        Finding("advice", "a_run_with_a_very_long_name_2026_11_22", "bottom.rest_length", "what was found " * 9)
+    ]
+    console = Console(width=width, record=True, file=io.StringIO(), force_terminal=True)
+    print_findings(findings, console)
+    text = console.export_text()
+    assert "…" not in text
+    assert max(map(len, text.splitlines())) <= width
+
+
+@pytest.mark.parametrize("command", ["effects", "machines"])
+def test_names_are_complete_in_a_pipe(command: str) -> None:
+    names = set(EFFECTS if command == "effects" else BUILTIN_MACHINES)
+    code = f"import sys; sys.argv = ['hframe', '{command}']; from hframe_gym.cli import main; main()"
     for columns in ({}, {"COLUMNS": "80"}):
         environment = {**os.environ, "PYTHONPATH": str(ROOT), **columns}
         run = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
-        assert set(EFFECTS) <= set(run.stdout.split())
-        table = [line for line in run.stdout.splitlines() if line.startswith(("┃", "│"))]
-        assert max(map(len, table)) <= 80
+        assert names <= set(run.stdout.split())
+        assert max(map(len, run.stdout.splitlines())) <= 80
 
 
 def test_kernel_prints_python_source(hframe_command: Command) -> None:

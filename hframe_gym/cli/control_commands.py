@@ -1,4 +1,4 @@
-"""Commands on controllers: train, evaluate, export."""
+"""Commands on controllers: train, evaluate, play, export."""
 
 from __future__ import annotations
 
@@ -9,7 +9,13 @@ from typing import Annotated, Any
 import typer
 
 from .app import MachineOption, OutOption, RandomizeOption, TaskOption, app, console, log
-from .support import CommandWithChoices, require_folder, task_with_path, value_errors_as_input_errors
+from .support import (
+    CommandWithChoices,
+    repeat_warnings,
+    require_folder,
+    task_with_path,
+    value_errors_as_input_errors,
+)
 
 
 @app.command(cls=CommandWithChoices)
@@ -75,10 +81,11 @@ def evaluate(
     period: Annotated[float, typer.Option(help="Control period in seconds.")] = 0.01,
     episodes: Annotated[int, typer.Option(min=1, help="Number of episodes; the same for every controller.")] = 512,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the starts, goals and machine parameters.")] = 0,
+    html: Annotated[bool, typer.Option("--html", help="Also write scorecard.html, one self-contained page.")] = False,
 ) -> None:
     """Score controllers on identical episodes; writes scores.json and a plot of each one's first episode.
 
-    Example:  hframe evaluate pid textbook-pid --episodes 64 --out out/scores
+    Example:  hframe evaluate pid textbook-pid --episodes 64 --html --out out/scores
     """
     from ..evaluation import evaluate as run_evaluation
     from ..evaluation import write_scores
@@ -90,7 +97,7 @@ def evaluate(
     declared = load_machine(machine)
     require_folder(out)
     options: dict[str, Any] = {"randomize": randomize, "sensors": sensors, "episodes": episodes, "seed": seed}
-    with value_errors_as_input_errors():
+    with value_errors_as_input_errors(), repeat_warnings() as warned:
         built_task = task_with_path(task, path)
         scores, recorded = run_evaluation(controllers, declared, task=built_task, period=period, **options)
     written = write_scores(out, scores)
@@ -99,13 +106,15 @@ def evaluate(
         log(reason)
     log(f"wrote {written}")
     try:
-        from ..evaluation import save_plot
+        from ..evaluation import save_plot, write_scorecard
 
         for name, episode in recorded.items():
             label = Path(name).name.replace(":", "-")  # of a folder the last part; no colon in a file name
             plot = out / f"{label}.png"
             save_plot(plot, episode, title=f"{label} on {declared.name}")
             log(f"wrote {plot}")
+        if html:
+            log(f"wrote {write_scorecard(out, scores, recorded, warned)}")
     except ImportError as error:
         log(f"no plots: {error}")
 
@@ -156,3 +165,52 @@ def export(
                 f"{written.mean_return:.2f}, {written.success_rate:.1%} of the episodes end within the task's band"
             )
     log(f"load them in Python with MINARI_DATASETS_PATH={out} and minari.load_dataset({written.dataset_id!r})")
+
+
+@app.command(cls=CommandWithChoices)
+def play(
+    controller: Annotated[
+        str | None, typer.Argument(help="What drives the stage: {controllers}, {agents}, ... (default: you).")
+    ] = None,
+    beside: Annotated[
+        str | None, typer.Option(help="Controller of a second stage: {controllers}, {agents}, the folder of an agent.")
+    ] = None,
+    machine: MachineOption = "hframe",
+    task: TaskOption = "reach",
+    path: Annotated[
+        str | None, typer.Option(help="Path to follow, for the task track: circle, square, lissajous or a CSV file.")
+    ] = None,
+    randomize: RandomizeOption = "none",
+    sensors: Annotated[str, typer.Option(help="What controllers observe: {sensors}.")] = "state",
+    period: Annotated[float, typer.Option(help="Control period in seconds.")] = 0.01,
+    speed: Annotated[float, typer.Option(help="Speed relative to real time; a hand is slower than a motor.")] = 0.3,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the first start and goal.")] = 0,
+    frames: Annotated[int | None, typer.Option(min=1, help="Stop after this number of frames (50 per second).")] = None,
+    picture: Annotated[Path | None, typer.Option(help="PNG file for the last frame.")] = None,
+) -> None:
+    """Drive a stage by mouse or keys, with a controller on the same task beside it.
+
+    Arrow keys push the tool (with Shift: full voltage); the left mouse button pulls it to the pointer, the right one
+    sets a target. N begins a new episode, R repeats it, Space pauses, Q quits.
+
+    Example:  hframe play --beside pid
+    """
+    from ..evaluation import Scenario
+    from ..evaluation.play import Game
+    from ..recordings import load_machine
+
+    # Registers the agents as controllers, also where the package is used without its installed entry points.
+    import_module("hframe_gym.agents")
+    declared = load_machine(machine)
+    options: dict[str, Any] = {"randomize": randomize, "sensors": sensors, "seed": seed, "period": period}
+    with value_errors_as_input_errors():
+        scenario = Scenario(declared, task_with_path(task, path), **options)
+        game = Game(scenario, controller, beside, speed)
+    game.run(frames)
+    for stage in game.stages:
+        state = "outside the band" if stage.settled_s is None else f"in the band since {stage.settled_s:.2f} s"
+        log(f"{stage.name}: {1e3 * stage.distance:.3f} mm from the goal after {stage.elapsed_s:.2f} s, {state}")
+    if picture is not None:
+        game.save_picture(picture)
+        log(f"wrote {picture}")
+    game.close()

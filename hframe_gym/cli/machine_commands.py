@@ -52,7 +52,7 @@ def machines(context: typer.Context) -> None:
         from .tables import machine_table
 
         console.print(machine_table())
-        log("Describe your machine: hframe machines new --like corexy --out my.json (docs/machine.md)")
+        log("Yours: hframe machines new --like corexy --out my.json (see docs/machine.md)")
 
 
 @machines_app.command("show")
@@ -150,7 +150,7 @@ def effects(context: typer.Context) -> None:
         from .tables import effect_table
 
         console.print(effect_table())
-        log("If none of them fits: smooth_force[VARIABLE] and smooth_friction[VARIABLE], lookup tables.")
+        log("If none fits, lookup tables: smooth_force[VARIABLE], smooth_friction[VARIABLE]")
 
 
 @effects_app.command("new")

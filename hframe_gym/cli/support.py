@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
@@ -198,6 +199,27 @@ def print_warning(message: Warning | str, *_args: Any, **_keywords: Any) -> None
         message: The warning.
     """
     print(f"hframe: warning: {message}", file=sys.stderr)
+
+
+@contextmanager
+def repeat_warnings() -> Iterator[list[str]]:
+    """Collect the texts of the library's warnings inside a `with` block; they are printed as without it.
+
+    Yields:
+        List that receives the texts.
+    """
+    texts: list[str] = []
+    show = warnings.showwarning
+
+    def collect(message: Warning | str, *arguments: Any, **keywords: Any) -> None:
+        texts.append(str(message))
+        show(message, *arguments, **keywords)
+
+    warnings.showwarning = collect
+    try:
+        yield texts
+    finally:
+        warnings.showwarning = show
 
 
 def check_recordings_before_fit(

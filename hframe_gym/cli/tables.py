@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from rich import box
 from rich.markup import escape
 from rich.table import Table
 
@@ -12,10 +13,11 @@ from ..dynamics import mode_frequencies
 from ..effects import EFFECTS
 from ..machine import BUILTIN_MACHINES, Machine, Row, motion_limits, rigid_motions
 from ..registry import load_plugins
+from ..web_page import number
 
 BANDS = ("1mm", "0.2mm", "0.05mm")
 BOUND_BAND = "0.2mm"  # band of the time-optimal bound
-PATH_ERRORS = {"contour_mm": "contour", "tracking_mm": "tracking"}
+PATH_ERRORS = {"contour_mm": "contour", "tracking_mm": "track"}
 LISTED_MODES = 3
 
 
@@ -31,18 +33,18 @@ def identification_table(report: Mapping[str, Any], channels: Sequence[str]) -> 
         multiple of the sensor noise, for the declared machine, the refitted machine, and the machine with added
         effects. A further row has the relative error of the drives' forces, %, where the report contains it.
     """
-    title = "simulation error on held-out recordings: rmse (multiple of the sensor noise)"
-    table = Table(title=title, title_justify="left")
-    table.add_column("channel", no_wrap=True)
-    for column in ("declared", "before (refitted)", "after (with effects)"):
-        table.add_column(column, justify="right")
+    title = "simulation error on held-out recordings: rmse (x: multiple of the sensor noise)"
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column("channel", overflow="fold")
+    for column in ("declared", "before\n(refitted)", "after\n(with effects)"):
+        table.add_column(column, justify="right")  # a narrow terminal shows the multiple on a second line
     errors = [report[stage]["held_out"] for stage in ("declared", "before", "after")]
     for channel in channels:
         if errors[0][channel]["rmse"] is None:
             table.add_row(channel, *["not measured"] * len(errors))
         else:
             cells = (e[channel] for e in errors)
-            table.add_row(channel, *(f"{cell['rmse']:.3g} ({cell['noise_ratio']:.3g}x)" for cell in cells))
+            table.add_row(channel, *(f"{cell['rmse']:.3g} ({number(cell['noise_ratio'])}x)" for cell in cells))
     if "force_error" in errors[0]:
         table.add_row("force, relative", *(f"{100 * e['force_error']:.2f} %" for e in errors))
     return table
@@ -68,13 +70,14 @@ def score_table(scores: Mapping[str, Any]) -> Table:
     )
     controllers = scores["controllers"]
     fixed_goal = all("settling_s" in score for score in controllers.values())
-    columns = [f"in\n{band}\n%" for band in BANDS]
+    bands = [band.replace("mm", "\nmm") for band in BANDS]
+    columns = [f"in\n{band}\n%" for band in bands]
     if fixed_goal:
-        columns += [*(f"until\n{band}\ns" for band in BANDS), "over\nthe\nbound"]
+        columns += [*(f"until\n{band}\ns" for band in bands), "over\nthe\nbound"]
     else:
-        columns += [f"{label}\n{kind}\nmm" for label in PATH_ERRORS.values() for kind in ("rms", "max")]
-    table = Table(title=title, title_justify="left", collapse_padding=True)
-    table.add_column("controller", overflow="fold")
+        columns += [f"{label}\nerror\n{kind}\nmm" for label in PATH_ERRORS.values() for kind in ("rms", "max")]
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
+    table.add_column("name", overflow="fold")
     for column in columns:
         table.add_column(column, justify="right", no_wrap=True, min_width=max(map(len, column.split("\n"))))
     for name, score in controllers.items():
@@ -113,18 +116,18 @@ def machine_table() -> Table:
     """Format the built-in machines as a table.
 
     Returns:
-        Table (rich) with one row per machine: name, numbers of coordinates and belts, lowest natural frequencies of the
-        masses on the belts (belt modes), Hz, and description.
+        Table (rich) with one row per machine: name, and description with numbers of coordinates and belts and the
+        lowest natural frequencies of the masses on the belts (belt modes), Hz.
     """
-    table = Table("name", "coordi-\nnates", "belts", "belt modes,\nHz", "description")
-    table.columns[0].no_wrap = True
+    table = _table("machine", "description")
     for name, make_machine in BUILTIN_MACHINES.items():
         machine = make_machine()
         frequencies = [f for f in mode_frequencies(machine) if f > 0]
-        modes = ", ".join(f"{f:.1f}" for f in frequencies[:LISTED_MODES])
-        more = ", ..." if len(frequencies) > LISTED_MODES else ""
-        counts = (str(len(machine.coordinates)), str(len(machine.belts)))
-        table.add_row(name, *counts, modes + more or "-", machine.description)
+        facts = [_count(len(machine.coordinates), "coordinate"), _count(len(machine.belts), "belt")]
+        if frequencies:
+            modes = ", ".join(f"{f:.1f}" for f in frequencies[:LISTED_MODES])
+            facts.append(f"belt modes {modes}{', ...' if len(frequencies) > LISTED_MODES else ''} Hz")
+        table.add_row(name, f"{escape(machine.description)}\n[dim]{', '.join(facts)}[/dim]")
     return table
 
 
@@ -134,19 +137,29 @@ def effect_table() -> Table:
     Names are never wrapped or truncated, so that the output can be searched in a pipe.
 
     Returns:
-        Table (rich) with one row per effect: name, site (the kind of component it acts on), parameters with units,
-        formula. Plugins are loaded first.
+        Table (rich) with one row per effect: name; below each other formula, site (the kind of component it acts on)
+        and parameters with units. Plugins are loaded first.
     """
     load_plugins()
-    table = Table("effect", "site", "parameters", "formula")
-    name_column = table.columns[0]
-    name_column.no_wrap, name_column.min_width = True, max(map(len, EFFECTS))
-    for column in table.columns[1:]:
-        column.overflow = "fold"
+    table = _table("effect", "formula, site, parameters")
     for effect in EFFECTS.values():
         parameters = ", ".join(f"{p.name} ({p.unit})" for p in effect.parameters)
-        table.add_row(effect.name, effect.site, escape(parameters), escape(effect.formula))
+        details = f"at {effect.site}; {parameters}" if parameters else f"at {effect.site}"
+        table.add_row(effect.name, f"{escape(effect.formula)}\n[dim]{escape(details)}[/dim]")
     return table
+
+
+def _table(first: str, second: str) -> Table:
+    """Return a table of two columns: names, which are never cut or wrapped, and texts, which wrap between words."""
+    table = Table(box=box.SIMPLE_HEAD, show_lines=False, pad_edge=False, padding=(0, 1))
+    table.add_column(first, no_wrap=True)
+    table.add_column(second, overflow="fold")
+    return table
+
+
+def _count(count: int, noun: str) -> str:
+    """Return a number with its noun: "1 belt", "3 belts"."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
 def machine_tables(machine: Machine) -> list[Table]:
@@ -168,8 +181,9 @@ def machine_tables(machine: Machine) -> list[Table]:
 
 def _titled(title: str, *columns: str) -> Table:
     """Return an empty table with a title at the left, whose first column is never wrapped."""
-    table = Table(*columns, title=title, title_justify="left")
-    table.columns[0].no_wrap = True
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    for column in columns:
+        table.add_column(column, overflow="fold", no_wrap=column == columns[0])
     return table
 
 

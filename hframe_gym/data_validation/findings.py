@@ -78,7 +78,9 @@ def print_findings(findings: Sequence[Finding], console: Console) -> None:
         console: Rich console to print on.
     """
     if console.is_terminal:
-        table = Table("", "run", "channel", "finding", box=None)
+        table = Table(box=None)
+        for column in ("", "run", "channel", "finding"):
+            table.add_column(column, overflow="fold")  # names are never cut
         for finding in group_findings(findings):
             severity = f"[{_STYLES[finding.severity]}]{finding.severity}[/]"
             table.add_row(severity, finding.run, finding.channel, escape(finding.message))

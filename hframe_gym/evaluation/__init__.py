@@ -14,7 +14,8 @@ from .metrics import (
     stored_bounds,
 )
 from .minari_export import ExportedDataset, export_dataset
-from .runner import Evaluation, evaluate, plot_episode, rollout, save_plot, write_scores
+from .plots import plot_episode, save_plot
+from .runner import Evaluation, evaluate, rollout, write_scores
 from .scenario import (
     CONTROLLER_SOURCES,
     ControllerSource,
@@ -25,6 +26,7 @@ from .scenario import (
     make_controller,
     period_concern,
 )
+from .scorecard import write_scorecard
 
 __all__ = [
     "BANDS",
@@ -53,5 +55,6 @@ __all__ = [
     "score_episodes",
     "settling_times",
     "stored_bounds",
+    "write_scorecard",
     "write_scores",
 ]

@@ -1,4 +1,4 @@
-"""Draw the plots of an identification report with matplotlib."""
+"""Plots of an identification report, as panels for its page and for picture files."""
 
 from __future__ import annotations
 
@@ -9,26 +9,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..atomic_files import atomic_file
 from ..machine import AppliedEffect, Machine
+from ..web_page import Panel, color, legend_above, number, save_panels
 
 Array = NDArray[np.float64]
+Panels = dict[str, list[Panel]]
 TABLE_FAMILY = "smooth_table"  # Family of the effects that are curves, not formulas.
-_COLORS = {"declared": "#9aa0a6", "before": "#d1495b", "after": "#2a7f62"}
-_SCALES = {"m": (1e3, "mm"), "rad": (1e3, "mrad")}
+_STAGES = {"declared": "as declared", "before": "before (refitted)", "after": "after (with effects)"}
+_STAGES_WITHOUT_EFFECT = {"declared": "as declared", "before": "refitted"}  # nothing was added: no machine "after"
+_SCALES = {"m": ((1e6, "µm"), (1e3, "mm")), "rad": ((1e3, "mrad"),)}
+_SLOW = 0.05  # Fraction of a coordinate's top speed below which friction shows its behavior at low speed.
 _MAX_RUNS = 2  # Held-out runs whose errors are drawn over time.
 _MEAN_BINS = 40  # Points of the mean curve through the residual force.
-_STYLE: Any = {
-    "font.size": 9,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.alpha": 0.3,
-}
+_MAX_DOTS = 1000  # Points of the residual force that a panel shows of each machine.
+_MAX_BUCKETS = 350  # Intervals of a curve over time, of which a panel shows the smallest and the largest value.
 
 
-def draw_plots(report: Mapping[str, Any], curves: Mapping[str, Array], machine: Machine, folder: Path) -> list[Path]:
-    """Draw the plots of an identification report and save them as PNG files.
+def report_panels(report: Mapping[str, Any], curves: Mapping[str, Array], machine: Machine) -> Panels:
+    """Describe the plots of an identification report.
 
     They show the errors by channel and over time, the force that the model lacks (residual force), the tables (forces
     interpolated over one variable), and the positions, velocities and voltages that the recordings cover.
@@ -37,118 +35,164 @@ def draw_plots(report: Mapping[str, Any], curves: Mapping[str, Array], machine: 
         report: Content of report.json.
         curves: Curves by name, see `result.plot_data` for names, shapes and units.
         machine: Identified machine with the selected effects.
-        folder: Folder for the files; created if it does not exist. Old plots that do not apply are deleted.
 
     Returns:
-        Paths of the written files (PNG). Each file appears completely or not at all.
+        Panels by name of the plot: error_by_channel, error_over_time (for each run one panel per channel),
+        residual_force, tables, coverage. A plot that does not apply has no panels.
+    """
+    channels = list(machine.output_channels)
+    return {
+        "error_by_channel": [_error_by_channel(report, channels)],
+        "error_over_time": [
+            _error_over_time(curves, run, channel, j, _compared_stages(report))
+            for run in report["runs"]["held_out"][:_MAX_RUNS]
+            for j, channel in enumerate(channels)
+        ],
+        "residual_force": [_residual_force(report, curves, machine)] if "force/variable" in curves else [],
+        "tables": [_table(e, machine) for e in machine.effects if e.definition.family == TABLE_FAMILY],
+        "coverage": [
+            _coverage(_with_unit(name.removeprefix("coverage/"), machine), values)
+            for name, values in curves.items()
+            if name.startswith("coverage/")
+        ],
+    }
+
+
+def save_plots(panels: Panels, folder: Path) -> list[Path]:
+    """Save the plots of a report as PNG files, one per plot; files of plots without panels are deleted.
+
+    Args:
+        panels: Panels by name of the plot.
+        folder: Folder for the files; created if it does not exist.
+
+    Returns:
+        Paths of the written files. Each file appears completely or not at all.
 
     Raises:
-        ImportError: If matplotlib is missing.
+        ImportError: If matplotlib is missing; the message names the extra.
         OSError: If a file cannot be written.
     """
-    try:
-        import matplotlib
-    except ImportError:
-        raise ImportError("the plots need more packages: pip install 'hframe_gym[report]'") from None
-    channels = list(machine.output_channels)
     written = []
-    with matplotlib.rc_context(_STYLE):
-        figures = {
-            "error_by_channel": _error_by_channel(report, channels),
-            "error_over_time": _error_over_time(report, curves, channels),
-            "residual_force": _residual_force(report, curves, machine) if "force/variable" in curves else None,
-            "tables": _tables(machine),
-            "coverage": _coverage(curves, machine),
-        }
-        for name, figure in figures.items():
-            path = folder / f"{name}.png"
-            if figure is None:
-                path.unlink(missing_ok=True)
-                continue
-            with atomic_file(path) as temporary:
-                figure.savefig(temporary, dpi=110)
+    for name, plot in panels.items():
+        path = folder / f"{name}.png"
+        if plot:
+            save_panels(plot, path)
             written.append(path)
+        else:
+            path.unlink(missing_ok=True)
     return written
 
 
-def _figure(width: float, height: float) -> Any:
-    """Return an empty figure of a size in inches, without any window."""
-    from matplotlib.figure import Figure
+def readable_unit(channel: str, largest: float) -> tuple[float, str]:
+    """Choose the unit in which an error of a channel is readable.
 
-    return Figure(figsize=(width, height), layout="constrained")
+    Args:
+        channel: Name of the output channel, which ends with its unit, for example "x_m".
+        largest: Largest value to be written, in the channel's unit.
 
-
-def _scale(channel: str) -> tuple[float, str]:
-    """Return the factor and the unit in which a channel's error is drawn."""
-    unit = channel.rpartition("_")[2]
-    return _SCALES.get(unit, (1.0, unit))
-
-
-def _error_by_channel(report: Mapping[str, Any], channels: list[str]) -> Any:
-    """Draw the error of each channel in units of the noise, for each machine."""
-    figure = _figure(7.2, 0.9 + 0.62 * len(channels))
-    axes = figure.subplots()
-    for k, stage in enumerate(_COLORS):
-        values = [report[stage]["held_out"][c]["noise_ratio"] or np.nan for c in channels]
-        rows = np.arange(len(channels)) + 0.27 * (k - 1)
-        bars = axes.barh(rows, values, height=0.25, color=_COLORS[stage], label=stage)
-        axes.bar_label(bars, fmt="%.3g", padding=2, fontsize=8)
-    axes.axvline(1.0, color="black", lw=1, ls="--")
-    axes.set(xscale="log", yticks=range(len(channels)), yticklabels=channels, xlabel="held-out rmse / sensor noise")
-    axes.margins(x=0.15)
-    axes.invert_yaxis()
-    axes.legend(frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    return figure
+    Returns:
+        factor: Factor from the channel's unit to the readable unit.
+        unit: Name of that unit, for example "µm".
+    """
+    base = channel.rpartition("_")[2]
+    return next((s for s in _SCALES.get(base, ()) if s[0] * largest < 1000.0), (1.0, base))
 
 
-def _error_over_time(report: Mapping[str, Any], curves: Mapping[str, Array], channels: list[str]) -> Any:
-    """Draw the errors before and after over the time of the first held-out runs."""
-    runs = report["runs"]["held_out"][:_MAX_RUNS]
-    figure = _figure(9.6, 0.8 + 1.3 * len(channels))
-    grid = figure.subplots(len(channels), len(runs), squeeze=False, sharex="col")
-    for column, run in enumerate(runs):
-        time = curves[f"{run}/time_s"] - curves[f"{run}/time_s"][0]
-        for j, channel in enumerate(channels):
-            axes = grid[j, column]
-            factor, unit = _scale(channel)
-            for stage in ("before", "after"):
-                error = factor * curves[f"{run}/{stage}"][:, j]
-                axes.plot(time, error, color=_COLORS[stage], lw=0.8, label=stage)
-            axes.set_ylabel(f"{channel.rpartition('_')[0]}, {unit}")
-            if j == 0:
-                axes.set_title(run)
-            if j == len(channels) - 1:
-                axes.set_xlabel("time, s")
-    grid[0, 0].legend(frameon=False, ncol=2)
-    return figure
+def _error_by_channel(report: Mapping[str, Any], channels: list[str]) -> Panel:
+    """Draw the error of each channel in multiples of the noise, for each machine."""
+    stages = _STAGES if report["effects"] else _STAGES_WITHOUT_EFFECT
+    ratios = {stage: [report[stage]["held_out"][c]["noise_ratio"] or np.nan for c in channels] for stage in stages}
+
+    def draw(axes: Any) -> None:
+        for k, (stage, label) in enumerate(stages.items()):
+            rows = np.arange(len(channels)) + 0.27 * (k - (len(stages) - 1) / 2)
+            bars = axes.barh(rows, ratios[stage], height=0.25, color=color(stage), label=label)
+            axes.bar_label(
+                bars, labels=["" if np.isnan(v) else number(v) for v in ratios[stage]], padding=2, fontsize=8
+            )
+        axes.axvline(1.0, color=color("ink"), lw=1, ls="--")
+        axes.set(xscale="log", yticks=range(len(channels)), yticklabels=channels)
+        axes.set_xlabel("rms error / sensor noise (dashed: 1)")
+        axes.xaxis.set_major_formatter(lambda value, _: number(value))
+        axes.minorticks_off()
+        axes.margins(x=0.18)
+        axes.invert_yaxis()
+        axes.grid(False, axis="y")
+        legend_above(axes)
+
+    values = "; ".join(
+        f"{channel}: " + ", ".join(f"{number(ratios[stage][j])} {label}" for stage, label in stages.items())
+        for j, channel in enumerate(channels)
+    )
+    description = f"Bar chart of the error on the held-out runs in multiples of the sensor noise. {values}."
+    return Panel(
+        "Error on the held-out runs, in multiples of the sensor noise", description, draw, 1.0 + 0.5 * len(channels)
+    )
 
 
-def _residual_force(report: Mapping[str, Any], curves: Mapping[str, Array], machine: Machine) -> Any:
+def _compared_stages(report: Mapping[str, Any]) -> dict[str, str]:
+    """Return the machines that the curves compare, with their labels; only the refitted one without an effect."""
+    return {"before": "before", "after": "after"} if report["effects"] else {"before": "refitted"}
+
+
+def _error_over_time(curves: Mapping[str, Array], run: str, channel: str, j: int, stages: dict[str, str]) -> Panel:
+    """Draw the errors of a channel, for each machine, over the time of a held-out run."""
+    time_s = curves[f"{run}/time_s"] - curves[f"{run}/time_s"][0]
+    errors = {stage: curves[f"{run}/{stage}"][:, j] for stage in stages}
+    largest = {stage: float(np.nanmax(np.abs(e), initial=0.0)) for stage, e in errors.items()}
+    factor, unit = readable_unit(channel, max(largest.values()))
+
+    def draw(axes: Any) -> None:
+        for stage, error in errors.items():
+            axes.plot(*_envelope(time_s, factor * error), color=color(stage), lw=0.9, label=stages[stage])
+        axes.set(xlabel="time, s", ylabel=f"error of {channel.rpartition('_')[0]}, {unit}")
+        axes.margins(x=0.01)
+        legend_above(axes)
+
+    sizes = ", ".join(f"{number(factor * value)} {unit} {stages[stage]}" for stage, value in largest.items())
+    description = f"Error of {channel} over the time of {run}. Largest error: {sizes}."
+    return Panel(f"{run}: {channel}", description, draw)
+
+
+def _envelope(time_s: Array, values: Array) -> tuple[Array, Array]:
+    """Thin a curve (n,) such that its extreme values remain: the smallest and largest value of each interval."""
+    measured = np.isfinite(values)
+    time_s, values = time_s[measured], values[measured]
+    if len(values) <= 2 * _MAX_BUCKETS:
+        return time_s, values
+    parts = np.array_split(np.arange(len(values)), _MAX_BUCKETS)
+    kept = [sorted({part[np.argmin(values[part])], part[np.argmax(values[part])]}) for part in parts]
+    rows = np.concatenate(kept)
+    return time_s[rows], values[rows]
+
+
+def _residual_force(report: Mapping[str, Any], curves: Mapping[str, Array], machine: Machine) -> Panel:
     """Draw the residual force before and after against the variable that it depends on most."""
     strongest = report["residual"]["depends_on"][0]
-    figure = _figure(7.2, 3.2)
-    axes = figure.subplots()
     variable = curves["force/variable"]
+    coordinate, label = strongest["coordinate"], _with_unit(strongest["variable"], machine)
+    unit = machine.coordinate(coordinate).unit("force")
+    stages = _compared_stages(report)
+    forces = {stage: curves[f"force/{stage}"] for stage in stages}
+    size = float(np.percentile(np.abs(forces["before"]), 99.5)) or 1.0
+    if size < 0.1:
+        forces, size, unit = {stage: 1e3 * force for stage, force in forces.items()}, 1e3 * size, f"m{unit}"
     bins = [part for part in np.array_split(np.argsort(variable), _MEAN_BINS) if len(part)]
-    for stage in ("before", "after"):
-        force = curves[f"force/{stage}"]
-        axes.plot(variable, force, ".", ms=2, alpha=0.15, color=_COLORS[stage])
-        axes.plot(
-            [variable[rows].mean() for rows in bins],
-            [force[rows].mean() for rows in bins],
-            color=_COLORS[stage],
-            lw=2,
-            label=f"{stage} (line: mean)",
-        )
-    size = float(np.percentile(np.abs(curves["force/before"]), 99.5)) or 1.0
-    unit = machine.coordinate(strongest["coordinate"]).unit("force")
-    axes.set(
-        xlabel=_with_unit(strongest["variable"], machine),
-        ylabel=f"missing force on {strongest['coordinate']}, {unit}",
-        ylim=(-1.2 * size, 1.2 * size),
-    )
-    axes.legend(frameon=False)
-    return figure
+    thin = max(1, len(variable) // _MAX_DOTS)
+
+    def draw(axes: Any) -> None:
+        for stage, force in forces.items():
+            axes.plot(variable[::thin], force[::thin], ".", ms=2, alpha=0.25, color=color(stage))
+            means = [[values[rows].mean() for rows in bins] for values in (variable, force)]
+            axes.plot(*means, color=color(stage), lw=2, label=f"{stages[stage]} (line: mean)")
+        axes.set(xlabel=label, ylabel=f"missing force on {coordinate}, {unit}", ylim=(-1.2 * size, 1.2 * size))
+        legend_above(axes)
+
+    rms = {stage: float(np.sqrt(np.mean(force**2))) for stage, force in forces.items()}
+    values = ", ".join(f"{number(value)} {unit} {stages[stage]}" for stage, value in rms.items())
+    description = f"Residual force on {coordinate} against {label}. Root mean square: {values}."
+    title = f"Force that the model lacks on {coordinate}, against {strongest['variable']}"
+    return Panel(title, description, draw, 2.8)
 
 
 def _with_unit(variable: str, machine: Machine) -> str:
@@ -160,48 +204,59 @@ def _with_unit(variable: str, machine: Machine) -> str:
     return f"{variable}, {machine.coordinate(coordinate).unit(quantity)}"
 
 
-def _tables(machine: Machine) -> Any | None:
-    """Draw each table of the machine with two standard deviations; None where there is none."""
-    tables = [e for e in machine.effects if e.definition.family == TABLE_FAMILY]
-    if not tables:
-        return None
-    figure = _figure(7.2, 2.9 * len(tables))
-    for axes, effect in zip(figure.subplots(len(tables), squeeze=False)[:, 0], tables, strict=True):
-        _draw_table(axes, effect, machine)
-    return figure
-
-
-def _draw_table(axes: Any, effect: AppliedEffect, machine: Machine) -> None:
-    """Draw one table."""
+def _table(effect: AppliedEffect, machine: Machine) -> Panel:
+    """Draw one table with two standard deviations."""
     knots, values = (np.array([v for k, v in effect.parameters.items() if k[0] == letter]) for letter in "kf")
     names = [f"{effect.label}.{key}" for key in effect.parameters if key[0] == "f"]
     std = [machine.uncertainty.std(name) if machine.uncertainty else None for name in names]
     spread = 2.0 * np.array([s or 0.0 for s in std])
-    axes.fill_between(knots, values - spread, values + spread, color=_COLORS["after"], alpha=0.2, lw=0)
-    axes.plot(knots, values, "o-", ms=3, color=_COLORS["after"])
     coordinate = machine.coordinate(machine.coordinate_of_site(effect.site) or effect.site)
     what = "force" if effect.definition.force else "additional friction"
-    margin = 0.15 * max(float(np.ptp(values)), 1e-12)
-    axes.set(
-        xlabel=_with_unit(effect.definition.against, machine),
-        ylabel=f"{what}\non {coordinate.name}, {coordinate.unit('force')}",
-        title=effect.label,
-        ylim=(values.min() - margin, values.max() + margin),
+    unit, against = coordinate.unit("force"), _with_unit(effect.definition.against, machine)
+
+    def draw(axes: Any) -> None:
+        axes.fill_between(knots, values - spread, values + spread, color=color("after"), alpha=0.2, lw=0)
+        axes.plot(knots, values, "o-", ms=3, color=color("after"))
+        margin = 0.15 * max(float(np.ptp(values)), 1e-12)
+        axes.set(xlabel=against, ylabel=f"{what} on {coordinate.name}, {unit}")
+        axes.set_ylim(values.min() - margin, values.max() + margin)
+
+    description = (
+        f"Identified {what} on {coordinate.name} against {against}: from {number(values.min())} to "
+        f"{number(values.max())} {unit}; the band is two standard deviations."
     )
+    return Panel(f"{effect.label}, band: two standard deviations", description, draw, 2.8)
 
 
-def _coverage(curves: Mapping[str, Array], machine: Machine) -> Any:
-    """Draw histograms of the positions, velocities and inputs of the fitted runs."""
-    histograms = {n.removeprefix("coverage/"): v for n, v in curves.items() if n.startswith("coverage/")}
-    positions = sum(n.startswith("position") for n in histograms)
-    columns = positions if positions > 1 else 3
-    rows = max(1, -(-len(histograms) // columns))
-    figure = _figure(3.2 * columns, 1.35 * rows)
-    grid = figure.subplots(rows, columns, squeeze=False).ravel()
-    for axes, (name, values) in zip(grid, histograms.items(), strict=False):
-        axes.hist(values, bins=60, color="#4a6fa5", weights=np.full(len(values), 100.0 / len(values)))
-        axes.set(xlabel=_with_unit(name, machine), ylabel="% of time", yscale="log")
+def _coverage(label: str, values: Array) -> Panel:
+    """Draw the histogram of a position, velocity or input of the fitted runs."""
+
+    def draw(axes: Any) -> None:
+        axes.hist(values, bins=40, color=color("neutral"), weights=np.full(len(values), 100.0 / len(values)))
+        axes.set(xlabel=label, ylabel="% of time", yscale="log")
+        axes.yaxis.set_major_formatter(lambda value, _: number(value))
         axes.minorticks_off()
-    for axes in grid[len(histograms) :]:
-        axes.set_visible(False)
-    return figure
+
+    description = f"Histogram of {label} in the fitted runs, from {number(values.min())} to {number(values.max())}."
+    return Panel(label, description, draw, 1.7)
+
+
+def slow_fractions(curves: Mapping[str, Array]) -> dict[str, str]:
+    """Compute the fraction of the moving time that each coordinate spent below a twentieth of its top speed.
+
+    Args:
+        curves: Curves by name, see `result.plot_data`.
+
+    Returns:
+        Fractions as text, such as "23 %", by name of the coordinate; without coordinates that never move.
+    """
+    fractions = {}
+    for name, velocity in curves.items():
+        _, is_velocity, coordinate = name.partition("coverage/velocity of ")
+        if not is_velocity:
+            continue
+        top = float(np.percentile(np.abs(velocity), 99))
+        moving = np.abs(velocity[np.abs(velocity) > 1e-3 * top]) if top else velocity[:0]
+        if len(moving):
+            fractions[coordinate] = f"{100 * float(np.mean(moving < _SLOW * top)):.0f} %"
+    return fractions

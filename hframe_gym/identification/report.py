@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,19 +9,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..atomic_files import write_text
 from ..errors import InputError
 from ..machine import Machine
+from ..web_page import number, write_page
 from .parameter_diagnostics import parameter_doubts, sum_text
-from .plots import TABLE_FAMILY, draw_plots
-from .saved_result import load_result
+from .plots import TABLE_FAMILY, readable_unit, report_panels, save_plots, slow_fractions
+from .saved_result import SavedResult, load_result
 
 Array = NDArray[np.float64]
-_COLORS = {"effect_found": "#2a7f62", "no_effect": "#4a6fa5", "unexplained": "#c77d0a"}
-_SCALES = {"m": ((1e6, "µm"), (1e3, "mm")), "rad": ((1e3, "mrad"),)}
+_VERDICTS = {  # heading and tone of the page
+    "effect_found": ("Missing effects found", "good"),
+    "no_effect": ("No effect is missing", "neutral"),
+    "unexplained": ("Unexplained error", "warning"),
+}
 _STAGES = ("declared", "before", "after")
 _NOTICEABLE_ERROR = 1.3  # Remaining error over noise from which the report says that something is unexplained.
-_SLOW = 0.05  # Fraction of a coordinate's top speed below which friction shows its behavior at low speed.
 _MAX_NOISE_RATIO = 50.0  # Simulation error over noise beyond which the simulation drifted, if a force error exists.
 
 
@@ -40,31 +41,32 @@ def build_report(folder: Path) -> Path:
             the file.
         ImportError: If a library of the extra ``report`` is missing.
     """
-    try:
-        from jinja2 import Environment, PackageLoader
-    except ImportError:
-        raise ImportError("the report needs more packages: pip install 'hframe_gym[report]'") from None
     saved = load_result(folder)
     report, machine, curves = saved.report, saved.machine, saved.curves
     channels = list(machine.output_channels)
-    environment = Environment(loader=PackageLoader("hframe_gym.identification"), autoescape=True)
+    heading, tone = _VERDICTS[report["verdict"]]
+    panels = report_panels(report, curves, machine)
+    values = {
+        "title": f"Identification of {saved.declared.name}",
+        "report": report,
+        "heading": heading,
+        "tone": tone,
+        "sentence": verdict_sentence(report, channels),
+        "tiles": _tiles(report, channels),
+        "channels": [_channel_row(report, c) for c in channels],
+        "force": _force_row(report),
+        "runs": [_run_row(report, curves, channels, run) for run in report["runs"]["held_out"]],
+        "effects": _effect_rows(report, machine),
+        "parameters": _parameter_rows(machine, saved.declared),
+        "determined": _determined_sums(report, machine),
+        "left": _remaining_error(report),
+        "steps": _next_steps(saved, folder),
+        "slow": slow_fractions(curves),
+        "panels": panels,
+    }
     try:
-        plots = draw_plots(report, curves, machine, folder / "plots")
-        text = environment.get_template("report.html.j2").render(
-            title=f"Identification of {saved.declared.name}",
-            report=report,
-            sentence=verdict_sentence(report, channels),
-            color=_COLORS[report["verdict"]],
-            channels=[_channel_row(report, c) for c in channels],
-            force=_force_row(report),
-            runs=[_run_row(report, curves, channels, run) for run in report["runs"]["held_out"]],
-            effects=_effect_rows(report, machine),
-            parameters=_parameter_rows(machine, saved.declared),
-            determined=_determined_sums(report, machine),
-            slow=_slow_fractions(curves),
-            plots={p.stem: "data:image/png;base64," + base64.b64encode(p.read_bytes()).decode() for p in plots},
-        )
-        write_text(folder / "report.html", text)
+        save_plots(panels, folder / "plots")
+        write_page(folder / "report.html", "hframe_gym.identification", "report.html.j2", values)
     except OSError as error:
         raise InputError(f"{error.filename or folder}: cannot be written ({error.strerror})") from None
     return folder / "report.html"
@@ -82,17 +84,13 @@ def verdict_sentence(report: Mapping[str, Any], channels: Sequence[str]) -> str:
     Returns:
         One or more English sentences.
     """
-
-    def noise_ratio(stage: str) -> float:
-        ratios = [report[stage]["held_out"][c]["noise_ratio"] for c in channels]
-        measured = [ratio for ratio in ratios if ratio is not None]
-        return float(np.mean(measured)) if measured else float("nan")
-
-    by_force = "force_error" in report["after"]["held_out"] and noise_ratio("after") > _MAX_NOISE_RATIO
+    by_force = _drifts(report, channels)
     unit = "% of the drives' force" if by_force else "times the sensors' noise"
 
     def error(stage: str) -> str:
-        return f"{100 * report[stage]['held_out']['force_error'] if by_force else noise_ratio(stage):.3g}"
+        return number(
+            100 * report[stage]["held_out"]["force_error"] if by_force else _noise_ratio(report, stage, channels)
+        )
 
     if report["verdict"] == "effect_found":
         names = ", ".join(f"{e['name'].replace('_', ' ')} at {e['site']}" for e in report["effects"])
@@ -113,32 +111,73 @@ def verdict_sentence(report: Mapping[str, Any], channels: Sequence[str]) -> str:
     )
 
 
+def _noise_ratio(report: Mapping[str, Any], stage: str, channels: Sequence[str]) -> float:
+    """Return the mean over the measured channels of the error in multiples of the noise; NaN if none is measured."""
+    ratios = [report[stage]["held_out"][c]["noise_ratio"] for c in channels]
+    measured = [ratio for ratio in ratios if ratio is not None]
+    return float(np.mean(measured)) if measured else float("nan")
+
+
+def _drifts(report: Mapping[str, Any], channels: Sequence[str]) -> bool:
+    """Return whether the simulation drifts, so that the error of the drives' force describes the machine better."""
+    return "force_error" in report["after"]["held_out"] and _noise_ratio(report, "after", channels) > _MAX_NOISE_RATIO
+
+
 def _remainder(report: Mapping[str, Any]) -> str:
     """Return a sentence about the error that the machine of the verdict leaves, "" if it is the sensors' noise."""
     left = report.get("left")
     if left is None or left < _NOTICEABLE_ERROR:
         return ""
     return (
-        f" An error of {left:.3g} times the sensors' noise is left (root mean square over all channels), which no "
+        f" An error of {number(left)} times the sensors' noise is left (root mean square over all channels), which no "
         "effect of the library explains."
     )
 
 
-def _with_unit(channel: str, rmse: float | None) -> str:
-    """Return an error in a readable unit: `19.7 µm`, `3.66 mm`, `0.15 mrad`."""
-    if rmse is None:
+def _tiles(report: Mapping[str, Any], channels: Sequence[str]) -> list[dict[str, str]]:
+    """Return the key figures of the first screen: two errors, what the effects explain, and the data."""
+    by_force = _drifts(report, channels)
+    stages = ("declared", "Error as declared"), ("before", "Error refitted")
+    tiles = []
+    for stage, name in (("before", "Error before"), ("after", "Error after")) if report["effects"] else stages:
+        errors = report[stage]["held_out"]
+        if by_force:
+            value, note = f"{number(100 * errors['force_error'])} %", "of the drives' force"
+        else:
+            value, note = f"{number(_noise_ratio(report, stage, channels))} × noise", _largest_position_error(errors)
+        tiles.append({"name": name, "value": value, "note": note})
+    if report["effects"] and report.get("explained") is not None:
+        note = "of the squared error beyond the noise"
+        tiles.append({"name": "Explained", "value": f"{_percent(report['explained'])} %", "note": note})
+    fitted, held_out = (len(report["runs"][kind]) for kind in ("fitted", "held_out"))
+    tiles.append(
+        {"name": "Recordings", "value": f"{fitted} + {held_out}", "note": "runs fitted + held out for the errors"}
+    )
+    return tiles
+
+
+def _largest_position_error(errors: Mapping[str, Any]) -> str:
+    """Return the largest rms error of the position channels, or of all channels if there is no position."""
+    measured = {c: e["rmse"] for c, e in errors.items() if isinstance(e, dict) and e["rmse"] is not None}
+    positions = {c: rmse for c, rmse in measured.items() if c.endswith("_m")} or measured
+    if not positions:
         return "not measured"
-    base = channel.rpartition("_")[2]
-    factor, unit = next((s for s in _SCALES.get(base, ()) if s[0] * rmse < 1000.0), (1.0, base))
-    return f"{factor * rmse:.3g} {unit}"
+    channel = max(positions, key=lambda c: positions[c])
+    factor, unit = readable_unit(channel, positions[channel])
+    return f"{number(factor * positions[channel])} {unit} rms at {channel}"
 
 
-def _channel_row(report: Mapping[str, Any], channel: str) -> dict[str, str]:
-    """Return the errors of one channel for each machine."""
-    errors = {stage: report[stage]["held_out"][channel] for stage in _STAGES}
-    row = {stage: _with_unit(channel, e["rmse"]) for stage, e in errors.items()}
-    ratio = errors["after"]["noise_ratio"]
-    return row | {"name": channel, "ratio": "" if ratio is None else f"{ratio:.2f}"}
+def _channel_row(report: Mapping[str, Any], channel: str) -> dict[str, Any]:
+    """Return the errors of one channel for each machine, in one readable unit and in multiples of the noise."""
+    row: dict[str, Any] = {"name": channel}
+    factor, unit = readable_unit(channel, report["before"]["held_out"][channel]["rmse"] or 0.0)
+    for stage in _STAGES:
+        rmse, ratio = (report[stage]["held_out"][channel][key] for key in ("rmse", "noise_ratio"))
+        row[stage] = {
+            "size": "not measured" if rmse is None else f"{number(factor * rmse)} {unit}",
+            "ratio": "" if ratio is None else f"{number(ratio)} × noise",
+        }
+    return row
 
 
 def _force_row(report: Mapping[str, Any]) -> dict[str, str] | None:
@@ -188,6 +227,9 @@ def _effect_rows(report: Mapping[str, Any], machine: Machine) -> list[dict[str, 
                 "formula": definition.formula,
                 "table": table,
                 "parameters": [] if table else parameters,
+                "size": ""
+                if e["size"] is None
+                else f"Its force is {number(100 * e['size'])} % of the drives' force (rms).",
                 "gain": _gain_sentence(e["held_out_gain"]),
                 "rivals": [r for r in e["rivals"] if r not in definition.equivalent],
                 "equivalent": [r for r in e["rivals"] if r in definition.equivalent],
@@ -200,7 +242,67 @@ def _gain_sentence(gain: float) -> str:
     """Return what an effect does to the squared error of the held-out runs; a negative gain makes it larger."""
     if gain < 0.0:
         return f"It increases the squared error of the held-out runs by {-100 * gain:.3g} %."
-    return f"It removes {100 * gain:.3g} % of the squared error of the held-out runs."
+    return f"It removes {_percent(gain)} % of the squared error of the held-out runs."
+
+
+def _percent(fraction: float) -> str:
+    """Return a fraction in percent; values that would round to 100 are "more than 99.9"."""
+    return "more than 99.9" if fraction > 0.9995 else f"{100 * fraction:.3g}"
+
+
+def _remaining_error(report: Mapping[str, Any]) -> list[str]:
+    """Return sentences about the error that the machine of the verdict leaves on the held-out runs."""
+    machine = "corrected" if report["effects"] else "refitted"
+    left = report.get("left")
+    ratio = "" if left is None else f" ({number(left)} times the noise, root mean square over the channels)"
+    if report["residual"]["white"]:
+        return [f"The remaining error of the {machine} machine is consistent with the sensors' noise{ratio}."]
+    sentences = [f"The remaining error of the {machine} machine is larger than the sensors' noise{ratio}."]
+    if left is not None and left < _NOTICEABLE_ERROR:
+        sentences = [
+            f"The remaining error of the {machine} machine is about as large as the sensors' noise{ratio}, but it is "
+            "correlated in time: a small systematic part is left."
+        ]
+    if report["residual"]["depends_on"] and not report["effects"]:
+        strongest = report["residual"]["depends_on"][0]
+        sentences.append(
+            f"The force that the model lacks on {strongest['coordinate']} depends most on {strongest['variable']}, "
+            f"which explains {100 * strongest['share']:.0f} % of its variance."
+        )
+    return sentences
+
+
+def _next_steps(saved: SavedResult, folder: Path) -> list[dict[str, str]]:
+    """Return what to do next: sentences, each with a command or an empty string."""
+    report = saved.report
+    steps = []
+    if report["warnings"]:
+        text = f"Read the findings about the recordings ({len(report['warnings'])}) at the end of this page."
+        steps.append({"text": text, "command": ""})
+    if report["next_experiment"]:
+        why, file = report["next_experiment"]["why"], report["next_experiment"]["file"]
+        text = f"{why} Apply the voltages of {folder / file}, record the run, and identify again with it."
+        steps.append({"text": text, "command": f"hframe identify RUNS --out {folder}"})
+    elif rivals := [e for e in report["effects"] if e["rivals"]]:
+        text = (
+            "No experiment is proposed: no tested run within the rated voltages and the travel reliably distinguishes "
+            f"{rivals[0]['name'].replace('_', ' ')} at {rivals[0]['site']} from {rivals[0]['rivals'][0]}."
+        )
+        steps.append({"text": text, "command": ""})
+    if report["proposed_formulas"]:
+        text = "A formula is proposed in place of the table; review it and write it as an effect."
+        steps.append({"text": text, "command": f"hframe effects new NAME --from {folder}"})
+    if report["verdict"] == "unexplained":
+        text = (
+            "Check wiring, units and clock of the recordings, and record slow and fast motion over the full travel; "
+            "then look for a physical cause of the dependence in the section Residual force."
+        )
+        return [*steps, {"text": text, "command": "hframe check RUNS"}]
+    which = "corrected" if report["effects"] else "refitted"
+    text = f'Design and compare controllers on the {which} machine; in Python: gym.make("HFrame-v0", machine=...).'
+    randomize = " --randomize identified" if saved.machine.uncertainty else ""
+    command = f"hframe evaluate pid --machine {folder / 'machine.json'}{randomize} --html --out {folder / 'control'}"
+    return [*steps, {"text": text, "command": command}]
 
 
 def _parameter_rows(machine: Machine, declared: Machine) -> list[dict[str, str]]:
@@ -238,17 +340,3 @@ def _determined_sums(report: Mapping[str, Any], machine: Machine) -> list[dict[s
         ]
         rows.append({"names": ", ".join(group["parameters"]), "sums": "; ".join(sums) or "no combination"})
     return rows
-
-
-def _slow_fractions(curves: Mapping[str, Array]) -> dict[str, str]:
-    """Return by coordinate the fraction of the moving time that it spent below a twentieth of its top speed."""
-    fractions = {}
-    for name, velocity in curves.items():
-        _, is_velocity, coordinate = name.partition("coverage/velocity of ")
-        if not is_velocity:
-            continue
-        top = float(np.percentile(np.abs(velocity), 99))
-        moving = np.abs(velocity[np.abs(velocity) > 1e-3 * top]) if top else velocity[:0]
-        if len(moving):
-            fractions[coordinate] = f"{100 * float(np.mean(moving < _SLOW * top)):.0f} %"
-    return fractions

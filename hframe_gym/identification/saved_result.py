@@ -60,6 +60,7 @@ class _EffectEntry(_Entry):
     name: str
     site: str
     parameters: dict[str, _ParameterEntry]
+    size: FiniteFloat | None = None
     held_out_gain: FiniteFloat
     rivals: list[str]
 

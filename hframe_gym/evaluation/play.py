@@ -1,0 +1,344 @@
+"""Drive a stage by mouse or keys in a window, with a controller on the same task beside it (extra `render`)."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..atomic_files import atomic_file
+from ..controllers import Controller, MotionModel
+from ..envs import HFrameEnv
+from ..envs.rendering import HEIGHT, TRAIL_LENGTH, WIDTH, Renderer, Scene
+from ..errors import InputError
+from .scenario import Scenario, make_controller
+
+Array = NDArray[np.float64]
+FRAMES_PER_S = 50
+STRIP_HEIGHT = 74  # pixels below a stage, for its name, its result and its voltages
+HELP_HEIGHT = 30  # pixels below the stages, for the keys
+SCALE_OF_TWO = 0.72  # size of each of two stages relative to a single one
+GENTLE = 0.4  # fraction of the rated voltage that an arrow key applies; all of it with the shift key
+FULL_VOLTAGE_DISTANCE = 0.05  # m, distance of the pointer from the tool that applies the rated voltage
+HELP = (
+    "arrow keys: push (with Shift: full voltage)    left button: pull to the pointer    right button: target    "
+    "N: new    R: repeat    Space: pause    Q: quit"
+)
+BACKGROUND, INK, MUTED, BAR, GOOD = (250, 250, 248), (44, 50, 60), (110, 118, 128), (43, 108, 196), (22, 140, 92)
+
+
+class _StageView(Renderer):
+    """Picture of a stage that is a part of a window: a pygame surface of `WIDTH` x `HEIGHT` pixels."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        super().__init__(scenario.declared_machine, "rgb_array", FRAMES_PER_S)
+        self.surface = self._surface
+
+    def _output(self) -> NDArray[np.uint8] | None:
+        """Keep the picture in the surface instead of copying it to an array."""
+        return None
+
+    def point(self, pixel: tuple[float, float]) -> tuple[float, float]:
+        """Return the position (x, y), m, at a column and row of the picture."""
+        (left, bottom), (right, top) = self._pixel((0.0, 0.0)), self._pixel((1.0, 1.0))
+        return (pixel[0] - left) / (right - left), (pixel[1] - bottom) / (top - bottom)
+
+
+class PlayedStage:
+    """A stage in the window with what drives it: a controller, or the user.
+
+    Args:
+        scenario: Machine, task, randomization, sensors and control period.
+        name: Name of the controller; None for the user.
+
+    Attributes:
+        name: Name that the window shows.
+        controller: The controller; None if the user drives.
+        env: Environment of the stage.
+        view: Picture of the stage, which converts pixels to positions.
+        volts: Voltages of the drives in the last control period, V, shape (drives,).
+        settled_s: Time from which on the tool has been within the task's band, s; None while it is outside.
+        distance: Distance of the tool to the goal, m.
+    """
+
+    def __init__(self, scenario: Scenario, name: str | None) -> None:
+        self.name = name or "you"
+        self.controller: Controller | None = make_controller(name, scenario) if name else None
+        self.env = HFrameEnv(
+            machine=scenario.declared_machine,
+            task=scenario.controller_task,
+            randomize=scenario.randomize,
+            sensors=scenario.sensors if self.controller else "state",
+            period=scenario.period,
+        )
+        self.view = _StageView(scenario)
+        self.rated = np.array([d.rated_voltage for d in self.env.batch.machine.drives])
+        self._trail: deque[tuple[float, float]] = deque(maxlen=TRAIL_LENGTH)
+
+    @property
+    def position(self) -> tuple[float, float]:
+        """True position (x, y) of the tool, m."""
+        position = self.env.batch.simulator.positions(0)
+        return position["x"], position["y"]
+
+    @property
+    def elapsed_s(self) -> float:
+        """Time since the start of the episode, s."""
+        return float(self.env.batch.elapsed[0] * self.env.batch.config.period)
+
+    def reset(self, seed: int, target: tuple[float, float] | None = None) -> None:
+        """Begin an episode.
+
+        Args:
+            seed: Seed of start, goal and machine parameters.
+            target: Target (x, y), m, to approach from the present position of the tool. Default: start and goal of the
+                task.
+
+        Raises:
+            InputError: If a target is given for a task without one, or it is outside the workspace.
+        """
+        options = None if target is None else {"start": self.position, "target": target}
+        self.observation, info = self.env.reset(seed=seed, options=options)
+        if self.controller:
+            self.controller.reset()
+        self.volts = np.zeros(len(self.rated))
+        self.settled_s: float | None = None
+        self._trail.clear()
+        self._note(info)
+
+    def step(self, action: Array) -> None:
+        """Simulate one control period.
+
+        Args:
+            action: Voltages over rated voltages that the user applies, shape (drives,); a controller ignores them.
+        """
+        if self.controller:
+            batch = {key: value[None] for key, value in self.observation.items()}
+            action = np.asarray(self.controller.act(batch), np.float64)[0]
+        action = np.clip(action, -1.0, 1.0)
+        self.observation, _, _, _, info = self.env.step(action)
+        self.volts = action * self.rated
+        self._note(info)
+
+    def _note(self, info: dict[str, Any]) -> None:
+        """Update distance, settling time and trail."""
+        self.distance = float(info["distance_m"])
+        if not info["is_success"]:
+            self.settled_s = None
+        elif self.settled_s is None:
+            self.settled_s = self.elapsed_s
+        self._trail.append(self.position)
+
+    def draw(self) -> Any:
+        """Draw the stage.
+
+        Returns:
+            Pygame surface of `WIDTH` x `HEIGHT` pixels.
+        """
+        self.view.draw(Scene.of(self.env.batch, 0, self._trail))
+        return self.view.surface
+
+
+class Game:
+    """Window in which the user drives a stage, and a controller the same one beside it.
+
+    Args:
+        scenario: Machine, task, randomization, sensors, control period and seed.
+        controller: Name of a controller that drives the first stage in place of the user. Default: the user.
+        beside: Name of a controller that drives a second stage, same start, goal and parameters. Default: none.
+        speed: Speed of the simulation relative to real time, positive.
+
+    Attributes:
+        stages: One or two stages.
+        done: Whether the user has closed the window.
+        paused: Whether the simulation is stopped.
+        seed: Seed of the present episode.
+
+    Raises:
+        ImportError: If pygame is missing; the message names the extra.
+        InputError: If the machine has no coordinates x and y with two drives, a controller is unknown, the speed is
+            not positive, or there is no display.
+    """
+
+    def __init__(
+        self, scenario: Scenario, controller: str | None = None, beside: str | None = None, speed: float = 0.3
+    ) -> None:
+        if not (math.isfinite(speed) and speed > 0.0):
+            raise InputError(f"speed is {speed!r}, it must be a positive number")
+        self._model = MotionModel(scenario.declared_machine)
+        self.stages = [PlayedStage(scenario, controller)] + ([PlayedStage(scenario, beside)] if beside else [])
+        import pygame  # the stages' views have found it
+
+        self._pygame = pygame
+        self._periods_per_frame = speed / (FRAMES_PER_S * scenario.period)
+        self._due = 0.0  # control periods that are to be simulated
+        self._scale = SCALE_OF_TWO if beside else 1.0
+        self._size = round(self._scale * WIDTH), round(self._scale * HEIGHT)
+        width, height = self._size[0] * len(self.stages), self._size[1] + STRIP_HEIGHT + HELP_HEIGHT
+        try:
+            pygame.display.init()
+            self.window = pygame.display.set_mode((width, height))
+        except pygame.error as error:
+            raise InputError(f"no window can be opened ({error}); hframe play needs a display") from None
+        pygame.display.set_caption(f"hframe play: {scenario.declared_machine.name}, {scenario.task_name}")
+        self._font, self._small = pygame.font.Font(None, 26), pygame.font.Font(None, 19)
+        self._keys: set[int] = set()
+        self._pointer: tuple[float, float] | None = None  # m, while the left button is held
+        self.done, self.paused, self.seed = False, False, scenario.seed
+        self.reset()
+
+    def reset(self, target: tuple[float, float] | None = None) -> None:
+        """Begin an episode on all stages.
+
+        Args:
+            target: Target (x, y), m, to approach from the present positions. Default: start and goal of the task.
+
+        Raises:
+            InputError: If a target is given for a task without one, or it is outside the workspace.
+        """
+        for stage in self.stages:
+            stage.reset(self.seed, target)
+        self._due = 0.0
+
+    def handle(self, event: Any) -> None:
+        """React to a pygame event.
+
+        Args:
+            event: Event of keyboard, mouse or window.
+        """
+        pygame = self._pygame
+        if event.type == pygame.QUIT:
+            self.done = True
+        elif event.type == pygame.KEYDOWN:
+            self._press(event.key)
+        elif event.type == pygame.KEYUP:
+            self._keys.discard(event.key)
+        elif event.type == pygame.MOUSEBUTTONDOWN and event.button == 1:
+            self._pointer = self._point(event.pos)
+        elif event.type == pygame.MOUSEBUTTONUP and event.button == 1:
+            self._pointer = None
+        elif event.type == pygame.MOUSEMOTION and self._pointer is not None:
+            self._pointer = self._point(event.pos)
+        elif event.type == pygame.MOUSEBUTTONDOWN and event.button == 3:
+            self._set_target(self._point(event.pos))
+
+    def _press(self, key: int) -> None:
+        """React to a key: commands act at once, arrow keys as long as they are held."""
+        pygame = self._pygame
+        if key in (pygame.K_q, pygame.K_ESCAPE):
+            self.done = True
+        elif key == pygame.K_SPACE:
+            self.paused = not self.paused
+        elif key in (pygame.K_n, pygame.K_r):
+            self.seed += key == pygame.K_n
+            self.reset()
+        else:
+            self._keys.add(key)
+
+    def _point(self, pixel: tuple[int, int]) -> tuple[float, float]:
+        """Return the position, m, at a pixel of the window, in the stage that it belongs to."""
+        column = pixel[0] % self._size[0]
+        return self.stages[0].view.point((column / self._scale, pixel[1] / self._scale))
+
+    def _set_target(self, point: tuple[float, float]) -> None:
+        """Begin an episode with a target; it is ignored for a task without a target and outside the workspace."""
+        try:
+            self.reset(point)
+        except InputError:
+            return
+
+    @property
+    def action(self) -> Array:
+        """Voltages over rated voltages that keys and mouse apply to the first stage, shape (drives,)."""
+        pygame, keys = self._pygame, self._keys
+        if self._pointer is not None:
+            push = (np.array(self._pointer) - self.stages[0].position) / FULL_VOLTAGE_DISTANCE
+        else:
+            x = (pygame.K_RIGHT in keys) - (pygame.K_LEFT in keys)
+            y = (pygame.K_UP in keys) - (pygame.K_DOWN in keys)
+            full = pygame.K_LSHIFT in keys or pygame.K_RSHIFT in keys
+            push = (1.0 if full else GENTLE) * np.array([x, y], np.float64)
+        size = float(np.linalg.norm(push))
+        if size == 0.0:
+            return np.zeros(len(self._model.rated))
+        fractions = self._model.voltage(push[None])[0] / self._model.rated
+        return np.asarray(min(size, 1.0) * fractions / np.abs(fractions).max())
+
+    def advance(self) -> None:
+        """Simulate the control periods of one frame."""
+        if self.paused:
+            return
+        self._due += self._periods_per_frame
+        while self._due >= 1.0:
+            self._due -= 1.0
+            action = self.action
+            for stage in self.stages:
+                stage.step(action)
+
+    def draw(self) -> None:
+        """Draw stages, names, results, voltages and keys into the window."""
+        pygame, (width, height) = self._pygame, self._size
+        self.window.fill(BACKGROUND)
+        for k, stage in enumerate(self.stages):
+            self.window.blit(pygame.transform.smoothscale(stage.draw(), self._size), (k * width, 0))
+            self._draw_strip(stage, k * width + 16, height)
+        text = self._small.render("paused; Space: continue" if self.paused else HELP, True, MUTED)
+        self.window.blit(text, (16, height + STRIP_HEIGHT + 4))
+        pygame.display.flip()
+
+    def _draw_strip(self, stage: PlayedStage, left: int, top: int) -> None:
+        """Draw name, time, distance and voltages of a stage below it."""
+        draw, middle = self._pygame.draw, 300
+        self.window.blit(self._font.render(stage.name, True, INK), (left, top + 4))
+        result, tone = f"{stage.elapsed_s:.2f} s, {1e3 * stage.distance:.2f} mm from the target", INK
+        if stage.settled_s is not None:
+            band = 1e3 * stage.env.batch.task.band
+            result, tone = f"within {band:g} mm since {stage.settled_s:.2f} s", GOOD
+        self.window.blit(self._small.render(result, True, tone), (left, top + 32))
+        for j, (volts, rated) in enumerate(zip(stage.volts, stage.rated, strict=True)):
+            row, half = top + 8 + 24 * j, 70  # pixels
+            center = left + middle + half
+            draw.rect(self.window, (226, 229, 233), (center - half, row, 2 * half, 14))
+            length = round(half * float(volts) / float(rated))
+            draw.rect(self.window, BAR, (center + min(length, 0), row, abs(length), 14))
+            draw.line(self.window, INK, (center, row - 2), (center, row + 15))
+            text = f"drive {j + 1} {float(volts):+.1f} V"
+            self.window.blit(self._small.render(text, True, INK), (center + half + 10, row + 1))
+
+    def run(self, frames: int | None = None) -> None:
+        """Play until the user closes the window.
+
+        Args:
+            frames: Number of frames after which to stop. Default: no limit.
+        """
+        clock, count = self._pygame.time.Clock(), 0
+        while not self.done and (frames is None or count < frames):
+            for event in self._pygame.event.get():
+                self.handle(event)
+            self.advance()
+            self.draw()
+            clock.tick(FRAMES_PER_S)
+            count += 1
+
+    def save_picture(self, path: Path) -> None:
+        """Save the window as a picture.
+
+        Args:
+            path: File ending in .png; it appears complete or not at all.
+
+        Raises:
+            InputError: If the file does not end in .png.
+            OSError: If the file cannot be written.
+        """
+        if path.suffix != ".png":
+            raise InputError(f"{path}: the picture must end in .png")
+        with atomic_file(path) as temporary:
+            self._pygame.image.save(self.window, str(temporary), "picture.png")
+
+    def close(self) -> None:
+        """Close the window."""
+        self._pygame.display.quit()

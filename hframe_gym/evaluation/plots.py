@@ -1,0 +1,247 @@
+"""Plots of recorded episodes and of scores, as picture files and as panels of the scorecard page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..atomic_files import atomic_file
+from ..web_page import SERIES, Panel, color, legend_above, number, plot_style
+from .metrics import BANDS
+from .scenario import Episodes
+
+SMALLEST_ERROR_MM = 1e-3  # mm, lower end of the logarithmic error axis of a plot
+BAND_TEXTS = {name: f"{1e3 * band:g} mm" for name, band in BANDS.items()}  # settling bands as written for readers
+
+
+def plot_episode(episodes: Episodes, episode: int = 0, *, title: str = "") -> Any:
+    """Plot one episode in three panels: tool path, distance to the goal (and to the path) over time, and voltages.
+
+    Args:
+        episodes: Recorded episodes of one controller, as `rollout` returns them.
+        episode: Index of the episode, from 0 to the number of episodes - 1.
+        title: Title of the figure; empty for none.
+
+    Returns:
+        Figure of matplotlib (`matplotlib.figure.Figure`).
+
+    Raises:
+        ImportError: If matplotlib is not installed; the message names the extra.
+        IndexError: If `episode` is out of range.
+    """
+    try:
+        import matplotlib
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise ImportError("plots need matplotlib: pip install 'hframe_gym[report]'") from error
+    if not 0 <= episode < len(episodes.position):
+        raise IndexError(f"episode {episode} of {len(episodes.position)}")
+    with matplotlib.rc_context(plot_style()):
+        figure = Figure(figsize=(11, 3.6), layout="constrained")
+        path_axes, error_axes, voltage_axes = figure.subplots(1, 3)
+        _plot_path(path_axes, episodes, episode)
+        _plot_error(error_axes, episodes, episode)
+        _plot_voltages(voltage_axes, episodes, episode)
+        if title:
+            figure.suptitle(title)
+    return figure
+
+
+def save_plot(path: str | Path, episodes: Episodes, episode: int = 0, *, title: str = "") -> None:
+    """Plot one episode (tool path, error, voltages) to a file; if this fails, an existing file stays unchanged.
+
+    Args:
+        path: File to write; the suffix is .png, .svg or .pdf.
+        episodes: Recorded episodes of one controller, as `rollout` returns them.
+        episode: Index of the episode, from 0 to the number of episodes - 1.
+        title: Title of the figure; empty for none.
+
+    Raises:
+        ImportError: If matplotlib is not installed; the message names the extra.
+        IndexError: If `episode` is out of range.
+        OSError: If the file cannot be written.
+    """
+    figure = plot_episode(episodes, episode, title=title)
+    with atomic_file(path) as temporary:
+        figure.savefig(temporary, dpi=150)
+
+
+def _plot_path(axes: Any, episodes: Episodes, episode: int) -> None:
+    """Plot the path of the tool, with its start and its goal or the goal's path; one axis over time."""
+    position, goal = 1e3 * episodes.position[episode], 1e3 * episodes.goal[episode]
+    if position.shape[1] == 1:
+        axes.plot(episodes.time_s, position[:, 0], lw=1.2, label="tool")
+        axes.axhline(goal[-1, 0], color=color("muted"), lw=0.7, ls="--", label="goal")
+        axes.set(xlabel="time (s)", ylabel="position (mm)")
+        legend_above(axes)
+        return
+    if episodes.contour is not None:
+        axes.plot(*goal.T, color=color("declared"), lw=2.5, label="path")
+    axes.plot(*position.T, lw=1.2)
+    axes.plot(*position[0], "o", ms=4, label="start")
+    if episodes.contour is None:
+        axes.plot(*goal[-1], "x", ms=7, label="goal")
+    axes.set(xlabel="x (mm)", ylabel="y (mm)", aspect="equal", adjustable="datalim")
+    legend_above(axes)
+
+
+def _plot_error(axes: Any, episodes: Episodes, episode: int) -> None:
+    """Plot the distance to the goal, and to the path if there is one, with the settling bands."""
+    time_s, error_mm = episodes.time_s, 1e3 * episodes.goal_error[episode]
+    axes.semilogy(time_s, np.maximum(error_mm, SMALLEST_ERROR_MM), lw=1.2, label="to the goal")
+    if episodes.contour is not None:
+        contour_mm = 1e3 * episodes.contour[episode]
+        axes.semilogy(time_s, np.maximum(contour_mm, SMALLEST_ERROR_MM), lw=1.2, label="to the path")
+        legend_above(axes)
+    _mark_bands(axes, time_s[-1])
+    axes.set(xlabel="time (s)", ylabel="distance to the goal (mm)" if episodes.contour is None else "distance (mm)")
+
+
+def _mark_bands(axes: Any, end_s: float) -> None:
+    """Draw the settling bands as horizontal lines that are named at their right end, and label the axis in mm."""
+    for name, band in BANDS.items():
+        axes.axhline(1e3 * band, color=color("muted"), lw=0.7, ls="--")
+        axes.annotate(BAND_TEXTS[name], (end_s, 1e3 * band), ha="right", va="bottom", fontsize=7, color=color("muted"))
+    axes.yaxis.set_major_formatter(lambda value, _: number(value))
+    axes.minorticks_off()
+
+
+def _plot_voltages(axes: Any, episodes: Episodes, episode: int) -> None:
+    """Plot the voltages of the drives and their rated values."""
+    time_s, volts = episodes.time_s, episodes.volts[episode]
+    period = (time_s[-1] - time_s[0]) / len(volts)
+    edges = time_s[0] + period * np.arange(len(volts) + 1)
+    for j in range(volts.shape[1]):
+        axes.stairs(volts[:, j], edges, baseline=None, lw=1.2, label=f"drive {j + 1}")
+    for limit in {float(v) for v in episodes.rated}:
+        axes.axhline(limit, color=color("muted"), lw=0.7, ls="--")
+        axes.axhline(-limit, color=color("muted"), lw=0.7, ls="--")
+    axes.set(xlabel="time (s)", ylabel="voltage (V)")
+    legend_above(axes)
+
+
+def episode_panels(name: str, episodes: Episodes, episode: int = 0) -> list[Panel]:
+    """Describe the three plots of an episode for a page: tool path, distance over time, voltages.
+
+    Args:
+        name: Name of the controller.
+        episodes: Recorded episodes of this controller.
+        episode: Index of the episode, from 0 to the number of episodes - 1.
+
+    Returns:
+        Three panels.
+    """
+    start, goal = 1e3 * episodes.position[episode, 0], 1e3 * episodes.goal[episode, -1]
+    final_mm = 1e3 * float(episodes.goal_error[episode, -1])
+    route = f"from ({start[0]:.0f}, {start[1]:.0f}) mm"
+    route += f" to the goal at ({goal[0]:.0f}, {goal[1]:.0f}) mm" if episodes.contour is None else " along the path"
+    largest = float(np.abs(episodes.volts[episode]).max())
+    return [
+        Panel(
+            f"{name}: tool path",
+            f"Path of the tool under {name}, {route}.",
+            lambda a: _plot_path(a, episodes, episode),
+            2.6,
+        ),
+        Panel(
+            f"{name}: distance to the goal",
+            f"Distance of the tool to its goal over time under {name}, {number(final_mm)} mm at the end.",
+            lambda a: _plot_error(a, episodes, episode),
+            2.6,
+        ),
+        Panel(
+            f"{name}: voltages (dashed: rated)",
+            f"Voltages of the drives over time under {name}, at most {number(largest)} V.",
+            lambda a: _plot_voltages(a, episodes, episode),
+            2.6,
+        ),
+    ]
+
+
+def distance_panel(recorded: Mapping[str, Episodes]) -> Panel:
+    """Describe the plot of the distances to the goal in the first episode, one curve per controller.
+
+    Args:
+        recorded: Recorded episodes by name of the controller, at least one.
+
+    Returns:
+        Panel.
+    """
+
+    def draw(axes: Any) -> None:
+        for name, episodes in recorded.items():
+            error_mm = np.maximum(1e3 * episodes.goal_error[0], SMALLEST_ERROR_MM)
+            axes.semilogy(episodes.time_s, error_mm, lw=1.2, label=name)
+        _mark_bands(axes, float(next(iter(recorded.values())).time_s[-1]))
+        axes.set(xlabel="time (s)", ylabel="distance to the goal (mm)")
+        legend_above(axes)
+
+    ends = ", ".join(f"{name} {number(1e3 * float(e.goal_error[0, -1]))} mm" for name, e in recorded.items())
+    return Panel("Distance to the goal in the first episode", f"Distance over time; at the end: {ends}.", draw, 2.6)
+
+
+def interval_panel(title: str, unit: str, scores: Mapping[str, Mapping[str, Any] | None]) -> Panel:
+    """Describe the plot of one metric: a dot for the mean of each controller, and its 95 % confidence interval.
+
+    Args:
+        title: Caption, the name of the metric.
+        unit: Unit of the values; empty for a ratio.
+        scores: `mean` and `ci95` (lower and upper limit) by name of the controller; None where there is no value.
+
+    Returns:
+        Panel.
+    """
+    known = {name: score for name, score in scores.items() if score}
+
+    def draw(axes: Any) -> None:
+        for row, (name, score) in enumerate(known.items()):
+            tone = color(SERIES[list(scores).index(name) % len(SERIES)])
+            axes.plot(score["ci95"], [row, row], color=tone, lw=3, solid_capstyle="butt", alpha=0.6)
+            axes.plot(score["mean"], row, "o", ms=6, color=tone)
+            axes.annotate(number(score["mean"]), (score["mean"], row), (0, 7), textcoords="offset points", ha="center")
+        axes.set(yticks=range(len(known)), yticklabels=list(known), xlabel=f"mean, {unit}" if unit else "mean")
+        axes.set_ylim(len(known) - 0.5, -0.7)
+        axes.margins(x=0.15)
+        axes.grid(False, axis="y")
+
+    values = "; ".join(
+        f"{name} {number(s['mean'])} {unit} (95 % interval {number(s['ci95'][0])} to {number(s['ci95'][1])})"
+        for name, s in known.items()
+    )
+    return Panel(title, f"{title}, mean over the episodes: {values}.", draw, 0.75 + 0.42 * max(1, len(known)))
+
+
+def success_panel(title: str, success: Mapping[str, Mapping[str, float]]) -> Panel:
+    """Describe the bar chart of the fraction of successful episodes by band and controller.
+
+    Args:
+        title: Caption.
+        success: Fraction of successful episodes, 0 to 1, by band, by name of the controller.
+
+    Returns:
+        Panel.
+    """
+    bands = list(BANDS)
+
+    def draw(axes: Any) -> None:
+        height = 0.8 / len(success)
+        for k, (name, by_band) in enumerate(success.items()):
+            rows = np.arange(len(bands)) + height * (k - (len(success) - 1) / 2)
+            values = [100 * by_band[band] for band in bands]
+            bars = axes.barh(rows, values, 0.9 * height, color=color(SERIES[k % len(SERIES)]), label=name)
+            axes.bar_label(bars, fmt="%.0f", padding=2, fontsize=7)
+        axes.set(
+            yticks=range(len(bands)), yticklabels=list(BAND_TEXTS.values()), xlim=(0, 112), xlabel="% of the episodes"
+        )
+        axes.invert_yaxis()
+        axes.grid(False, axis="y")
+        legend_above(axes)
+
+    values = "; ".join(
+        f"{name}: " + ", ".join(f"{100 * by_band[band]:.1f} % within {BAND_TEXTS[band]}" for band in bands)
+        for name, by_band in success.items()
+    )
+    return Panel(title, f"{title}. {values}.", draw, 1.3 + 0.4 * len(success))

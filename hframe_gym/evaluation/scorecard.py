@@ -1,0 +1,193 @@
+"""Build scorecard.html, one self-contained page that compares the controllers of an evaluation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from ..web_page import Panel, number, write_page
+from .metrics import BANDS, BOUND_BAND, mean_with_interval, settling_times
+from .plots import BAND_TEXTS, distance_panel, episode_panels, interval_panel, success_panel
+from .scenario import Episodes
+
+_FURTHER_METRICS = {  # column headings of the metrics that all tasks have
+    "overshoot_mm": "overshoot, mm",
+    "final_error_mm": "error at the end, mm",
+    "delay_ms": "delay behind the goal, ms",
+    "energy_J": "energy, J",
+    "voltage_variation": "voltage variation, V",
+    "saturation_share": "time at rated voltage, %",
+    "peak_belt_force_N": "peak belt force, N",
+}
+_FACTORS = {"saturation_share": 100.0}
+_PATH_ERRORS = {"contour_mm": "contour error", "tracking_mm": "tracking error"}
+
+
+def write_scorecard(
+    folder: str | Path,
+    scores: Mapping[str, Any],
+    recorded: Mapping[str, Episodes] | None = None,
+    warnings: Sequence[str] = (),
+) -> Path:
+    """Write scorecard.html: verdict, scores side by side with 95 % intervals, and the first episode of each controller.
+
+    Args:
+        folder: Folder, which is created if necessary.
+        scores: Contents of scores.json.
+        recorded: Recorded episodes by name of the controller, for the plots of the first episode. Default: no plots.
+        warnings: Sentences about results that cannot be trusted.
+
+    Returns:
+        Path of the page; it appears complete or not at all.
+
+    Raises:
+        ImportError: If a library of the extra `report` is missing.
+        OSError: If the file cannot be written.
+    """
+    recorded, controllers = recorded or {}, scores["controllers"]
+    reaches = all("settling_s" in score for score in controllers.values())
+    heading, tone, sentences = _reach_verdict(scores, recorded) if reaches else _track_verdict(scores)
+    reasons = [score.get("over_bound_reason") for score in controllers.values()]
+    values = {
+        "title": f"Scorecard: {_task_name(scores)} on {scores['machine']}",
+        "scores": scores,
+        "task": _task_name(scores),
+        "heading": heading,
+        "tone": tone,
+        "sentences": sentences,
+        "warnings": list(dict.fromkeys([*scores.get("warnings", ()), *warnings])),
+        "bound_reasons": list(dict.fromkeys(reason for reason in reasons if reason)),
+        "reaches": reaches,
+        "bands": list(BAND_TEXTS.values()),
+        "bound_band": BAND_TEXTS[BOUND_BAND],
+        "rows": [_row(name, score, reaches) for name, score in controllers.items()],
+        "further": _further_metrics(controllers),
+        "panels": _panels(controllers, recorded, reaches),
+        "episodes": {name: episode_panels(name, episodes) for name, episodes in recorded.items()},
+    }
+    path = Path(folder) / "scorecard.html"
+    write_page(path, "hframe_gym.evaluation", "scorecard.html.j2", values)
+    return path
+
+
+def _task_name(scores: Mapping[str, Any]) -> str:
+    """Return the name of the task; scores.json may hold the text of a task object, such as "Track(...)"."""
+    return str(scores["task"]).partition("(")[0].lower()
+
+
+def _reach_verdict(scores: Mapping[str, Any], recorded: Mapping[str, Episodes]) -> tuple[str, str, list[str]]:
+    """Return heading, tone and sentences about the fastest of the most successful controllers."""
+    controllers = scores["controllers"]
+    ranked = sorted(
+        controllers, key=lambda n: (-controllers[n]["success"][BOUND_BAND], _settling(controllers[n])["mean"])
+    )
+    best = controllers[ranked[0]]
+    success, settling = best["success"][BOUND_BAND], _settling(best)
+    if success == 0.0:
+        sentence = f"No controller comes to rest within {BAND_TEXTS[BOUND_BAND]} of its goal in any of the episodes."
+        return "No controller succeeds", "warning", [sentence]
+    sentences = [
+        f"{ranked[0]} comes to rest within {BAND_TEXTS[BOUND_BAND]} of the goal in {100 * success:.1f} % of the "
+        f"episodes, after {settling['mean']:.3f} s on average (95 % interval {_interval(settling, '.3f')} s)."
+    ]
+    ratio = _bound_ratio(best)
+    if ratio:
+        sentences.append(f"This is {ratio['mean']:.2f} times the shortest possible time.")
+    if len(ranked) > 1 and set(ranked[:2]) <= set(recorded):
+        sentences.append(_difference_sentence(ranked[1], recorded[ranked[0]], recorded[ranked[1]], scores["seed"]))
+    return f"Best: {ranked[0]}", "good" if success > 0.99 else "neutral", sentences
+
+
+def _difference_sentence(name: str, best: Episodes, second: Episodes, seed: int) -> str:
+    """Return a sentence about the settling times of the second best controller, compared episode by episode."""
+    times = [settling_times(e.goal_error, e.time_s, BANDS[BOUND_BAND])[0] for e in (second, best)]
+    difference = mean_with_interval(times[0] - times[1], seed)
+    interval = f"95 % interval {_interval(difference, '.3f')} s"
+    if difference["ci95"][0] <= 0.0 <= difference["ci95"][1]:
+        return f"In the same episodes {name} is not significantly slower or faster ({interval} of the difference)."
+    word = "slower" if difference["mean"] > 0 else "faster"
+    return f"In the same episodes {name} is {abs(difference['mean']):.3f} s {word} ({interval} of the difference)."
+
+
+def _track_verdict(scores: Mapping[str, Any]) -> tuple[str, str, list[str]]:
+    """Return heading, tone and sentences about the controller with the smallest contour error."""
+    controllers = {n: s for n, s in scores["controllers"].items() if "contour_mm" in s}
+    if not controllers:
+        return "Scores", "neutral", ["The table compares the controllers on the same episodes."]
+    best = min(controllers, key=lambda n: controllers[n]["contour_mm"]["rms"]["mean"])
+    contour = controllers[best]["contour_mm"]
+    sentence = (
+        f"{best} follows the path with a contour error of {number(contour['rms']['mean'])} mm rms (95 % interval "
+        f"{_interval(contour['rms'], '.3g')} mm) and {number(contour['max']['mean'])} mm at most, means over the "
+        "episodes."
+    )
+    return f"Best: {best}", "good", [sentence]
+
+
+def _settling(score: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the settling times in the band of the time-optimal bounds."""
+    times: Mapping[str, Any] = score["settling_s"][BOUND_BAND]
+    return times
+
+
+def _bound_ratio(score: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    """Return the ratio of mean settling time to mean bound with its interval, None without bounds."""
+    by_band = (score.get("over_bound") or {}).get(BOUND_BAND) or {}
+    ratio: Mapping[str, Any] | None = by_band.get("ratio_of_means")
+    return ratio
+
+
+def _interval(value: Mapping[str, Any], form: str) -> str:
+    """Return a 95 % interval as text: "0.312 to 0.331"."""
+    low, high = value["ci95"]
+    return f"{low:{form}} to {high:{form}}"
+
+
+def _cell(value: Mapping[str, Any] | None, form: str = ".3g", factor: float = 1.0) -> dict[str, str]:
+    """Return a mean and its 95 % interval as the texts of a table cell; empty without a value."""
+    if value is None:
+        return {"mean": "–", "interval": ""}
+    low, high = value["ci95"]
+    return {"mean": f"{factor * value['mean']:{form}}", "interval": f"{factor * low:{form}} to {factor * high:{form}}"}
+
+
+def _row(name: str, score: Mapping[str, Any], reaches: bool) -> dict[str, Any]:
+    """Return one controller's row of the main table."""
+    if reaches:
+        cells = [_cell(score["settling_s"][band], ".3f") for band in BANDS] + [_cell(_bound_ratio(score), ".3f")]
+    else:
+        cells = [
+            _cell(score[key][kind]) if key in score else _cell(None) for key in _PATH_ERRORS for kind in ("rms", "max")
+        ]
+    return {"name": name, "success": [f"{100 * score['success'][band]:.1f}" for band in BANDS], "cells": cells}
+
+
+def _further_metrics(controllers: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """Return headings and rows of the table of the other metrics that any controller has."""
+    keys = [key for key in _FURTHER_METRICS if any(key in score for score in controllers.values())]
+    rows = {
+        name: [_cell(score.get(key), ".3g", _FACTORS.get(key, 1.0)) for key in keys]
+        for name, score in controllers.items()
+    }
+    return {"headings": [_FURTHER_METRICS[key] for key in keys], "rows": rows}
+
+
+def _panels(
+    controllers: Mapping[str, Mapping[str, Any]], recorded: Mapping[str, Episodes], reaches: bool
+) -> list[Panel]:
+    """Return the plots that compare the controllers."""
+    success = {name: score["success"] for name, score in controllers.items()}
+    if not reaches:
+        panels = [success_panel("Episodes whose contour error never exceeds a limit", success)]
+        for key, title in _PATH_ERRORS.items():
+            values = {name: score[key]["rms"] if key in score else None for name, score in controllers.items()}
+            panels.append(interval_panel(f"{title.capitalize()}, rms", "mm", values))
+    else:
+        panels = [success_panel("Episodes that end within a band around the goal", success)]
+        values = {name: _settling(score) for name, score in controllers.items()}
+        panels.append(interval_panel(f"Settling time to {BAND_TEXTS[BOUND_BAND]}", "s", values))
+        ratios = {name: _bound_ratio(score) for name, score in controllers.items()}
+        if any(ratios.values()):
+            panels.append(interval_panel("Settling time / shortest possible time", "", ratios))
+    return panels + ([distance_panel(recorded)] if recorded else [])

@@ -1,0 +1,240 @@
+"""Build self-contained web pages: one style sheet for light and dark displays, and plots as graphics inside the page.
+
+A plot is a `Panel`, a small set of axes with a title and a description. The same panel becomes a scalable graphic of
+a page, which takes its colors from the style sheet, and a part of a picture file for slides and papers. Needs
+matplotlib and Jinja, the extra `report`.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from .atomic_files import atomic_file, write_text
+
+MISSING_EXTRA = "reports need more packages: pip install 'hframe_gym[report]'"
+PANEL_WIDTH = 3.6  # in; 346 px, so that text keeps its size on a phone
+MAX_COLUMNS = 3  # panels beside each other in a picture file
+
+# Colors by role, for light and for dark displays. Every color has a contrast of at least 4.5 (text) or 3 (lines) to
+# the background of its display. Before and after are orange and blue, which color-blind readers can distinguish.
+COLORS: Mapping[str, tuple[str, str]] = {
+    "background": ("#ffffff", "#12161c"),
+    "surface": ("#f5f7f9", "#1b212a"),
+    "line": ("#d5dae1", "#38414d"),
+    "ink": ("#1c2127", "#e8edf3"),
+    "muted": ("#59636f", "#a3afbd"),
+    "link": ("#0a58b8", "#79b8ff"),
+    "good": ("#1a7348", "#58cf95"),
+    "neutral": ("#3f5f9a", "#8fb4f5"),
+    "warning": ("#a04a00", "#f5a94f"),
+    "declared": ("#7b8592", "#8d98a6"),
+    "before": ("#cc5200", "#ff9d57"),
+    "after": ("#0b69c7", "#66b2ff"),
+    "series3": ("#20805f", "#55c79f"),
+    "series4": ("#8a3ea8", "#d08bea"),
+    "series5": ("#8c6d00", "#dcbc4a"),
+    "series6": ("#b02a55", "#ff8bb0"),
+}
+SERIES = ("after", "before", "series3", "series4", "series5", "series6")  # order of the curves of a plot
+
+
+def color(role: str) -> str:
+    """Return the color of a role on a light display; a page replaces it by the color of the reader's display.
+
+    Args:
+        role: Key of `COLORS`.
+
+    Returns:
+        Hexadecimal color, "#rrggbb".
+    """
+    return COLORS[role][0]
+
+
+class Panel(NamedTuple):
+    """A plot with one pair of axes.
+
+    Attributes:
+        title: Caption.
+        description: What the plot shows, for readers who do not see it (alternative text).
+        draw: Function that draws on matplotlib axes; colors are those of `color`.
+        height: Height, in; the width is `PANEL_WIDTH`.
+    """
+
+    title: str
+    description: str
+    draw: Callable[[Any], None]
+    height: float = 2.3
+
+
+def plot_style() -> Any:  # matplotlib's type lists the names of all settings
+    """Return the settings of matplotlib (rcParams) for panels.
+
+    Returns:
+        Settings by name, a dictionary for `matplotlib.rc_context`.
+
+    Raises:
+        ImportError: If matplotlib is missing; the message names the extra.
+    """
+    try:
+        from cycler import cycler
+    except ImportError:
+        raise ImportError(MISSING_EXTRA) from None
+    ink, muted, line = color("ink"), color("muted"), color("line")
+    return {
+        "font.size": 9,
+        "axes.prop_cycle": cycler(color=[color(role) for role in SERIES]),
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+        "axes.grid": True,
+        "axes.axisbelow": True,
+        "axes.edgecolor": muted,
+        "axes.facecolor": "none",
+        "axes.titlesize": 9,
+        "axes.formatter.limits": (-3, 4),
+        "grid.color": line,
+        "text.color": ink,
+        "axes.labelcolor": ink,
+        "xtick.color": muted,
+        "ytick.color": muted,
+        "xtick.labelcolor": ink,
+        "ytick.labelcolor": ink,
+        "legend.frameon": False,
+        "legend.fontsize": 8,
+        "svg.fonttype": "none",  # text stays text: it can be selected, and takes the font of the page
+    }
+
+
+def panel_svg(panel: Panel, prefix: str) -> str:
+    """Draw a panel as an SVG element for a page, whose colors are the variables of the page's style sheet.
+
+    Args:
+        panel: Plot.
+        prefix: Prefix of the element's identifiers, unique in the page: letters, digits, hyphens.
+
+    Returns:
+        Text `<svg ...>...</svg>` with the panel's description as its label.
+
+    Raises:
+        ImportError: If matplotlib or Jinja is missing; the message names the extra.
+    """
+    from io import StringIO
+
+    try:
+        import matplotlib
+        from markupsafe import escape
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise ImportError(MISSING_EXTRA) from None
+    with matplotlib.rc_context(plot_style() | {"svg.hashsalt": prefix}):
+        figure = Figure(figsize=(PANEL_WIDTH, panel.height), layout="constrained")
+        panel.draw(figure.subplots())
+        buffer = StringIO()
+        figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
+    drawing = buffer.getvalue()
+    view_box = re.search(r'viewBox="[^"]*"', drawing)
+    body = drawing[drawing.index("<defs>") : drawing.rindex("</svg>")]
+    used = set(re.findall(r'(?:href="#|url\(#)([^")]+)', body))
+    # Identifiers must be unique in the page: the unused ones are dropped, the others get the prefix.
+    body = re.sub(r' id="([^"]*)"', lambda m: f' id="{prefix}-{m[1]}"' if m[1] in used else "", body)
+    body = re.sub(r'(?:xlink:)?href="#', f'href="#{prefix}-', body).replace("url(#", f"url(#{prefix}-")
+    for role, (light, _) in COLORS.items():
+        body = body.replace(light, f"var(--{role})")
+    body = re.sub(r"<!--.*?-->\s*", "", body)
+    label = f'role="img" aria-label="{escape(panel.description)}"'
+    return f"<svg {view_box[0] if view_box else ''} {label}>{body}</svg>"
+
+
+def save_panels(panels: Sequence[Panel], path: Path) -> None:
+    """Draw panels beside and below each other into a picture file, with the colors of a light display.
+
+    Args:
+        panels: At least one plot.
+        path: File; the suffix gives the format (.png, .svg, .pdf). It appears complete or not at all.
+
+    Raises:
+        ImportError: If matplotlib is missing; the message names the extra.
+        OSError: If the file cannot be written.
+    """
+    try:
+        import matplotlib
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise ImportError(MISSING_EXTRA) from None
+    columns = min(MAX_COLUMNS, len(panels))
+    rows = math.ceil(len(panels) / columns)
+    with matplotlib.rc_context(plot_style()):
+        height = rows * (max(panel.height for panel in panels) + 0.25)
+        figure = Figure(figsize=(PANEL_WIDTH * columns, height), layout="constrained")
+        grid = figure.subplots(rows, columns, squeeze=False).ravel()
+        for axes, panel in zip(grid, panels, strict=False):
+            panel.draw(axes)
+            axes.set_title(panel.title, loc="left", pad=22 if axes.get_legend() else 6)
+        for axes in grid[len(panels) :]:
+            axes.set_visible(False)
+        with atomic_file(path) as temporary:
+            figure.savefig(temporary, dpi=120)
+
+
+def legend_above(axes: Any) -> None:
+    """Add a legend in one row above the axes, where it hides no curve.
+
+    Args:
+        axes: Matplotlib axes with labeled curves.
+    """
+    axes.legend(
+        loc="lower right",
+        bbox_to_anchor=(1.0, 1.0),
+        ncols=4,
+        borderaxespad=0.2,
+        columnspacing=1.0,
+        handlelength=1.2,
+        handletextpad=0.4,
+    )
+
+
+def write_page(path: Path, package: str, template: str, values: Mapping[str, Any]) -> None:
+    """Fill a template and write the page.
+
+    Args:
+        path: File to write; it appears complete or not at all.
+        package: Package with a folder templates/, for example "hframe_gym.evaluation".
+        template: File name in this folder; it extends page.html.j2 of this package.
+        values: Variables of the template. A `Panel` is inserted by the macro `figure`.
+
+    Raises:
+        ImportError: If Jinja or matplotlib is missing; the message names the extra.
+        OSError: If the file cannot be written.
+    """
+    try:
+        from jinja2 import ChoiceLoader, Environment, PackageLoader
+        from markupsafe import Markup
+    except ImportError:
+        raise ImportError(MISSING_EXTRA) from None
+    loader = ChoiceLoader([PackageLoader(package), PackageLoader("hframe_gym")])
+    environment = Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    count = 0
+
+    def svg(panel: Panel) -> Markup:
+        nonlocal count
+        count += 1
+        return Markup(panel_svg(panel, f"f{count}"))
+
+    environment.globals.update(svg=svg, colors=COLORS)
+    write_text(path, environment.get_template(template).render(values))
+
+
+def number(value: float, digits: int = 3) -> str:
+    """Format a number for reading, without an exponent where that is short.
+
+    Args:
+        value: Number.
+        digits: Significant digits; numbers of 1000 and more keep all digits before the decimal point.
+
+    Returns:
+        For example "0.0312", "18.3" or "12400".
+    """
+    return f"{value:.0f}" if 1e3 <= abs(value) < 1e6 else f"{value:.{digits}g}"

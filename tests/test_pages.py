@@ -1,0 +1,236 @@
+"""Tests of the report page and of the scorecard page: their text, and how Chromium shows them."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hframe_gym.effects import EFFECTS, get_effect
+from hframe_gym.effects.smooth_table import KNOTS
+from hframe_gym.evaluation import Episodes, score_episodes, write_scorecard
+from hframe_gym.identification import write_result
+from hframe_gym.identification.experiment_design import ExperimentDesign
+from hframe_gym.identification.report import build_report
+from hframe_gym.identification.residual import Dependence
+from hframe_gym.machine import Uncertainty
+from hframe_gym.web_page import COLORS, Panel, number, panel_svg
+from tests.browser import SCHEMES, WIDTHS, chromium, faults_of, open_page
+from tests.identification.axis_results import AXIS, axis_result, axis_runs
+
+pytest.importorskip("jinja2")
+pytest.importorskip("matplotlib")
+pytestmark = pytest.mark.integration
+
+PAGES = ("effect", "table", "unexplained", "reach", "track")
+WARNING = "the agent 'ppo' was trained on the machine 'hframe', not on this one"
+
+
+def report_page(kind: str, folder: Path) -> Path:
+    """Write the report page of a hand-made result with everything that a page can have."""
+    after = AXIS.with_effects(EFFECTS["stribeck_friction"].at("x", dF=0.8, vs=0.02))
+    data = axis_runs(after, rows=500, volts=2.0)
+    plan, rivals = None, ()
+    if kind == "effect":
+        plan = ExperimentDesign(
+            ("stribeck_friction@x", "presliding@x"), np.arange(5) * 1e-3, np.zeros((5, 1)), 40.0, 0.5, "x_m"
+        )
+        rivals = ("presliding@x",)
+    elif kind == "table":
+        curve = {f"k{i:02d}": 0.01 * i - 0.12 for i in range(KNOTS)}
+        curve |= {f"f{i:02d}": 0.1 * np.sin(i) for i in range(KNOTS)}
+        after = AXIS.with_effects(get_effect("smooth_force[position of x]").at("x", **curve))
+    else:
+        after = AXIS
+    names = ("x.mass", "x.viscous", *(f"{e.label}.{key}" for e in after.effects for key in e.parameters))
+    after = after.replace(uncertainty=Uncertainty(names, 1e-6 * np.eye(len(names))))
+    result = axis_result(
+        data,
+        after,
+        rivals=rivals,
+        verdict="unexplained" if kind == "unexplained" else "effect_found",
+        dependence=(Dependence("velocity of x", "x", 0.8),),
+        experiment=plan,
+    )
+    result = dataclasses.replace(result, white=kind != "unexplained")
+    write_result(result, folder, ("advice: run_0: sampled at 999 Hz",))
+    return build_report(folder)
+
+
+def episodes_of(seed: int, *, contour: bool, decay_s: float) -> Episodes:
+    """Return 20 episodes in which the tool approaches its goal exponentially."""
+    rng = np.random.default_rng(seed)
+    time_s = 1e-3 * np.arange(601)
+    goal = np.zeros((20, 601, 2))
+    position = rng.uniform(-0.1, 0.1, (20, 1, 2)) * np.exp(-time_s / decay_s)[:, None]
+    distance = np.linalg.norm(position, axis=2)
+    return Episodes(
+        time_s, position, goal, 1e-3 * distance if contour else None, rng.uniform(-12.0, 12.0, (20, 60, 2)),
+        np.full(2, 12.0), rng.uniform(1.0, 2.0, 20), rng.uniform(10.0, 20.0, 20),
+    )  # fmt: skip
+
+
+def scorecard_page(task: str, folder: Path, **changes: Any) -> Path:
+    """Write the scorecard of three controllers that differ in their time constants."""
+    names = ("pid", "textbook-pid", "out/agents/a_folder_with_a_long_name")
+    recorded = {name: episodes_of(k, contour=task == "track", decay_s=0.04 * (k + 1)) for k, name in enumerate(names)}
+    bound = np.full(20, 0.15) if task == "reach" else None
+    scores = {
+        "schema": 1, "machine": "hframe", "task": task, "randomize": "default", "episodes": 20, "seed": 0,
+        "sensors": "state", "period_s": 0.01,
+        "controllers": {name: score_episodes(e, bound) for name, e in recorded.items()},
+    }  # fmt: skip
+    return write_scorecard(folder, scores | changes, recorded, [WARNING])
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Write all pages once."""
+    folder = tmp_path_factory.mktemp("pages")
+    makers: dict[str, Callable[[str, Path], Path]] = {"reach": scorecard_page, "track": scorecard_page}
+    return {kind: makers.get(kind, report_page)(kind, folder / kind) for kind in PAGES}
+
+
+@pytest.fixture(scope="module")
+def driver() -> Iterator[Any]:
+    """Start Chromium once."""
+    with chromium() as browser:
+        yield browser
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("kind", PAGES)
+def test_chromium_shows_the_page_without_a_fault(
+    kind: str, width: int, scheme: str, pages: dict[str, Path], driver: Any
+) -> None:
+    assert faults_of(driver, pages[kind], width, scheme) == []
+
+
+@pytest.mark.slow
+def test_the_checks_find_faults(tmp_path: Path, driver: Any) -> None:
+    page = tmp_path / "bad.html"
+    page.write_text(
+        "<!doctype html><html><body><main><h1>a</h1><h3 style='color: #ccc'>b</h3><svg></svg>"
+        "<div style='width: 2000px'>c</div></main><script>throw Error('broken')</script></body></html>"
+    )
+    faults = " ".join(faults_of(driver, page, 390, "light"))
+    for text in ("px wide", "no language", "level skipped", "no alternative text", "contrast", "console: ", "broken"):
+        assert text in faults
+
+
+@pytest.mark.slow
+def test_the_page_is_dark_on_a_dark_display(pages: dict[str, Path], driver: Any) -> None:
+    colors = {}
+    for scheme in SCHEMES:
+        open_page(driver, pages["effect"], 1280, scheme)
+        colors[scheme] = driver.execute_script(
+            "return [getComputedStyle(document.body).backgroundColor, "
+            "getComputedStyle(document.querySelector('svg text')).fill]"
+        )
+    assert colors["light"][0] == "rgb(255, 255, 255)"
+    assert colors["dark"][0] == "rgb(18, 22, 28)"
+    assert colors["light"][1] != colors["dark"][1]
+
+
+@pytest.mark.slow
+def test_the_keyboard_reaches_and_unfolds_the_details(pages: dict[str, Path], driver: Any) -> None:
+    from selenium.webdriver.common.action_chains import ActionChains
+    from selenium.webdriver.common.keys import Keys
+
+    open_page(driver, pages["effect"], 1280, "light")
+    reached = []
+    for _ in range(30):
+        ActionChains(driver).send_keys(Keys.TAB).perform()
+        reached.append(driver.execute_script("return document.activeElement.tagName"))
+        assert driver.execute_script("return getComputedStyle(document.activeElement).outlineStyle") == "solid"
+        if reached[-1] == "SUMMARY":
+            break
+    assert reached[0] == "A"  # the link that skips the head of the page
+    assert reached[-1] == "SUMMARY"
+    ActionChains(driver).send_keys(Keys.ENTER).perform()
+    assert driver.execute_script("return document.activeElement.parentElement.open")
+
+
+@pytest.mark.parametrize("kind", PAGES)
+def test_the_page_is_self_contained(kind: str, pages: dict[str, Path]) -> None:
+    text = pages[kind].read_text()
+    assert "://" not in text
+    assert "<script" not in text
+    style = text[text.index("<style>") : text.index("</style>")]
+    for light, dark in COLORS.values():
+        assert light in style
+        assert dark in style
+        assert light not in text.replace(style, "")  # plots take their colors from the style sheet
+
+
+def test_the_report_says_what_was_found_what_is_left_and_what_to_do(pages: dict[str, Path]) -> None:
+    text = pages["effect"].read_text()
+    first = text[: text.index('<section id="errors">')]
+    for words in (
+        "Missing effects found",
+        "Its force is 10 % of the drives' force (rms).",
+        "It removes 90 % of the squared error of the held-out runs.",
+        "consistent with the sensors' noise",
+        "record the run, and identify again with it.",
+        "Read the findings about the recordings (1)",
+        f"hframe evaluate pid --machine {pages['effect'].parent / 'machine.json'}",
+    ):
+        assert words.replace("'", "&#39;") in first or words in first, words
+    assert re.search(r"<dd>[\d.]+ × noise<small>[\d.]+ (µm|mm) rms at x_m</small></dd>", first)
+
+
+def test_the_report_of_an_unexplained_error_compares_declared_and_refitted(pages: dict[str, Path]) -> None:
+    text = pages["unexplained"].read_text()
+    assert "Unexplained error" in text
+    assert "The force that the model lacks on x depends most on velocity of x" in text
+    assert "hframe check RUNS" in text
+    assert "with effects" not in text
+
+
+def test_the_scorecard_compares_the_controllers(pages: dict[str, Path]) -> None:
+    text = pages["reach"].read_text()
+    assert "Best: pid" in text
+    assert "pid comes to rest within 0.2 mm of the goal in 100.0 % of the episodes" in text
+    assert re.search(r"In the same episodes textbook-pid is 0\.\d+ s slower \(95 % interval", text)
+    assert "times the shortest possible time" in text
+    assert WARNING.replace("'", "&#39;") in text
+    assert text.count("tool path") == 3  # one caption for each controller
+    assert "contour" not in text
+
+
+def test_the_scorecard_of_a_path_has_contour_errors(pages: dict[str, Path]) -> None:
+    text = pages["track"].read_text()
+    assert "pid follows the path with a contour error of" in text
+    assert "settling" not in text
+
+
+def test_a_controller_that_never_settles_is_not_praised(tmp_path: Path) -> None:
+    slow = episodes_of(0, contour=False, decay_s=10.0)
+    scores = {"controllers": {"idle": score_episodes(slow)}}
+    text = scorecard_page("reach", tmp_path, **scores).read_text()
+    assert "No controller succeeds" in text
+
+
+def test_a_panel_has_a_label_and_identifiers_of_its_own() -> None:
+    panel = Panel("A title", 'Values of "x" & y', lambda axes: axes.plot([0, 1], [0, 1], "o"))
+    first, second = panel_svg(panel, "a"), panel_svg(panel, "b")
+    assert 'aria-label="Values of &#34;x&#34; &amp; y"' in first
+    ids = [set(re.findall(r' id="([^"]+)"', text)) for text in (first, second)]
+    assert ids[0]
+    assert not ids[0] & ids[1]
+    assert set(re.findall(r'(?:href="|url\()#([^")]+)', first)) <= ids[0]
+    assert "var(--after)" in first
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(0.03124, "0.0312"), (18.34, "18.3"), (1234.5, "1234"), (2e6, "2e+06"), (-0.5, "-0.5")]
+)
+def test_numbers_are_written_without_exponent_where_that_is_short(value: float, text: str) -> None:
+    assert number(value) == text
