@@ -63,6 +63,8 @@ class SelectionCriteria:
         structural_remainder: Fraction of that excess that every candidate must leave before structural candidates are
             tried, whose simulations must be compiled.
         min_structural_excess: Smallest excess of chi-squared per sample for which structural candidates are tried.
+        structural_retry: Excess of chi-squared per sample, relative to that at the last trial of structural candidates,
+            below which they are tried again.
         min_table_gain: Smallest gain of a table, chi-squared per sample. A table has two dozen values and fits chance
             well.
         min_table_gain_fraction: Smallest gain of a table relative to the excess over `one_step_floor`.
@@ -113,6 +115,7 @@ class SelectionCriteria:
     rival_remainder: float = 0.2
     structural_remainder: float = 0.5
     min_structural_excess: float = 0.05
+    structural_retry: float = 0.67
     min_table_gain: float = 0.02
     min_table_gain_fraction: float = 0.2
     max_screened_tables: int = 6

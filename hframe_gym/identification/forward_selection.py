@@ -127,9 +127,14 @@ class EffectSearch:
             All selected effects with their fitted parameters.
         """
         data, criteria = self._data, self._criteria
+        last_excess = math.inf  # of chi-squared per sample over noise, where structural effects were last tried
         while len(selected) < criteria.max_effects and current.chi2 > criteria.noise_level:
             enough = minimum_gain(current, criteria)  # reduction of chi-squared per sample
-            trials = _simplest_first(trial_fits(current, data, enough, criteria), current, data, criteria)
+            # Structural effects that did not pass are tried again once the error is clearly smaller.
+            structures = current.chi2 - 1.0 < criteria.structural_retry * last_excess
+            last_excess = current.chi2 - 1.0 if structures else last_excess
+            trials = trial_fits(current, data, enough, criteria, structures=structures)
+            trials = _simplest_first(trials, current, data, criteria)
             best = self._best(current, trials, enough)
             if best is None:
                 break

@@ -22,7 +22,9 @@ Array = NDArray[np.float64]
 _TRIAL_ITERATIONS, _TRIAL_TOLERANCE = 8, 1e-3  # A trial need not converge fully to be ranked.
 
 
-def trial_fits(current: Fit, data: Dataset, enough: float, criteria: SelectionCriteria) -> list[Fit]:
+def trial_fits(
+    current: Fit, data: Dataset, enough: float, criteria: SelectionCriteria, *, structures: bool = True
+) -> list[Fit]:
     """Fit the machine with each of the most promising candidate effects, one at a time.
 
     Effects that replace a part of the model (structural ones and those that replace dry friction) are tried where no
@@ -34,6 +36,7 @@ def trial_fits(current: Fit, data: Dataset, enough: float, criteria: SelectionCr
         data: Prepared recordings to fit.
         enough: Smallest useful reduction of chi-squared per sample.
         criteria: Decision thresholds.
+        structures: Whether to try effects that replace a part of the model, whose kernels must be compiled.
 
     Returns:
         One fit per candidate with few iterations, in no particular order.
@@ -53,7 +56,11 @@ def trial_fits(current: Fit, data: Dataset, enough: float, criteria: SelectionCr
             remainder = min(remainder, (trials[-1].chi2 - floor) / max(current.chi2 - floor, 1e-9))
             if remainder < criteria.rival_remainder:
                 best_promise = max(best_promise, scored.gain)
-    if remainder > criteria.structural_remainder and current.chi2 - floor > criteria.min_structural_excess:
+    if (
+        structures
+        and remainder > criteria.structural_remainder
+        and current.chi2 - floor > criteria.min_structural_excess
+    ):
         useful = max((current.cost - t.cost for t in trials), default=0.0) / data.count
         least = max(enough, criteria.min_structural_promise * useful) if useful >= enough else 0.0
         machines = screen_structures(current, data, scales, least)
