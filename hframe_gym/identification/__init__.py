@@ -5,7 +5,8 @@ from .dataset import Dataset, PreparedRecording, prepare
 from .estimation import Fit, fit
 from .forward_selection import EffectSearch, SelectedEffect
 from .free_parameters import FreeParameter, default_free_parameters
-from .pipeline import hold_out, identify
+from .held_out import hold_out
+from .pipeline import identify
 from .recording_simulation import SimulatedRecording, initial_state_of_recording, simulate_recording
 from .rest_measurement import InitialState, estimate_initial_state
 from .result import IdentificationResult, write_result

@@ -27,43 +27,17 @@ from .forward_selection import (
     Selection,
 )
 from .free_parameters import default_free_parameters
+from .held_out import error_reduction, held_out_gain, hold_out, is_excited
 from .model_error import explains, fit_with_model_error, polish
 from .nonparametric import add_tables
-from .prediction import POLISH_STEP, SEARCH_BANDWIDTH
+from .prediction import SEARCH_BANDWIDTH
 from .recording_simulation import evaluate_held_out
-from .residual import force_error, is_white, rank_dependences
+from .residual import is_white, rank_dependences
 from .result import IdentificationResult, RejectedEffect, Verdict
 from .sensor_properties import Range, blank_saturated, range_effects, saturation_ranges
 from .trial_fits import without_effect
 
-_HOLD_OUT_EVERY = 4  # Every fourth run is held out.
 _MAX_DEPENDENCES = 6  # Variables that the report lists for the residual force.
-
-
-def hold_out(recordings: Sequence[Recording], chosen: Sequence[str] = ()) -> tuple[str, ...]:
-    """Choose the runs that are held out: excluded from the fit and used to evaluate it.
-
-    Args:
-        recordings: All runs.
-        chosen: Names of the runs to hold out. Default: every fourth, the last one if there are fewer than four.
-
-    Returns:
-        Names of the held-out runs.
-
-    Raises:
-        InputError: If a run is unknown or no run is left to fit.
-    """
-    names = [r.name for r in recordings]
-    unknown = [c for c in chosen if c not in names]
-    if unknown:
-        raise InputError(f"--hold-out {unknown[0]}: no such run; the runs are {', '.join(names)}")
-    held_out = tuple(chosen) or tuple(names[_HOLD_OUT_EVERY - 1 :: _HOLD_OUT_EVERY]) or tuple(names[-1:])
-    if len(set(held_out)) >= len(names):
-        raise InputError(
-            f"runs: {len(names)}, held out: {len(set(held_out))}; at least one must be left to fit, so split the "
-            "recording into several runs or hold out fewer"
-        )
-    return held_out
 
 
 def identify(
@@ -167,15 +141,20 @@ def _without_unconfirmed(
 ) -> _Outcome:
     """Remove effects that do not reduce the error of the held-out runs, weakest first.
 
-    The held-out runs can only remove an effect here, never add or change one.
+    The held-out runs can only remove an effect here, never add or change one. They say nothing about an effect that
+    they do not excite; then the runs that were left out in turn (`leave_one_out_gain`) must suffice.
     """
     verdict, after, selected, considered = outcome
     while selected:
         runs = refine_encoder_offsets(validation, after.machine, data)
-        gains = [_held_out_gain(s, after.machine, runs, after.bandwidth) for s in selected]
-        if min(gains) > 0.0:
+        gains = {s.effect.label: held_out_gain(s, after.machine, runs, after.bandwidth) for s in selected}
+        refuted = [
+            s for s in selected if gains[s.effect.label] <= 0.0 and is_excited(s.effect, after.machine, runs, data)
+        ]
+        if not refuted:
             break
-        weakest, reason = selected[gains.index(min(gains))], "does not reduce the error of the held-out runs"
+        weakest = min(refuted, key=lambda s: gains[s.effect.label])
+        reason = "does not reduce the error of the held-out runs"
         log(f"  {weakest.effect.label} is removed: it {reason}")
         refined = refine_encoder_offsets(data, after.machine)
         reduced = without_effect(after, weakest.effect.label, refined, before.machine)
@@ -219,7 +198,7 @@ def _result(
         before=refitted_evaluation,
         after=corrected_evaluation,
         effects=selected,
-        gains={s.effect.label: _held_out_gain(s, corrected, validation, after.bandwidth) for s in selected},
+        gains={s.effect.label: held_out_gain(s, corrected, validation, after.bandwidth) for s in selected},
         considered=tuple(_rejected(c, data, validation, after.bandwidth) for c in considered),
         sizes={s.effect.label: effect_force(corrected, s.effect, data) / drives for s in selected},
         dependence=tuple(rank_dependences(before.machine, data)[:_MAX_DEPENDENCES]),
@@ -320,31 +299,11 @@ class _Search:
         return explains(after, self._base.chi2, self._criteria)
 
 
-def _held_out_gain(selected: SelectedEffect, machine: Machine, validation: Dataset, bandwidth: float) -> float:
-    """Return the fraction of the held-out squared error that this effect alone removes."""
-    others = tuple(e for e in machine.effects if e.label != selected.effect.label)
-    structural = selected.effect.definition.structure
-    without = selected.machine_without if structural else machine.replace(effects=others)
-    return _error_reduction(without, machine, validation, bandwidth)
-
-
-def _error_reduction(without: Machine, machine: Machine, validation: Dataset, bandwidth: float) -> float:
-    """Return the fraction of the squared prediction error on some runs that a machine does not have.
-
-    With an observer, it is the error of the drives' force if the machines allow inverse dynamics.
-    """
-    forces = [force_error(m, validation) if bandwidth else None for m in (without, machine)]
-    if forces[0] is not None and forces[1] is not None:
-        return 1.0 - (forces[1] / forces[0]) ** 2
-    costs = [prediction_cost(m, validation, bandwidth, longest_step=POLISH_STEP) for m in (without, machine)]
-    return 1.0 - costs[1] / costs[0]
-
-
 def _rejected(entry: ConsideredEffect, data: Dataset, validation: Dataset, bandwidth: float) -> RejectedEffect:
     """Return a rejected effect with its size and its gain on the held-out runs."""
     return RejectedEffect(
         entry.effect,
         effect_force(entry.machine, entry.effect, data) / drive_force(entry.machine, data),
-        _error_reduction(entry.machine_without, entry.machine, validation, bandwidth),
+        error_reduction(entry.machine_without, entry.machine, validation, bandwidth),
         entry.reason,
     )

@@ -1,0 +1,101 @@
+"""Held-out runs: which they are, and by how much effects reduce their error."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ..errors import InputError
+from ..machine import AppliedEffect, Machine
+from ..recordings import Recording
+from .dataset import Dataset
+from .effect_size import effect_force
+from .estimation import prediction_cost
+from .forward_selection import SelectedEffect
+from .prediction import POLISH_STEP
+from .residual import force_error
+
+_HOLD_OUT_EVERY = 4  # Every fourth run is held out.
+_MIN_EXCITATION = 0.05  # force during the held-out runs relative to that during the fitted ones
+
+
+def hold_out(recordings: Sequence[Recording], chosen: Sequence[str] = ()) -> tuple[str, ...]:
+    """Choose the runs that are held out: excluded from the fit and used to evaluate it.
+
+    Args:
+        recordings: All runs.
+        chosen: Names of the runs to hold out. Default: every fourth, the last one if there are fewer than four.
+
+    Returns:
+        Names of the held-out runs.
+
+    Raises:
+        InputError: If a run is unknown or no run is left to fit.
+    """
+    names = [r.name for r in recordings]
+    unknown = [c for c in chosen if c not in names]
+    if unknown:
+        raise InputError(f"--hold-out {unknown[0]}: no such run; the runs are {', '.join(names)}")
+    held_out = tuple(chosen) or tuple(names[_HOLD_OUT_EVERY - 1 :: _HOLD_OUT_EVERY]) or tuple(names[-1:])
+    if len(set(held_out)) >= len(names):
+        raise InputError(
+            f"runs: {len(names)}, held out: {len(set(held_out))}; at least one must be left to fit, so split the "
+            "recording into several runs or hold out fewer"
+        )
+    return held_out
+
+
+def held_out_gain(selected: SelectedEffect, machine: Machine, validation: Dataset, bandwidth: float) -> float:
+    """Return the fraction of the squared error of the held-out runs that one effect alone removes.
+
+    Args:
+        selected: The effect.
+        machine: Machine with all effects.
+        validation: Held-out runs.
+        bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
+
+    Returns:
+        Fraction; negative if the effect increases the error.
+    """
+    others = tuple(e for e in machine.effects if e.label != selected.effect.label)
+    structural = selected.effect.definition.structure
+    without = selected.machine_without if structural else machine.replace(effects=others)
+    return error_reduction(without, machine, validation, bandwidth)
+
+
+def error_reduction(without: Machine, machine: Machine, validation: Dataset, bandwidth: float) -> float:
+    """Return the fraction by which the squared prediction error of a machine is smaller than that of another one.
+
+    Args:
+        without: Machine to compare with, for example without an effect.
+        machine: The machine.
+        validation: Runs to predict.
+        bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
+
+    Returns:
+        Fraction; negative if the error is larger. With an observer, it is the error of the drives' force if the
+        machines allow inverse dynamics.
+    """
+    forces = [force_error(m, validation) if bandwidth else None for m in (without, machine)]
+    if forces[0] is not None and forces[1] is not None:
+        return 1.0 - (forces[1] / forces[0]) ** 2
+    costs = [prediction_cost(m, validation, bandwidth, longest_step=POLISH_STEP) for m in (without, machine)]
+    return 1.0 - costs[1] / costs[0]
+
+
+def is_excited(effect: AppliedEffect, machine: Machine, validation: Dataset, data: Dataset) -> bool:
+    """Check whether the held-out runs can show an effect at all.
+
+    Args:
+        effect: The effect.
+        machine: Machine with the effect.
+        validation: Held-out runs.
+        data: Fitted runs.
+
+    Returns:
+        False if its force during the held-out runs is below a twentieth of that during the fitted runs, for example
+        that of a current limit that the held-out voltages do not reach.
+    """
+    if effect.definition.structure or effect.definition.measurement or effect.definition.measurement_delay:
+        return True
+    held_out, fitted = (effect_force(machine, effect, runs) for runs in (validation, data))
+    return held_out >= _MIN_EXCITATION * fitted
