@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import InputError
 from ..machine import Box, Machine, Point, stage_geometry
 
 if TYPE_CHECKING:
@@ -238,8 +239,14 @@ class Renderer:
             pixels: NDArray[np.uint8] = np.ascontiguousarray(pygame.surfarray.array3d(self._surface).swapaxes(0, 1))
             return pixels
         if self._window is None:
-            pygame.display.init()
-            self._window = pygame.display.set_mode((WIDTH, HEIGHT))
+            try:
+                pygame.display.init()
+                self._window = pygame.display.set_mode((WIDTH, HEIGHT))
+            except pygame.error as error:
+                raise InputError(
+                    f"render_mode='human' needs a display ({error}); without one use render_mode='rgb_array', or set "
+                    "SDL_VIDEODRIVER=dummy"
+                ) from error
             pygame.display.set_caption("HFrame")
             self._clock = pygame.time.Clock()
         self._window.blit(self._surface, (0, 0))

@@ -73,9 +73,12 @@ def test_results_of_the_vector_environment_are_in_its_spaces(options):
         keys = {"distance_m", "is_success", "clipped_actions"}
         keys |= {"contour_m"} if options.get("task") == "track" else set()
         keys |= {"parameters"} if "randomize" in options else set()
+        if options.get("normalize"):  # its reward compares two steps
+            keys |= {"previous_achieved_goal"}
+            keys |= {"previous_desired_goal"} if options.get("task") == "track" else set()
         assert info.keys() == keys | {f"_{key}" for key in keys}
         for key in keys - {"parameters"}:
-            assert info[key].shape == info[f"_{key}"].shape == (3,)
+            assert info[key].shape[:1] == info[f"_{key}"].shape == (3,)
         for values in info.get("parameters", {}).values():
             assert values.shape == (3,)
 

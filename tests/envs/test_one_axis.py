@@ -63,7 +63,7 @@ def test_a_vector_of_environments_has_the_bits_of_single_ones(options):
         first = [result[0] for result in results]
         np.testing.assert_array_equal(reward, [result[1] for result in results])
         goals = observation["achieved_goal"], observation["desired_goal"]
-        np.testing.assert_array_equal(envs.compute_reward(*goals, {}), reward)
+        np.testing.assert_array_equal(envs.compute_reward(*goals, [result[4] for result in results]), reward)
 
 
 def test_positions_distances_and_the_encoder_belong_together():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +26,8 @@ from hframe_gym.recordings import Recording, load_recording
 
 pytestmark = pytest.mark.unit
 
-AXIS = BUILTIN_MACHINES["axis"]()
+PRESET = BUILTIN_MACHINES["axis"]()
+AXIS = PRESET.replace(coordinates=(dataclasses.replace(PRESET.coordinates[0], range=None),))
 CONSTANT_FORCE = AXIS.with_effects(EFFECTS["constant_force"].at("x", size=0.15))
 ASYMMETRIC = AXIS.with_effects(EFFECTS["asymmetric_viscous"].at("x", a=-0.15))
 LABELS = ("constant_force@x", "asymmetric_viscous@x")
