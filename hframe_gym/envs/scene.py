@@ -63,7 +63,15 @@ class Scene:
 
 
 def tool_point(batch: EnvironmentBatch, b: int) -> Point:
-    """Return the tool position of environment b of a batch in the picture, x and y in m; y is 0 with one axis."""
+    """Return the tool position of one environment in the picture.
+
+    Args:
+        batch: Batch of environments.
+        b: Index of the environment, from 0.
+
+    Returns:
+        x and y, m; y is 0 with one axis.
+    """
     position = batch.simulator.positions(b)
     return _in_plane([position[name] for name in batch.machine.tool_axes])
 

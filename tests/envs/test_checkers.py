@@ -73,6 +73,9 @@ def test_results_of_the_vector_environment_are_in_its_spaces(options):
         keys = {"distance_m", "is_success", "clipped_actions"}
         keys |= {"contour_m"} if options.get("task") == "track" else set()
         keys |= {"parameters"} if "randomize" in options else set()
+        goals = {"previous_achieved_goal"} if "normalize" in options else set()
+        goals |= {"previous_desired_goal"} if goals and "task" in options else set()
+        assert all(info.pop(key).shape == (3, 2) and info.pop(f"_{key}").shape == (3,) for key in goals)
         assert info.keys() == keys | {f"_{key}" for key in keys}
         for key in keys - {"parameters"}:
             assert info[key].shape == info[f"_{key}"].shape == (3,)
