@@ -168,7 +168,7 @@ def test_a_fault_in_the_data_stops_identify_and_is_the_exit_code_of_check(
         (("pid", "--period", "0"), ("period", "positive")),
         (("pid", "--period", "nan"), ("period", "positive")),
         (("pid", "--period", "10"), ("period is 10 s", "at least one control period")),
-        (("pid", "--machine", "axis"), ("axis", "two drives")),
+        (("pid", "--machine", "axis", "--task", "track"), ("task track", "x and y")),
         (("no-such-controller",), ("no-such-controller", "pid", "textbook-pid")),
         (("no_such_module:pid",), ("no_such_module",)),
         (("pid", "--task", "juggle"), ("juggle", "reach, track")),
@@ -191,7 +191,7 @@ def test_evaluate_refuses_wrong_options_in_one_line(
     [
         (("no-such-recipe",), ("no recipe for no-such-recipe on reach", "ppo on reach")),
         (("ppo", "--task", "juggle"), ("no recipe for ppo on juggle",)),
-        (("ppo", "--machine", "axis"), ("axis",)),
+        (("ppo", "--machine", "axis", "--task", "track"), ("task track", "x and y")),
         (("ppo", "--randomize", "some"), ("some", "default, wide")),
         (("ppo", "--resume"), ("nothing to resume",)),
     ],

@@ -43,10 +43,7 @@ class OperatingPointGrid:
         axes = machine.tool_axes
         ranges = [r for r in (machine.coordinate(axis).range for axis in axes) if r is not None]
         if len(ranges) < len(axes):
-            raise InputError(
-                f'machine {machine.name!r}: {" and ".join(axes)} must have a range to be controlled in; add "range": '
-                "[low, high] in m to the machine.json"
-            )
+            raise InputError(f"machine {machine.name!r}: {' and '.join(axes)} must have a range to be controlled in")
         self._lines = [np.linspace(low, high, count) for (low, high), count in zip(ranges, GRID, strict=False)]
         self._shape = tuple(len(line) for line in self._lines)
         self.points: Array = np.stack(np.meshgrid(*self._lines, indexing="ij"), axis=-1).reshape(-1, len(axes))
@@ -61,7 +58,6 @@ class OperatingPointGrid:
         Returns:
             Indices into `points`, shape (B,).
         """
-        # Indices of the nearest grid lines along each axis, each of shape (B,).
         lines = [np.abs(position[:, k : k + 1] - line).argmin(axis=1) for k, line in enumerate(self._lines)]
         return np.asarray(np.ravel_multi_index(tuple(lines), self._shape), np.intp)
 
@@ -100,9 +96,9 @@ class MotionModel:
         self.observed = (*axes, *(d.coordinate for d in machine.drives if d.coordinate not in axes))
         if not axes or len(machine.drives) != len(axes) or sorted(self.observed) != sorted(names):
             raise InputError(
-                f"machine {machine.name!r}: the controllers need a tool that moves along x and y or along one axis, "
-                "one drive per axis, and no coordinates except these and those of the drives; it has the coordinates "
-                f"{', '.join(names)} and the drives {', '.join(d.name for d in machine.drives)}"
+                f"machine {machine.name!r}: the controllers need a tool that moves along x and y or along one axis, one"
+                f" drive per axis and no other coordinates; it has the coordinates {', '.join(names)} and the drives "
+                f"{', '.join(d.name for d in machine.drives)}"
             )
         n = len(names)
         units = machine.travel_per_unit  # 1 for linear coordinates, radius for rotary ones, m/rad
@@ -174,8 +170,7 @@ class MotionModel:
         """Select the tool position from belt travel or states.
 
         Args:
-            travel: Belt travel (radius * angle) of the n coordinates of B machines, m, shape (B, n); velocities in
-                further columns are ignored.
+            travel: Belt travel (radius * angle) of n coordinates, m, shape (B, n); further columns are ignored.
 
         Returns:
             Tool positions, m, shape (B, axes).

@@ -79,8 +79,8 @@ class TextbookPID(FullStateController):
         if largest <= 1.0 + 1e-9:
             return None
         return (
-            f"textbook-pid is unstable on machine {self.machine.name!r} at a control period of {self.period:g} s (largest "
-            f"eigenvalue of the closed loop {largest:.2f}): its one-mass model ignores that the belts stretch"
+            f"textbook-pid is unstable on machine {self.machine.name!r} at a control period of {self.period:g} s "
+            f"(largest eigenvalue of the closed loop {largest:.2f}): its one-mass model ignores that the belts stretch"
         )
 
     def act_on_state(self, state: Array, goals: Array) -> Array:

@@ -14,7 +14,8 @@ from ..errors import InputError
 from .config import EnvConfig, EnvOptions, check_keywords, check_render_mode
 from .environment_batch import EnvironmentBatch
 from .observations import Observation
-from .rendering import TRAIL_LENGTH, Renderer, Scene, tool_point
+from .rendering import Renderer
+from .scene import TRAIL_LENGTH, Scene, tool_point
 from .spaces import SignalSpec, action_space
 
 _ONLY = np.zeros(1, np.intp)
@@ -118,6 +119,7 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
         self.observation_space = self.batch.format.space  # type: ignore[assignment]
         self.action_space = action_space(self.batch.machine)  # type: ignore[assignment]
         self._seeded_by: np.random.Generator | None = None
+        self._formats = self.batch.format.active  # a step looks nothing up that it does not need
         self._renderer: Renderer | None = None
         self._trail: deque[tuple[float, float]] = deque(maxlen=TRAIL_LENGTH)
 
@@ -178,14 +180,15 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
             NotFiniteError: If a position or velocity is not finite (simulation diverged).
         """
         result = self.batch.step(self.batch.check_actions(np.asarray(action)[None]))
-        observation = self._first(result.observation)
+        arrays = result.observation
+        observation = self._first(arrays) if self._formats else {key: v[0] for key, v in arrays.items()}
         self._update_picture()
         info = self._info(result.distance.item(), result.contour)
         return observation, result.reward.item(), result.terminated.item(), False, info
 
     def _first(self, observation: Observation) -> Any:
         """Return the observation of the only environment in the form that `normalize` and `flat` select."""
-        if self.batch.format.active:
+        if self._formats:
             formatted = self.batch.format.apply(observation)
             if not isinstance(formatted, dict):
                 return formatted[0]
@@ -215,8 +218,8 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
         }
         if contour is not None:
             info["contour_m"] = contour.item()
-        for key, goals in self.batch.rewards.info().items():
-            info[key] = goals[0]
+        if self.batch.rewards.compares_steps:
+            info |= {key: goals[0] for key, goals in self.batch.rewards.info().items()}
         if self.batch.sampler.names:
             values = self.batch.randomized(_ONLY)
             info["parameters"] = {name: value.item() for name, value in values.items()}
@@ -240,6 +243,7 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
 
         Raises:
             ImportError: If pygame is missing; the message names the extra.
+            InputError: In mode "human", if there is no display.
         """
         if self.render_mode is None:
             gym.logger.warn(

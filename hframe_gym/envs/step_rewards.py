@@ -72,6 +72,7 @@ class StepRewards:
 
     Attributes:
         reward: As given.
+        compares_steps: Whether the reward needs the goals of the step before.
     """
 
     def __init__(self, reward: Reward, observation_format: ObservationFormat, *, moving: bool) -> None:
@@ -81,13 +82,9 @@ class StepRewards:
         self._keys: tuple[str, ...] = ()
         if isinstance(inside, ProgressReward):
             self._keys = ("achieved_goal", "desired_goal") if moving else ("achieved_goal",)
+        self.compares_steps = bool(self._keys)
         self._before: dict[str, Positions] = {}
         self._after: dict[str, Positions] = {}
-
-    @property
-    def compares_steps(self) -> bool:
-        """Whether the reward needs the goals of the step before."""
-        return bool(self._keys)
 
     def begin(self, index: NDArray[np.intp], observation: Mapping[str, Positions]) -> None:
         """Store the goals of episodes that begin.

@@ -18,7 +18,8 @@ from .config import EnvConfig, EnvOptions, check_keywords, check_render_mode
 from .environment_batch import EnvironmentBatch, Flags, Index, StepResult
 from .hframe_env import check_reset_options, require_path
 from .observations import Observation
-from .rendering import TRAIL_LENGTH, Renderer, Scene, tool_point
+from .rendering import Renderer
+from .scene import TRAIL_LENGTH, Scene, tool_point
 from .spaces import SignalSpec, action_space
 
 Array = NDArray[np.float64]
@@ -325,30 +326,13 @@ class HFrameTrackVectorEnv(HFrameVectorEnv):
 
     Args:
         num_envs: Number of environments.
-        max_episode_steps: Control periods until truncation, or None.
-        autoreset_mode: "NextStep", "SameStep" or "Disabled", see `HFrameVectorEnv`.
-        render_mode: None or "rgb_array".
-        **options: Keywords of `EnvConfig`. `task` is "track" by default; another task must have `metrics` "track".
+        **options: Keywords of `HFrameVectorEnv`. `task` is "track" by default; another must have `metrics` "track".
 
     Raises:
         InputError: If the task has no path, or an option is invalid.
+        TypeError: If a keyword is unknown; the message lists the keywords.
     """
 
-    def __init__(
-        self,
-        num_envs: int = 1,
-        *,
-        max_episode_steps: int | None = 150,
-        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
-        render_mode: str | None = None,
-        **options: Unpack[EnvOptions],
-    ) -> None:
-        options.setdefault("task", "track")
-        super().__init__(
-            num_envs,
-            max_episode_steps=max_episode_steps,
-            autoreset_mode=autoreset_mode,
-            render_mode=render_mode,
-            **options,
-        )
+    def __init__(self, num_envs: int = 1, **options: Any) -> None:
+        super().__init__(num_envs, **{"task": "track", **options})
         require_path(self.batch)

@@ -305,5 +305,6 @@ def period_concern(machine: Machine, period: float) -> str | None:
     shorter = max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= longest)
     return (
         f"machine {machine.name!r}: its slowest belt mode, {slowest:.0f} Hz, is above half the control rate of "
-        f"{1.0 / period:.0f} Hz, so no controller can damp it; try a control period of {shorter:g} s (--period {shorter:g})"
+        f"{1.0 / period:.0f} Hz, so no controller can damp it; try a control period of {shorter:g} s "
+        f"(--period {shorter:g})"
     )

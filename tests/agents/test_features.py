@@ -42,3 +42,13 @@ def test_features_of_random_motion_have_magnitudes_of_order_one():
     features = extractor({key: torch.as_tensor(values) for key, values in observation.items()})
     assert features.shape == (64, extractor.features_dim)
     assert 0.5 < float(features.abs().max()) < 1.5
+
+
+def test_one_axis_without_motor_coordinate_has_features_of_error_and_speed():
+    axis = BUILTIN_MACHINES["axis"]()
+    space = observation_space(axis)
+    extractor = LogScaleFeatures(space, **feature_parameters(axis))
+    observation = {key: torch.zeros((1, *box.shape)) for key, box in space.items()}
+    assert float(extractor(observation).abs().max()) == 0.0
+    observation["desired_goal"][0, 0] = 1e-4
+    assert float(extractor(observation).abs().max()) > 0.05

@@ -112,11 +112,18 @@ def test_nearest_operating_point(hframe: Machine) -> None:
 
 def test_workspace_without_range_is_rejected(hframe: Machine) -> None:
     coordinates = tuple(dataclasses.replace(c, range=None) for c in hframe.coordinates)
-    with pytest.raises(InputError, match="need a range"):
+    with pytest.raises(InputError, match="x and y must have a range"):
         OperatingPointGrid(hframe.replace(coordinates=coordinates))
 
 
-@pytest.mark.parametrize("name", ["axis", "hframe-order20"])
-def test_machine_without_full_state_measurement_is_rejected(name: str) -> None:
-    with pytest.raises(InputError, match="the controllers need two drives"):
-        MotionModel(BUILTIN_MACHINES[name]())
+def test_machine_without_full_state_measurement_is_rejected() -> None:
+    with pytest.raises(InputError, match="the controllers need a tool that moves along x and y or along one axis"):
+        MotionModel(BUILTIN_MACHINES["hframe-order20"]())
+
+
+def test_one_axis_has_one_row_of_operating_points() -> None:
+    axis = BUILTIN_MACHINES["axis"]()
+    model, grid = MotionModel(axis), OperatingPointGrid(axis)
+    assert (model.axes, model.rigid.shape, model.force_per_volt.shape) == (("x",), (1, 1), (1, 1))
+    assert grid.points.shape == (9, 1)
+    np.testing.assert_array_equal(grid.nearest(np.array([[-1.0], [0.01], [0.24]])), [0, 4, 8])

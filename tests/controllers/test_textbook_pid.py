@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hframe_gym.controllers import ModelBasedController, TextbookPID
-from hframe_gym.machine import Machine
+from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from tests.controllers.closed_loop import PERIOD, closed_loop, random_points
 
 
@@ -35,3 +35,10 @@ def test_reset_clears_the_integrators_of_the_mask(hframe: Machine) -> None:
     third = controller.act(observation)
     np.testing.assert_array_equal(third[0], first[0])
     assert not np.array_equal(third[1], first[1])
+
+
+def test_an_unstable_loop_is_told() -> None:
+    literal = BUILTIN_MACHINES["hframe-literal"]()  # without gear its motors are light, and the belt modes dominate
+    assert "unstable on machine 'hframe-literal' at a control period of 0.01 s" in str(TextbookPID(literal).concern())
+    assert TextbookPID(BUILTIN_MACHINES["hframe"]()).concern() is None
+    assert TextbookPID(BUILTIN_MACHINES["axis"]()).concern() is None

@@ -209,3 +209,10 @@ def test_a_missing_matplotlib_is_reported_with_its_extra(monkeypatch: pytest.Mon
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(ImportError, match=r"hframe_gym\[report\]"):
         plot_episode(recorded())
+
+
+def test_one_axis_is_plotted_over_time() -> None:
+    episodes = evaluate("pid", "axis", episodes=2, duration_s=0.3).episodes["pid"]
+    axes = plot_episode(episodes).axes[0]
+    assert axes.get_xlabel() == "time (s)"
+    np.testing.assert_allclose(axes.lines[0].get_ydata(), 1e3 * episodes.position[0, :, 0])

@@ -1,0 +1,119 @@
+"""Does PPO of stable-baselines3 learn with its default hyperparameters? The goal: a median error of 1 mm in 60 s.
+
+    python -m benchmarks.plain_ppo [--seeds 3] [--seconds 60] [--envs 4] [--learning-rate 1e-3] [--gamma 0.95]
+
+The environment is `HFrame-v0` with `normalize=True` and nothing else, without randomization. Time is the processor time
+of the training, which other programs on the machine hardly affect, without that of the evaluations. After every second
+rollout the deterministic policy is evaluated on 256 episodes that no training used: the distance to the goal at their
+end. Hyperparameters that are not given as options keep the default of stable-baselines3. Settings, seeds and versions
+are in results/plain_ppo.json; `--reward dense` and the like show what the environment's defaults contribute.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from typing import Any
+
+import numpy as np
+from stable_baselines3 import PPO
+from stable_baselines3.common.callbacks import BaseCallback
+
+from benchmarks.results_file import write_results
+from hframe_gym.agents.optional_dependencies import single_threaded_torch
+from hframe_gym.envs import HFrameVectorEnv
+from hframe_gym.envs.sb3_vec_env import HFrameVecEnv
+
+BAR = 1.0  # mm, median distance at the end of an episode
+EPISODES, EPISODE_STEPS = 256, 150
+EVALUATION_SEED = 1_000_000
+ROLLOUTS_PER_EVALUATION = 2
+
+
+def final_distance_mm(model: Any) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Return the distances to the goal at the end of the evaluation episodes, mm, shape (EPISODES,)."""
+    envs = HFrameVectorEnv(EPISODES, max_episode_steps=None, normalize=True)
+    observation, info = envs.reset(seed=EVALUATION_SEED)
+    for _ in range(EPISODE_STEPS):
+        observation, _, _, _, info = envs.step(model.predict(observation, deterministic=True)[0])
+    return 1e3 * np.asarray(info["distance_m"])
+
+
+class Curve(BaseCallback):
+    """Evaluate the policy before rollouts, and end the training when its processor time is spent.
+
+    Args:
+        seconds: Processor time of the training, s.
+
+    Attributes:
+        rows: One row of numbers per evaluation.
+    """
+
+    def __init__(self, seconds: float) -> None:
+        super().__init__()
+        self.rows: list[dict[str, float]] = []
+        self._seconds, self._rollouts, self._evaluating = seconds, 0, 0.0
+
+    def _on_training_start(self) -> None:
+        self._began, self._began_wall = time.process_time(), time.monotonic()
+
+    def _spent(self) -> float:
+        return time.process_time() - self._began - self._evaluating
+
+    def _on_rollout_start(self) -> None:
+        spent = self._spent()
+        if self._rollouts and (self._rollouts % ROLLOUTS_PER_EVALUATION == 0 or spent > self._seconds):
+            began = time.process_time()
+            distance = final_distance_mm(self.model)
+            self._evaluating += time.process_time() - began
+            self.rows.append(
+                {
+                    "steps": self.num_timesteps,
+                    "cpu_s": round(spent, 1),
+                    "wall_s": round(time.monotonic() - self._began_wall, 1),
+                    "median_mm": float(np.median(distance)),
+                    "within_5mm": float(np.mean(distance <= 5.0)),
+                    "within_1mm": float(np.mean(distance <= 1.0)),
+                }
+            )
+            print(self.rows[-1], flush=True)
+        self._rollouts += 1
+
+    def _on_step(self) -> bool:
+        return self._spent() <= self._seconds or self._rollouts <= 1
+
+
+def train(seed: int, seconds: float, envs: int, environment: dict[str, Any], algorithm: dict[str, Any]) -> Any:
+    """Train with a seed for a processor time in s; return the learning curve."""
+    curve = Curve(seconds)
+    vec = HFrameVecEnv(envs, normalize=True, **environment)
+    with single_threaded_torch():
+        PPO("MultiInputPolicy", vec, seed=seed, device="cpu", **algorithm).learn(10**9, callback=curve)
+    return curve.rows
+
+
+def main() -> None:
+    """Train with every seed and write the learning curves."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--envs", type=int, default=4)
+    parser.add_argument("--reward")
+    parser.add_argument("--learning-rate", type=float)
+    parser.add_argument("--gamma", type=float)
+    parser.add_argument("--n-steps", type=int)
+    arguments = parser.parse_args()
+    keys = ("learning_rate", "gamma", "n_steps")
+    algorithm = {key: getattr(arguments, key) for key in keys if getattr(arguments, key) is not None}
+    environment = {"reward": arguments.reward} if arguments.reward else {}
+    content: dict[str, Any] = {"bar_mm": BAR, "envs": arguments.envs, "algorithm": algorithm, **environment, "runs": []}
+    for seed in range(arguments.seeds):
+        print(f"seed {seed}", flush=True)
+        curve = train(seed, arguments.seconds, arguments.envs, environment, algorithm)
+        content["runs"].append({"seed": seed, "best_mm": min(row["median_mm"] for row in curve), "curve": curve})
+    name = "_".join(["plain_ppo", *(f"{k}_{v}" for k, v in {**environment, **algorithm}.items())])
+    write_results(name, content, seed=EVALUATION_SEED)
+
+
+if __name__ == "__main__":
+    main()
