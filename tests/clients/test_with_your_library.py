@@ -267,6 +267,8 @@ def test_section_runs(section: str, tmp_path: Path) -> None:
         program = tmp_path / "program.py"
         program.write_text(short + "\n" + client.checks)
         done = run([sys.executable, str(program)], tmp_path)
+        if "The current node timed out during startup" in done.stderr:
+            pytest.skip("Ray did not start within its fixed limit of 30 s: this machine is too busy")
         assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
 
 
