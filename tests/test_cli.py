@@ -28,7 +28,7 @@ pytestmark = pytest.mark.integration
 Command = Callable[..., tuple[int, str, str]]
 
 ROOT = Path(__file__).parents[1]
-COMMANDS = ("simulate", "import", "check", "identify", "report", "train", "evaluate", "machines", "effects", "kernel")
+COMMANDS = ("simulate", "examples", "import", "check", "identify", "report", "train", "evaluate", "machines", "effects", "kernel")
 
 
 @pytest.fixture
