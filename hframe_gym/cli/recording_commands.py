@@ -1,4 +1,4 @@
-"""Commands on recordings of a machine: import, check, identify, report."""
+"""Commands on recordings of a machine: examples, import, check, identify, report."""
 
 from __future__ import annotations
 
@@ -23,6 +23,21 @@ class RunFormats(StrEnum):
     CSV_GZ = "csv.gz"
     CSV = "csv"
     PARQUET = "parquet"
+
+
+@app.command()
+def examples(
+    out: Annotated[Path, typer.Option(help="Folder to create; an existing one is not replaced.")],
+) -> None:
+    """Copy the example recordings of two rigs, their description and the notebooks to a new folder.
+
+    Example:  hframe examples --out examples
+    """
+    from ..recordings import copy_examples
+
+    copied = copy_examples(out)
+    log(f"wrote {', '.join(map(str, copied))}")
+    log(f"Next: hframe check {out / 'rig_a'}, then hframe identify {out / 'rig_a'} --out {Path('out', 'rig_a')}")
 
 
 @app.command("import")

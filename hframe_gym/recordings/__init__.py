@@ -1,6 +1,7 @@
 """Read, validate and write the files of machines and recordings."""
 
 from .cleaning import GAP_PERIODS, bridge_blanks, fill_gaps, outlier_mask, without_outliers
+from .examples import copy_examples, examples_folder
 from .log_import import ImportSettings, import_logs, write_recording
 from .log_mapping import MappingOptions, parse_factor, read_mapping_file
 from .machine_file import load_machine, machine_to_dict, save_machine
@@ -19,6 +20,8 @@ __all__ = [
     "Recording",
     "Table",
     "bridge_blanks",
+    "copy_examples",
+    "examples_folder",
     "field_descriptions",
     "field_units",
     "fill_gaps",

@@ -1,0 +1,60 @@
+"""Copy the example recordings and notebooks, which the repository and the wheel contain."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from pathlib import Path
+
+from ..errors import InputError
+
+_PACKAGE = Path(__file__).resolve().parents[1]
+_PARTS = ("README.md", "rig_a", "rig_b", "notebooks")  # those of the folder examples/ that the wheel contains
+
+
+def examples_folder() -> Path:
+    """Return the folder of the examples: inside the package if it was installed from a wheel, else in the repository.
+
+    Returns:
+        Existing folder that contains `rig_a`.
+
+    Raises:
+        InputError: If this installation has no examples.
+    """
+    for folder in (_PACKAGE / "examples", _PACKAGE.parent / "examples"):
+        if (folder / "rig_a").is_dir():
+            return folder
+    raise InputError(f"{_PACKAGE}: this installation has no examples; they are in the folder examples of the repository")
+
+
+def copy_examples(out: str | Path) -> list[Path]:
+    """Copy the recordings of two example rigs, their description and the notebooks to a new folder.
+
+    Args:
+        out: Folder to create; it must not exist, unless it is an empty folder. It appears complete or not at all.
+
+    Returns:
+        What was copied: files and folders below `out`.
+
+    Raises:
+        InputError: If `out` is a file or a folder that is not empty, or this installation has no examples.
+        OSError: If the folder cannot be written.
+    """
+    target = Path(out)
+    if target.exists() and not (target.is_dir() and not any(target.iterdir())):
+        raise InputError(f"--out {target}: exists already and is not replaced; give the name of a new folder")
+    source = examples_folder()
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=target.parent, prefix=f".{target.name}-") as temporary:
+        complete = Path(temporary) / "examples"
+        complete.mkdir()
+        for name in _PARTS:
+            if (source / name).is_dir():
+                # Neither what a notebook wrote nor hidden files.
+                shutil.copytree(source / name, complete / name, ignore=shutil.ignore_patterns("out", ".*"))
+            else:
+                shutil.copyfile(source / name, complete / name)
+        if target.exists():
+            target.rmdir()
+        complete.rename(target)
+    return [target / name for name in _PARTS]
