@@ -8,8 +8,8 @@ INSTALLED := $(VENV)/.installed
 
 demo: $(INSTALLED)  ## identify a recorded rig, control the corrected machine
 	$(BIN)/hframe identify examples/rig_a --out out/demo
-	$(BIN)/hframe evaluate pid ppo --machine out/demo/machine.json --randomize none --episodes 32 --out out/demo/control
-	@echo "open out/demo/report.html, out/demo/control/pid.png and ppo.png"
+	$(BIN)/hframe evaluate pid ppo --machine out/demo/machine.json --randomize none --episodes 32 --html --out out/demo/control
+	@echo "open out/demo/report.html, out/demo/control/scorecard.html, pid.png and ppo.png"
 
 test: $(INSTALLED)  ## all tests but the slow ones
 	$(BIN)/pytest -n auto --dist worksteal

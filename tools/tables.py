@@ -117,6 +117,54 @@ def other_simulator_rigs(results: dict[str, Any]) -> str:
     return markdown(header, rows)
 
 
+def random_rigs(results: dict[str, Any]) -> str:
+    """Format names, errors, standard deviations and time on rigs that were drawn at random."""
+    content = results["summary"]
+    rows = []
+    titles = {
+        "clean": "library effects or none",
+        "residue": "the same, with a residue",
+        "off_form": "effects 10 to 20 % off the library's form",
+        "outside": "effects outside the library",
+    }
+    for key, title in titles.items():
+        names, false = content["names"][key], content["false_names"][key]
+        found = f"{names['identified']} of {names['effects']}" if names["effects"] else ""
+        rows.append([title, names["rigs"], names["right"], found, false["with_false_name"]])
+    table = markdown(["rigs", "number", "right", "effects identified", "rigs with a false name"], rows)
+    above, unseen, seconds = content["names"]["above_detection"], content["unseen"], content["seconds"]["cpu"]
+    intervals = content["coverage"]
+    measures = [
+        ["clean rigs: effects above the family's median detection size that are identified", ratio(above)],
+        *(
+            [f"{text}: median; 95 % quantile; share within {unseen[key]['limit']}", quantiles(unseen[key])]
+            for key, text in (
+                ("clean_over_noise", "clean rigs: error on unseen runs over the noise"),
+                ("residue_over_truth", "rigs with a residue: error on unseen runs over that of the true machine"),
+            )
+        ),
+        *(
+            [f"coverage of the 95 % intervals, {name}", f"{100 * found['95']:.0f} % of {found['parameters']} values"]
+            for name, found in intervals.items()
+            if found["parameters"]
+        ),
+        ["written machine stable under random rated voltages", f"{content['stable']} of {content['rigs']}"],
+        ["`hframe simulate` within 5 % of the report", f"{content['consistent']} of {content['rigs']}"],
+        ["processor time of an identification: median; slowest", f"{seconds['median']:.0f} s; {seconds['most']:.0f} s"],
+    ]
+    return f"{table}\n\n{markdown(['measure', 'value'], measures)}"
+
+
+def ratio(counts: dict[str, int]) -> str:
+    """Format how many effects were identified."""
+    return f"{counts['identified']} of {counts['effects']}"
+
+
+def quantiles(values: dict[str, float]) -> str:
+    """Format median, 95 % quantile and the fraction within the limit."""
+    return f"{values['median']:.3g}; {values['p95']:.3g}; {100 * values['within']:.0f} %"
+
+
 def identification_set(results: dict[str, Any]) -> str:
     """Format the rigs of a set: hidden effects, identified effects, errors and time."""
     rows = [
@@ -292,6 +340,7 @@ TABLES: dict[str, Callable[[dict[str, Any]], str]] = {
     **{f"identification_{name}": identification_set for name in IDENTIFICATION_SETS},
     "formulas": formulas,
     "other_simulator_rigs": other_simulator_rigs,
+    "random_rigs_20261121": random_rigs,
     "env_speed": env_speed,
     "her": her,
     "bound": bound,
