@@ -8,7 +8,6 @@ import pytest
 from gymnasium.wrappers import FlattenObservation
 
 from hframe_gym.envs import HFrameEnv, HFrameTrackEnv, HFrameVectorEnv
-from hframe_gym.envs.step_rewards import PROGRESS_SCALE
 from hframe_gym.errors import InputError
 
 RIG = {"sensors": "rig", "drives": "rig", "randomize": "wide", "privileged": True}
@@ -137,17 +136,17 @@ def test_options_must_be_switches():
         HFrameTrackEnv(task="reach", flat=True)
 
 
-def test_progress_pays_for_coming_closer_and_adds_up_over_an_episode():
+def test_progress_is_the_log_ratio_of_distances_and_a_bonus_at_the_goal():
     env = HFrameEnv(normalize=True)
-    _, info = env.reset(seed=1)
-    begin, total = info["distance_m"], 0.0
+    _, info = env.reset(seed=1, options={"start": (0.01, 0.0), "target": (0.0, 0.0)})
     for action in actions(30, 2):
         before = info["distance_m"]
         _, reward, _, _, info = env.step(action)
-        assert np.sign(reward) == np.sign(before - info["distance_m"])
-        total += reward
-    scale = PROGRESS_SCALE
-    assert total == pytest.approx(np.log((scale + begin) / (scale + info["distance_m"])), rel=1e-4)
+        after = info["distance_m"]
+        expected = np.log((1e-3 + before) / (1e-3 + after)) + 1.0 / (1.0 + after / 2e-3)
+        assert reward == pytest.approx(expected, rel=1e-4)
+    at_goal = np.zeros(2, np.float32)
+    assert env.compute_reward(at_goal, at_goal, {"previous_achieved_goal": at_goal}) == 1.0
 
 
 def test_progress_starts_anew_with_every_episode():
