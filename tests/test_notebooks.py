@@ -6,8 +6,6 @@ import ast
 import importlib
 import os
 import re
-import shutil
-import sys
 from pathlib import Path
 from typing import Any
 
