@@ -18,14 +18,16 @@ from .dataset import Dataset
 from .effect_size import depend_on_same_variable, effect_force, force_difference
 from .estimation import Fit
 from .machine_validation import validation_fault
-from .model_error import (
-    fit_with_model_error,
-    leave_one_out_gain,
-    long_run_variance,
-    residue_force,
-)
+from .model_error import fit_with_model_error, leave_one_out_gain, long_run_variance, residue_force
 from .prediction import SEARCH_BANDWIDTH
-from .trial_fits import converge, replacement_fit, trial_fits, without_effect
+from .trial_fits import (
+    converge,
+    replacement_fit,
+    structural_trial_fits,
+    trial_fits,
+    unexplained_fraction,
+    without_effect,
+)
 
 Log = Callable[[str], None]
 
@@ -127,13 +129,16 @@ class EffectSearch:
             All selected effects with their fitted parameters.
         """
         data, criteria = self._data, self._criteria
-        last_excess = math.inf  # of chi-squared per sample over noise, where structural effects were last tried
+        last_bandwidth, last_excess = math.nan, math.inf  # where structural effects were last tried
         while len(selected) < criteria.max_effects and current.chi2 > criteria.noise_level:
             enough = minimum_gain(current, criteria)  # reduction of chi-squared per sample
+            trials = trial_fits(current, data, enough, criteria)
             # Structural effects that did not pass are tried again once the error is clearly smaller.
-            structures = current.chi2 - 1.0 < criteria.structural_retry * last_excess
-            last_excess = current.chi2 - 1.0 if structures else last_excess
-            trials = trial_fits(current, data, enough, criteria, structures=structures)
+            excess = current.chi2 - 1.0
+            tried = current.bandwidth == last_bandwidth and excess > criteria.structural_retry * last_excess
+            if self._worth_structures(current, trials) and not tried:
+                last_bandwidth, last_excess = current.bandwidth, excess
+                trials += structural_trial_fits(current, trials, data, enough, criteria)
             trials = _simplest_first(trials, current, data, criteria)
             best = self._best(current, trials, enough)
             if best is None:
@@ -147,6 +152,13 @@ class EffectSearch:
         for s in selected:
             self.considered.pop(s.effect.label, None)
         return current, tuple(s.with_values(current.machine) for s in selected)
+
+    def _worth_structures(self, current: Fit, trials: list[Fit]) -> bool:
+        """Return whether the other effects leave enough of the error to try effects that replace part of the model."""
+        criteria = self._criteria
+        floor = criteria.one_step_floor if current.bandwidth >= SEARCH_BANDWIDTH else 1.0
+        left = unexplained_fraction(current, trials, criteria)
+        return left > criteria.structural_remainder and current.chi2 - floor > criteria.min_structural_excess
 
     def _exchange(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection:
         """Replace earlier effects by others that explain the data better beside the later ones (recursively).

@@ -14,7 +14,7 @@ from .effect_size import effect_force
 from .estimation import Fit, fit
 from .free_parameters import FreeParameter, default_free_parameters
 from .model_error import residue_force, search_step
-from .prediction import POLISH_STEP, SEARCH_BANDWIDTH, SIMULATION, map_runs, predict
+from .prediction import POLISH_STEP, SEARCH_BANDWIDTH, map_runs, predict
 from .residual import missing_force
 from .screening import ScoredCandidate, screen, screen_structures
 
@@ -22,30 +22,22 @@ Array = NDArray[np.float64]
 _TRIAL_ITERATIONS, _TRIAL_TOLERANCE = 8, 1e-3  # A trial need not converge fully to be ranked.
 
 
-def trial_fits(
-    current: Fit, data: Dataset, enough: float, criteria: SelectionCriteria, *, structures: bool = True
-) -> list[Fit]:
+def trial_fits(current: Fit, data: Dataset, enough: float, criteria: SelectionCriteria) -> list[Fit]:
     """Fit the machine with each of the most promising candidate effects, one at a time.
 
-    Effects that replace a part of the model (structural ones and those that replace dry friction) are tried where no
-    other effect explains the data. Others are ranked before by the reduction of chi-squared that linearization
-    predicts.
+    The candidates are ranked before by the reduction of chi-squared that linearization predicts.
 
     Args:
         current: Fit without the candidates; its observer bandwidth is used.
         data: Prepared recordings to fit.
         enough: Smallest useful reduction of chi-squared per sample.
         criteria: Decision thresholds.
-        structures: Whether to try effects that replace a part of the model, whose kernels must be compiled.
 
     Returns:
         One fit per candidate with few iterations, in no particular order.
     """
     scales, ranked = _ranked_candidates(current, data)
-    # Chi-squared per sample of a correct model; in one-step prediction, quantization keeps it above 1.
-    floor = criteria.one_step_floor if current.bandwidth >= SEARCH_BANDWIDTH else 1.0
     trials: list[Fit] = []
-    remainder = 1.0  # smallest fraction of the excess over the floor that a candidate leaves
     best_promise = 0.0  # largest linearized gain of a candidate that explains the data
     promising = _promising(current, ranked, data, enough, criteria)
     share_kernel(current.machine, [scored.candidate.applied(scored.amounts) for scored in promising])
@@ -53,19 +45,50 @@ def trial_fits(
         # Where a candidate explains the data, only those that may be its rivals are fitted as well.
         if scored.gain > criteria.rival_promise * best_promise:
             trials.append(fit_with_candidate(current, scored, scales, data))
-            remainder = min(remainder, (trials[-1].chi2 - floor) / max(current.chi2 - floor, 1e-9))
-            if remainder < criteria.rival_remainder:
+            if unexplained_fraction(current, trials, criteria) < criteria.rival_remainder:
                 best_promise = max(best_promise, scored.gain)
-    if (
-        structures
-        and remainder > criteria.structural_remainder
-        and current.chi2 - floor > criteria.min_structural_excess
-    ):
-        useful = max((current.cost - t.cost for t in trials), default=0.0) / data.count
-        least = max(enough, criteria.min_structural_promise * useful) if useful >= enough else 0.0
-        machines = screen_structures(current, data, scales, least)
-        trials += [_replace(current, machine, scales, data) for machine in machines]
     return trials
+
+
+def structural_trial_fits(
+    current: Fit, trials: list[Fit], data: Dataset, enough: float, criteria: SelectionCriteria
+) -> list[Fit]:
+    """Fit the machine with each of the most promising effects that replace a part of the model, one at a time.
+
+    These are structural effects and those that replace dry friction. Each needs a compiled kernel.
+
+    Args:
+        current: Fit without the candidates; its observer bandwidth is used.
+        trials: Fits of the other candidates, which they have to surpass.
+        data: Prepared recordings to fit.
+        enough: Smallest useful reduction of chi-squared per sample.
+        criteria: Decision thresholds.
+
+    Returns:
+        One fit per candidate with few iterations, in no particular order.
+    """
+    scales = typical_scales(current, data)
+    useful = max((current.cost - t.cost for t in trials), default=0.0) / data.count
+    least = max(enough, criteria.min_structural_promise * useful) if useful >= enough else 0.0
+    machines = screen_structures(current, data, scales, least)
+    return [_replace(current, machine, scales, data) for machine in machines]
+
+
+def unexplained_fraction(current: Fit, trials: list[Fit], criteria: SelectionCriteria) -> float:
+    """Return the fraction of the excess of chi-squared that the best trial leaves.
+
+    Args:
+        current: Fit without candidates.
+        trials: Fits with one candidate each, at the same observer bandwidth.
+        criteria: Decision thresholds.
+
+    Returns:
+        Fraction; 1 without trials. The excess is counted from chi-squared of a correct model: 1, and in one-step
+        prediction `one_step_floor`, because quantization keeps it above 1.
+    """
+    floor = criteria.one_step_floor if current.bandwidth >= SEARCH_BANDWIDTH else 1.0
+    least = min((t.chi2 for t in trials), default=current.chi2)
+    return min(1.0, (least - floor) / max(current.chi2 - floor, 1e-9))
 
 
 def _ranked_candidates(current: Fit, data: Dataset) -> tuple[TypicalScales, list[ScoredCandidate]]:
@@ -153,10 +176,10 @@ def _replace(current: Fit, machine: Machine, scales: TypicalScales, data: Datase
     """Fit a machine in which an effect replaces a part of the model, with default free parameters.
 
     Where the structure is new, the search starts from the declared parameters: those fitted without the effect
-    compensate for it. A machine that can be simulated is close enough already.
+    compensate for it. A machine that needs only a narrow observer is close enough already.
     """
     effect = machine.effects[-1]
-    if effect.definition.structure and current.bandwidth > SIMULATION:
+    if effect.definition.structure and current.bandwidth >= SEARCH_BANDWIDTH:
         declared = {f.name: f.center for f in current.free if "@" not in f.name}
         machine = current.machine.replace(declared).with_effects(effect)
     free = list(default_free_parameters(machine, effects=False))
