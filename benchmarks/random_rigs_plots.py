@@ -47,7 +47,7 @@ def _confusion(counts: dict[str, dict[str, int]], path: Path) -> None:
     share = table / np.maximum(table.sum(axis=1, keepdims=True), 1)
     axes.imshow(share, cmap="Greens", vmin=0.0, vmax=1.0, aspect="auto")
     for i, j in zip(*np.nonzero(table), strict=True):
-        axes.text(j, i, str(table[i, j]), ha="center", va="center", fontsize=6)
+        axes.text(j, i, str(table[i, j]), ha="center", va="center", fontsize=6, color="w" if share[i, j] > 0.6 else "k")
     axes.set_xticks(range(len(named)), named, rotation=90, fontsize=6)
     axes.set_yticks(range(len(hidden)), hidden, fontsize=6)
     axes.set_xlabel("named family")

@@ -130,7 +130,7 @@ def random_rigs(results: dict[str, Any]) -> str:
     for key, title in titles.items():
         names, false = content["names"][key], content["false_names"][key]
         found = f"{names['identified']} of {names['effects']}" if names["effects"] else ""
-        rows.append([title, names["rigs"], names["right"], found, false["with_false_name"]])
+        rows.append([title, str(names["rigs"]), str(names["right"]), found, str(false["with_false_name"])])
     table = markdown(["rigs", "number", "right", "effects identified", "rigs with a false name"], rows)
     above, unseen, seconds = content["names"]["above_detection"], content["unseen"], content["seconds"]["cpu"]
     intervals = content["coverage"]
