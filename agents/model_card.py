@@ -170,8 +170,8 @@ def render_card(card: Mapping[str, Any]) -> str:
     """Format the record of an agent's training and scores (its card) as a Markdown page.
 
     Args:
-        card: Contents of card.json as `train` returns them: recipe, package versions, learning curve; `scores` and
-            `failures` are optional.
+        card: Contents of card.json as `train` returns them: name, task, seed, machine, settings (the recipe), package
+            versions and learning curve; `kept`, `scores` and `failures` are optional.
 
     Returns:
         Text of the page in Markdown.

@@ -89,8 +89,8 @@ class ResidualActionVecEnv(VecEnvWrapper):
         """Start a new episode in every environment.
 
         Returns:
-            First observations with the arrays that `ResidualAction.augment` adds: by key, each of shape (num_envs,
-            entries of the key).
+            First observations as a dict; every value has the shape (num_envs, size of the key). The keys include those
+            that `ResidualAction.augment` adds.
         """
         self.mapping.reset()
         return self.mapping.augment(_as_dict(self.venv.reset()))

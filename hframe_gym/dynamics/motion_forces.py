@@ -99,7 +99,7 @@ def effect_forces(
     friction, a voltage, a current, a belt) counts.
 
     Args:
-        machine: Machine without the effects of `effects`; its other effects act in both evaluations.
+        machine: If `effects` is given, the machine without them; its other effects act in both evaluations.
         time_s: Sample times, s, strictly increasing, shape (n,).
         positions: Positions, m or rad, shape (n, coordinates).
         velocities: Velocities, m/s or rad/s, shape (n, coordinates).
@@ -113,7 +113,7 @@ def effect_forces(
     motion = (time_s, positions, velocities, inputs)
     if effects is None:
         effects, machine = machine.effects, dataclasses.replace(machine, effects=())
-        # The coordinate of a structural effect stays; its parameters are those of the effect, which no longer exists.
+        # Coordinates that structural effects added stay. Ties refer to parameters of the removed effects: drop them.
         machine = dataclasses.replace(machine, ties={})
     # An effect can change any term of the equations, so the difference of two evaluations is its force.
     complete = dataclasses.replace(machine, effects=(*machine.effects, *effects))

@@ -186,7 +186,8 @@ class Trace:
         """Append a statement that writes a value to a row of an array argument.
 
         Args:
-            array: Name of the argument in the signature; array of shape (rows, LANES), one machine per column.
+            array: Name of an array argument of the generated function, shape (rows, LANES) with one machine per column;
+                LANES is the number of machines that are computed together.
             row: Index of the row.
             value: Expression, or a finite number for all machines.
 

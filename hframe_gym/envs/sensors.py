@@ -100,7 +100,7 @@ class SensorSuite(ABC):
         """Select the sensors of a machine whose measurements are in the observation.
 
         Args:
-            machine: Result of `apply`.
+            machine: Machine that `apply` of this suite returned.
 
         Returns:
             Sensors in the order of their measurements in the observation.
@@ -161,10 +161,11 @@ class Sensors(SensorSuite):
         """Select the sensors of the tool's axes (lasers), then those of the driven coordinates (encoders).
 
         Args:
-            machine: Result of `apply`.
+            machine: Machine that `Sensors.apply` returned.
 
         Returns:
-            Sensors in the order of the observation.
+            Sensors in the order of the observation, without lasers or encoders that are None; a sensor that belongs to
+            both groups appears once.
         """
         lasers = machine.tool_axes if self.lasers is not None else ()
         encoders = tuple(d.coordinate for d in machine.drives) if self.encoders is not None else ()

@@ -140,12 +140,13 @@ class StepRewards:
         return {f"previous_{key}": np.array(self._format.goal_as_observed(g)) for key, g in self._before.items()}
 
     def compute(self, achieved_goal: Any, desired_goal: Any, info: Any = None) -> Any:
-        """Compute rewards of goals as observed; for the goals of a step they equal its rewards to the bit.
+        """Compute rewards from goals as observed; for the goals that `step` returned, exactly the rewards of `step`.
 
         Args:
             achieved_goal: Achieved goals as observed (m, or normalized), shape (axes,) or (n, axes).
             desired_goal: Desired goals as observed, the same shape.
-            info: Info of the step, or one info per row; only used by a reward that compares two steps.
+            info: Info of the step, or one info per row. Only rewards that compare a step with the one before, such as
+                "progress", use it: its entry `previous_achieved_goal`, and `previous_desired_goal` where goals move.
 
         Returns:
             Reward as a float for shape (axes,), or n rewards, shape (n,).

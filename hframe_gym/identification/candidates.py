@@ -286,9 +286,10 @@ def periodogram_peaks(motion: Array, *, friction: bool) -> Array:
 
 
 def slow_rates(position: Array) -> Array:
-    """Return spatial rates of 0.5 to 6 periods over the range of the positions, spaced as closely as data resolve.
+    """Return spatial rates of 0.5 to 6 periods over the range of the positions, as finely spaced as data can resolve.
 
-    Noise may hide such slow variations of friction in the missing force, but a simulation error reveals them.
+    Noise can hide slow variations of friction in the force residual (measured minus modeled force), but they are
+    visible in the position error of a simulation.
 
     Args:
         position: Positions of one coordinate over all rows of all runs, in its unit, shape (n,).

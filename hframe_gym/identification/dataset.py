@@ -207,7 +207,8 @@ def with_all_measurements(data: Dataset, recordings: Sequence[Recording]) -> Dat
 
     Args:
         data: Data set prepared from recordings whose saturated measurements were replaced by NaN.
-        recordings: The original recordings of its runs; other runs are ignored.
+        recordings: Original recordings of the runs in `data`, whose gaps are filled as by `fill_gaps`; other
+            recordings are ignored.
 
     Returns:
         Copy with the original measurements minus the estimated zeros of the sensors.

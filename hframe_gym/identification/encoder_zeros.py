@@ -45,7 +45,8 @@ class EncoderZeros(NamedTuple):
 
     @property
     def stretched(self) -> NDArray[np.bool_]:
-        """Mask of the encoders that resolve by how much belts are stretched at rest, shape (sensors,)."""
+        """Mask, shape (sensors,): encoders whose readings at rest show the stretch of the belts."""
+        # Their zero is known, and readings at rest scatter by the friction that holds stretched belts.
         return self.known & (self.spread > 0.0)
 
     @classmethod

@@ -92,8 +92,9 @@ def is_excited(effect: AppliedEffect, machine: Machine, validation: Dataset, dat
         data: Fitted runs.
 
     Returns:
-        False if its force during the held-out runs is below a twentieth of that during the fitted runs, for example
-        that of a current limit that the held-out voltages do not reach.
+        True for effects on the structure or on measurements, which no force describes. Otherwise, whether the effect's
+        root mean square force in the held-out runs is at least 1/20 of that in the fitted runs. A current limit that
+        the held-out voltages never reach is an example of False.
     """
     if effect.definition.structure or effect.definition.measurement or effect.definition.measurement_delay:
         return True

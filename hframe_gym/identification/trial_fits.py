@@ -158,8 +158,8 @@ def fit_with_candidate(current: Fit, scored: ScoredCandidate, scales: TypicalSca
 
     Args:
         current: Fit without the effect; its observer bandwidth is used.
-        scored: Screened candidate with the weights of its basis functions.
-        scales: Typical sizes on this machine.
+        scored: Screened candidate with the amounts (weights) of its basis functions.
+        scales: Typical forces, speeds and travels on this machine, which scale the new parameters.
         data: Prepared recordings to fit.
 
     Returns:

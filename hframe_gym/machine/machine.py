@@ -291,14 +291,15 @@ class Machine:
         """Return a copy with additional effects.
 
         Args:
-            *effects: Effects at sites of this machine. An effect whose definition has a `structure` (bridge yaw, for
-                example) also adds coordinates, belts or sensor rows.
+            *effects: Effects, each at its site: the coordinate, drive, belt or sensor of this machine on which it acts.
+                One whose definition has a `structure`, for example bridge yaw, also adds coordinates, belts or sensor
+                rows.
 
         Returns:
             The extended machine.
 
         Raises:
-            ValueError: If the machine does not have the site of an effect; the message lists its sites.
+            ValueError: If the machine does not have the site of an effect; the message lists the machine's sites.
         """
         machine = self
         for effect in effects:
