@@ -42,7 +42,7 @@ def test_an_existing_folder_is_not_replaced_unless_it_is_empty(tmp_path: Path) -
 
 def test_an_installation_without_examples_says_where_they_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(examples, "_PACKAGE", tmp_path / "hframe_gym")
-    with pytest.raises(InputError, match="has no examples; they are in the folder examples of the repository"):
+    with pytest.raises(InputError, match="has no examples; the repository has them in its folder examples"):
         copy_examples(tmp_path / "out")
     assert list(tmp_path.iterdir()) == []
 
