@@ -21,20 +21,21 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from benchmarks.results_file import write_results
 from hframe_gym.agents.optional_dependencies import single_threaded_torch
-from hframe_gym.envs import HFrameVectorEnv
+from hframe_gym.envs import EnvConfig, HFrameVectorEnv
 from hframe_gym.envs.sb3_vec_env import HFrameVecEnv
 
 BAR = 1.0  # mm, median distance at the end of an episode
-EPISODES, EPISODE_STEPS = 256, 150
+EPISODES, EPISODE_S = 256, 1.5
 EVALUATION_SEED = 1_000_000
+ENVS = 4
 ROLLOUTS_PER_EVALUATION = 2
 
 
-def final_distance_mm(model: Any) -> np.ndarray[Any, np.dtype[np.float64]]:
+def final_distance_mm(model: Any, period: float) -> np.ndarray[Any, np.dtype[np.float64]]:
     """Return the distances to the goal at the end of the evaluation episodes, mm, shape (EPISODES,)."""
-    envs = HFrameVectorEnv(EPISODES, max_episode_steps=None, normalize=True)
+    envs = HFrameVectorEnv(EPISODES, max_episode_steps=None, normalize=True, period=period)
     observation, info = envs.reset(seed=EVALUATION_SEED)
-    for _ in range(EPISODE_STEPS):
+    for _ in range(round(EPISODE_S / period)):
         observation, _, _, _, info = envs.step(model.predict(observation, deterministic=True)[0])
     return 1e3 * np.asarray(info["distance_m"])
 
@@ -44,15 +45,16 @@ class Curve(BaseCallback):
 
     Args:
         seconds: Processor time of the training, s.
+        period: Control period, s.
 
     Attributes:
         rows: One row of numbers per evaluation.
     """
 
-    def __init__(self, seconds: float) -> None:
+    def __init__(self, seconds: float, period: float) -> None:
         super().__init__()
         self.rows: list[dict[str, float]] = []
-        self._seconds, self._rollouts, self._evaluating = seconds, 0, 0.0
+        self._seconds, self._period, self._rollouts, self._evaluating = seconds, period, 0, 0.0
 
     def _on_training_start(self) -> None:
         self._began, self._began_wall = time.process_time(), time.monotonic()
@@ -64,7 +66,7 @@ class Curve(BaseCallback):
         spent = self._spent()
         if self._rollouts and (self._rollouts % ROLLOUTS_PER_EVALUATION == 0 or spent > self._seconds):
             began = time.process_time()
-            distance = final_distance_mm(self.model)
+            distance = final_distance_mm(self.model, self._period)
             self._evaluating += time.process_time() - began
             self.rows.append(
                 {
@@ -85,7 +87,7 @@ class Curve(BaseCallback):
 
 def train(seed: int, seconds: float, envs: int, environment: dict[str, Any], algorithm: dict[str, Any]) -> Any:
     """Train with a seed for a processor time in s; return the learning curve."""
-    curve = Curve(seconds)
+    curve = Curve(seconds, environment.get("period", EnvConfig.period))
     vec = HFrameVecEnv(envs, normalize=True, **environment)
     with single_threaded_torch():
         PPO("MultiInputPolicy", vec, seed=seed, device="cpu", **algorithm).learn(10**9, callback=curve)
@@ -97,21 +99,23 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--seconds", type=float, default=60.0)
-    parser.add_argument("--envs", type=int, default=4)
+    parser.add_argument("--envs", type=int, default=ENVS)
     parser.add_argument("--reward")
+    parser.add_argument("--period", type=float)
     parser.add_argument("--learning-rate", type=float)
     parser.add_argument("--gamma", type=float)
     parser.add_argument("--n-steps", type=int)
     arguments = parser.parse_args()
-    keys = ("learning_rate", "gamma", "n_steps")
-    algorithm = {key: getattr(arguments, key) for key in keys if getattr(arguments, key) is not None}
-    environment = {"reward": arguments.reward} if arguments.reward else {}
+    given = {key: value for key, value in vars(arguments).items() if value is not None}
+    algorithm = {key: given[key] for key in ("learning_rate", "gamma", "n_steps") if key in given}
+    environment = {key: given[key] for key in ("reward", "period") if key in given}
     content: dict[str, Any] = {"bar_mm": BAR, "envs": arguments.envs, "algorithm": algorithm, **environment, "runs": []}
     for seed in range(arguments.seeds):
         print(f"seed {seed}", flush=True)
         curve = train(seed, arguments.seconds, arguments.envs, environment, algorithm)
         content["runs"].append({"seed": seed, "best_mm": min(row["median_mm"] for row in curve), "curve": curve})
-    name = "_".join(["plain_ppo", *(f"{k}_{v}" for k, v in {**environment, **algorithm}.items())])
+    settings = {**environment, **algorithm} | ({} if arguments.envs == ENVS else {"envs": arguments.envs})
+    name = "_".join(["plain_ppo", *(f"{key}_{value}" for key, value in settings.items())])
     write_results(name, content, seed=EVALUATION_SEED)
 
 

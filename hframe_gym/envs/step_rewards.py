@@ -21,7 +21,7 @@ from .rewards import REWARDS, Array, PenalizedReward, Positions, Reward, distanc
 
 PROGRESS_SCALE = 1e-3  # m; below this distance, coming closer pays less and less
 # Per step at the goal, and the distance at which it is halved, m. Without it nothing but the discount makes an agent
-# prefer to stay close, and exploration hides that: PPO then stops improving at 2 to 3 mm.
+# prefer to stay close, and exploration hides that: PPO was then still at 2 mm after 100 000 steps.
 PRECISION_BONUS, BONUS_SCALE = 1.0, 2e-3
 
 

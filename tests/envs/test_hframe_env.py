@@ -240,3 +240,10 @@ def test_spec_makes_the_same_environment_again(options):
     env = gym.make("HFrame-v0", randomize="default", period=0.005, **options)
     again = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
     np.testing.assert_array_equal(episode(env, seed=1), episode(again, seed=1))
+
+
+@pytest.mark.parametrize("options", [{}, {"randomize": "default"}, {"normalize": True}, {"task": "track"}], ids=str)
+def test_infos_of_reset_and_step_have_the_same_keys(options):
+    env = HFrameEnv(**options)
+    _, at_reset = env.reset(seed=0)
+    assert env.step([0.0, 0.0])[4].keys() == at_reset.keys()
