@@ -13,10 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import null_space
 
 from ..machine import Machine
 from .dataset import Dataset, PreparedRecording
-from .prediction import SEARCH_STEP, predict, residuals
+from .prediction import POLISH_STEP, SEARCH_STEP, SIMULATION, predict, residuals
 from .rest_measurement import InitialState, rigid_basis
 
 Array = NDArray[np.float64]
@@ -148,12 +149,33 @@ def start_displacements(machine: Machine, initial: InitialState) -> Array:
 
 
 def _rigid_displacements(machine: Machine, initial: InitialState, held_angles: dict[str, float]) -> Array:
-    """Return rigid motions of the size by which a position that no laser measures may be wrong, (k, coordinates)."""
+    """Return the rigid motions that no laser measured at rest, of the size of their uncertainty, (k, coordinates)."""
     travel = [angle * machine.coordinate(name).travel_per_unit for name, angle in held_angles.items()]
     size = max(travel) if initial.position_measured else _UNMEASURED_POSITION
     rigid = rigid_basis(machine)
+    lasers = np.array([not sensor.incremental for sensor in machine.sensors]) & initial.measured_at_rest
+    unseen = rigid @ null_space((machine.sensor_matrix @ rigid)[lasers])  # (coordinates, k)
     linear = [c.kind == "linear" for c in machine.coordinates]
-    return np.asarray(size * (rigid / np.linalg.norm(rigid[linear], axis=0)).T)
+    return np.asarray(size * (unseen / np.linalg.norm(unseen[linear], axis=0)).T)
+
+
+def most_probable_initial_state(machine: Machine, run: PreparedRecording, data: Dataset) -> Array:
+    """Return the state from which a prepared run most probably began, see `most_probable_start`.
+
+    Args:
+        machine: Machine to simulate.
+        run: Measured run.
+        data: Data set of the run, for the sampling period and the sensors' quantization steps.
+
+    Returns:
+        Positions, then velocities (zero), in the coordinates' units, shape (2 * coordinates,).
+    """
+
+    def errors(states: Array) -> Array:
+        motion = predict(machine, run, SIMULATION, period=data.period, initial_state=states, longest_step=POLISH_STEP)
+        return residuals(run, data, motion.readings)
+
+    return most_probable_start(machine, run.initial, run.initial_state(machine), errors)
 
 
 def most_probable_start(
