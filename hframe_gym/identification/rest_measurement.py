@@ -41,6 +41,7 @@ class InitialState:
         position_known: Whether these sensors determine the position at rest, if necessary by later measurements.
         reading: Measurements at rest minus the known zeros, in the sensors' units, NaN where there is none, shape
             (sensors,).
+        measured_at_rest: Whether each sensor measured something at rest, shape (sensors,).
         position_from_reading: Matrix that computes the positions of unstretched belts from `reading` (with 0 instead
             of NaN), shape (coordinates, sensors).
         warnings: What could not be measured and what is assumed instead, one sentence each.
@@ -55,6 +56,7 @@ class InitialState:
     lasers_measured: bool = True
     position_known: bool = True
     reading: Array = field(default_factory=lambda: np.zeros(0))
+    measured_at_rest: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, np.bool_))
     position_from_reading: Array = field(default_factory=lambda: np.zeros((0, 0)))
     warnings: tuple[str, ...] = field(default=())
 
@@ -150,6 +152,7 @@ def estimate_initial_state(recording: Recording, machine: Machine, zeros: Encode
         lasers_measured=lasers_measured,
         position_known=position_measured or _rank(seen[(fixed | known) & usable]) == _rank(seen),
         reading=reading,
+        measured_at_rest=measured,
         position_from_reading=position_from_reading,
         warnings=warnings,
     )
