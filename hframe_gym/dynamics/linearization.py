@@ -44,7 +44,7 @@ def stiffness_matrix(machine: Machine, position: ArrayLike | None = None) -> Arr
 
     It equals G' diag(k) G with the extension G of each belt per unit of each coordinate, and the stiffness k of each
     belt at its length in the operating point. Derivatives are imaginary parts after an imaginary step, which has no
-    rounding error (Squire and Trapp 1998).
+    cancellation error (Squire and Trapp 1998).
 
     Args:
         machine: Machine with belts; without belts the matrix is zero.
@@ -67,7 +67,7 @@ def linearize(machine: Machine, position: ArrayLike | None = None) -> StateSpace
     """Linearize the equations of motion about rest, without Coulomb friction and effects.
 
     The back-EMF of a drive acts as viscous friction of its coordinate. Derivatives are imaginary parts after an
-    imaginary step, which has no rounding error (Squire and Trapp 1998).
+    imaginary step, which has no cancellation error (Squire and Trapp 1998).
 
     Args:
         machine: Machine to linearize.
@@ -75,8 +75,9 @@ def linearize(machine: Machine, position: ArrayLike | None = None) -> StateSpace
             Default: zeros.
 
     Returns:
-        State-space matrices. States: positions, then velocities, in the coordinates' units; inputs: drive voltages, V;
-        outputs: sensor readings in the channels' units.
+        Matrices A, shape (states, states), B, shape (states, drives), C, shape (sensors, states), and D, shape
+        (sensors, drives), in SI. States: positions, m or rad, then velocities; inputs: drive voltages, V; outputs:
+        sensor readings, m or rad.
 
     References:
         Sollmann, Jouaneh and Lavender (2010), eq. 20-24.

@@ -27,12 +27,13 @@ def belt_states(machine: Machine, positions: ArrayLike, velocities: ArrayLike | 
     """Return extension, stiffness and tension of each belt along a motion, with the machine's effects on belts.
 
     Args:
-        machine: Machine.
+        machine: Machine with belts; its effects on belts count.
         positions: Positions, m or rad, shape (..., coordinates).
         velocities: Velocities, m/s or rad/s, of the same shape. Default: at rest.
 
     Returns:
-        One `BeltState` per belt (extension m, stiffness N/m, tension N, ...) with arrays of shape (...).
+        One `BeltState` per belt: extension, m, its rate, m/s, stiffness, N/m, tension beyond the pretension, N, ...;
+        arrays of shape (...).
     """
     equations = Equations(machine)
     return equations.belt_states(equations.point(positions, velocities))
@@ -67,13 +68,13 @@ def net_forces(
     At zero speed Coulomb friction counts as zero.
 
     Args:
-        machine: Machine.
+        machine: Machine with its effects (deviations from the nominal model).
         time_s: Sample times, s, strictly increasing, shape (n,).
         positions: Positions, m or rad, shape (n, coordinates).
         velocities: Velocities, m/s or rad/s, shape (n, coordinates).
         inputs: Commanded voltages, V, held from each sample until the next, shape (n, drives).
-        values: Parameter values by full name, SI, that replace the machine's: floats, or one value per variant of the
-            machine as an array of shape (variants, 1).
+        values: Parameter values by full name ("x.mass"), SI, that replace the machine's: floats, or one value per
+            variant of the machine as an array of shape (variants, 1).
 
     Returns:
         Net forces, N or Nm, shape (n, coordinates), or (variants, n, coordinates) if a parameter is an array.
@@ -178,7 +179,7 @@ def effect_states(
             of the parameters.
 
     Returns:
-        States by index in `Equations.instances`, in the effect's unit, arrays of shape (n,), or (variants, n) for
+        States by index in `equations.instances`, in the effect's unit, arrays of shape (n,), or (variants, n) for
         several variants of the parameters. The state of an effect on a current is its mean between a sample and the
         next, because the voltage is held that long.
     """

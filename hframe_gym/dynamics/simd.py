@@ -89,10 +89,10 @@ def load(rows: Any, k: Any) -> Any:
 
     Args:
         rows: Contiguous array of float64, shape (n, LANES): n quantities, one machine per column.
-        k: Index of the row, 0 <= k < n (not checked).
+        k: Index of the row, integer, 0 <= k < n (not checked).
 
     Returns:
-        `SimdVector` of the `LANES` values of the row.
+        `SimdVector` (one SIMD register) with the `LANES` values of the row, in their unit.
 
     Raises:
         NotImplementedError: If it is called from the Python interpreter.
@@ -105,8 +105,8 @@ def store(rows: Any, k: Any, value: Any) -> None:
 
     Args:
         rows: Contiguous array of float64, shape (n, LANES): n quantities, one machine per column; changed in place.
-        k: Index of the row, 0 <= k < n (not checked).
-        value: `SimdVector` to write, or a number for all lanes.
+        k: Index of the row, integer, 0 <= k < n (not checked).
+        value: `SimdVector` (one SIMD register) to write, or one number for all columns.
 
     Raises:
         NotImplementedError: If it is called from the Python interpreter.
