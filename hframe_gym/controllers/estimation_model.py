@@ -56,7 +56,7 @@ class AugmentedParameters:
             logarithms: Natural logarithms of the ratios, shape (B, k) for B simulated machines and k parameters.
 
         Returns:
-            Ratios, limited to 1 / LARGEST_RATIO ... LARGEST_RATIO, shape (B, k).
+            Ratios, dimensionless, limited to 1 / LARGEST_RATIO ... LARGEST_RATIO, shape (B, k).
         """
         return np.exp(self.clip(logarithms))
 

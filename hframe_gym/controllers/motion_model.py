@@ -50,7 +50,7 @@ class OperatingPointGrid:
         self.span: Array = np.array([line[-1] - line[0] for line in self._lines])
 
     def nearest(self, position: Array) -> NDArray[np.intp]:
-        """Find the nearest operating point of each of B tool positions.
+        """Find the operating point of the grid that is nearest to each of B tool positions.
 
         Args:
             position: Tool positions, m, shape (B, axes).
