@@ -235,7 +235,7 @@ class MomentumFilter:
     def mass_ratio(self) -> Array:
         """Estimated ratio of moving mass to nominal mass along each tool axis, shape (B, axes) for B machines."""
         n = len(self.model.mass)
-        # Contribution of each coordinate to the mass that moves along the tool axes with unstretched belts, kg, (n, axes).
+        # Contribution of each coordinate to the mass moved along the tool axes with unstretched belts, kg, (n, axes).
         moving_mass = self.model.mass[:, None] * self.model.rigid**2
         return 1.0 + self.estimates[:, n:-1] @ (moving_mass / moving_mass.sum(axis=0))
 

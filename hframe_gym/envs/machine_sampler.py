@@ -204,7 +204,8 @@ class RuleSampler:
 
         Args:
             base: All N parameters before sampling, SI, shape (k, N), or (1, N) if all environments have the same.
-            uniforms: Uniform random numbers in (0, 1), shape (k, draws).
+            uniforms: Uniform random numbers in (0, 1), shape (k, draws), where `draws` is the number that the rules
+                need.
 
         Returns:
             All parameters after sampling, SI, shape (k, N). Negative samples of friction and noise are set to zero.
@@ -302,7 +303,7 @@ class MachineSampler:
         """Compute the bounds of the randomized parameters divided by their nominal values.
 
         Returns:
-            (Smallest, largest) result of `normalized`, by full name of the parameter.
+            (Smallest, largest) result of `normalized`, dimensionless, by full name of the parameter.
         """
         edges = np.sort(self.normalized(np.stack([self.low, self.high])), axis=0)
         return {name: (low, high) for name, (low, high) in zip(self.names, edges.T.tolist(), strict=True)}
