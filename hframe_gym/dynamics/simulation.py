@@ -240,8 +240,8 @@ def simulate(
         longest_step: Largest step of the integrator, s.
 
     Returns:
-        Trajectory with `positions` and `velocities`, shape (n, coordinates), and sensor readings `outputs`, shape (n,
-        sensors), at every sample, in m or rad.
+        Trajectory with `positions` and `velocities`, shape (n, coordinates), and sensor readings `outputs`, shape
+        (n, sensors), at every sample, in m or rad.
 
     Raises:
         ValueError: If the shapes do not fit the machine, times do not increase, or a value is not finite.

@@ -172,8 +172,8 @@ class ActuatorModel:
         Args:
             index: Indices of the environments, shape (k,). Indices from `count` on are unused places in the last block
                 of LANES environments (LANES: number of machines that the processor simulates at once).
-            values: All N parameters of these environments, SI, in the column order of the parameter table, shape (k,
-                N).
+            values: All N parameters of these environments, SI, in the column order of the parameter table, shape
+                (k, N).
         """
         self._quantized |= _set_converters(index, values, self._columns, self._converters)
         if self._commanded is not None:  # without dead time there is no history

@@ -66,8 +66,8 @@ class SensorArray:
         Args:
             index: Indices of the environments, shape (k,).
             keys: Keys (seeds) of the episodes, from which their random numbers follow, uint64, shape (k,).
-            values: All N parameters of these environments, SI, in the column order of the parameter table, shape (k,
-                N).
+            values: All N parameters of these environments, SI, in the column order of the parameter table, shape
+                (k, N).
         """
         self._keys[index] = keys
         for j, (noise, resolution) in enumerate(self._device_columns):
@@ -177,8 +177,8 @@ class DelayLine:
 
         Args:
             index: Indices of the environments, ascending, shape (k,).
-            readings: Ideal (noise-free) readings at the start of the episode, without delay, m or rad, shape (blocks,
-                sensors, LANES): machine b is in block b // LANES and column b % LANES.
+            readings: Ideal (noise-free) readings at the start of the episode, without delay, m or rad, shape
+                (blocks, sensors, LANES): machine b is in block b // LANES and column b % LANES.
         """
         block, lane = np.divmod(index, LANES)
         self._history[block, :, :, lane] = readings[block, :, lane][:, None]

@@ -88,8 +88,8 @@ class Task(ABC):
         """Compute the goals of n episodes, at one time or at m times each.
 
         Args:
-            plan: Plans from `begin` or `aim`, which define the goals at all times, in the task's format, shape (n,
-                plan_size).
+            plan: Plans from `begin` or `aim`, which define the goals at all times, in the task's format, shape
+                (n, plan_size).
             elapsed_s: Times since the reset, s, not negative, shape (n,) or (n, m).
 
         Returns:
@@ -249,8 +249,8 @@ class ReferenceTrajectories:
 
         Args:
             index: Indices of the environments, shape (k,), or a slice of them; other rows are not changed.
-            observation: Output: `desired_goal`, m, shape (count, axes), and `preview`, m, shape (count, axes *
-                previews): the axes of the next future goal, then of the one after it, ...
+            observation: Output: `desired_goal`, m, shape (count, axes), and `preview`, m, shape
+                (count, axes * previews): the axes of the next future goal, then of the one after it, ...
         """
         if not self.moving:
             observation["desired_goal"][index] = self._fixed_goals[index]
