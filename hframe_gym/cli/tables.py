@@ -25,7 +25,7 @@ def identification_table(report: Mapping[str, Any], channels: Sequence[str]) -> 
     """Format the simulation errors of an identification on held-out recordings as a table.
 
     Args:
-        report: Contents of report.json.
+        report: Contents of report.json, the file that `hframe identify` writes.
         channels: Names of the machine's output channels (sensors).
 
     Returns:
@@ -56,7 +56,7 @@ def score_table(scores: Mapping[str, Any]) -> Table:
     Numbers are never truncated; a name that is too long for the terminal continues on the next line.
 
     Args:
-        scores: Contents of scores.json.
+        scores: Contents of scores.json, the file that `hframe evaluate` writes.
 
     Returns:
         Table (rich) with one row per controller: episodes that end within each settling band around the goal, %; then
@@ -103,7 +103,7 @@ def unknown_bound_reasons(scores: Mapping[str, Any]) -> list[str]:
     """List the reasons why the time-optimal bound (shortest possible settling time) of episodes is unknown.
 
     Args:
-        scores: Contents of scores.json.
+        scores: Contents of scores.json, the file that `hframe evaluate` writes.
 
     Returns:
         Distinct reasons as text, in the order of the controllers; empty if all bounds are known.
@@ -275,13 +275,13 @@ def _limits_table(machine: Machine) -> Table:
 
 
 def belt_mode_line(machine: Machine) -> str:
-    """Describe the natural frequencies of a machine at position 0 in one line.
+    """Describe the natural frequencies of a machine's masses on its belts, at position 0, in one line.
 
     Args:
         machine: Machine to describe.
 
     Returns:
-        Text without a line break.
+        Text without a line break, with frequencies in Hz.
     """
     modes = [f for f in mode_frequencies(machine).tolist() if f > 0]
     if not modes:

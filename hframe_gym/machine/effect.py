@@ -177,8 +177,10 @@ class Effect:
     def possible_sites(self, machine: Machine) -> tuple[str, ...]:
         """Return the sites of this effect's kind on a machine, without a check that the effect fits there.
 
+        A site is the component on which an effect (deviation from the nominal model) acts.
+
         Args:
-            machine: The machine.
+            machine: Machine whose components are listed.
 
         Returns:
             Names of coordinates, drives, belts or sensor channels, and the words "drives", "belts" or "machine".
@@ -324,7 +326,7 @@ def argument_names(function: Hook) -> tuple[str, ...]:
     """Return the names of the arguments of a hook; results are cached.
 
     Args:
-        function: Hook of an effect (a formula such as `force(q, k)`).
+        function: Hook of an effect: a formula such as `force(q, k)` that the simulation calls at a certain place.
 
     Returns:
         Names in the order of the signature, for example ("q", "k").

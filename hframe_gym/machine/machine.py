@@ -143,7 +143,10 @@ class Machine:
 
     @cached_property
     def sensor_matrix(self) -> Array:
-        """Coefficients of the ideal sensor readings, shape (sensors, coordinates); products ("y*yaw") are ignored."""
+        """Change of each noise-free reading per unit of each coordinate, m/m, m/rad, ..., shape (sensors, coordinates).
+
+        Products in a sensor's row ("y*yaw") are ignored.
+        """
         return np.array([self.coefficients(s.row) for s in self.sensors])
 
     def coordinate_of_site(self, site: str) -> str | None:
@@ -204,7 +207,7 @@ class Machine:
     def device_parameters(self) -> dict[str, float]:
         """Parameters of sensors and drives that the equations of motion do not contain, by full name.
 
-        Noise and resolution of every sensor (`x_m.noise`, `x_m.resolution`, channel's unit); `motor1.converter_bits`
+        Noise and resolution of every sensor (`x_m.noise`, `x_m.resolution`, m or rad); `motor1.converter_bits` (bits)
         and `motor1.voltage_range` (V, by default the rated voltage) of every drive. They can be randomized.
         """
         owners = [(s.channel, s.device_parameters) for s in self.sensors]
@@ -319,7 +322,8 @@ class Machine:
                 Default: at rest at the origin with unstretched belts.
 
         Returns:
-            Positions, velocities and noise-free sensor readings at every sample.
+            `Trajectory`: positions and velocities, shape (n, coordinates), and noise-free sensor readings, shape
+            (n, sensors), at every sample, in m or rad and their rates.
 
         Raises:
             ValueError: If the shapes do not fit the machine, times do not increase, or a value is not finite.

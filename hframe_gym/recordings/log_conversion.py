@@ -60,7 +60,8 @@ class LogConverter:
             progress: Called with the number of bytes read since the last call.
 
         Returns:
-            recording: The whole log, with the name of its file.
+            recording: Recording of the complete log (times, s; voltages, V; measurements, m or rad), with the name of
+                its file.
             remarks: What was left out, held or merged, in words.
 
         Raises:

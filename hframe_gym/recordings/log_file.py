@@ -62,7 +62,7 @@ class Log:
         """Read the values of columns.
 
         Args:
-            columns: Columns of this log.
+            columns: Columns of this log, from its attribute `columns`.
             progress: Called with the number of bytes read since the last call.
 
         Returns:

@@ -138,11 +138,12 @@ def recording_from_columns(path: Path, columns: Mapping[str, Array], machine: Ma
 
     Args:
         path: File of the run, for its name and for messages; it need not exist.
-        columns: Values by column, shape (n,) each: `time_s`, all inputs, and any of the outputs.
+        columns: Values by column, shape (n,) each: `time_s` (s), all inputs (V), and any of the outputs (m or rad).
         machine: Machine that was recorded.
 
     Returns:
-        The run. Outputs without a column are NaN.
+        The run: times, shape (n,), inputs, shape (n, drives), and outputs, shape (n, sensors). Outputs without a column
+        are NaN.
 
     Raises:
         InputError: If there are no rows, a time or input is empty or infinite, all outputs are empty, times do not
