@@ -56,7 +56,7 @@ class Candidate:
 
     @property
     def label(self) -> str:
-        """Name of the effect and its site, joined by @."""
+        """Name of the effect (deviation from the nominal model) and of the component it acts on, joined by @."""
         return f"{self.effect.name}@{self.site}"
 
     @property
@@ -101,7 +101,7 @@ def candidates(
 
     Args:
         machine: Machine with the effects that have been selected so far.
-        data: Prepared recordings.
+        data: Prepared recordings (times, voltages, measurements).
         scales: Typical sizes of force, speed and so on, by which relative starting values are multiplied.
         missing_force: By coordinate name, an array of shape (n, 3) over all rows of all runs: position, velocity and
             the force that the model lacks, in the coordinate's units, see `residual.missing_force`. The periods of

@@ -95,7 +95,7 @@ class Dataset:
         return float(np.median(np.concatenate([np.diff(run.time_s) for run in self.runs])))
 
     def with_runs(self, names: Sequence[str]) -> Dataset:
-        """Return a copy with some of the runs; noise and quantization steps are not estimated again.
+        """Return a copy with some of the runs; the sensors' noise and quantization steps are not estimated again.
 
         Args:
             names: Names of the runs to keep; names of other runs are ignored.
@@ -127,11 +127,11 @@ def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:
     These properties are the zeros (measurements at position 0), quantization steps (quanta) and noise.
 
     Args:
-        recordings: Runs of one rig, at least one.
+        recordings: Runs of one rig (times, s; voltages, V; measurements, m or rad), at least one.
         machine: Machine with the rig's coordinates, belts and sensors.
 
     Returns:
-        Data set with one prepared recording per run.
+        Data set with one prepared recording per run, and noise and quantization step of each sensor.
     """
     recordings = [fill_gaps(recording) for recording in recordings]
     channels = [[recording.outputs[:, j] for recording in recordings] for j in range(len(machine.sensors))]
@@ -159,7 +159,7 @@ def with_known_positions(data: Dataset) -> tuple[Dataset, tuple[str, ...]]:
     """Leave out the runs whose initial position cannot be determined.
 
     Args:
-        data: Data set.
+        data: Data set of prepared runs.
 
     Returns:
         data: Copy without these runs; the given one if no run would remain.
@@ -288,7 +288,8 @@ class TypicalScales:
             coordinate: Name of the coordinate; any other text, such as "", gives the general sizes only.
 
         Returns:
-            Size by key (such as "force" or "A", see the class), in the coordinate's units or SI.
+            Size by key (such as "force" or "A", see the class), in the coordinate's units (N, m/s, m or Nm, rad/s, rad)
+            or SI.
         """
         return {**self.general, **self.by_coordinate.get(coordinate, {})}
 
@@ -303,7 +304,7 @@ def scales_of_motion(machine: Machine, positions: Array, velocities: Array, inpu
         inputs: Drive voltages by run, V, shape (rows of the run, drives) each; n rows in total.
 
     Returns:
-        Typical sizes, all positive.
+        Typical sizes by coordinate and in general, SI, all positive.
     """
     force = typical_force(machine)
     top_speed = np.maximum(np.percentile(np.abs(velocities), 99, axis=0), 1e-9)

@@ -31,8 +31,8 @@ def effect_force(machine: Machine, effect: AppliedEffect, data: Dataset) -> floa
 
     Args:
         machine: Machine with or without the effect; the motion is predicted without it.
-        effect: The effect.
-        data: Runs over which the machine is predicted.
+        effect: Effect (deviation from the nominal model) whose force is evaluated.
+        data: Runs (times, voltages, measurements) over which the machine is predicted.
 
     Returns:
         Root mean square over all rows of the root sum of squares over the coordinates, as a force at the belt (torque /
@@ -75,7 +75,7 @@ def depend_on_same_variable(first: AppliedEffect, second: AppliedEffect, machine
     the speed to 10 % leaves a force that is a function of the speed as well.
 
     Args:
-        first: One effect.
+        first: One effect (deviation from the nominal model) at its component.
         second: Another effect.
         machine: Machine on which both act.
 

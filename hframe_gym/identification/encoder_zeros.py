@@ -40,7 +40,7 @@ class EncoderZeros(NamedTuple):
 
     @property
     def known(self) -> NDArray[np.bool_]:
-        """Mask of the sensors whose zero is known, shape (sensors,)."""
+        """Mask of the sensors whose zero (measurement at position 0) is known, shape (sensors,)."""
         return np.isfinite(self.offset)
 
     @property
@@ -65,7 +65,7 @@ class EncoderZeros(NamedTuple):
         )
 
     def in_machine(self, machine: Machine) -> Machine:
-        """Write the zeros to the sensors of a machine.
+        """Write the zeros (measurements at position 0) to the sensors of a machine.
 
         Args:
             machine: Machine with these sensors.
@@ -85,7 +85,7 @@ class EncoderZeros(NamedTuple):
         )
 
     def without(self, sensors: NDArray[np.bool_]) -> EncoderZeros:
-        """Forget the zeros of some sensors.
+        """Mark the zeros (measurements at position 0) of some sensors as unknown.
 
         Args:
             sensors: Mask of the sensors, shape (sensors,).

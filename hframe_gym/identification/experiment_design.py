@@ -104,7 +104,7 @@ class ExperimentDesign:
 def design_discriminating_experiment(
     current: Fit, corrected: Machine, label: str, rivals: Sequence[AppliedEffect], data: Dataset
 ) -> ExperimentDesign | None:
-    """Design the run that decides between an identified effect and its best rival.
+    """Design the run that decides between an identified effect (deviation from the nominal model) and its best rival.
 
     Args:
         current: Fit of the machine with all selected effects, among them the identified one.
@@ -114,9 +114,9 @@ def design_discriminating_experiment(
         data: Runs that were fitted.
 
     Returns:
-        Design of the run. None if the identified effect or every rival is structural (adds coordinates), if there is
-        no rival, or if the two models' predictions of no simulated run differ by `MINIMUM_SIGMA` (10) standard
-        deviations of the noise.
+        Design of the run with its voltages. None if the identified effect or every rival is structural (adds
+        coordinates), if there is no rival, or if the two models' predictions of no simulated run differ by
+        `MINIMUM_SIGMA` (10) standard deviations of the noise.
     """
     present = {e.label: e for e in current.machine.effects}
     alternatives = [r for r in rivals if r.label not in present and not r.definition.structure]
@@ -166,8 +166,8 @@ def separate_machines(
             coordinate without a declared range, the permitted travel.
 
     Returns:
-        Design of the run with the largest difference, or None if the predictions of no simulated run differ by at
-        least `MINIMUM_SIGMA` (10) standard deviations of the noise in total.
+        Design of the run with the largest difference, with its voltages, or None if the predictions of no simulated run
+        differ by at least `MINIMUM_SIGMA` (10) standard deviations of the noise in total.
     """
     rows = round(_DURATION_S / data.period)
     time_s: Array = np.arange(rows, dtype=np.float64) * data.period

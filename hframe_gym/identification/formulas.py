@@ -60,7 +60,7 @@ class ProposedFormula:
 
     @property
     def noise_ratio(self) -> float:
-        """Mean error over the channels of the held-out runs, in units of the noise; NaN if it is unknown."""
+        """Mean error over the channels of the held-out runs, in units of the noise, dimensionless; NaN if unknown."""
         return float(np.mean(list(self.held_out.values()))) if self.held_out else math.nan
 
     def as_json(self) -> dict[str, Any]:
@@ -223,7 +223,7 @@ class TableComparison:
 
     @property
     def noise_ratio(self) -> float:
-        """Mean error of the table over the channels of the held-out runs, in units of the noise."""
+        """Mean error of the table over the channels of the held-out runs, in units of the noise, dimensionless."""
         return float(np.mean(list(self.held_out.values())))
 
     def as_json(self) -> dict[str, Any]:

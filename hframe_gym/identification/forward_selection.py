@@ -55,7 +55,7 @@ class SelectedEffect:
         """Return a copy in which the effect has the parameter values of a machine that was fitted later.
 
         Args:
-            machine: Machine that contains the effect.
+            machine: Machine that contains the effect (deviation from the nominal model).
 
         Returns:
             Copy with the updated effect.
@@ -115,7 +115,7 @@ class EffectSearch:
         return search
 
     def run(self, current: Fit, selected: tuple[SelectedEffect, ...] = ()) -> Selection:
-        """Add one effect after another while one reduces the error by enough and passes all tests.
+        """Add effects (deviations from the model) one by one while one reduces the error enough and passes all tests.
 
         The tests are those of `_doubt`: other runs confirm the effect, the machine stays stable, chance does not
         explain the reduction, and the effect's force exceeds the unexplained one.
@@ -125,8 +125,8 @@ class EffectSearch:
             selected: Effects selected so far.
 
         Returns:
-            Fit of the machine with all effects, at the observer bandwidth with the largest likelihood.
-            All selected effects with their fitted parameters.
+            `Selection` of the fit of the machine with all effects, at the observer bandwidth with the largest
+            likelihood, and all selected effects with their fitted parameters.
         """
         data, criteria = self._data, self._criteria
         last_bandwidth, last_excess = math.nan, math.inf  # where structural effects were last tried
@@ -212,8 +212,8 @@ class EffectSearch:
             selected: All selected effects.
 
         Returns:
-            Fit of the machine with the remaining effects, with the shortest integration step.
-            The remaining effects with their fitted parameters.
+            `Selection` of the fit of the machine with the remaining effects, with the shortest integration step, and
+            the remaining effects with their fitted parameters.
         """
         for candidate in sorted(selected, key=lambda s: s.gain):
             reduced = without_effect(current, candidate.effect.label, self._data, self._plain)
@@ -338,7 +338,7 @@ def minimum_gain(current: Fit, criteria: SelectionCriteria) -> float:
         criteria: Decision thresholds, which raise the result for short recordings and large residuals.
 
     Returns:
-        Required reduction of chi-squared per sample.
+        Required reduction of chi-squared per sample, dimensionless.
     """
     # Three limits: for the kind of prediction, for the total of few samples, for a fraction of the error beyond noise.
     wide = current.bandwidth >= SEARCH_BANDWIDTH

@@ -48,13 +48,13 @@ def held_out_gain(selected: SelectedEffect, machine: Machine, validation: Datase
     """Return the fraction of the squared error of the held-out runs that one effect alone removes.
 
     Args:
-        selected: The effect.
+        selected: Effect (deviation from the nominal model) that the search selected.
         machine: Machine with all effects.
-        validation: Held-out runs.
+        validation: Held-out runs (times, voltages, measurements).
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
 
     Returns:
-        Fraction; negative if the effect increases the error.
+        Fraction, dimensionless, at most 1; negative if the effect increases the error.
     """
     others = tuple(e for e in machine.effects if e.label != selected.effect.label)
     structural = selected.effect.definition.structure
@@ -67,13 +67,13 @@ def error_reduction(without: Machine, machine: Machine, validation: Dataset, ban
 
     Args:
         without: Machine to compare with, for example without an effect.
-        machine: The machine.
+        machine: Machine to evaluate.
         validation: Runs to predict.
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
 
     Returns:
-        Fraction; negative if the error is larger. With an observer, it is the error of the drives' force if the
-        machines allow inverse dynamics.
+        Fraction, dimensionless, at most 1; negative if the error is larger. With an observer, it is the error of the
+        drives' force if the machines allow inverse dynamics.
     """
     forces = [force_error(m, validation) if bandwidth else None for m in (without, machine)]
     if forces[0] is not None and forces[1] is not None:
@@ -83,10 +83,10 @@ def error_reduction(without: Machine, machine: Machine, validation: Dataset, ban
 
 
 def is_excited(effect: AppliedEffect, machine: Machine, validation: Dataset, data: Dataset) -> bool:
-    """Check whether the held-out runs can show an effect at all.
+    """Check whether the held-out runs can show an effect (deviation from the nominal model) at all.
 
     Args:
-        effect: The effect.
+        effect: Effect to check.
         machine: Machine with the effect.
         validation: Held-out runs.
         data: Fitted runs.

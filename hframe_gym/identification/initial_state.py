@@ -35,13 +35,13 @@ def measured_initial_state(recording: Recording, machine: Machine, zeros: Encode
     was switched on anew.
 
     Args:
-        recording: The run; saturated measurements are NaN.
+        recording: The run (times, voltages, measurements); saturated measurements are NaN.
         machine: Machine with the rig's coordinates, belts and sensors, and its effects.
         zeros: Zeros of the encoders in the session.
         quanta: Quantization steps of the sensors, in their units, shape (sensors,).
 
     Returns:
-        Initial state; `warnings` names the encoders whose zero was not used.
+        Initial state (positions at rest, zeros of the sensors); `warnings` names the encoders whose zero was not used.
     """
     alone = estimate_initial_state(recording, machine)
     if not zeros.known.any() or not machine.belts:
@@ -100,11 +100,11 @@ def static_equilibrium(machine: Machine, position: Array) -> Array:
 
     Args:
         machine: Machine with its effects.
-        position: Positions of the first coordinates, in their units, shape (at most coordinates,); only those of the
-            linear coordinates are used.
+        position: Positions of the first coordinates, m or rad, shape (at most coordinates,); only those of the linear
+            coordinates are used.
 
     Returns:
-        Positions in the coordinates' units, shape (coordinates,).
+        Positions, m or rad, shape (coordinates,).
     """
     names = machine.coordinate_names
     linear = np.array([c.kind == "linear" for c in machine.coordinates])
@@ -142,7 +142,7 @@ def model_initial_state(machine: Machine, initial: InitialState) -> Array:
 
     Args:
         machine: Machine with its effects; structural effects may have added coordinates.
-        initial: Measured initial state.
+        initial: Measured initial state (positions at rest, zeros of the sensors).
 
     Returns:
         Positions, then velocities (zero), in the coordinates' units, shape (2 * coordinates,).

@@ -42,11 +42,11 @@ def forward_differences(values: Array, step: float = DIFFERENCE_STEP) -> Array:
     """Approximate the derivatives of values with respect to k variables by forward differences.
 
     Args:
-        values: Values at the expansion point, then with each variable increased by `step`, shape (k + 1, ...).
+        values: Values, any unit: at the expansion point, then with a variable increased by `step`, shape (k + 1, ...).
         step: Increment of each variable, in its unit.
 
     Returns:
-        Derivatives with respect to each variable, shape (k, ...).
+        Derivatives, in the unit of the values per unit of the variable, shape (k, ...).
     """
     differences: Array = (values[1:] - values[0]) / step
     return differences
@@ -84,7 +84,7 @@ class NormalEquations:
 
         Args:
             jacobian: J transposed, derivatives of the residual with respect to k parameters, shape (k, rows).
-            residual: r, residual in units of the noise, shape (rows,).
+            residual: Residual r in units of the noise (dimensionless), shape (rows,).
             responses: E transposed: change of the residual that each of m perturbations causes, for example the force
                 of a candidate effect, shape (m, rows). Default: none.
             count: Number of measured values; it is above the number of rows where rows are averages. Default: the
@@ -109,7 +109,7 @@ class NormalEquations:
 
     @classmethod
     def total(cls, parts: Iterable[NormalEquations]) -> NormalEquations:
-        """Sum the normal equations of several runs.
+        """Sum the normal equations (inner products of Jacobian and residual) of several runs.
 
         Args:
             parts: Normal equations of at least one run.
@@ -122,16 +122,16 @@ class NormalEquations:
 
     @property
     def chi2(self) -> float:
-        """Chi-squared per sample: cost per measured value, 1 if only the sensors' noise remains."""
+        """Chi-squared per sample, dimensionless: cost per measured value, 1 if only the sensors' noise remains."""
         return self.cost / self.count
 
     def eliminate_parameters(self, precision: Array) -> NormalEquations:
         """Eliminate the k parameters by the Schur complement, so that only the amounts of the m perturbations remain.
 
-        The products of the perturbations lose the part that a change of the parameters theta can reproduce.
+        The products of the perturbations lose the part that a change of the parameters can reproduce.
 
         Args:
-            precision: Inverse covariance of the parameters' prior, shape (k, k).
+            precision: Inverse covariance of the parameters' prior, dimensionless, shape (k, k).
 
         Returns:
             Normal equations with k = 0, for m amounts. `cost` and `count` do not change.
@@ -213,7 +213,7 @@ class ResidualModel:
             theta: Dimensionless variables of the k free parameters, see `FreeParameter`, shape (k,).
 
         Returns:
-            Copy of the machine with these values.
+            Copy of the machine with these parameter values.
         """
         return self.machine.replace(values_at(self.free, theta))
 
@@ -225,7 +225,7 @@ class ResidualModel:
             predicted: Values of a batch of predictions, in the sensors' units, shape (batch, n, sensors).
 
         Returns:
-            (measured - predicted) / noise, the values of all sensors one after another, shape (batch, rows). Where
+            (measured - predicted) / noise, dimensionless, all sensors one after another, shape (batch, rows). Where
             `rows_per_block` is above one, that many samples are averaged into one row, and noise keeps its size.
         """
         return residuals(run, self.data, predicted, self.rows_per_block)
@@ -334,8 +334,8 @@ class Linearization:
             thetas: Dimensionless variables of the k free parameters for each trial of a batch, shape (batch, k).
 
         Returns:
-            Sums of squared residuals in units of the noise, without the prior, shape (batch,); infinite where a
-            prediction diverges.
+            Sums of squared residuals in units of the noise, dimensionless, without the prior, shape (batch,); infinite
+            where a prediction diverges.
         """
 
         def of_run(run: PreparedRecording) -> Array:

@@ -94,7 +94,7 @@ def fit_with_model_error(fitted: Fit, data: Dataset) -> Fit:
     which friction holds the machine at rest, a simulation does not.
 
     Args:
-        fitted: Fit at one of the bandwidths `BANDWIDTHS`.
+        fitted: Fit (machine, parameters, cost) at one of the bandwidths `BANDWIDTHS`.
         data: Runs that were fitted.
 
     Returns:
@@ -196,8 +196,8 @@ def leave_one_out_gain(without: Fit, with_effect: Fit, data: Dataset) -> float:
         data: Runs that were fitted.
 
     Returns:
-        Reduction of chi-squared, summed over all runs. It is at most about the reduction on the fitted runs; it is
-        negative if the effect describes single runs rather than the machine.
+        Reduction of chi-squared, dimensionless, summed over all runs. It is at most about the reduction on the fitted
+        runs; it is negative if the effect describes single runs rather than the machine.
     """
     return _leave_one_out_cost(without, data) - _leave_one_out_cost(with_effect, data)
 
@@ -229,7 +229,7 @@ def explains(fitted: Fit, initial_chi2: float, criteria: SelectionCriteria) -> b
 
     Args:
         fitted: Fit at the bandwidth of the observer that its remaining error requires.
-        initial_chi2: Chi-squared per sample of the first fit, without effects.
+        initial_chi2: Chi-squared per sample, dimensionless, of the first fit, without effects.
         criteria: Decision thresholds `explained_chi2` and `explained_fraction`.
 
     Returns:

@@ -61,8 +61,8 @@ def table_candidates(
         criteria: Decision thresholds; `max_tables_per_coordinate` limits the number.
 
     Returns:
-        For each coordinate the best tables, one against time and one against its position; each has one basis function
-        per knot.
+        Candidates: for each coordinate the best tables, one against time and one against its position; each has one
+        basis function per knot.
     """
     motion_and_force = missing_force(machine, data)
     variables = table_variables(machine, data)

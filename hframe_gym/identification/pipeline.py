@@ -55,7 +55,7 @@ def identify(
     fitted.
 
     Args:
-        recordings: Runs of one rig, at least two.
+        recordings: Runs of one rig (times, s; voltages, V; measurements, m or rad), at least two.
         machine: Machine as declared.
         held_out: Names of the runs to evaluate on. Default: every fourth, see `hold_out`.
         criteria: Decision thresholds. Default: `SelectionCriteria()`.

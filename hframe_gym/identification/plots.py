@@ -245,7 +245,7 @@ def slow_fractions(curves: Mapping[str, Array]) -> dict[str, str]:
     """Compute the fraction of the moving time that each coordinate spent below a twentieth of its top speed.
 
     Args:
-        curves: Curves by name, see `result.plot_data`.
+        curves: Curves by name, SI, shape (m,) each, see `result.plot_data`.
 
     Returns:
         Fractions as text, such as "23 %", by name of the coordinate; without coordinates that never move.

@@ -47,7 +47,7 @@ _BLOCK_S = 4e-3  # s; measurements respond more slowly than this to mechanical e
 
 
 def map_runs(function: Callable[[PreparedRecording], T], data: Dataset) -> Iterator[T]:
-    """Apply a function to every run of a data set, in parallel threads.
+    """Apply a function to every run (one recording) of a data set, in parallel threads.
 
     Args:
         function: Function of one run; it is called from several threads.
@@ -198,7 +198,7 @@ def prediction_error(run: PreparedRecording, data: Dataset, measurements: Array)
     Args:
         run: Measured run, n samples.
         data: Data set of the run, for the sensors' quantization steps.
-        measurements: Values of a batch of predictions, in the sensors' units, shape (batch, n, sensors).
+        measurements: Predicted measurements of a batch of predictions, m or rad, shape (batch, n, sensors).
 
     Returns:
         Errors in the sensors' units, shape (batch, n, sensors); arbitrary where a value was not measured.
@@ -220,7 +220,7 @@ def residuals(run: PreparedRecording, data: Dataset, measurements: Array, rows_p
     Args:
         run: Measured run, n samples, with the standard deviation of each value's noise.
         data: Data set of the run, for the sensors' quantization steps.
-        measurements: Values of a batch of predictions, in the sensors' units, shape (batch, n, sensors).
+        measurements: Predicted measurements of a batch of predictions, m or rad, shape (batch, n, sensors).
         rows_per_block: How many consecutive rows are summed into one and divided by the root of that number. White
             noise keeps its size, and so do inner products of residuals that change more slowly, with fewer rows.
 

@@ -66,10 +66,10 @@ def simulate_recording(machine: Machine, recording: Recording) -> SimulatedRecor
 
     Args:
         machine: Machine, declared or identified.
-        recording: The run; outputs may be missing.
+        recording: The run (times, voltages, measurements); outputs may be missing.
 
     Returns:
-        Trajectory, errors and initial state.
+        Trajectory, errors, m or rad, shape (n, sensors), and initial state.
 
     Raises:
         NotFiniteError: If the motion diverges.
@@ -101,7 +101,7 @@ def initial_state_of_recording(machine: Machine, recording: Recording) -> Initia
 
     Args:
         machine: Machine, declared or identified.
-        recording: The run; outputs may be missing.
+        recording: The run (times, voltages, measurements); outputs may be missing.
 
     Returns:
         Initial state of the machine and the sensors' offsets; `warnings` lists what could not be determined. If the

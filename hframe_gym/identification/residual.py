@@ -84,7 +84,8 @@ def channel_errors(machine: Machine, data: Dataset) -> dict[str, ChannelError]:
         data: Measured runs.
 
     Returns:
-        Error by name of the output channel.
+        By name of the output channel: root mean square error `rmse`, m or rad, and `noise_ratio`, dimensionless, the
+        same divided by the sensor's noise.
     """
     return errors_by_channel(
         list(map_runs(lambda run: simulation_error(machine, run, data), data)), machine, data.noise
@@ -100,7 +101,8 @@ def errors_by_channel(by_run: Sequence[Array], machine: Machine, noise: Array) -
         noise: Standard deviations of the sensors' noise, in their units, shape (sensors,).
 
     Returns:
-        Error by name of the output channel.
+        By name of the output channel: root mean square error `rmse`, m or rad, and `noise_ratio`, dimensionless, the
+        same divided by the sensor's noise.
     """
     error = np.concatenate(by_run)
     errors = {}
@@ -216,8 +218,9 @@ def rank_dependences(machine: Machine, data: Dataset) -> list[Dependence]:
         data: Measured runs.
 
     Returns:
-        Pairs of coordinate and variable that explain more than 5 % of the variance of the force residual (the force
-        that the model lacks), sorted by the explained variance of the force at the belt, largest first.
+        Pairs of coordinate and variable (position, velocity, voltage, time) that explain more than 5 % of the variance
+        of the force residual (the force that the model lacks), sorted by the explained variance of the force at the
+        belt, largest first.
     """
     force = np.concatenate([smooth_force_residual(machine, run, data) for run in data.runs])
     by_run = [dependence_variables(machine, run, data) for run in data.runs]

@@ -50,7 +50,7 @@ class PredictionErrors:
 
     @property
     def noise_ratio(self) -> float:
-        """Root mean square over the channels of the simulation error in multiples of the sensors' noise."""
+        """Root mean square over the channels of simulation error / sensor noise, dimensionless."""
         ratios = [error.noise_ratio for error in self.channels.values() if error.noise_ratio is not None]
         return float(np.sqrt(np.mean(np.square(ratios)))) if ratios else float("nan")
 
@@ -167,13 +167,13 @@ class IdentificationResult:
 
     @property
     def explained(self) -> float:
-        """Fraction of the squared error beyond the sensors' noise on the held-out runs that the effects removed."""
+        """Fraction, at most 1, of the squared error beyond the sensors' noise on held-out runs that effects removed."""
         before, after = (max(e.held_out.noise_ratio**2 - 1.0, 0.0) for e in (self.before, self.after))
         return 1.0 - after / before if self.effects and before > 0.0 else 0.0
 
     @property
     def left(self) -> float:
-        """Root mean square simulation error of the machine with the selected effects, in multiples of the noise."""
+        """Root mean square simulation error of the machine with the selected effects / sensor noise, dimensionless."""
         return self.after.held_out.noise_ratio
 
     @property

@@ -86,8 +86,8 @@ def screen(fit: Fit, candidates: Sequence[Candidate], data: Dataset) -> list[Sco
         data: Runs that were fitted.
 
     Returns:
-        Scored candidates, largest reduction first. It is 0 for a candidate whose amplitude would have an inadmissible
-        sign or that the machine's free parameters can reproduce.
+        Scored candidates, largest reduction of chi-squared (dimensionless) first. It is 0 for a candidate whose
+        amplitude would have an inadmissible sign or that the machine's free parameters can reproduce.
     """
     if not candidates:
         return []
@@ -126,7 +126,8 @@ def candidate_perturbations(
         motion: Motion of the machine with positions and velocities, a batch of one, n samples.
 
     Returns:
-        Forces and changes of measurements by basis function, in the order of the candidates and of their `columns`.
+        Forces, N or Nm, shape (columns, n, coordinates), and changes of measurements, m or rad, shape
+        (columns, n, sensors), by basis function, in the order of the candidates and of their `columns`.
     """
     # Ties refer to the parameters of effects; the machine's parameters already have their values.
     bare = dataclasses.replace(machine, effects=(), ties={})
@@ -257,7 +258,7 @@ def screen_structures(current: Fit, data: Dataset, scale: TypicalScales, minimum
         current: Fit of the machine without such an effect; its observer bandwidth is used.
         data: Runs that were fitted.
         scale: Typical sizes on this machine, to which the starting values are relative.
-        minimum_gain: Smallest linearized reduction of chi-squared per sample of a promising effect.
+        minimum_gain: Smallest linearized reduction of chi-squared per sample, dimensionless, of a promising effect.
 
     Returns:
         Copies of the present machine with one more effect, the last in its list; best first.

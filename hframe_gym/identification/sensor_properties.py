@@ -34,7 +34,7 @@ def quantum_of(values: Array) -> float:
     The quantum is the smallest change of which nearly all changes are multiples.
 
     Args:
-        values: Measurements, shape (n,), NaN where not measured.
+        values: Measurements, m or rad, shape (n,), NaN where not measured.
 
     Returns:
         Quantum in the unit of the values; 0 where the channel shows none.
@@ -54,7 +54,7 @@ def sensor_quantum(channel: Sequence[Array], resolution: float) -> float:
     It cannot be determined in a run in which the sensor hardly moves.
 
     Args:
-        channel: Measurements of the sensor by run, each of shape (n,), NaN where not measured.
+        channel: Measurements of the sensor by run, in its unit, each of shape (n,), NaN where not measured.
         resolution: Declared resolution, in the sensor's unit, returned if no run determines the quantum.
 
     Returns:
@@ -72,7 +72,7 @@ def sensor_noise(channel: Sequence[Array], resting_rows: Sequence[int], quantum:
     the rounding error, quantum / sqrt(12).
 
     Args:
-        channel: Measurements of the sensor by run, each of shape (n,), NaN where not measured.
+        channel: Measurements of the sensor by run, in its unit, each of shape (n,), NaN where not measured.
         resting_rows: Number of rows at rest at the beginning of each run.
         quantum: Quantization step of the sensor, in its unit.
         declared: Declared standard deviation, in the sensor's unit; 0 where none is declared.

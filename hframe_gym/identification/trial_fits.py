@@ -29,8 +29,8 @@ def trial_fits(current: Fit, data: Dataset, enough: float, criteria: SelectionCr
 
     Args:
         current: Fit without the candidates; its observer bandwidth is used.
-        data: Prepared recordings to fit.
-        enough: Smallest useful reduction of chi-squared per sample.
+        data: Prepared recordings to fit (times, voltages, measurements).
+        enough: Smallest useful reduction of chi-squared per sample, dimensionless.
         criteria: Decision thresholds.
 
     Returns:
@@ -55,13 +55,14 @@ def structural_trial_fits(
 ) -> list[Fit]:
     """Fit the machine with each of the most promising effects that replace a part of the model, one at a time.
 
-    These are structural effects and those that replace dry friction. Each needs a compiled kernel.
+    These are structural effects (which add coordinates) and those that replace dry friction. Each needs compiled
+    simulation code of its structure.
 
     Args:
         current: Fit without the candidates; its observer bandwidth is used.
         trials: Fits of the other candidates, which they have to surpass.
         data: Prepared recordings to fit.
-        enough: Smallest useful reduction of chi-squared per sample.
+        enough: Smallest useful reduction of chi-squared per sample, dimensionless.
         criteria: Decision thresholds.
 
     Returns:
@@ -83,8 +84,8 @@ def unexplained_fraction(current: Fit, trials: list[Fit], criteria: SelectionCri
         criteria: Decision thresholds.
 
     Returns:
-        Fraction; 1 without trials. The excess is counted from chi-squared of a correct model: 1, and in one-step
-        prediction `one_step_floor`, because quantization keeps it above 1.
+        Fraction, dimensionless; 1 without trials. The excess is counted from chi-squared of a correct model: 1, and in
+        one-step prediction `one_step_floor`, because quantization keeps it above 1.
     """
     floor = criteria.one_step_floor if current.bandwidth >= SEARCH_BANDWIDTH else 1.0
     least = min((t.chi2 for t in trials), default=current.chi2)
@@ -260,7 +261,7 @@ def typical_scales(current: Fit, data: Dataset) -> TypicalScales:
         data: Prepared recordings.
 
     Returns:
-        Typical sizes, see `TypicalScales`.
+        Typical sizes by coordinate and in general, SI, see `TypicalScales`.
     """
     motions = list(
         map_runs(lambda run: predict(current.machine, run, current.bandwidth, period=data.period, states=True), data)
