@@ -78,7 +78,7 @@ class BeltEquations(ParameterizedMachine):
             b: Index of the belt in the machine, from 0.
 
         Returns:
-            EA / rest length, N/m: a float, or an array or expression if these parameters are.
+            EA / rest length, N/m: a float, or an array of any shape or an expression if these parameters are.
         """
         name = self.machine.belts[b].name
         return self.parameter(f"{name}.EA") / self.parameter(f"{name}.rest_length")

@@ -322,8 +322,8 @@ def interpolated(rows, i: int, lane: int, j: int, back: float) -> float:
     """Return an earlier reading of a sensor of one machine, interpolated quadratically between samples.
 
     Args:
-        rows: Readings of SENSORS sensors, without delay, at n samples of LANES machines, m or rad, shape (n, SENSORS,
-            LANES).
+        rows: Readings of SENSORS sensors, without delay, at n samples of LANES machines, m or rad, shape
+            (n, SENSORS, LANES).
         i: Index of the present sample; later rows are not used.
         lane: Index of the machine in the last axis of `rows`.
         j: Index of the sensor.
@@ -369,8 +369,8 @@ def start_block(block: int, start_time: float, parameters, start, state, block_p
         block: Index of the block; it simulates the machines block * LANES to block * LANES + LANES - 1.
         start_time: Time of the first sample, s.
         parameters: Parameters of all machines, SI, shape (B, PARAMETERS).
-        start: Belt travel (radius * angle of a pulley), m, and its rate, m/s, of all machines, shape (B, 2 *
-            COORDINATES).
+        start: Belt travel (radius * angle of a pulley), m, and its rate, m/s, of all machines, shape
+            (B, 2 * COORDINATES).
         state: Output: belt travel, m, its rate, m/s, time, s, and effect states (zero), shape (STATES, LANES).
         block_parameters: Output: parameters, SI, shape (PARAMETERS, LANES).
     """
