@@ -88,7 +88,7 @@ def require_folder(path: Path) -> Path:
 
 
 def require_several_runs(recordings: Sequence[Recording], folder: Path) -> None:
-    """Check that a folder has more than one run, because one is held out.
+    """Check that a folder has more than one run, because one is held out (excluded from the fit, to evaluate it).
 
     Args:
         recordings: Runs of the folder.
@@ -271,7 +271,9 @@ def proposed_formulas(result: IdentificationResult, log: Callable[[str], None]) 
 
 
 def write_new_effect(folder: Path, name: str, path: Path, number: int, table: str, log: Callable[[str], None]) -> None:
-    """List the formulas proposed for a table of a saved identification and write one as an effect.
+    """List the formulas proposed for a table of a saved identification and write one as an effect (Python file).
+
+    A table is a force interpolated over one variable, an effect a deviation from the nominal model of a machine.
 
     Args:
         folder: Folder that `hframe identify` wrote.

@@ -22,7 +22,7 @@ LISTED_MODES = 3
 
 
 def identification_table(report: Mapping[str, Any], channels: Sequence[str]) -> Table:
-    """Format the simulation errors of an identification on held-out recordings as a table.
+    """Format the simulation errors of an identification on held-out recordings (not fitted) as a table.
 
     Args:
         report: Contents of report.json, the file that `hframe identify` writes.
@@ -30,8 +30,9 @@ def identification_table(report: Mapping[str, Any], channels: Sequence[str]) -> 
 
     Returns:
         Table (rich) with one row per channel: root-mean-square error in the channel's unit, and in parentheses as a
-        multiple of the sensor noise, for the declared machine, the refitted machine, and the machine with added
-        effects. A further row has the relative error of the drives' forces, %, where the report contains it.
+        multiple of the sensor noise, for the declared machine, the refitted machine, and the machine with added effects
+        (deviations from the nominal model). A further row has the relative error of the drives' forces, %, where the
+        report contains it.
     """
     title = "simulation error on held-out recordings: rmse (x: multiple of the sensor noise)"
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
@@ -166,7 +167,7 @@ def machine_tables(machine: Machine) -> list[Table]:
     """Format a machine as tables with units: coordinates, belts, drives, sensors, effects, and what the drives can do.
 
     Args:
-        machine: Machine to print.
+        machine: Machine to print, with its effects (deviations from the nominal model).
 
     Returns:
         Tables (rich), without those that would be empty.

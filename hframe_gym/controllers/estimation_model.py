@@ -133,7 +133,7 @@ class MeasurementModel:
             )
 
     def to_travel(self, measurements: Array) -> Array:
-        """Scale measurements to meters of belt travel.
+        """Scale measurements to meters of belt travel (radius * angle of a rotary coordinate).
 
         Args:
             measurements: Measurements of B simulated machines in the units of their sensors, shape (B, channels).

@@ -229,7 +229,7 @@ class MotionModel:
         return _stack(self._balance(state, elapsed_s).forces, state)
 
     def friction_force(self, state: Array, elapsed_s: Array) -> Array:
-        """Compute Coulomb friction and the friction of the machine's effects; declared viscous friction is left out.
+        """Compute Coulomb friction and the friction of effects (deviations from the model), without viscous friction.
 
         Args:
             state: Belt travel (radius * angle) of n coordinates, m, and its rate, m/s, for B machines, shape (B, 2 n).

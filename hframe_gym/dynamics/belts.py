@@ -39,7 +39,9 @@ class BeltEquations(ParameterizedMachine):
     """
 
     def belt_states(self, point: MotionPoint) -> list[BeltState]:
-        """Return extension, stiffness and tension of each belt (eq. 38-44 of Sollmann et al. 2010), with effects.
+        """Return extension, stiffness and tension of each belt (eq. 38-44 of Sollmann et al. 2010).
+
+        Effects on belts, deviations from the nominal model such as slack, are included.
 
         Args:
             point: Belt travel (radius * angle of a pulley), m, and its rate, m/s, of every coordinate, and the states
@@ -133,8 +135,7 @@ class BeltEquations(ParameterizedMachine):
         extension and k the stiffness. Values are floats, arrays of one common shape (...) or symbolic expressions.
 
         Args:
-            point: Belt travel, m, and its rate, m/s, of every coordinate, and the states of the effects; one value
-                each.
+            point: Belt travel, m, and its rate, m/s, of every coordinate, one value each.
             belts: State of each belt at this point, from `belt_states(point)`.
 
         Returns:

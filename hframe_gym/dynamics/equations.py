@@ -117,9 +117,10 @@ class Equations(BeltEquations, SignalEquations):
     ) -> ForceBalance:
         """Add the forces of the effects to those of belts and drives, and determine the Coulomb friction force.
 
-        Back-EMF counts as viscous friction and is in none of the forces. Effects that are zero outside a region are
-        added behind a branch; those that react to the sum of all other forces come last. Values are floats, arrays of
-        one common shape (...) or symbolic expressions. Forces act along the belt travel (radius * angle of a pulley).
+        Effects are deviations from the nominal model, such as Stribeck friction. Those that are zero outside a region
+        are added behind a branch; those that react to the sum of all other forces come last. Back-EMF counts as viscous
+        friction and is in none of the forces. Values are floats, arrays of one common shape (...) or symbolic
+        expressions. Forces act along the belt travel (radius * angle of a pulley).
 
         Args:
             point: Belt travel, m, and its rate, m/s, of every coordinate, and the states of the effects.
@@ -222,8 +223,8 @@ class Equations(BeltEquations, SignalEquations):
     def balance(self, point: MotionPoint, voltages: Sequence[Value]) -> ForceBalance:
         """Return the sum of belt, drive and effect forces at a point, and the Coulomb friction force separately.
 
-        Values are floats, arrays of one common shape (...) or symbolic expressions. Forces act along the belt travel
-        (radius * angle of a pulley).
+        Effects are deviations from the nominal model. Values are floats, arrays of one common shape (...) or symbolic
+        expressions. Forces act along the belt travel (radius * angle of a pulley).
 
         Args:
             point: Belt travel, m, and its rate, m/s, of every coordinate, and the states of the effects.
@@ -243,7 +244,8 @@ class Equations(BeltEquations, SignalEquations):
     ) -> list[Value]:
         """Return the sum of all forces on each coordinate, with viscous and Coulomb friction.
 
-        Values are floats, arrays of one common shape (...) or symbolic expressions.
+        Forces of effects (deviations from the nominal model) are included. Values are floats, arrays of one common
+        shape (...) or symbolic expressions.
 
         Args:
             point: Belt travel (radius * angle of a pulley), m, and its rate, m/s, of every coordinate, and the effects'
@@ -267,7 +269,8 @@ class Equations(BeltEquations, SignalEquations):
     ) -> list[Value]:
         """Return the acceleration of each coordinate.
 
-        Values are floats, arrays of one common shape (...) or symbolic expressions.
+        Effects (deviations from the nominal model) are included. Values are floats, arrays of one common shape (...) or
+        symbolic expressions.
 
         Args:
             point: Belt travel (radius * angle of a pulley), m, and its rate, m/s, of every coordinate, and the effects'

@@ -287,7 +287,7 @@ def share_kernel(machine: Machine, effects: Sequence[AppliedEffect]) -> None:
     effects) are left out.
 
     Args:
-        machine: Machine with the effects that it has already.
+        machine: Machine with the effects (deviations from the nominal model) that it has already.
         effects: Further effects that it may have, one each or several.
     """
     additional = [effect for effect in effects if _can_be_absent(effect)]

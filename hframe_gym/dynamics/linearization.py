@@ -40,14 +40,14 @@ class StateSpace(NamedTuple):
 
 
 def stiffness_matrix(machine: Machine, position: ArrayLike | None = None) -> Array:
-    """Return the stiffness matrix of the belts without effects: the negative derivative of force by position.
+    """Return the stiffness matrix of the belts: the negative derivative of force by position.
 
     It equals G' diag(k) G with the extension G of each belt per unit of each coordinate, and the stiffness k of each
     belt at its length in the operating point. Derivatives are imaginary parts after an imaginary step, which has no
     cancellation error (Squire and Trapp 1998).
 
     Args:
-        machine: Machine with belts; without belts the matrix is zero.
+        machine: Machine with belts; its effects (deviations from the nominal model) are left out. Zero without belts.
         position: One or several operating points with unstretched belts: position of every coordinate, m or rad, shape
             (..., coordinates). Default: one, at zeros.
 
@@ -70,7 +70,7 @@ def linearize(machine: Machine, position: ArrayLike | None = None) -> StateSpace
     imaginary step, which has no cancellation error (Squire and Trapp 1998).
 
     Args:
-        machine: Machine to linearize.
+        machine: Machine to linearize; its effects (deviations from the nominal model) are left out.
         position: Operating point with unstretched belts: position of every coordinate, m or rad, shape (coordinates,).
             Default: zeros.
 
@@ -102,10 +102,10 @@ def linearize(machine: Machine, position: ArrayLike | None = None) -> StateSpace
 def mode_frequencies(machine: Machine, position: ArrayLike | None = None) -> Array:
     """Return the undamped natural frequencies: the square roots of the eigenvalues of M^-1 K over 2 pi.
 
-    M is the diagonal matrix of masses and inertias, and K the stiffness of the belts without effects.
+    M is the diagonal matrix of masses and inertias, and K the stiffness of the belts.
 
     Args:
-        machine: Machine with any number of belts.
+        machine: Machine with any number of belts; its effects (deviations from the nominal model) are left out.
         position: Operating point with unstretched belts: position of every coordinate, m or rad, shape (coordinates,).
             Default: zeros.
 

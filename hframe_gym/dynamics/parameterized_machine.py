@@ -133,7 +133,9 @@ class ParameterizedMachine:
         return self._coordinates[i].mass / (self.radius(i) * self.radius(i))
 
     def coulomb(self, i: int) -> Value:
-        """Return the Coulomb friction force of a coordinate referred to its belt travel, without effects.
+        """Return the Coulomb friction force of a coordinate referred to its belt travel (radius * angle of a pulley).
+
+        It is that of the nominal model, without effects (deviations from it).
 
         Args:
             i: Index of the coordinate in the machine, from 0.
@@ -144,7 +146,9 @@ class ParameterizedMachine:
         return self._coordinates[i].coulomb / self.radius(i)
 
     def viscous(self, i: int, direction: Value) -> Value:
-        """Return the viscous coefficient of a coordinate referred to its belt travel, with back-EMF and effects.
+        """Return the viscous coefficient of a coordinate referred to its belt travel (radius * angle of a pulley).
+
+        The back-EMF of the drives and effects (deviations from the nominal model) are included.
 
         Args:
             i: Index of the coordinate in the machine, from 0.
@@ -163,7 +167,7 @@ class ParameterizedMachine:
         return coefficient / (self.radius(i) * self.radius(i))
 
     def force_per_volt(self, j: int) -> Value:
-        """Return the force of a drive per volt at standstill, along the belt travel of its coordinate.
+        """Return the force of a drive per volt at standstill, along the belt travel (radius * angle) of its coordinate.
 
         Args:
             j: Index of the drive in the machine, from 0.
@@ -177,7 +181,7 @@ class ParameterizedMachine:
     # -- effects ---------------------------------------------------------------------------------------------------
 
     def effects_at(self, hook: str, component: str) -> Iterator[tuple[int, AppliedEffect]]:
-        """Iterate over the effects that have a certain hook (formula) and act on a component.
+        """Iterate over the effects (deviations from the nominal model) that have a hook and act on a component.
 
         Args:
             hook: Name of the hook (a formula of the effect), for example "voltage"; see `hframe_gym.machine.Effect`.
@@ -191,7 +195,7 @@ class ParameterizedMachine:
                 yield k, instance.effect
 
     def effects_on(self, hook: str, i: int) -> Iterator[tuple[int, AppliedEffect]]:
-        """Iterate over the effects that have a certain hook (formula) and act on a coordinate.
+        """Iterate over the effects (deviations from the nominal model) that have a hook and act on a coordinate.
 
         Args:
             hook: Name of the hook (a formula of the effect), for example "force"; see `hframe_gym.machine.Effect`.
@@ -208,7 +212,7 @@ class ParameterizedMachine:
         """Evaluate a hook (formula) of an effect with the parameter values of this object.
 
         Args:
-            effect: Effect of the machine.
+            effect: Effect of the machine (deviation from the nominal model, such as Stribeck friction).
             hook: Name of the hook, for example "force".
             quantities: Arguments of the hook that are not parameters of the effect, by symbol, for example position q
                 (m or rad) and speed v (m/s or rad/s): floats, arrays of one common shape (...) or symbolic expressions.
@@ -252,7 +256,8 @@ class ParameterizedMachine:
     def effect_state(self, k: int, point: MotionPoint, **arguments: Value) -> Value:
         """Return the state of an effect (such as a bristle deflection) at a point of a motion.
 
-        If the point lies `point.elapsed` seconds after its effect states, the state is advanced by that time.
+        An effect is a deviation from the nominal model. If the point lies `point.elapsed` seconds after its effect
+        states, the state is advanced by that time.
 
         Args:
             k: Index of the effect in `instances` (the effects, once per component on which they act).
@@ -304,7 +309,8 @@ class ParameterizedMachine:
     ) -> Value:
         """Return the state of an effect (such as a bristle deflection) after a step of the integrator.
 
-        Values are floats, arrays of one common shape (...) or symbolic expressions.
+        An effect is a deviation from the nominal model. Values are floats, arrays of one common shape (...) or symbolic
+        expressions.
 
         Args:
             k: Index of the effect in `instances` (the effects, once per component on which they act).

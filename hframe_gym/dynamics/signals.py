@@ -38,7 +38,7 @@ class SignalEquations(ParameterizedMachine):
         return result
 
     def sensor_readings(self, positions: Sequence[Value]) -> list[Value]:
-        """Compute the reading of every sensor, with the effects on it but without delay, noise and resolution.
+        """Compute the reading of every sensor, with its effects (scale, skew, ...) but without delay and noise.
 
         A reading is a sum of coordinates (or products of two) times the coefficients in the sensor's `row`. Values are
         floats, arrays of one common shape (...) or symbolic expressions.
@@ -69,7 +69,7 @@ class SignalEquations(ParameterizedMachine):
         return readings
 
     def voltage_delays(self) -> list[Value]:
-        """Return the delay from commanded to applied voltage of each drive: the sum over the effects on it.
+        """Return the delay from commanded to applied voltage of each drive: the sum of those that effects on it model.
 
         Returns:
             Delay of each drive, s, in the machine's order, 0 without delay: floats, arrays of any shape or expressions.
@@ -77,7 +77,7 @@ class SignalEquations(ParameterizedMachine):
         return [self._delay("delay", d.name) for d in self.machine.drives]
 
     def measurement_delays(self) -> list[Value]:
-        """Return by how much the measurement of each sensor is late: the sum of the delays of the effects on it.
+        """Return by how much the measurement of each sensor is late: the sum of the delays that effects on it model.
 
         Returns:
             Delay of each sensor, s, in the machine's order, 0 without delay: floats, arrays of any shape or

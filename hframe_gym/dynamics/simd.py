@@ -88,7 +88,8 @@ def load(rows: Any, k: Any) -> Any:
     """Load a row of an array into one SIMD register; callable in Numba-compiled code only.
 
     Args:
-        rows: Contiguous array of float64, shape (n, LANES): n quantities, one machine per column.
+        rows: Contiguous array of float64, any unit, shape (n, LANES): n quantities, one machine per column; LANES is
+            the number of machines that one SIMD register holds.
         k: Index of the row, integer, 0 <= k < n (not checked).
 
     Returns:
@@ -104,7 +105,8 @@ def store(rows: Any, k: Any, value: Any) -> None:
     """Write a SIMD register to a row of an array; callable in Numba-compiled code only.
 
     Args:
-        rows: Contiguous array of float64, shape (n, LANES): n quantities, one machine per column; changed in place.
+        rows: Contiguous array of float64, any unit, shape (n, LANES): n quantities, one machine per column; changed in
+            place. LANES is the number of machines that one SIMD register holds.
         k: Index of the row, integer, 0 <= k < n (not checked).
         value: `SimdVector` (one SIMD register) to write, or one number for all columns.
 

@@ -64,8 +64,8 @@ class Actuators:
             machine: Machine whose drives get them; it is not changed.
 
         Returns:
-            Copy with the bits and voltage range of these converters at every drive, and with the effects
-            `current_limit` and `input_delay` (dead time) where a limit or a delay is given.
+            Copy with the bits and voltage range of these converters at every drive, and with the effects (modeled
+            deviations) `current_limit` and `input_delay` (dead time) where a limit or a delay is given.
 
         Raises:
             InputError: If the machine has an input delay already and `delay` is not 0.

@@ -58,7 +58,7 @@ class PreparedRecording:
         measure, and forces at rest stretch the belts.
 
         Args:
-            machine: Machine with its effects, which may add coordinates.
+            machine: Machine with its effects (deviations from the nominal model), which may add coordinates.
 
         Returns:
             Positions, then velocities (zero, at rest), in the coordinates' units, shape (2 * coordinates,).
@@ -229,7 +229,7 @@ def refine_encoder_offsets(data: Dataset, machine: Machine, reference: Dataset |
 
     Args:
         data: Data set to correct.
-        machine: Fitted machine.
+        machine: Fitted machine with its effects (deviations from the nominal model).
         reference: Data set from which the errors of the zeros are estimated: the one that the machine was fitted to.
             Default: `data`.
 
@@ -256,7 +256,7 @@ def with_encoder_zeros(machine: Machine, data: Dataset) -> Machine:
     `recording_simulation.simulate_recording` determines the same initial state from a single run.
 
     Args:
-        machine: Machine that was fitted to the runs; its effects refine the zeros.
+        machine: Machine that was fitted to the runs; its effects (deviations from the nominal model) refine the zeros.
         data: Data set with the runs.
 
     Returns:

@@ -50,8 +50,9 @@ def force_difference(first: Machine, second: Machine, data: Dataset) -> float:
 
     Args:
         first: Machine whose predicted motion is used.
-        second: Machine with the same coordinates, for example with an effect, fitted to the same data. What parameters
-            of the first machine can represent of that effect is then not a part of the difference.
+        second: Machine with the same coordinates, for example with an effect (deviation from the nominal model), fitted
+            to the same data. What parameters of the first machine can represent of that effect is then not a part of
+            the difference.
         data: Runs over which the motion is predicted.
 
     Returns:
@@ -71,8 +72,8 @@ def force_difference(first: Machine, second: Machine, data: Dataset) -> float:
 def depend_on_same_variable(first: AppliedEffect, second: AppliedEffect, machine: Machine) -> bool:
     """Check whether two effects act on the same component and depend on the same variable of it.
 
-    A small effect can then be an error in the form of a large one: a formula that describes friction as a function of
-    the speed to 10 % leaves a force that is a function of the speed as well.
+    If so, a small effect may only correct the formula of a large one: where a formula describes friction as a function
+    of the speed to within 10 %, the remaining force is a function of the speed as well.
 
     Args:
         first: One effect (deviation from the nominal model) at its component.

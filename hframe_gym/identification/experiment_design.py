@@ -127,7 +127,7 @@ def design_discriminating_experiment(
 
 
 def fit_rival(current: Fit, label: str, rival: AppliedEffect, data: Dataset, scale: TypicalScales) -> Machine:
-    """Fit the machine again with a rival effect in place of an identified one.
+    """Fit the machine again with a rival effect (deviation from the nominal model) in place of an identified one.
 
     Args:
         current: Fit of the machine with all selected effects, among them the one to replace.

@@ -102,7 +102,7 @@ class EffectSearch:
         self.considered: dict[str, ConsideredEffect] = {}
 
     def with_data(self, data: Dataset) -> EffectSearch:
-        """Return a search in other data that remembers the effects considered so far.
+        """Return a search in other data that remembers the effects (deviations from the model) considered so far.
 
         Args:
             data: Prepared recordings to fit, for example with corrected zeros of the encoders.
@@ -202,7 +202,7 @@ class EffectSearch:
         return None
 
     def prune(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection:
-        """Remove effects that fail a test in the machine with all other effects, weakest first (recursively).
+        """Remove effects (deviations from the model) that fail a test in the machine with all others, weakest first.
 
         Later effects may make earlier ones superfluous. A structural effect is kept if another effect acts on a
         coordinate that it adds.
@@ -297,7 +297,8 @@ def describe_gain(before: Fit, after: Fit) -> str:
     """Describe the benefit of an effect: "reduces chi-squared per sample from 98.99 to 0.79 (simulation)".
 
     Args:
-        before: Fit without the effect; its observer bandwidth, rad/s, is stated, or "simulation" if it is 0.
+        before: Fit without the effect; the bandwidth, rad/s, of the observer that corrects its predictions is stated,
+            or "simulation" if it is 0.
         after: Fit with the effect, at the same bandwidth.
 
     Returns:
@@ -333,8 +334,8 @@ def minimum_gain(current: Fit, criteria: SelectionCriteria) -> float:
     """Return the smallest reduction of chi-squared per sample for which an effect is selected.
 
     Args:
-        current: Fit without the effect. Its observer bandwidth decides between the limits of one-step prediction (60
-            rad/s) and of simulation or slower observers.
+        current: Fit without the effect. The bandwidth of the observer that corrects its predictions decides between the
+            limits of one-step prediction (60 rad/s) and of simulation or slower observers.
         criteria: Decision thresholds, which raise the result for short recordings and large residuals.
 
     Returns:

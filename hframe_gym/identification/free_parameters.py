@@ -182,7 +182,8 @@ def default_free_parameters(machine: Machine, *, effects: bool = True) -> tuple[
 
     Args:
         machine: Declared machine.
-        effects: Whether the nonzero parameters of the declared effects are included.
+        effects: Whether the nonzero parameters of the declared effects (deviations from the nominal model) are
+            included.
 
     Returns:
         Free parameters with their priors, centered on the declared values.

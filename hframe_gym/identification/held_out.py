@@ -50,7 +50,7 @@ def held_out_gain(selected: SelectedEffect, machine: Machine, validation: Datase
     Args:
         selected: Effect (deviation from the nominal model) that the search selected.
         machine: Machine with all effects.
-        validation: Held-out runs (times, voltages, measurements).
+        validation: Held-out runs (times, voltages, measurements), which were not fitted.
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
 
     Returns:
@@ -66,7 +66,7 @@ def error_reduction(without: Machine, machine: Machine, validation: Dataset, ban
     """Return the fraction by which the squared prediction error of a machine is smaller than that of another one.
 
     Args:
-        without: Machine to compare with, for example without an effect.
+        without: Machine to compare with, for example without an effect (deviation from the nominal model).
         machine: Machine to evaluate.
         validation: Runs to predict.
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
@@ -83,7 +83,7 @@ def error_reduction(without: Machine, machine: Machine, validation: Dataset, ban
 
 
 def is_excited(effect: AppliedEffect, machine: Machine, validation: Dataset, data: Dataset) -> bool:
-    """Check whether the held-out runs can show an effect (deviation from the nominal model) at all.
+    """Check whether the held-out runs (not fitted) can show an effect (deviation from the nominal model) at all.
 
     Args:
         effect: Effect to check.

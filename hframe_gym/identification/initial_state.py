@@ -36,7 +36,8 @@ def measured_initial_state(recording: Recording, machine: Machine, zeros: Encode
 
     Args:
         recording: The run (times, voltages, measurements); saturated measurements are NaN.
-        machine: Machine with the rig's coordinates, belts and sensors, and its effects.
+        machine: Machine with the rig's coordinates, belts and sensors, and its effects (deviations from the nominal
+            model).
         zeros: Zeros of the encoders in the session.
         quanta: Quantization steps of the sensors, in their units, shape (sensors,).
 
@@ -99,7 +100,7 @@ def static_equilibrium(machine: Machine, position: Array) -> Array:
     force.
 
     Args:
-        machine: Machine with its effects.
+        machine: Machine with its effects (deviations from the nominal model).
         position: Positions of the first coordinates, m or rad, shape (at most coordinates,); only those of the linear
             coordinates are used.
 
@@ -141,7 +142,8 @@ def model_initial_state(machine: Machine, initial: InitialState) -> Array:
     changes a laser's measurement at rest: the uncorrected zeros would attribute the effect to a stretch of the belts.
 
     Args:
-        machine: Machine with its effects; structural effects may have added coordinates.
+        machine: Machine with its effects (deviations from the nominal model); structural ones may have added
+            coordinates.
         initial: Measured initial state (positions at rest, zeros of the sensors).
 
     Returns:
@@ -168,7 +170,7 @@ def encoder_angles(machine: Machine, initial: InitialState) -> dict[int, float]:
     belt travel (radius * angle).
 
     Args:
-        machine: Machine with its effects.
+        machine: Machine with its effects (deviations from the nominal model).
         initial: Measured initial state.
 
     Returns:
@@ -185,7 +187,7 @@ def concentric_angle(machine: Machine, index: int, angle: float) -> float:
     """Convert the angle of an eccentric pulley at rest to that of a concentric one with the same belt travel.
 
     Args:
-        machine: Machine with its effects.
+        machine: Machine with its effects (deviations from the nominal model), such as eccentric pulleys.
         index: Index of the pulley in `Machine.coordinates`.
         angle: Measured angle of the pulley, rad.
 
@@ -208,7 +210,7 @@ def position_from_measurements(machine: Machine, initial: InitialState) -> Array
     laser, their angles are corrected for eccentric pulleys and for belts that forces stretch at rest.
 
     Args:
-        machine: Machine with its effects.
+        machine: Machine with its effects (deviations from the nominal model).
         initial: Measured initial state.
 
     Returns:

@@ -86,7 +86,7 @@ class NormalEquations:
             jacobian: J transposed, derivatives of the residual with respect to k parameters, shape (k, rows).
             residual: Residual r in units of the noise (dimensionless), shape (rows,).
             responses: E transposed: change of the residual that each of m perturbations causes, for example the force
-                of a candidate effect, shape (m, rows). Default: none.
+                of a candidate effect, in units of the noise, shape (m, rows). Default: none.
             count: Number of measured values; it is above the number of rows where rows are averages. Default: the
                 number of rows.
 

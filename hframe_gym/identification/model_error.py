@@ -48,7 +48,7 @@ _SEARCH_STEP_NARROW = 0.25e-3  # s; a narrow observer does not forgive the error
 
 
 def search_step(bandwidth: float) -> float:
-    """Return the integration step of the search for effects.
+    """Return the integration step that suffices in the search for effects (deviations from the nominal model).
 
     Args:
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
@@ -114,7 +114,7 @@ def fit_with_model_error(fitted: Fit, data: Dataset) -> Fit:
 
 
 def polish(fitted: Fit, data: Dataset) -> Fit:
-    """Fit again with the shortest integration step, at the same observer bandwidth.
+    """Fit again with the shortest integration step, at the same bandwidth of the observer that corrects predictions.
 
     Args:
         fitted: Fit to refine.
@@ -163,7 +163,7 @@ def long_run_variance(fitted: Fit, data: Dataset) -> float:
     independent values, so that adding an effect without cause reduces the cost by that many times more.
 
     Args:
-        fitted: Fitted machine with its observer bandwidth.
+        fitted: Fitted machine with the bandwidth of the observer that corrects its predictions by the measurements.
         data: Runs that were fitted.
 
     Returns:
@@ -191,8 +191,8 @@ def leave_one_out_gain(without: Fit, with_effect: Fit, data: Dataset) -> float:
     all, which are left out instead: the other runs alone might not determine the parameters.
 
     Args:
-        without: Fit without the effect.
-        with_effect: Fit with it, at the same observer bandwidth.
+        without: Fit without the effect (deviation from the nominal model).
+        with_effect: Fit with it, with the same observer to correct predictions by the measurements.
         data: Runs that were fitted.
 
     Returns:
@@ -228,7 +228,8 @@ def explains(fitted: Fit, initial_chi2: float, criteria: SelectionCriteria) -> b
     """Return whether a fit leaves only the sensors' noise, or a negligible part of the initial residual.
 
     Args:
-        fitted: Fit at the bandwidth of the observer that its remaining error requires.
+        fitted: Fit whose predictions an observer corrects by the measurements, with the bandwidth that its error
+            requires.
         initial_chi2: Chi-squared per sample, dimensionless, of the first fit, without effects.
         criteria: Decision thresholds `explained_chi2` and `explained_fraction`.
 

@@ -55,7 +55,7 @@ def table_candidates(
     coordinate because refitted friction can hide a force along the way in the missing force.
 
     Args:
-        machine: Machine with the effects that have been selected so far.
+        machine: Machine with the effects (deviations from the nominal model) that have been selected so far.
         data: Prepared recordings.
         scales: Typical sizes on this machine; that of the force is the unit of the ordinates.
         criteria: Decision thresholds; `max_tables_per_coordinate` limits the number.
@@ -178,8 +178,9 @@ def add_tables(
     A table is added only if it also predicts the half of the data that it was not fitted to (cross-validation).
 
     Args:
-        current: Fit of the machine with the effects selected so far; its observer bandwidth is used throughout.
-        selected: Effects selected so far.
+        current: Fit of the machine with the effects selected so far; the observer that corrects its predictions by the
+            measurements is used throughout.
+        selected: Effects (deviations from the nominal model) selected so far.
         data: Prepared recordings to fit.
         criteria: Decision thresholds, among them the smallest reduction of chi-squared per sample by a table.
         max_tables: Largest number of tables to add.

@@ -34,7 +34,7 @@ def report_panels(report: Mapping[str, Any], curves: Mapping[str, Array], machin
     Args:
         report: Content of report.json.
         curves: Curves by name, see `result.plot_data` for names, shapes and units.
-        machine: Identified machine with the selected effects.
+        machine: Identified machine with the selected effects (deviations from the nominal model).
 
     Returns:
         Panels by name of the plot: error_by_channel, error_over_time (for each run one panel per channel),

@@ -131,7 +131,7 @@ def predict(
     """Predict the measurements of a run for a batch of parameters or perturbations.
 
     Args:
-        machine: Machine that predicts; its effects also determine the initial state.
+        machine: Machine that predicts; its effects (deviations from the model) also determine the initial state.
         run: Run to predict, n samples.
         bandwidth: Bandwidth of the observer that corrects the prediction by the measurements, rad/s; 0 for none.
         period: Sampling period, s.

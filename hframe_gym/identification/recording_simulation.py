@@ -205,7 +205,7 @@ def _travel_per_unit(machine: Machine) -> Array:
 def evaluate_held_out(
     machine: Machine, fitted: Dataset, held_out: Dataset, recordings: Sequence[Recording]
 ) -> ModelEvaluation:
-    """Simulate a machine over the held-out runs as ``hframe simulate`` does, and compare it with the measurements.
+    """Simulate a machine over the held-out runs (not fitted) as ``hframe simulate`` does, and compare with the data.
 
     The zeros of the encoders (measurements at position 0), which all fitted runs determine together, are written to the
     machine. Everything else about the initial states follows from each recording alone.

@@ -191,7 +191,7 @@ def _low_pass(values: Array, cutoff: float, period: float) -> Array:
 
 
 def dependence_variables(machine: Machine, run: PreparedRecording, data: Dataset) -> dict[str, Array]:
-    """Return the variables of a run on which a missing effect may depend.
+    """Return the variables of a run on which a missing effect (deviation from the model) may depend.
 
     Args:
         machine: Machine that predicts positions and velocities, corrected by an observer at every sample.

@@ -96,18 +96,18 @@ def settled_rows(resting_rows: int) -> slice:
 def estimate_initial_state(recording: Recording, machine: Machine, zeros: EncoderZeros | None = None) -> InitialState:
     """Estimate the state at rest and the sensors' zeros (measurements at position 0) from one run.
 
-    Sensors with a fixed zero determine the position where they can, encoders where their zero is known or where nothing
-    else measures. The belts are unstretched unless encoders with a known zero measure their stretch. A sensor with a
-    fixed zero that measures nothing at rest, for example because it saturates, is replaced by its later measurements
-    minus the displacement that the encoders measure.
+    Sensors with a fixed zero (lasers) determine the position where they can, encoders where their zero is known or
+    where nothing else measures. The belts are unstretched unless encoders with a known zero measure their stretch. A
+    laser that measures nothing at rest, for example because it saturates, is replaced by its later measurements minus
+    the displacement that the encoders measure.
 
     Args:
-        recording: The run; saturated measurements are NaN.
+        recording: The run (times, voltages, measurements); saturated measurements are NaN.
         machine: Machine with the rig's coordinates, belts and sensors.
         zeros: Zeros of the encoders, from all runs together. Default: unknown.
 
     Returns:
-        Initial state, with warnings where the position is not measured at rest.
+        Initial state (positions at rest, m or rad, zeros of the sensors), with warnings where no sensor measures it.
     """
     rows = count_resting_rows(recording)
     zeros = zeros or EncoderZeros.of_machine(machine).without(np.ones(len(machine.sensors), np.bool_))

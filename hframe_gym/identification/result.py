@@ -103,10 +103,12 @@ class RejectedEffect:
     reason: str
 
     def as_json(self) -> dict[str, Any]:
-        """Convert the rejected effect to an entry of `considered` in report.json.
+        """Convert an effect (deviation from the model) that was not selected to an entry of `considered`, report.json.
 
         Returns:
-            name, site, parameters, size (None if no force describes the effect), held_out_gain and reason.
+            name, site (component), parameters (SI), size (force relative to that of the drives; None if no force
+            describes the effect), held_out_gain (fraction of the error of the held-out runs that it removes) and
+            reason.
         """
         return {
             "name": self.effect.name,
@@ -280,7 +282,7 @@ def plot_data(result: IdentificationResult) -> dict[str, Array]:
         result: Result of `identify`.
 
     Returns:
-        Arrays by name, where RUN is the name of a held-out run with n samples.
+        Arrays by name, where RUN is the name of a held-out run (not fitted) with n samples.
 
         - ``RUN/time_s``: sample times of each held-out run, s, shape (n,).
         - ``RUN/measured``: its measurements, in the sensors' units, shape (n, sensors).

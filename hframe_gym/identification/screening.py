@@ -81,8 +81,9 @@ def screen(fit: Fit, candidates: Sequence[Candidate], data: Dataset) -> list[Sco
     optimized together with the machine's free parameters, without any new fit.
 
     Args:
-        fit: Fit of the machine without the candidates; its observer bandwidth is used.
-        candidates: Effects, sites and starting values to compare.
+        fit: Fit of the machine without the candidates; the observer that corrects its predictions by the measurements
+            is used.
+        candidates: Effects (deviations from the nominal model), sites (components) and starting values to compare.
         data: Runs that were fitted.
 
     Returns:
@@ -121,7 +122,8 @@ def candidate_perturbations(
 
     Args:
         machine: Machine that moves.
-        candidates: Candidates; neighbors of the same effect and site are evaluated together.
+        candidates: Candidate effects (deviations from the nominal model); neighbors of the same effect and site are
+            evaluated together.
         run: Run with the sample times and voltages of the motion.
         motion: Motion of the machine with positions and velocities, a batch of one, n samples.
 
@@ -239,7 +241,7 @@ def has_no_small_version(effect: Effect) -> bool:
     """Check whether an effect replaces a part of the model, so that no small amplitude of it can be linearized.
 
     Args:
-        effect: Definition of the effect.
+        effect: Definition of the effect (deviation from the nominal model).
 
     Returns:
         True for structural effects (they add coordinates) and those that replace dry friction.
@@ -248,14 +250,14 @@ def has_no_small_version(effect: Effect) -> bool:
 
 
 def screen_structures(current: Fit, data: Dataset, scale: TypicalScales, minimum_gain: float) -> list[Machine]:
-    """Build machines with the most promising effects that replace a part of the model, one effect each.
+    """Build machines with the most promising effects that replace a part of the nominal model, one effect each.
 
     These are structural effects, which add coordinates, and effects that replace dry friction. For them the
     linearization predicts a smaller benefit than a fit achieves. Therefore the three best are returned, structural
     effects with their two best starting values.
 
     Args:
-        current: Fit of the machine without such an effect; its observer bandwidth is used.
+        current: Fit of the machine without such an effect; the observer that corrects its predictions is used.
         data: Runs that were fitted.
         scale: Typical sizes on this machine, to which the starting values are relative.
         minimum_gain: Smallest linearized reduction of chi-squared per sample, dimensionless, of a promising effect.

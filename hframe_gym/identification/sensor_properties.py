@@ -271,7 +271,7 @@ def blank_saturated(
 
 
 def range_effects(ranges: Mapping[str, Range], selected: Sequence[AppliedEffect] = ()) -> tuple[AppliedEffect, ...]:
-    """Convert the ranges of saturated sensors to effects ``sensor_range``.
+    """Convert the ranges of saturated sensors to effects ``sensor_range`` (modeled deviations) of the machine.
 
     Args:
         ranges: Lower and upper end by channel name, in the sensor's unit.

@@ -23,12 +23,12 @@ _TRIAL_ITERATIONS, _TRIAL_TOLERANCE = 8, 1e-3  # A trial need not converge fully
 
 
 def trial_fits(current: Fit, data: Dataset, enough: float, criteria: SelectionCriteria) -> list[Fit]:
-    """Fit the machine with each of the most promising candidate effects, one at a time.
+    """Fit the machine with each of the most promising effects (deviations from the model), one at a time.
 
     The candidates are ranked before by the reduction of chi-squared that linearization predicts.
 
     Args:
-        current: Fit without the candidates; its observer bandwidth is used.
+        current: Fit without the candidates; the observer that corrects its predictions by the measurements is used.
         data: Prepared recordings to fit (times, voltages, measurements).
         enough: Smallest useful reduction of chi-squared per sample, dimensionless.
         criteria: Decision thresholds.
@@ -59,7 +59,7 @@ def structural_trial_fits(
     simulation code of its structure.
 
     Args:
-        current: Fit without the candidates; its observer bandwidth is used.
+        current: Fit without the candidates; the observer that corrects its predictions by the measurements is used.
         trials: Fits of the other candidates, which they have to surpass.
         data: Prepared recordings to fit.
         enough: Smallest useful reduction of chi-squared per sample, dimensionless.
@@ -76,11 +76,11 @@ def structural_trial_fits(
 
 
 def unexplained_fraction(current: Fit, trials: list[Fit], criteria: SelectionCriteria) -> float:
-    """Return the fraction of the excess of chi-squared that the best trial leaves.
+    """Return the fraction of the excess of chi-squared (squared error / noise variance) that the best trial leaves.
 
     Args:
         current: Fit without candidates.
-        trials: Fits with one candidate each, at the same observer bandwidth.
+        trials: Fits with one candidate effect each, with the same observer to correct predictions.
         criteria: Decision thresholds.
 
     Returns:
@@ -113,8 +113,8 @@ def replacement_fit(
     Effects that were selected while others were missing may stand for a mixture of several causes.
 
     Args:
-        current: Fit with all selected effects.
-        reduced: Fit without one of them, at the same observer bandwidth.
+        current: Fit with all selected effects (deviations from the nominal model).
+        reduced: Fit without one of them, with the same observer to correct predictions by the measurements.
         replaced: Label of that effect, name@site.
         data: Prepared recordings to fit.
         criteria: Decision thresholds.
@@ -155,10 +155,12 @@ def _promising(
 
 
 def fit_with_candidate(current: Fit, scored: ScoredCandidate, scales: TypicalScales, data: Dataset) -> Fit:
-    """Add a candidate effect to the machine and fit the parameters of both together, with few iterations.
+    """Add a candidate effect (deviation from the model) to the machine and fit the parameters of both together.
+
+    The fit has few iterations.
 
     Args:
-        current: Fit without the effect; its observer bandwidth is used.
+        current: Fit without the effect; the observer that corrects its predictions by the measurements is used.
         scored: Screened candidate with the amounts (weights) of its basis functions.
         scales: Typical forces, speeds and travels on this machine, which scale the new parameters.
         data: Prepared recordings to fit.
@@ -205,7 +207,7 @@ def _trial_fit(machine: Machine, free: tuple[FreeParameter, ...], theta: Array, 
 
 
 def converge(trial: Fit, data: Dataset, *, thorough: bool) -> Fit:
-    """Continue the fit of a machine with a candidate effect until it converges.
+    """Continue the fit of a machine with a candidate effect (deviation from the model) until it converges.
 
     Args:
         trial: Fit with a candidate effect, not fully converged.
@@ -225,10 +227,10 @@ def converge(trial: Fit, data: Dataset, *, thorough: bool) -> Fit:
 
 
 def without_effect(current: Fit, label: str, data: Dataset, plain: Machine, *, thorough: bool = True) -> Fit | None:
-    """Remove one effect from the machine and fit the remaining free parameters again.
+    """Remove one effect (deviation from the model) from the machine and fit the remaining free parameters again.
 
     Args:
-        current: Fit of the machine with the effect; its observer bandwidth is used.
+        current: Fit of the machine with the effect; the observer that corrects its predictions is used.
         label: Label of the effect, name@site.
         data: Prepared recordings to fit.
         plain: Machine before effects were added, from which a machine without a structural effect is built.

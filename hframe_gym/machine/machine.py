@@ -150,7 +150,7 @@ class Machine:
         return np.array([self.coefficients(s.row) for s in self.sensors])
 
     def coordinate_of_site(self, site: str) -> str | None:
-        """Return the coordinate on which an effect at a site acts.
+        """Return the coordinate on which an effect (deviation from the nominal model) at a site acts.
 
         Args:
             site: Site of an effect: name of a coordinate, drive or output channel, or "drives", "belts", "machine".
@@ -173,7 +173,7 @@ class Machine:
 
     @cached_property
     def spring_loaded(self) -> tuple[str, ...]:
-        """Names of the coordinates added by effects; a spring returns each of them to zero at rest."""
+        """Names of the coordinates that effects (such as bridge yaw) add; a spring returns each to zero at rest."""
         return tuple(e.definition.coordinate for e in self.effects if e.definition.coordinate)
 
     def other_axis(self, coordinate: str) -> str | None:
@@ -240,7 +240,7 @@ class Machine:
         return FIXED_UNITS[key]
 
     def effect_unit(self, effect: AppliedEffect, parameter: str) -> str:
-        """Return the unit of an effect's parameter at its site.
+        """Return the unit of a parameter of an effect (deviation from the nominal model) at its site.
 
         Args:
             effect: Effect at a site of this machine; the machine need not have it.
@@ -291,7 +291,7 @@ class Machine:
         return dataclasses.replace(self, **(new | fields))  # type: ignore[arg-type]
 
     def with_effects(self, *effects: AppliedEffect) -> Machine:
-        """Return a copy with additional effects.
+        """Return a copy with additional effects (deviations from the nominal model).
 
         Args:
             *effects: Effects, each at its site: the coordinate, drive, belt or sensor of this machine on which it acts.

@@ -136,7 +136,7 @@ def motion_limits(machine: Machine) -> dict[str, MotionLimits]:
     """Compute inertia, force and speed along each rigid motion with every drive at its rated voltage.
 
     Args:
-        machine: Machine; its effects are ignored.
+        machine: Machine; its effects (deviations from the nominal model) are ignored.
 
     Returns:
         By name of the leading coordinate of `rigid_motions`: moving inertia, kg or kg m^2, force at standstill, N or
