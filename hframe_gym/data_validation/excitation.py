@@ -44,7 +44,7 @@ def check_excitation(recordings: Sequence[Recording], data: Dataset, machine: Ma
     positions, speed, direction, and the spectrum of the inputs relative to the lowest natural frequency of the belts.
 
     Args:
-        recordings: Runs as recorded.
+        recordings: Runs as recorded (times, s; voltages, V; measurements, m or rad).
         data: The same runs, prepared by `identification.prepare`.
         machine: Declared machine.
 
@@ -62,7 +62,7 @@ def constant_inputs(recordings: Sequence[Recording], machine: Machine) -> list[F
     """Report inputs that have one constant value throughout a run.
 
     Args:
-        recordings: Runs as recorded.
+        recordings: Runs as recorded (times, s; voltages, V; measurements, m or rad).
         machine: Declared machine, which names the input channels.
 
     Returns:
@@ -273,7 +273,7 @@ def check_parameters(data: Dataset, machine: Machine) -> list[Finding]:
     """Report how precisely each parameter that identification refits can be estimated (Cramer-Rao bound).
 
     Args:
-        data: Runs prepared by `identification.prepare`, in which the machine moves.
+        data: Runs prepared by `identification.prepare` (times, voltages, measurements, SI), in which the machine moves.
         machine: Declared machine.
 
     Returns:

@@ -123,7 +123,8 @@ def check_wiring(data: Dataset, machine: Machine) -> list[Finding]:
     together and then in each run.
 
     Args:
-        data: Runs prepared by `identification.prepare` in which the machine moves, at least one.
+        data: Runs prepared by `identification.prepare` in which the machine moves (times, voltages, measurements, SI),
+            at least one.
         machine: Declared machine.
 
     Returns:

@@ -159,7 +159,7 @@ def with_known_positions(data: Dataset) -> tuple[Dataset, tuple[str, ...]]:
     """Leave out the runs whose initial position cannot be determined.
 
     Args:
-        data: Data set of prepared runs.
+        data: Data set of prepared runs (times, voltages, measurements, SI).
 
     Returns:
         data: Copy without these runs; the given one if no run would remain.
@@ -228,7 +228,7 @@ def refine_encoder_offsets(data: Dataset, machine: Machine, reference: Dataset |
     them, see `encoder_zero_errors`.
 
     Args:
-        data: Data set to correct.
+        data: Data set to correct (times, voltages, measurements, SI).
         machine: Fitted machine with its effects (deviations from the nominal model).
         reference: Data set from which the errors of the zeros are estimated: the one that the machine was fitted to.
             Default: `data`.
@@ -257,7 +257,7 @@ def with_encoder_zeros(machine: Machine, data: Dataset) -> Machine:
 
     Args:
         machine: Machine that was fitted to the runs; its effects (deviations from the nominal model) refine the zeros.
-        data: Data set with the runs.
+        data: Data set with the runs (times, voltages, measurements, SI).
 
     Returns:
         Copy with the zeros; the machine itself if none are known.

@@ -53,7 +53,7 @@ def force_difference(first: Machine, second: Machine, data: Dataset) -> float:
         second: Machine with the same coordinates, for example with an effect (deviation from the nominal model), fitted
             to the same data. What parameters of the first machine can represent of that effect is then not a part of
             the difference.
-        data: Runs over which the motion is predicted.
+        data: Runs over which the motion is predicted (times, voltages, measurements, SI).
 
     Returns:
         Root mean square over all rows of the root sum of squares over the coordinates, as a force at the belt (torque /

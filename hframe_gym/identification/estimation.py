@@ -201,7 +201,7 @@ def with_uncertainty(fitted: Fit, data: Dataset) -> Machine:
 
     Args:
         fitted: Fit of k parameters: machine, parameter values and cost.
-        data: Runs that were fitted.
+        data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
         The fitted machine; its `uncertainty` holds the covariance of the free parameters' values, SI.

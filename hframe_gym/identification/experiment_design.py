@@ -111,7 +111,7 @@ def design_discriminating_experiment(
         corrected: The same machine with the covariance of its parameters.
         label: Label (name@site) of the identified effect.
         rivals: Other effects that explain the data equally well, with fitted parameters, best first.
-        data: Runs that were fitted.
+        data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
         Design of the run with its voltages. None if the identified effect or every rival is structural (adds
@@ -133,7 +133,7 @@ def fit_rival(current: Fit, label: str, rival: AppliedEffect, data: Dataset, sca
         current: Fit of the machine with all selected effects, among them the one to replace.
         label: Label (name@site) of the effect to replace.
         rival: Effect that replaces it, with its starting values.
-        data: Runs to fit.
+        data: Runs to fit (times, voltages, measurements, SI).
         scale: Typical sizes on this machine, which set the scales and priors of the rival's parameters.
 
     Returns:
@@ -162,8 +162,8 @@ def separate_machines(
         second: The other, whose parameters adapt to the new run within their uncertainty. The machines may differ in
             their effects, but not in their sensors and drives.
         labels: Labels (name@site) of the effects that distinguish the first and the second machine.
-        data: Recordings that both were fitted to. They supply the sensors' noise, the sampling period and, for a
-            coordinate without a declared range, the permitted travel.
+        data: Recordings that both were fitted to (times, voltages, measurements, SI). They supply the sensors' noise,
+            the sampling period and, for a coordinate without a declared range, the permitted travel.
 
     Returns:
         Design of the run with the largest difference, with its voltages, or None if the predictions of no simulated run

@@ -105,7 +105,8 @@ class EffectSearch:
         """Return a search in other data that remembers the effects (deviations from the model) considered so far.
 
         Args:
-            data: Prepared recordings to fit, for example with corrected zeros of the encoders.
+            data: Prepared recordings to fit (times, voltages, measurements, SI), for example with corrected zeros of
+                the encoders.
 
         Returns:
             New search.

@@ -22,7 +22,7 @@ def hold_out(recordings: Sequence[Recording], chosen: Sequence[str] = ()) -> tup
     """Choose the runs that are held out: excluded from the fit and used to evaluate it.
 
     Args:
-        recordings: All runs.
+        recordings: All runs (times, s; voltages, V; measurements, m or rad).
         chosen: Names of the runs to hold out. Default: every fourth, the last one if there are fewer than four.
 
     Returns:
@@ -68,7 +68,7 @@ def error_reduction(without: Machine, machine: Machine, validation: Dataset, ban
     Args:
         without: Machine to compare with, for example without an effect (deviation from the nominal model).
         machine: Machine to evaluate.
-        validation: Runs to predict.
+        validation: Runs to predict (times, voltages, measurements, SI).
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
 
     Returns:
@@ -88,7 +88,7 @@ def is_excited(effect: AppliedEffect, machine: Machine, validation: Dataset, dat
     Args:
         effect: Effect to check.
         machine: Machine with the effect.
-        validation: Held-out runs.
+        validation: Held-out runs (times, voltages, measurements, SI).
         data: Fitted runs.
 
     Returns:

@@ -68,7 +68,7 @@ def information_loss(fitted: Fit, data: Dataset) -> float:
 
     Args:
         fitted: Fit at any observer bandwidth.
-        data: Runs that were fitted.
+        data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
         Loss, dimensionless; 1 for an exact model in simulation with white noise of the assumed size. Differences times
@@ -95,7 +95,7 @@ def fit_with_model_error(fitted: Fit, data: Dataset) -> Fit:
 
     Args:
         fitted: Fit (machine, parameters, cost) at one of the bandwidths `BANDWIDTHS`.
-        data: Runs that were fitted.
+        data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
         Fit with the smallest loss, see `information_loss`.
@@ -118,7 +118,7 @@ def polish(fitted: Fit, data: Dataset) -> Fit:
 
     Args:
         fitted: Fit to refine.
-        data: Runs that were fitted.
+        data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
         Fit from the parameters of the given one, without the integration error of the search.
@@ -134,7 +134,7 @@ def residue_force(fitted: Fit, data: Dataset) -> float:
 
     Args:
         fitted: Fitted machine with its observer bandwidth.
-        data: Runs that were fitted.
+        data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
         Root mean square over all rows of the root sum of squares over the coordinates, as a force at the belt (torque /
@@ -164,7 +164,7 @@ def long_run_variance(fitted: Fit, data: Dataset) -> float:
 
     Args:
         fitted: Fitted machine with the bandwidth of the observer that corrects its predictions by the measurements.
-        data: Runs that were fitted.
+        data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
         Largest ratio of all sensors, dimensionless, at least 1.
@@ -193,7 +193,7 @@ def leave_one_out_gain(without: Fit, with_effect: Fit, data: Dataset) -> float:
     Args:
         without: Fit without the effect (deviation from the nominal model).
         with_effect: Fit with it, with the same observer to correct predictions by the measurements.
-        data: Runs that were fitted.
+        data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
         Reduction of chi-squared, dimensionless, summed over all runs. It is at most about the reduction on the fitted
@@ -245,7 +245,7 @@ def at_bandwidth(fitted: Fit, bandwidth: float, data: Dataset) -> Fit:
     Args:
         fitted: Earlier fit.
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
-        data: Runs that were fitted.
+        data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
         Fit at this bandwidth; the given one if it has that bandwidth already.

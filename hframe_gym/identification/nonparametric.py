@@ -56,7 +56,7 @@ def table_candidates(
 
     Args:
         machine: Machine with the effects (deviations from the nominal model) that have been selected so far.
-        data: Prepared recordings.
+        data: Prepared recordings (times, voltages, measurements, SI).
         scales: Typical sizes on this machine; that of the force is the unit of the ordinates.
         criteria: Decision thresholds; `max_tables_per_coordinate` limits the number.
 
@@ -98,7 +98,7 @@ def table_variables(machine: Machine, data: Dataset) -> dict[str, Array]:
 
     Args:
         machine: Machine that predicts the motion.
-        data: Prepared recordings with n rows in total.
+        data: Prepared recordings with n rows in total (times, voltages, measurements, SI).
 
     Returns:
         By name, shape (n,) each: "position of C" (m or rad), "velocity of C" (m/s or rad/s) and "path of C" (distance
@@ -181,7 +181,7 @@ def add_tables(
         current: Fit of the machine with the effects selected so far; the observer that corrects its predictions by the
             measurements is used throughout.
         selected: Effects (deviations from the nominal model) selected so far.
-        data: Prepared recordings to fit.
+        data: Prepared recordings to fit (times, voltages, measurements, SI).
         criteria: Decision thresholds, among them the smallest reduction of chi-squared per sample by a table.
         max_tables: Largest number of tables to add.
         log: Called with a line of text for every table that is fitted to all data.

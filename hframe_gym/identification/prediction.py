@@ -51,7 +51,7 @@ def map_runs(function: Callable[[PreparedRecording], T], data: Dataset) -> Itera
 
     Args:
         function: Function of one run; it is called from several threads.
-        data: Data set with the runs.
+        data: Data set with the runs (times, voltages, measurements, SI).
 
     Yields:
         Result of the function for each run, in the order of the runs.

@@ -212,7 +212,7 @@ def evaluate_held_out(
 
     Args:
         machine: Machine to evaluate.
-        fitted: Runs that the machine was fitted to.
+        fitted: Runs that the machine was fitted to (times, voltages, measurements, SI).
         held_out: Runs to evaluate on, as prepared for identification.
         recordings: The recordings of these runs as they were measured; others are ignored.
 

@@ -81,7 +81,7 @@ def channel_errors(machine: Machine, data: Dataset) -> dict[str, ChannelError]:
 
     Args:
         machine: Machine to simulate; only the sensors' zeros are adjusted to the runs.
-        data: Measured runs.
+        data: Measured runs (times, voltages, measurements, SI).
 
     Returns:
         By name of the output channel: root mean square error `rmse`, m or rad, and `noise_ratio`, dimensionless, the
@@ -160,7 +160,7 @@ def missing_force(machine: Machine, data: Dataset) -> dict[str, Array]:
 
     Args:
         machine: Machine that predicts.
-        data: Measured runs with n rows in total.
+        data: Measured runs with n rows in total (times, voltages, measurements, SI).
 
     Returns:
         By coordinate name, an array of shape (n, 3): position, velocity and missing force, in m, m/s, N or rad, rad/s,
@@ -215,7 +215,7 @@ def rank_dependences(machine: Machine, data: Dataset) -> list[Dependence]:
 
     Args:
         machine: Machine that predicts.
-        data: Measured runs.
+        data: Measured runs (times, voltages, measurements, SI).
 
     Returns:
         Pairs of coordinate and variable (position, velocity, voltage, time) that explain more than 5 % of the variance
@@ -256,7 +256,7 @@ def is_white(machine: Machine, data: Dataset) -> bool:
 
     Args:
         machine: Machine to simulate.
-        data: Measured runs.
+        data: Measured runs (times, voltages, measurements, SI).
 
     Returns:
         True if the block means of every channel scatter by less than 0.6 standard deviations of its noise.
@@ -283,7 +283,7 @@ def force_error(machine: Machine, data: Dataset) -> float | None:
 
     Args:
         machine: Machine to evaluate.
-        data: Measured runs; those with missing measurements are left out.
+        data: Measured runs (times, voltages, measurements, SI); those with missing measurements are left out.
 
     Returns:
         Error over all runs, dimensionless. None if the machine has belts, if a coordinate lacks a drive or a sensor

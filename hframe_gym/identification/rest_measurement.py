@@ -70,7 +70,7 @@ def count_resting_rows(recording: Recording) -> int:
     These are the rows up to the first change of an input, included: its measurement still precedes the motion.
 
     Args:
-        recording: The run.
+        recording: The run (times, s; voltages, V; measurements, m or rad).
 
     Returns:
         Number of rows, at least 1; 1 if an input is not zero in the first row.

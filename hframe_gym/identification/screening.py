@@ -84,7 +84,7 @@ def screen(fit: Fit, candidates: Sequence[Candidate], data: Dataset) -> list[Sco
         fit: Fit of the machine without the candidates; the observer that corrects its predictions by the measurements
             is used.
         candidates: Effects (deviations from the nominal model), sites (components) and starting values to compare.
-        data: Runs that were fitted.
+        data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
         Scored candidates, largest reduction of chi-squared (dimensionless) first. It is 0 for a candidate whose
@@ -258,7 +258,7 @@ def screen_structures(current: Fit, data: Dataset, scale: TypicalScales, minimum
 
     Args:
         current: Fit of the machine without such an effect; the observer that corrects its predictions is used.
-        data: Runs that were fitted.
+        data: Runs that were fitted (times, voltages, measurements, SI).
         scale: Typical sizes on this machine, to which the starting values are relative.
         minimum_gain: Smallest linearized reduction of chi-squared per sample, dimensionless, of a promising effect.
 

@@ -171,7 +171,7 @@ def saturation_ranges(
     Encoders do not saturate; they show whether the machine moves.
 
     Args:
-        recordings: All runs of the rig.
+        recordings: All runs of the rig (times, s; voltages, V; measurements, m or rad).
         machine: Machine as declared.
         noise: Standard deviations of the sensors' noise, in their units, shape (sensors,).
         criteria: Decision thresholds.
@@ -253,7 +253,7 @@ def blank_saturated(
     """Set the saturated measurements of a recording to NaN: those at or beyond the ends of a sensor's range.
 
     Args:
-        recording: One run.
+        recording: One run (times, s; voltages, V; measurements, m or rad).
         ranges: Lower and upper end by channel name, in the sensor's unit.
         machine: Machine that was recorded.
         noise: Standard deviations of the sensors' noise, in their units, shape (sensors,).

@@ -61,7 +61,7 @@ def structural_trial_fits(
     Args:
         current: Fit without the candidates; the observer that corrects its predictions by the measurements is used.
         trials: Fits of the other candidates, which they have to surpass.
-        data: Prepared recordings to fit.
+        data: Prepared recordings to fit (times, voltages, measurements, SI).
         enough: Smallest useful reduction of chi-squared per sample, dimensionless.
         criteria: Decision thresholds.
 
@@ -116,7 +116,7 @@ def replacement_fit(
         current: Fit with all selected effects (deviations from the nominal model).
         reduced: Fit without one of them, with the same observer to correct predictions by the measurements.
         replaced: Label of that effect, name@site.
-        data: Prepared recordings to fit.
+        data: Prepared recordings to fit (times, voltages, measurements, SI).
         criteria: Decision thresholds.
 
     Returns:
@@ -163,7 +163,7 @@ def fit_with_candidate(current: Fit, scored: ScoredCandidate, scales: TypicalSca
         current: Fit without the effect; the observer that corrects its predictions by the measurements is used.
         scored: Screened candidate with the amounts (weights) of its basis functions.
         scales: Typical forces, speeds and travels on this machine, which scale the new parameters.
-        data: Prepared recordings to fit.
+        data: Prepared recordings to fit (times, voltages, measurements, SI).
 
     Returns:
         Fit that suffices to rank the candidate, not fully converged.
@@ -211,7 +211,7 @@ def converge(trial: Fit, data: Dataset, *, thorough: bool) -> Fit:
 
     Args:
         trial: Fit with a candidate effect, not fully converged.
-        data: Prepared recordings to fit.
+        data: Prepared recordings to fit (times, voltages, measurements, SI).
         thorough: Whether to fit from the declared parameters too and to return the better fit. Without the effect, the
             machine's parameters had compensated for it, sometimes in a local minimum.
 
@@ -232,7 +232,7 @@ def without_effect(current: Fit, label: str, data: Dataset, plain: Machine, *, t
     Args:
         current: Fit of the machine with the effect; the observer that corrects its predictions is used.
         label: Label of the effect, name@site.
-        data: Prepared recordings to fit.
+        data: Prepared recordings to fit (times, voltages, measurements, SI).
         plain: Machine before effects were added, from which a machine without a structural effect is built.
         thorough: Whether to fit until convergence with the shortest integration step, rather than with few iterations.
 
@@ -260,7 +260,7 @@ def typical_scales(current: Fit, data: Dataset) -> TypicalScales:
 
     Args:
         current: Fit of the machine.
-        data: Prepared recordings.
+        data: Prepared recordings (times, voltages, measurements, SI).
 
     Returns:
         Typical sizes by coordinate and in general, SI, see `TypicalScales`.

@@ -42,7 +42,7 @@ def fill_gaps(recording: Recording) -> Recording:
     lost voltages are interpolated, which is closer to those that were applied. The lost outputs are NaN.
 
     Args:
-        recording: Run with or without gaps.
+        recording: Run with or without gaps (times, s; voltages, V; measurements, m or rad).
 
     Returns:
         Copy with additional rows at regular times, or the same object if no sample was lost.
@@ -100,7 +100,7 @@ def outlier_mask(recording: Recording, machine: Machine) -> Mask:
     declares. Empty cells are skipped: the neighbors of a sample are the measured ones.
 
     Args:
-        recording: Run to examine, with n rows.
+        recording: Run to examine (times, s; voltages, V; measurements, m or rad), with n rows.
         machine: Machine that was recorded; its sensors declare noise and resolution.
 
     Returns:
@@ -120,7 +120,7 @@ def without_outliers(recording: Recording, machine: Machine) -> Recording:
     """Replace the outliers of a recording, see `outlier_mask`, by NaN (not measured).
 
     Args:
-        recording: Run to clean.
+        recording: Run to clean (times, s; voltages, V; measurements, m or rad).
         machine: Machine that was recorded.
 
     Returns:

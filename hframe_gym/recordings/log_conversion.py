@@ -140,7 +140,7 @@ def split_at_rests(recording: Recording, machine: Machine, min_rest: float) -> t
     middle of a rest, but no more than that time before its first motion, and ends accordingly.
 
     Args:
-        recording: Recording of several motions.
+        recording: Recording of several motions (times, s; voltages, V; measurements, m or rad).
         machine: Machine that was recorded.
         min_rest: Shortest rest at which the recording is cut, s.
 

@@ -114,7 +114,7 @@ def write_recording(path: Path, recording: Recording, machine: Machine, progress
 
     Args:
         path: File to write: .csv, .csv.gz (compressed) or .parquet.
-        recording: Run to write; NaN becomes an empty cell.
+        recording: Run to write (times, s; voltages, V; measurements, m or rad); NaN becomes an empty cell.
         machine: Machine that was recorded; its channels name the columns.
         progress: Called with the number of rows that were written since the last call.
 
