@@ -425,9 +425,9 @@ def delay_readings(time, i: int, sensor_delays, past_readings, reading) -> None:
 
 @njit(nogil=True, error_model='numpy')
 def inject_outputs(block: int, i: int, machines: int, measured, gains, reading, state) -> None:
-    """Correct the states by the measurements of a sample (output injection): state += gains @ (measured - reading).
+    """Correct the states of LANES machines by the measurements of a sample: state += gains @ (measured - reading).
 
-    COORDINATES, SENSORS and STATES are the numbers of these per machine.
+    This is output injection, as in an observer. COORDINATES, SENSORS and STATES are the numbers of these per machine.
 
     Args:
         block: Index of the block; its columns (lanes) are the machines from block * LANES on.
@@ -451,7 +451,7 @@ def inject_outputs(block: int, i: int, machines: int, measured, gains, reading, 
 def hold_inputs(
     block: int, parameters, time, i: int, steps: int, h: float, inputs, extra, drive_delays, voltages, external_forces
 ) -> None:
-    """Set the voltages and external forces of a block from a sample until the next.
+    """Set the voltages and external forces of a block of LANES machines from a sample until the next.
 
     COORDINATES, INPUTS and PARAMETERS are the numbers of coordinates, drives and parameters per machine.
 
@@ -614,7 +614,7 @@ def sensor_delay_blocks(parameters, first: int, last: int, sensor_delays) -> Non
     """Evaluate the delay of every sensor of blocks first..last-1 of LANES machines.
 
     Args:
-        parameters: Machine parameters, SI, shape (blocks, PARAMETERS, LANES).
+        parameters: Parameters of the machines, SI, shape (blocks, PARAMETERS, LANES), PARAMETERS of them each.
         first: Index of the first block.
         last: Index after the last block.
         sensor_delays: Output, delays, s, shape (blocks, SENSORS, LANES) for SENSORS sensors.
@@ -629,7 +629,7 @@ def drive_delay_blocks(parameters, first: int, last: int, drive_delays) -> None:
     """Evaluate the delay of every drive of blocks first..last-1 of LANES machines.
 
     Args:
-        parameters: Machine parameters, SI, shape (blocks, PARAMETERS, LANES).
+        parameters: Parameters of the machines, SI, shape (blocks, PARAMETERS, LANES), PARAMETERS of them each.
         first: Index of the first block.
         last: Index after the last block.
         drive_delays: Output, delays, s, shape (blocks, INPUTS, LANES) for INPUTS drives.
