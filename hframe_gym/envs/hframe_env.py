@@ -129,7 +129,7 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     @property
     def privileged_entries(self) -> tuple[SignalSpec, ...]:
-        """Name, unit and bounds of every entry of `privileged`, in order; empty without `privileged=True`."""
+        """Name, unit and bounds of every entry of the key `privileged` (true state and parameters); else empty."""
         return self.batch.observations.privileged
 
     def reset(

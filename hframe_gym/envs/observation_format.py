@@ -57,7 +57,8 @@ class ObservationFormat:
             observation: Arrays by key, SI, float32, shape (n, entries of the key).
 
         Returns:
-            Arrays by key of the same shapes, or one array of shape (n, all entries), float32.
+            Arrays by key of the same shapes, or one array of shape (n, all entries), float32; dimensionless if
+            normalized, else SI.
         """
         if not self.active:
             return observation

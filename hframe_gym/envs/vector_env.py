@@ -99,7 +99,7 @@ class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]])
 
     @property
     def privileged_entries(self) -> tuple[SignalSpec, ...]:
-        """Name, unit and bounds of every entry of `privileged`, in order; empty without `privileged=True`."""
+        """Name, unit and bounds of every entry of the key `privileged` (true state and parameters); else empty."""
         return self.batch.observations.privileged
 
     @property

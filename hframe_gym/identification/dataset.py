@@ -101,7 +101,7 @@ class Dataset:
             names: Names of the runs to keep; names of other runs are ignored.
 
         Returns:
-            Copy with these runs, in the order of this data set.
+            Copy with these runs (measurements of shape (n, sensors) each), in the order of this data set.
         """
         return dataclasses.replace(self, runs=tuple(run for run in self.runs if run.name in names))
 
@@ -112,7 +112,7 @@ class Dataset:
             rows: One mask per run in the order of `runs`, True for a row that enters the residual, shape (n,) each.
 
         Returns:
-            Copy with these masks.
+            Copy with these masks of shape (n,); times, voltages and measurements are unchanged.
 
         Raises:
             ValueError: If the number of masks is not the number of runs.
@@ -131,7 +131,8 @@ def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:
         machine: Machine with the rig's coordinates, belts and sensors.
 
     Returns:
-        Data set with one prepared recording per run, and noise and quantization step of each sensor.
+        Data set with one prepared recording per run (measurements of shape (n, sensors), m or rad), and noise and
+        quantization step of each sensor, m or rad, shape (sensors,).
     """
     recordings = [fill_gaps(recording) for recording in recordings]
     channels = [[recording.outputs[:, j] for recording in recordings] for j in range(len(machine.sensors))]
@@ -162,7 +163,7 @@ def with_known_positions(data: Dataset) -> tuple[Dataset, tuple[str, ...]]:
         data: Data set of prepared runs (times, voltages, measurements, SI).
 
     Returns:
-        data: Copy without these runs; the given one if no run would remain.
+        data: Copy without these runs (measurements of shape (n, sensors) each); the given one if no run would remain.
         warnings: One sentence for each run that was left out.
     """
     located = [run.name for run in data.runs if run.initial.position_known]
@@ -211,7 +212,7 @@ def with_all_measurements(data: Dataset, recordings: Sequence[Recording]) -> Dat
             recordings are ignored.
 
     Returns:
-        Copy with the original measurements minus the estimated zeros of the sensors.
+        Copy with the original measurements minus the estimated zeros of the sensors, m or rad, shape (n, sensors).
 
     Raises:
         KeyError: If the recording of a run is missing.
@@ -234,8 +235,8 @@ def refine_encoder_offsets(data: Dataset, machine: Machine, reference: Dataset |
             Default: `data`.
 
     Returns:
-        Copy with corrected initial states and measurements; `data` itself if no encoder kept its zero in all runs or
-        the machine has no effects.
+        Copy with corrected initial states and measurements, m or rad, shape (n, sensors) for each run; `data` itself if
+        no encoder kept its zero in all runs or the machine has no effects.
     """
     runs = (data if reference is None else reference).runs
     if not machine.effects or not any(np.any(run.initial.offset_known) for run in data.runs):

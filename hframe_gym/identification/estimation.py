@@ -96,7 +96,8 @@ def fit(
         longest_step: Maximum integration step, s.
 
     Returns:
-        Fit at the lowest cost that was found. Theta stays within four prior standard deviations.
+        Fit at the lowest cost that was found: machine, theta, shape (k,), and cost, dimensionless. Theta stays within
+        four prior standard deviations.
     """
     model = ResidualModel(machine, tuple(free), data, bandwidth, longest_step)
     theta = np.zeros(len(free)) if theta is None else np.array(theta, float)

@@ -114,9 +114,9 @@ def design_discriminating_experiment(
         data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
-        Design of the run with its voltages. None if the identified effect or every rival is structural (adds
-        coordinates), if there is no rival, or if the two models' predictions of no simulated run differ by
-        `MINIMUM_SIGMA` (10) standard deviations of the noise.
+        Design of the run with its voltages, V, shape (n, drives). None if the identified effect or every rival is
+        structural (adds coordinates), if there is no rival, or if the two models' predictions of no simulated run
+        differ by `MINIMUM_SIGMA` (10) standard deviations of the noise.
     """
     present = {e.label: e for e in current.machine.effects}
     alternatives = [r for r in rivals if r.label not in present and not r.definition.structure]
@@ -160,14 +160,15 @@ def separate_machines(
     Args:
         first: One machine.
         second: The other, whose parameters adapt to the new run within their uncertainty. The machines may differ in
-            their effects, but not in their sensors and drives.
+            their effects (deviations from the nominal model), but not in their sensors and drives.
         labels: Labels (name@site) of the effects that distinguish the first and the second machine.
         data: Recordings that both were fitted to (times, voltages, measurements, SI). They supply the sensors' noise,
             the sampling period and, for a coordinate without a declared range, the permitted travel.
 
     Returns:
-        Design of the run with the largest difference, with its voltages, or None if the predictions of no simulated run
-        differ by at least `MINIMUM_SIGMA` (10) standard deviations of the noise in total.
+        Design of the run with the largest difference, with its voltages, V, shape (n, drives), or None if the
+        predictions of no simulated run differ by at least `MINIMUM_SIGMA` (10) standard deviations of the noise in
+        total.
     """
     rows = round(_DURATION_S / data.period)
     time_s: Array = np.arange(rows, dtype=np.float64) * data.period

@@ -42,7 +42,8 @@ def measured_initial_state(recording: Recording, machine: Machine, zeros: Encode
         quanta: Quantization steps of the sensors, in their units, shape (sensors,).
 
     Returns:
-        Initial state (positions at rest, zeros of the sensors); `warnings` names the encoders whose zero was not used.
+        Initial state (positions at rest, m or rad, shape (coordinates,), zeros of the sensors, shape (sensors,));
+        `warnings` names the encoders whose zero was not used.
     """
     alone = estimate_initial_state(recording, machine)
     if not zeros.known.any() or not machine.belts:
@@ -303,7 +304,7 @@ def refine_offsets(initial: InitialState, machine: Machine, errors: Array) -> In
         errors: Values to add to the zeros, in the sensors' units, shape (sensors,), see `encoder_zero_errors`.
 
     Returns:
-        Corrected copy, marked by `offsets_refined=True`.
+        Corrected copy (zeros, m or rad, shape (sensors,); angles, rad), marked by `offsets_refined=True`.
     """
     state, reading = initial.state.copy(), initial.reading
     if len(reading):

@@ -91,7 +91,7 @@ class NormalEquations:
                 number of rows.
 
         Returns:
-            Inner products of all pairs of J, E and r, in units of the noise squared.
+            Inner products of J, E and r, dimensionless: J^T J, shape (k, k), J^T E, shape (k, m), r^T r, and so on.
         """
         parts = [jacobian, residual[None]] if responses is None else [jacobian, responses, residual[None]]
         stacked = np.vstack(parts)
@@ -115,7 +115,7 @@ class NormalEquations:
             parts: Normal equations of at least one run.
 
         Returns:
-            Sums of all products and counts.
+            Sums of all products, of the same shapes, and of the counts.
         """
         fields = [list(values) for values in zip(*(vars(part).values() for part in parts), strict=True)]
         return cls(*(sum(values[1:], start=values[0]) for values in fields))
@@ -134,7 +134,7 @@ class NormalEquations:
             precision: Inverse covariance of the parameters' prior, dimensionless, shape (k, k).
 
         Returns:
-            Normal equations with k = 0, for m amounts. `cost` and `count` do not change.
+            Normal equations with k = 0, matrix of shape (m, m), for m amounts. `cost` and `count` do not change.
         """
         hessian = self.information + precision
         right_side = np.column_stack([self.cross_products, self.gradient])
@@ -225,7 +225,7 @@ class ResidualModel:
             predicted: Values of a batch of predictions, in the sensors' units, shape (batch, n, sensors).
 
         Returns:
-            (measured - predicted) / noise, dimensionless, all sensors one after another, shape (batch, rows). Where
+            (measured - predicted) / noise, dimensionless, shape (batch, rows), one sensor after another. Where
             `rows_per_block` is above one, that many samples are averaged into one row, and noise keeps its size.
         """
         return residuals(run, self.data, predicted, self.rows_per_block)
@@ -242,7 +242,7 @@ class ResidualModel:
                 run and its predicted motion. Default: none.
 
         Returns:
-            Jacobian, responses and residual, each without the part that an unknown initial belt stretch explains.
+            Jacobian, shape (k, rows), residual, (rows,), and responses, without what the initial belt stretch explains.
         """
         machine = self.machine_at(theta)
         thetas = np.vstack([theta, theta + DIFFERENCE_STEP * np.eye(len(self.free))])
@@ -266,15 +266,15 @@ class ResidualModel:
         return RunLinearization(forward_differences(residual), extra, residual[0], initial_state, projection)
 
     def linearize(self, theta: Array, responses: Responses | None = None) -> Linearization:
-        """Linearize the residual of all runs.
+        """Linearize the residual (prediction error / noise) of all runs as a function of the fitted parameters.
 
         Args:
             theta: Dimensionless variables of the k free parameters at the expansion point, shape (k,).
-            responses: Function that returns the residual's changes by m perturbations, shape (m, rows), from a run and
-                its predicted motion. Default: none.
+            responses: Function from a run and its predicted motion to the residual's changes by m perturbations, such
+                as candidate forces, shape (m, rows). Default: none.
 
         Returns:
-            Linearization with the normal equations and the initial state of each run.
+            Linearization: normal equations J^T J, shape (k, k), J^T r, ... and initial state of each run.
         """
 
         def of_run(run: PreparedRecording) -> tuple[NormalEquations, Start]:
@@ -322,7 +322,7 @@ class Linearization:
 
     @property
     def normal_equations(self) -> NormalEquations:
-        """Inner products of Jacobian, responses and residual, summed over all runs."""
+        """Inner products of Jacobian (k parameters) and residual, J^T J, shape (k, k), ..., summed over all runs."""
         return NormalEquations.total(self.by_run)
 
     def costs(self, thetas: Array) -> Array:

@@ -98,7 +98,7 @@ def fit_with_model_error(fitted: Fit, data: Dataset) -> Fit:
         data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
-        Fit with the smallest loss, see `information_loss`.
+        Fit with the smallest loss, see `information_loss`: machine, theta, shape (k,), cost and bandwidth, rad/s.
     """
     if fitted.bandwidth == SIMULATION:
         return fitted
@@ -121,7 +121,8 @@ def polish(fitted: Fit, data: Dataset) -> Fit:
         data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
-        Fit from the parameters of the given one, without the integration error of the search.
+        Fit (machine, parameters theta, shape (k,), cost) from the parameters of the given one, without the integration
+        error of the search.
     """
     return fit(fitted.machine, fitted.free, data, fitted.bandwidth, theta=fitted.theta, longest_step=POLISH_STEP)
 
@@ -248,7 +249,8 @@ def at_bandwidth(fitted: Fit, bandwidth: float, data: Dataset) -> Fit:
         data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
-        Fit at this bandwidth; the given one if it has that bandwidth already.
+        Fit (machine, parameters theta, shape (k,), cost) at this bandwidth; the given one if it has that bandwidth
+        already.
     """
     if fitted.bandwidth == bandwidth:
         return fitted

@@ -104,8 +104,9 @@ def initial_state_of_recording(machine: Machine, recording: Recording) -> Initia
         recording: The run (times, voltages, measurements); outputs may be missing.
 
     Returns:
-        Initial state of the machine and the sensors' offsets; `warnings` lists what could not be determined. If the
-        simulation diverges, the offsets are those of the measurements at rest.
+        Initial state of the machine (positions, velocities, shape (2 * coordinates,)) and the sensors' offsets, m or
+        rad, shape (sensors,); `warnings` lists what could not be determined. If the simulation diverges, the offsets
+        are those of the measurements at rest.
     """
     return _initial_state(machine, fill_gaps(without_outliers(recording, machine)))
 
@@ -217,7 +218,8 @@ def evaluate_held_out(
         recordings: The recordings of these runs as they were measured; others are ignored.
 
     Returns:
-        The machine with these zeros and its simulation errors. Where its motion diverges, only the rows before count.
+        The machine with these zeros and its simulation errors, m or rad, shape (n, sensors) for each run. Where its
+        motion diverges, only the rows before count.
 
     Raises:
         KeyError: If the recording of a run is missing.

@@ -107,7 +107,7 @@ def estimate_initial_state(recording: Recording, machine: Machine, zeros: Encode
         zeros: Zeros of the encoders, from all runs together. Default: unknown.
 
     Returns:
-        Initial state (positions at rest, m or rad, zeros of the sensors), with warnings where no sensor measures it.
+        Positions at rest, m or rad, zeros of the sensors, shape (sensors,), and warnings where no sensor measures them.
     """
     rows = count_resting_rows(recording)
     zeros = zeros or EncoderZeros.of_machine(machine).without(np.ones(len(machine.sensors), np.bool_))

@@ -260,7 +260,7 @@ def blank_saturated(
         criteria: Decision thresholds.
 
     Returns:
-        A copy; the recording itself is not changed.
+        Copy with measurements of shape (n, sensors), m or rad; the recording itself is not changed.
     """
     outputs = recording.outputs.copy()
     for channel, (low, high) in ranges.items():
@@ -274,11 +274,11 @@ def range_effects(ranges: Mapping[str, Range], selected: Sequence[AppliedEffect]
     """Convert the ranges of saturated sensors to effects ``sensor_range`` (modeled deviations) of the machine.
 
     Args:
-        ranges: Lower and upper end by channel name, in the sensor's unit.
+        ranges: Lower and upper end of the measuring range by channel name, m or rad.
         selected: Effects that the fit selected. Where one of them limits the same sensor, the nearer ends are used.
 
     Returns:
-        One effect per channel in `ranges`.
+        One effect per channel in `ranges`, with the parameters `low` and `high`, m or rad.
     """
     effects = []
     for channel, (low, high) in ranges.items():

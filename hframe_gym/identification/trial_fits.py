@@ -34,7 +34,7 @@ def trial_fits(current: Fit, data: Dataset, enough: float, criteria: SelectionCr
         criteria: Decision thresholds.
 
     Returns:
-        One fit per candidate with few iterations, in no particular order.
+        One fit (machine, parameters theta, shape (k,), cost) per candidate with few iterations, in no particular order.
     """
     scales, ranked = _ranked_candidates(current, data)
     trials: list[Fit] = []
@@ -66,7 +66,7 @@ def structural_trial_fits(
         criteria: Decision thresholds.
 
     Returns:
-        One fit per candidate with few iterations, in no particular order.
+        One fit (machine, parameters theta, shape (k,), cost) per candidate with few iterations, in no particular order.
     """
     scales = typical_scales(current, data)
     useful = max((current.cost - t.cost for t in trials), default=0.0) / data.count
@@ -120,7 +120,8 @@ def replacement_fit(
         criteria: Decision thresholds.
 
     Returns:
-        Converged fit; None if no other effect promises as much as the one that it replaces.
+        Converged fit (machine, parameters theta, shape (k,), cost); None if no other effect promises as much as the
+        replaced one.
     """
     scales, ranked = _ranked_candidates(reduced, data)
     best = next((scored for scored in ranked if scored.candidate.label != replaced), None)
@@ -166,7 +167,7 @@ def fit_with_candidate(current: Fit, scored: ScoredCandidate, scales: TypicalSca
         data: Prepared recordings to fit (times, voltages, measurements, SI).
 
     Returns:
-        Fit that suffices to rank the candidate, not fully converged.
+        Fit (machine, parameters theta, shape (k,), cost) that suffices to rank the candidate, not fully converged.
     """
     machine = current.machine.with_effects(scored.candidate.applied(scored.amounts))
     added = effect_parameters(machine.effects[-1], machine, scales)
@@ -216,7 +217,7 @@ def converge(trial: Fit, data: Dataset, *, thorough: bool) -> Fit:
             machine's parameters had compensated for it, sometimes in a local minimum.
 
     Returns:
-        Converged fit.
+        Converged fit (machine, parameters theta, shape (k,), cost).
     """
     # The second start keeps the parameters of effects (label name@site) and resets all others to theta = 0.
     of_effects = np.array(["@" in f.name for f in trial.free])
@@ -237,7 +238,8 @@ def without_effect(current: Fit, label: str, data: Dataset, plain: Machine, *, t
         thorough: Whether to fit until convergence with the shortest integration step, rather than with few iterations.
 
     Returns:
-        Fit without the effect; None if another effect acts on a coordinate that this one adds.
+        Fit (machine, parameters theta, shape (k,), cost) without the effect; None if another effect acts on a
+        coordinate that it adds.
     """
     others = tuple(e for e in current.machine.effects if e.label != label)
     machine = current.machine.replace(effects=others)

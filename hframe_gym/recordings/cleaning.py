@@ -45,7 +45,8 @@ def fill_gaps(recording: Recording) -> Recording:
         recording: Run with or without gaps (times, s; voltages, V; measurements, m or rad).
 
     Returns:
-        Copy with additional rows at regular times, or the same object if no sample was lost.
+        Copy with additional rows at regular times (measurements of shape (n, sensors), NaN there), or the same object
+        if no sample was lost.
     """
     time_s = recording.time_s
     steps = np.diff(time_s)
@@ -124,7 +125,7 @@ def without_outliers(recording: Recording, machine: Machine) -> Recording:
         machine: Machine that was recorded.
 
     Returns:
-        Copy without outliers, or the same object if there are none.
+        Copy whose measurements, m or rad, shape (n, sensors), are NaN at outliers; the same object if there are none.
     """
     mask = outlier_mask(recording, machine)
     if not mask.any():

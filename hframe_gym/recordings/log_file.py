@@ -123,7 +123,7 @@ def open_log(path: Path) -> Log:
         path: File of the log.
 
     Returns:
-        The log.
+        The log: its columns with names, units and numbers of rows; their values, shape (rows,), are not read yet.
 
     Raises:
         InputError: If the file is empty, has no columns of numbers, or is of a kind that cannot be read. The message
