@@ -13,7 +13,7 @@ import argparse
 import ast
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -92,10 +92,13 @@ class Function:
             missing.append("Returns")
         return missing
 
-    def vague_entries(self) -> list[str]:
+    def vague_entries(self, array_classes: Collection[str] = ()) -> list[str]:
         """Return the entries of the docstring that describe an array without a shape or a float without a unit.
 
         A parameter without annotation counts as an array. Parameters and results without an entry do not count.
+
+        Args:
+            array_classes: Names of classes that hold arrays; a result of such a class must state a shape as well.
 
         Returns:
             Entries as "name: no shape", "name: no unit"; the name is "Returns" for results and properties.
@@ -115,7 +118,10 @@ class Function:
         prose = re.split(r"^(?:Args|Returns|Yields|Raises):$", docstring, flags=re.MULTILINE)[0]
         vague = []
         for name, (annotated, text) in described.items():
-            if text and _ARRAY.search(annotated) and "shape" not in text and "shape (" not in prose:
+            is_array = _ARRAY.search(annotated) is not None
+            if name == "Returns" and "cli" not in self.path.parts:  # the tables of the command line are those of rich
+                is_array |= not set(re.findall(r"\w+", annotated)).isdisjoint(array_classes)
+            if text and is_array and "shape" not in text and "shape (" not in prose:
                 vague.append(f"{name}: no shape")
             elif text and _NUMBER.fullmatch(annotated) and not _UNIT.search(" ".join(text.split())):
                 vague.append(f"{name}: no unit")
@@ -145,6 +151,7 @@ class House:
         module_lines: Number of lines by module, all of them.
         functions: All functions and methods that are not nested in a function.
         bases: Names of the base classes by the name of a class.
+        array_classes: Names of the classes with a field that is annotated as an array.
     """
 
     lines: int = 0
@@ -154,6 +161,7 @@ class House:
     module_lines: dict[Path, int] = field(default_factory=dict)
     functions: list[Function] = field(default_factory=list)
     bases: dict[str, list[str]] = field(default_factory=dict)
+    array_classes: set[str] = field(default_factory=set)
 
     @property
     def words_per_1000_lines(self) -> float:
@@ -191,7 +199,11 @@ class House:
     @property
     def vague(self) -> list[str]:
         """Return the public functions' arrays without a shape and floats without a unit, "path:line: name (...)"."""
-        return [f"{_where(f)} ({', '.join(vague)})" for f in self.public_functions if (vague := f.vague_entries())]
+        return [
+            f"{_where(f)} ({', '.join(vague)})"
+            for f in self.public_functions
+            if (vague := f.vague_entries(self.array_classes))
+        ]
 
     def _inherits(self, name: str, complete: set[str]) -> bool:
         """Return whether a base class of this repository has a completely documented method of the same name."""
@@ -226,6 +238,9 @@ def measure(root: Path = ROOT) -> House:
         for node in ast.walk(tree):
             if isinstance(node, ast.ClassDef):
                 house.bases[node.name] = [_last_name(base) for base in node.bases]
+                fields = [ast.unparse(item.annotation) for item in node.body if isinstance(item, ast.AnnAssign)]
+                if any(map(_ARRAY.search, fields)):
+                    house.array_classes.add(node.name)
     return house
 
 

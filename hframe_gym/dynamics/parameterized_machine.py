@@ -181,10 +181,10 @@ class ParameterizedMachine:
     # -- effects ---------------------------------------------------------------------------------------------------
 
     def effects_at(self, hook: str, component: str) -> Iterator[tuple[int, AppliedEffect]]:
-        """Iterate over the effects (deviations from the nominal model) that have a hook and act on a component.
+        """Iterate over the effects (deviations from the nominal model) with a certain formula that act on a component.
 
         Args:
-            hook: Name of the hook (a formula of the effect), for example "voltage"; see `hframe_gym.machine.Effect`.
+            hook: Name of the formula, called hook, for example "voltage"; see `hframe_gym.machine.Effect`.
             component: Name of a drive, belt, coordinate or sensor channel, for example "motor1".
 
         Yields:
@@ -195,10 +195,10 @@ class ParameterizedMachine:
                 yield k, instance.effect
 
     def effects_on(self, hook: str, i: int) -> Iterator[tuple[int, AppliedEffect]]:
-        """Iterate over the effects (deviations from the nominal model) that have a hook and act on a coordinate.
+        """Iterate over the effects (deviations from the nominal model) with a certain formula that act on a coordinate.
 
         Args:
-            hook: Name of the hook (a formula of the effect), for example "force"; see `hframe_gym.machine.Effect`.
+            hook: Name of the formula, called hook, for example "force"; see `hframe_gym.machine.Effect`.
             i: Index of the coordinate in the machine, from 0.
 
         Yields:

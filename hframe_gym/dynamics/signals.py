@@ -69,7 +69,7 @@ class SignalEquations(ParameterizedMachine):
         return readings
 
     def voltage_delays(self) -> list[Value]:
-        """Return the delay from commanded to applied voltage of each drive: the sum of those that effects on it model.
+        """Return the delay from commanded to applied voltage of each drive: the sum of the drive's modeled delays.
 
         Returns:
             Delay of each drive, s, in the machine's order, 0 without delay: floats, arrays of any shape or expressions.
@@ -77,7 +77,7 @@ class SignalEquations(ParameterizedMachine):
         return [self._delay("delay", d.name) for d in self.machine.drives]
 
     def measurement_delays(self) -> list[Value]:
-        """Return by how much the measurement of each sensor is late: the sum of the delays that effects on it model.
+        """Return by how much the measurement of each sensor is late: the sum of the sensor's modeled delays.
 
         Returns:
             Delay of each sensor, s, in the machine's order, 0 without delay: floats, arrays of any shape or

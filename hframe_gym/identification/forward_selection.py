@@ -118,16 +118,16 @@ class EffectSearch:
     def run(self, current: Fit, selected: tuple[SelectedEffect, ...] = ()) -> Selection:
         """Add effects (deviations from the model) one by one while one reduces the error enough and passes all tests.
 
-        The tests are those of `_doubt`: other runs confirm the effect, the machine stays stable, chance does not
-        explain the reduction, and the effect's force exceeds the unexplained one.
+        Other runs must confirm the effect, the machine must stay stable, chance must not explain the reduction, and the
+        effect's force must exceed the unexplained one (`_doubt`). An observer corrects predictions by the measurements.
 
         Args:
             current: Fit of the machine with the effects selected so far.
             selected: Effects selected so far.
 
         Returns:
-            `Selection` of the fit of the machine with all effects, at the observer bandwidth with the largest
-            likelihood, and all selected effects with their fitted parameters.
+            Fit of the machine with all effects, at the observer bandwidth (rad/s; 0: none) that makes the data most
+            likely, and all selected effects with their fitted parameters.
         """
         data, criteria = self._data, self._criteria
         last_bandwidth, last_excess = math.nan, math.inf  # where structural effects were last tried
