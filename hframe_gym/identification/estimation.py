@@ -21,7 +21,8 @@ from ..machine import Machine, Uncertainty
 from .dataset import Dataset, PreparedRecording
 from .free_parameters import FreeParameter, parameter_table, prior_precision, values_at
 from .linearization import ResidualModel
-from .prediction import POLISH_STEP, SEARCH_STEP, initial_state_projection, map_runs, predict, residuals
+from .prediction import POLISH_STEP, SEARCH_STEP, map_runs, predict, residuals
+from .start_uncertainty import initial_state_projection
 
 Array = NDArray[np.float64]
 

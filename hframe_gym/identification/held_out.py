@@ -9,8 +9,9 @@ from ..machine import AppliedEffect, Machine
 from ..recordings import Recording
 from .dataset import Dataset
 from .effect_size import effect_force
-from .estimation import prediction_cost
+from .estimation import Fit, prediction_cost
 from .forward_selection import SelectedEffect
+from .model_error import CONTRADICTION
 from .prediction import POLISH_STEP
 from .residual import force_error
 
@@ -100,3 +101,26 @@ def is_excited(effect: AppliedEffect, machine: Machine, validation: Dataset, dat
         return True
     held_out, fitted = (effect_force(machine, effect, runs) for runs in (validation, data))
     return held_out >= _MIN_EXCITATION * fitted
+
+
+def contradicting_held_out_runs(fitted: Fit, validation: Dataset) -> tuple[str, ...]:
+    """Find the held-out runs that a fitted machine explains far worse than the runs that it was fitted to.
+
+    Either something was wrong with such a run (a loose connector, a slipped belt, another amplifier setting), or it
+    excites what the fitted runs do not show.
+
+    Args:
+        fitted: Fit of the machine.
+        validation: Held-out runs.
+
+    Returns:
+        Names of the runs whose chi-squared per sample is more than ten times that of the fit, at its observer
+        bandwidth.
+    """
+    limit = CONTRADICTION * max(1.0, fitted.chi2)
+    runs = [validation.with_runs([run.name]) for run in validation.runs]
+    return tuple(
+        run.runs[0].name
+        for run in runs
+        if prediction_cost(fitted.machine, run, fitted.bandwidth, longest_step=POLISH_STEP) > limit * run.count
+    )

@@ -23,14 +23,8 @@ from ..dynamics.simulation import Motion
 from ..machine import Machine
 from .dataset import Dataset, PreparedRecording
 from .free_parameters import FreeParameter, parameter_table, values_at
-from .prediction import (
-    SEARCH_STEP,
-    InitialStateProjection,
-    initial_state_projection,
-    map_runs,
-    predict,
-    residuals,
-)
+from .prediction import SEARCH_STEP, map_runs, predict, residuals
+from .start_uncertainty import InitialStateProjection, initial_state_projection
 
 Array = NDArray[np.float64]
 

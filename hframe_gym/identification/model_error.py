@@ -43,6 +43,7 @@ Array = NDArray[np.float64]
 # Bandwidths that are compared, rad/s. The likelihood changes little between neighbors.
 BANDWIDTHS = (SEARCH_BANDWIDTH, 30.0, 15.0, 7.0, 3.0, SIMULATION)
 _MIN_RUNS, _PIECES = 4, 8  # fewer runs are divided into that many pieces for cross-validation
+CONTRADICTION = 10.0  # times the chi-squared of the other runs; effects that single runs excite reach 30
 _CORRELATION_S = 0.05  # s; longer than the correlation of a sensor's noise
 _SEARCH_STEP_NARROW = 0.25e-3  # s; a narrow observer does not forgive the error of longer integration steps
 
@@ -205,8 +206,46 @@ def leave_one_out_gain(without: Fit, with_effect: Fit, data: Dataset) -> float:
 
 def _leave_one_out_cost(fitted: Fit, data: Dataset) -> float:
     """Return the sum of the costs of all runs, each with the parameters that the other runs determine."""
-    model = ResidualModel(fitted.machine, fitted.free, data, fitted.bandwidth, search_step(fitted.bandwidth))
     pieces = 1 if len(data.runs) >= _MIN_RUNS else -(-_PIECES // len(data.runs))  # of each run
+    return sum(cost for cost, _ in _left_out_costs(fitted, data, pieces))
+
+
+def contradicting_run(fitted: Fit, data: Dataset) -> str | None:
+    """Find a run that does not agree with a machine on which the other runs agree.
+
+    A loose connector, a slipped belt or another amplifier setting in one run is such a contradiction; so is an effect
+    that only one run excites, and only a search for effects can tell one from the other.
+
+    Args:
+        fitted: Fitted machine with its observer bandwidth.
+        data: Runs that were fitted.
+
+    Returns:
+        Name of the run whose chi-squared per sample, with the parameters that the other runs determine, is more than
+        ten times theirs, and most; None if there is no such run, or fewer than four runs.
+    """
+    if len(data.runs) < _MIN_RUNS:
+        return None
+    costs = _left_out_costs(fitted, data, 1)
+    counts = [run.count for run in data.runs]
+    ratios = [
+        (cost / count) / (others / (sum(counts) - count)) for (cost, others), count in zip(costs, counts, strict=True)
+    ]
+    worst = int(np.argmax(ratios))
+    return data.runs[worst].name if ratios[worst] > CONTRADICTION else None
+
+
+def _left_out_costs(fitted: Fit, data: Dataset, pieces: int) -> list[tuple[float, float]]:
+    """Return for each piece of the runs the cost of that piece, and of all others, with parameters from the others.
+
+    The model is linearized around the fit, where leaving out a piece moves the parameters by one Newton step.
+
+    Args:
+        fitted: Fitted machine with its observer bandwidth.
+        data: Runs that were fitted.
+        pieces: Number of pieces into which each run is divided.
+    """
+    model = ResidualModel(fitted.machine, fitted.free, data, fitted.bandwidth, search_step(fitted.bandwidth))
 
     def of_run(run: PreparedRecording) -> list[NormalEquations]:
         rows = model.linearize_run(run, fitted.theta)
@@ -216,13 +255,17 @@ def _leave_one_out_cost(fitted: Fit, data: Dataset) -> float:
     equations = [piece for of_pieces in map_runs(of_run, data) for piece in of_pieces]
     total = NormalEquations.total(equations)
     precision = prior_precision(fitted.free) * max(1.0, total.chi2)
-    cost = 0.0
+    costs = []
     for left_out in equations:
-        hessian = total.information - left_out.information + precision
-        gradient = total.gradient - left_out.gradient + precision @ fitted.theta
-        step = -np.linalg.solve(hessian, gradient)
-        cost += left_out.cost + float(2.0 * left_out.gradient @ step + step @ left_out.information @ step)
-    return cost
+        information, gradient = total.information - left_out.information, total.gradient - left_out.gradient
+        step = -np.linalg.solve(information + precision, gradient + precision @ fitted.theta)
+        costs.append(
+            (
+                left_out.cost + float(2.0 * left_out.gradient @ step + step @ left_out.information @ step),
+                total.cost - left_out.cost + float(2.0 * gradient @ step + step @ information @ step),
+            )
+        )
+    return costs
 
 
 def explains(fitted: Fit, initial_chi2: float, criteria: SelectionCriteria) -> bool:

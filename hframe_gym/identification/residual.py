@@ -18,6 +18,7 @@ from ..dynamics import Equations, net_forces
 from ..machine import Machine
 from .dataset import Dataset, PreparedRecording
 from .prediction import POLISH_STEP, SEARCH_BANDWIDTH, SIMULATION, map_runs, observer_gains, predict, prediction_error
+from .start_uncertainty import most_probable_initial_state
 
 Array = NDArray[np.float64]
 
@@ -64,14 +65,15 @@ def simulation_error(machine: Machine, run: PreparedRecording, data: Dataset) ->
     """Simulate a run; return measured minus simulated values, corrected for the uncertain zeros of the sensors.
 
     Args:
-        machine: Machine, simulated without feedback from its initial state in this run.
+        machine: Machine, simulated without feedback from its most probable initial state in this run.
         run: Measured run, n samples.
         data: Data set of the run, for the sampling period and the sensors' quantization steps.
 
     Returns:
         Errors in the sensors' units, NaN where not measured, shape (n, sensors).
     """
-    motion = predict(machine, run, SIMULATION, period=data.period, longest_step=POLISH_STEP)
+    start = most_probable_initial_state(machine, run, data)
+    motion = predict(machine, run, SIMULATION, period=data.period, initial_state=start, longest_step=POLISH_STEP)
     error = prediction_error(run, data, motion.readings)[0]
     return np.where(np.isfinite(run.outputs), error, np.nan)
 

@@ -147,7 +147,7 @@ class IdentificationResult:
         seconds: Duration of the identification, s.
         experiment: Run that would distinguish the leading effect from its rival, where there is one.
         criteria: Decision thresholds that were used.
-        excluded: One sentence for each run that was neither fitted nor held out.
+        excluded: One sentence for each run that was not used, or that was held out and contradicts the fitted ones.
     """
 
     verdict: Verdict
