@@ -49,7 +49,7 @@ _SEARCH_STEP_NARROW = 0.25e-3  # s; a narrow observer does not forgive the error
 
 
 def search_step(bandwidth: float) -> float:
-    """Return the integration step of the search for effects.
+    """Return the integration step that suffices in the search for effects (deviations from the nominal model).
 
     Args:
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
@@ -69,7 +69,7 @@ def information_loss(fitted: Fit, data: Dataset) -> float:
 
     Args:
         fitted: Fit at any observer bandwidth.
-        data: Runs that were fitted.
+        data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
         Loss, dimensionless; 1 for an exact model in simulation with white noise of the assumed size. Differences times
@@ -95,11 +95,11 @@ def fit_with_model_error(fitted: Fit, data: Dataset) -> Fit:
     which friction holds the machine at rest, a simulation does not.
 
     Args:
-        fitted: Fit at one of the bandwidths `BANDWIDTHS`.
-        data: Runs that were fitted.
+        fitted: Fit (machine, parameters, cost) at one of the bandwidths `BANDWIDTHS`.
+        data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
-        Fit with the smallest loss, see `information_loss`.
+        Fit with the smallest loss, see `information_loss`: machine, theta, shape (k,), cost and bandwidth, rad/s.
     """
     if fitted.bandwidth == SIMULATION:
         return fitted
@@ -115,14 +115,15 @@ def fit_with_model_error(fitted: Fit, data: Dataset) -> Fit:
 
 
 def polish(fitted: Fit, data: Dataset) -> Fit:
-    """Fit again with the shortest integration step, at the same observer bandwidth.
+    """Fit again with the shortest integration step, at the same bandwidth of the observer that corrects predictions.
 
     Args:
         fitted: Fit to refine.
-        data: Runs that were fitted.
+        data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
-        Fit from the parameters of the given one, without the integration error of the search.
+        Fit (machine, parameters theta, shape (k,), cost) from the parameters of the given one, without the integration
+        error of the search.
     """
     return fit(fitted.machine, fitted.free, data, fitted.bandwidth, theta=fitted.theta, longest_step=POLISH_STEP)
 
@@ -135,7 +136,7 @@ def residue_force(fitted: Fit, data: Dataset) -> float:
 
     Args:
         fitted: Fitted machine with its observer bandwidth.
-        data: Runs that were fitted.
+        data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
         Root mean square over all rows of the root sum of squares over the coordinates, as a force at the belt (torque /
@@ -164,8 +165,8 @@ def long_run_variance(fitted: Fit, data: Dataset) -> float:
     independent values, so that adding an effect without cause reduces the cost by that many times more.
 
     Args:
-        fitted: Fitted machine with its observer bandwidth.
-        data: Runs that were fitted.
+        fitted: Fitted machine with the bandwidth of the observer that corrects its predictions by the measurements.
+        data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
         Largest ratio of all sensors, dimensionless, at least 1.
@@ -192,13 +193,13 @@ def leave_one_out_gain(without: Fit, with_effect: Fit, data: Dataset) -> float:
     all, which are left out instead: the other runs alone might not determine the parameters.
 
     Args:
-        without: Fit without the effect.
-        with_effect: Fit with it, at the same observer bandwidth.
-        data: Runs that were fitted.
+        without: Fit without the effect (deviation from the nominal model).
+        with_effect: Fit with it, with the same observer to correct predictions by the measurements.
+        data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
-        Reduction of chi-squared, summed over all runs. It is at most about the reduction on the fitted runs; it is
-        negative if the effect describes single runs rather than the machine.
+        Reduction of chi-squared, dimensionless, summed over all runs. It is at most about the reduction on the fitted
+        runs; it is negative if the effect describes single runs rather than the machine.
     """
     return _leave_one_out_cost(without, data) - _leave_one_out_cost(with_effect, data)
 
@@ -271,8 +272,9 @@ def explains(fitted: Fit, initial_chi2: float, criteria: SelectionCriteria) -> b
     """Return whether a fit leaves only the sensors' noise, or a negligible part of the initial residual.
 
     Args:
-        fitted: Fit at the bandwidth of the observer that its remaining error requires.
-        initial_chi2: Chi-squared per sample of the first fit, without effects.
+        fitted: Fit whose predictions an observer corrects by the measurements, with the bandwidth that its error
+            requires.
+        initial_chi2: Chi-squared per sample, dimensionless, of the first fit, without effects.
         criteria: Decision thresholds `explained_chi2` and `explained_fraction`.
 
     Returns:
@@ -287,10 +289,11 @@ def at_bandwidth(fitted: Fit, bandwidth: float, data: Dataset) -> Fit:
     Args:
         fitted: Earlier fit.
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
-        data: Runs that were fitted.
+        data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
-        Fit at this bandwidth; the given one if it has that bandwidth already.
+        Fit (machine, parameters theta, shape (k,), cost) at this bandwidth; the given one if it has that bandwidth
+        already.
     """
     if fitted.bandwidth == bandwidth:
         return fitted

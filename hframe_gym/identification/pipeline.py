@@ -51,14 +51,14 @@ def identify(
     criteria: SelectionCriteria | None = None,
     log: Log | None = None,
 ) -> IdentificationResult:
-    """Identify the effects that a machine's model lacks.
+    """Identify the effects (deviations such as friction curves or backlash) that a machine's model lacks.
 
     The machine's parameters are fitted to the recordings. Effects are selected that reduce the remaining error. The
     declared machine, the refitted one, and that with effects are simulated over the held-out runs, to which nothing was
     fitted.
 
     Args:
-        recordings: Runs of one rig, at least two.
+        recordings: Runs of one rig (times, s; voltages, V; measurements, m or rad), at least two.
         machine: Machine as declared.
         held_out: Names of the runs to evaluate on. Default: every fourth, see `hold_out`.
         criteria: Decision thresholds. Default: `SelectionCriteria()`.

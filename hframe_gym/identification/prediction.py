@@ -42,11 +42,11 @@ _BLOCK_S = 4e-3  # s; measurements respond more slowly than this to mechanical e
 
 
 def map_runs(function: Callable[[PreparedRecording], T], data: Dataset) -> Iterator[T]:
-    """Apply a function to every run of a data set, in parallel threads.
+    """Apply a function to every run (one recording) of a data set, in parallel threads.
 
     Args:
         function: Function of one run; it is called from several threads.
-        data: Data set with the runs.
+        data: Data set with the runs (times, voltages, measurements, SI).
 
     Yields:
         Result of the function for each run, in the order of the runs.
@@ -126,7 +126,7 @@ def predict(
     """Predict the measurements of a run for a batch of parameters or perturbations.
 
     Args:
-        machine: Machine that predicts; its effects also determine the initial state.
+        machine: Machine that predicts; its effects (deviations from the model) also determine the initial state.
         run: Run to predict, n samples.
         bandwidth: Bandwidth of the observer that corrects the prediction by the measurements, rad/s; 0 for none.
         period: Sampling period, s.
@@ -193,7 +193,7 @@ def prediction_error(run: PreparedRecording, data: Dataset, measurements: Array)
     Args:
         run: Measured run, n samples.
         data: Data set of the run, for the sensors' quantization steps.
-        measurements: Values of a batch of predictions, in the sensors' units, shape (batch, n, sensors).
+        measurements: Predicted measurements of a batch of predictions, m or rad, shape (batch, n, sensors).
 
     Returns:
         Errors in the sensors' units, shape (batch, n, sensors); arbitrary where a value was not measured.
@@ -215,7 +215,7 @@ def residuals(run: PreparedRecording, data: Dataset, measurements: Array, rows_p
     Args:
         run: Measured run, n samples, with the standard deviation of each value's noise.
         data: Data set of the run, for the sensors' quantization steps.
-        measurements: Values of a batch of predictions, in the sensors' units, shape (batch, n, sensors).
+        measurements: Predicted measurements of a batch of predictions, m or rad, shape (batch, n, sensors).
         rows_per_block: How many consecutive rows are summed into one and divided by the root of that number. White
             noise keeps its size, and so do inner products of residuals that change more slowly, with fewer rows.
 

@@ -64,10 +64,10 @@ def simulate_recording(machine: Machine, recording: Recording) -> SimulatedRecor
 
     Args:
         machine: Machine, declared or identified.
-        recording: The run; outputs may be missing.
+        recording: The run (times, voltages, measurements); outputs may be missing.
 
     Returns:
-        Trajectory, errors and initial state.
+        Trajectory, errors, m or rad, shape (n, sensors), and initial state.
 
     Raises:
         NotFiniteError: If the motion diverges.
@@ -99,11 +99,12 @@ def initial_state_of_recording(machine: Machine, recording: Recording) -> Initia
 
     Args:
         machine: Machine, declared or identified.
-        recording: The run; outputs may be missing.
+        recording: The run (times, voltages, measurements); outputs may be missing.
 
     Returns:
-        Initial state of the machine and the sensors' offsets; `warnings` lists what could not be determined. If the
-        simulation diverges, the offsets are those of the measurements at rest.
+        Initial state of the machine (positions, velocities, shape (2 * coordinates,)) and the sensors' offsets, m or
+        rad, shape (sensors,); `warnings` lists what could not be determined. If the simulation diverges, the offsets
+        are those of the measurements at rest.
     """
     return _initial_state(machine, fill_gaps(without_outliers(recording, machine)))
 
@@ -161,19 +162,20 @@ def _without_saturated(machine: Machine, recording: Recording, noise: Array) -> 
 def evaluate_held_out(
     machine: Machine, fitted: Dataset, held_out: Dataset, recordings: Sequence[Recording]
 ) -> ModelEvaluation:
-    """Simulate a machine over the held-out runs as ``hframe simulate`` does, and compare it with the measurements.
+    """Simulate a machine over the held-out runs (not fitted) as ``hframe simulate`` does, and compare with the data.
 
     The zeros of the encoders (measurements at position 0), which all fitted runs determine together, are written to the
     machine. Everything else about the initial states follows from each recording alone.
 
     Args:
         machine: Machine to evaluate.
-        fitted: Runs that the machine was fitted to.
+        fitted: Runs that the machine was fitted to (times, voltages, measurements, SI).
         held_out: Runs to evaluate on, as prepared for identification.
         recordings: The recordings of these runs as they were measured; others are ignored.
 
     Returns:
-        The machine with these zeros and its simulation errors. Where its motion diverges, only the rows before count.
+        The machine with these zeros and its simulation errors, m or rad, shape (n, sensors) for each run. Where its
+        motion diverges, only the rows before count.
 
     Raises:
         KeyError: If the recording of a run is missing.

@@ -72,7 +72,7 @@ def count_resting_rows(recording: Recording) -> int:
     These are the rows up to the first change of an input, included: its measurement still precedes the motion.
 
     Args:
-        recording: The run.
+        recording: The run (times, s; voltages, V; measurements, m or rad).
 
     Returns:
         Number of rows, at least 1; 1 if an input is not zero in the first row.
@@ -98,18 +98,17 @@ def settled_rows(resting_rows: int) -> slice:
 def estimate_initial_state(recording: Recording, machine: Machine, zeros: EncoderZeros | None = None) -> InitialState:
     """Estimate the state at rest and the sensors' zeros (measurements at position 0) from one run.
 
-    Sensors with a fixed zero determine the position where they can, encoders where their zero is known or where nothing
-    else measures. The belts are unstretched unless encoders with a known zero measure their stretch. A sensor with a
-    fixed zero that measures nothing at rest, for example because it saturates, is replaced by its later measurements
-    minus the displacement that the encoders measure.
+    Sensors with a fixed zero (lasers) determine the position where they can, encoders where their zero is known or
+    where nothing else measures. Only encoders with a known zero measure a stretch of the belts. A laser that measures
+    nothing at rest, such as a saturated one, is replaced by its later measurements minus the encoders' displacement.
 
     Args:
-        recording: The run; saturated measurements are NaN.
+        recording: The run (times, voltages, measurements); saturated measurements are NaN.
         machine: Machine with the rig's coordinates, belts and sensors.
         zeros: Zeros of the encoders, from all runs together. Default: unknown.
 
     Returns:
-        Initial state, with warnings where the position is not measured at rest.
+        Positions at rest, m or rad, zeros of the sensors, shape (sensors,), and warnings where no sensor measures them.
     """
     rows = count_resting_rows(recording)
     zeros = zeros or EncoderZeros.of_machine(machine).without(np.ones(len(machine.sensors), np.bool_))

@@ -102,7 +102,7 @@ def initial_state_projection(
         rows_per_block: Number of consecutive rows summed into one, as in `residuals`.
 
     Returns:
-        The projection. None without belts or if the simulation diverges.
+        Projection of residuals, shape (batch, rows). None without belts or if the simulation diverges.
 
     References:
         Golub and Pereyra (1973), variable projection.

@@ -62,7 +62,7 @@ class Log:
         """Read the values of columns.
 
         Args:
-            columns: Columns of this log.
+            columns: Columns of this log, from its attribute `columns`.
             progress: Called with the number of bytes read since the last call.
 
         Returns:
@@ -123,7 +123,7 @@ def open_log(path: Path) -> Log:
         path: File of the log.
 
     Returns:
-        The log.
+        The log: its columns with names, units and numbers of rows; their values, shape (rows,), are not read yet.
 
     Raises:
         InputError: If the file is empty, has no columns of numbers, or is of a kind that cannot be read. The message
