@@ -10,7 +10,6 @@ from hframe_gym.identification import (
     Dataset,
     Fit,
     SelectedEffect,
-    SelectionCriteria,
     default_free_parameters,
     fit,
     prepare,
