@@ -87,7 +87,7 @@ def identify(
     outcome = search_effects(machine, data, criteria, log)
     after = outcome.after
     differing = contradicting_held_out_runs(after, refine_encoder_offsets(held_out_runs, after.machine, outcome.data))
-    agreeing = validation.with_runs([run.name for run in validation.runs if run.name not in differing])
+    agreeing = held_out_runs.with_runs([run.name for run in held_out_runs.runs if run.name not in differing])
     outcome = _without_unconfirmed(outcome, agreeing, log)
     unused += (_CONTRADICTION.format(outcome.contradiction),) if outcome.contradiction else ()
     unused += tuple(map(_HELD_OUT_CONTRADICTION.format, differing))

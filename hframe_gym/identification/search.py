@@ -114,7 +114,7 @@ class _Search:
         tabled = self._with_tables((after, effects))
         if tabled is not None:
             return self._outcome("effect_found", *tabled, considered)
-        if effects and self._wide_cost(after) < self._criteria.max_partial_cost_fraction * self.base.cost:
+        if effects and self._wide_excess(after) < self._criteria.max_partial_excess * self._wide_excess(self.base):
             return self._outcome("effect_found", after, effects, considered)
         return self._outcome("unexplained", self.before, (), considered)
 
@@ -164,6 +164,10 @@ class _Search:
     def _wide_cost(self, fitted: Fit) -> float:
         """Return the cost of a machine at the bandwidth of the search, at which all machines can be compared."""
         return prediction_cost(fitted.machine, self._data, SEARCH_BANDWIDTH)
+
+    def _wide_excess(self, fitted: Fit) -> float:
+        """Return the excess of chi-squared per sample at that bandwidth over what a correct model reaches there."""
+        return max(self._wide_cost(fitted) / self._data.count - self._criteria.one_step_floor, 0.0)
 
     def explains(self, after: Fit) -> bool:
         """Return whether a fit leaves only the sensors' noise, or a negligible part of the initial residual."""

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from hframe_gym.effects import EFFECTS
-from hframe_gym.identification import Dataset, Fit, SelectedEffect, default_free_parameters, fit, prepare
+from hframe_gym.identification import (
+    Dataset,
+    Fit,
+    SelectedEffect,
+    default_free_parameters,
+    fit,
+    prepare,
+)
 from hframe_gym.identification.pipeline import _without_unconfirmed
 from hframe_gym.identification.prediction import SIMULATION
 from hframe_gym.identification.search import SearchOutcome
