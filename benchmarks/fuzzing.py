@@ -131,7 +131,7 @@ def main() -> None:
     )
     print(f"{cases} mutated files: {failures} failures, {hangs} hangs or crashes")
     if arguments.reader is None:
-        write_results("fuzzing", {"seed": arguments.seed, "cases": cases, "readers": results})
+        write_results("fuzzing", {"cases": cases, "readers": results}, seed=arguments.seed)
 
 
 if __name__ == "__main__":

@@ -193,7 +193,9 @@ def _open_parquet(path: Path) -> Log:
             if kinds[index] == "text":
                 raise InputError(f"{path}, column {name}: contains {fields[index].type}, not numbers")
             column = read_parquet_column(path, file, name)
-            values.append(parquet_numbers(path, name, column) if kinds[index] == "number" else _stamps(path, name, column))
+            values.append(
+                parquet_numbers(path, name, column) if kinds[index] == "number" else _stamps(path, name, column)
+            )
             if progress is not None:
                 progress(path.stat().st_size // len(indices))
         return values, []

@@ -40,7 +40,7 @@ _MAX_SPAN = 3.0
 # noise and for a wrong radius.
 _DEGREES = (25.0, 120.0)
 _MILLIMETERS = (300.0, 2000.0)
-# Limits of a simulation: at its longest step of 0.25 ms, a gap takes 2.4 million steps and a run 350 million (a minute).
+# Limits of a simulation: at its longest step of 0.25 ms, a gap takes 2.4 million steps and a run 350 million.
 LONGEST_GAP = 600.0  # s
 LONGEST_RUN = 86_400.0  # s
 MOST_LOST_ROWS = 20_000_000  # rows that `fill_gaps` may insert, 1 GB
@@ -173,20 +173,19 @@ def recording_from_columns(path: Path, columns: Mapping[str, Array], machine: Ma
 
 
 def _refuse_gaps(path: Path, time_s: Array) -> None:
-    """Refuse runs that would take too long to simulate: with long gaps, of long duration, or with too many lost rows."""
+    """Refuse runs that would take too long to simulate: long gaps, a long duration, or too many lost rows."""
     with np.errstate(over="ignore"):
         steps = np.diff(time_s)
         duration = float(time_s[-1] - time_s[0])
-    advice = "is the column in s? If it is, split the run there"
     if len(steps) and steps.max() > LONGEST_GAP:
         row = int(np.argmax(steps)) + 2
-        reason = f"follows {steps.max():.4g} s after row {row - 1}; the longest gap is {LONGEST_GAP:g} s, {advice}"
+        reason = f"{steps.max():.4g} s after row {row - 1}, gaps are at most {LONGEST_GAP:g} s: split the run there"
         raise InputError(f"{path}, row {row}, column time_s: {reason}")
     if duration > LONGEST_RUN:
-        raise InputError(f"{path}: lasts for {duration:.4g} s; the longest run is {LONGEST_RUN:g} s, {advice}")
+        raise InputError(f"{path}: lasts {duration:.4g} s, runs are at most {LONGEST_RUN:g} s: is time_s in s?")
     if len(steps) and duration > (MOST_LOST_ROWS + len(time_s)) * float(np.median(steps)):
-        period = f"{np.median(steps):.3g} s"
-        raise InputError(f"{path}: has more than {MOST_LOST_ROWS} lost rows at its period of {period}; split the run there")
+        lost = f"gaps of more than {MOST_LOST_ROWS} rows in total at a period of {np.median(steps):.3g} s"
+        raise InputError(f"{path}: has {lost}: split the run there")
 
 
 def write_trajectory(path: str | Path, trajectory: Trajectory, inputs: Array, machine: Machine) -> None:

@@ -48,8 +48,7 @@ class Outcome:
         if self.code not in (0, REFUSED) and not (self.code == FAULT_FOUND and self.words[0] == "check"):
             return f"exit code {self.code}: {' | '.join(self.errors)}"
         if self.code == REFUSED and (len(self.errors) != 1 or not self.errors[0].startswith(PREFIX)):
-            usage = self.errors and self.errors[0].startswith("Usage: ")  # of Typer, about an option
-            return "" if usage else f"not one line: {' | '.join(self.errors)}"
+            return f"not one line: {' | '.join(self.errors)}"
         if self.code == REFUSED and self.written:
             return f"refused, but wrote {', '.join(self.written)}"
         if any(Path(name).name == MARK for name in self.written):

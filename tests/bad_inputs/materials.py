@@ -139,7 +139,7 @@ def answer_report() -> dict[str, Any]:
         "schema": 1,
         "verdict": "effect_found",
         "runs": {"fitted": ["run_1"], "held_out": ["run_2"]},
-        **{stage: errors for stage in ("declared", "before", "after")},
+        **dict.fromkeys(("declared", "before", "after"), errors),
         "effects": [
             {
                 "name": "cogging",

@@ -15,11 +15,23 @@ TEXTS = (
     *("", " ", "nan", "inf", "-inf", "1e308", "-1e308", "1e-320", "1e400", "9" * 400, "0x10", "1_0", "12:30:00"),
     *("\u0661\u0662", "--", "#n/a", '"', "'", ";", ",", "\t", "\r", "\x00", "\x1b[2J", "\u202e", "\ud7ff", "%s", "{0}"),
     *(f"<script>{MARK}()</script>", f'" onload="{MARK}()', f"{{{{ {MARK} }}}}", "$\\frac_$", "[/bold]", "[link=x]"),
-    *(PAYLOAD, f"x\n{PAYLOAD}", f'"""\n{PAYLOAD}\n"""', "../../etc/passwd", "/dev/zero", "os:system", "class", "a" * 5000),
+    *(
+        PAYLOAD,
+        f"x\n{PAYLOAD}",
+        f'"""\n{PAYLOAD}\n"""',
+        "../../etc/passwd",
+        "/dev/zero",
+        "os:system",
+        "class",
+        "a" * 5000,
+    ),
 )
 NUMBERS = (
     *(0, 1, -1, 2, 1e-300, -1e-300, 1e-9, 1e9, 1e30, 1e300, -1e300, 10**30, -(10**30), 2**63, 10**400, 0.1, -0.1, 1e-3),
     *(float("nan"), float("inf"), float("-inf"), True, False),
+)
+_JSON_KINDS = (
+    *("value", "value", "value", "scale", "scale", "scale", "remove", "add", "rename", "exchange", "repeat"),
 )
 VALUES = (None, [], {}, [[]], {"": {}}, [1.0, "x"], {"value": 1.0, "unit": "kg"}, ["x"] * 3, [[[[[]]]]])
 
@@ -109,17 +121,18 @@ def value_at(content: Any, path: tuple[str | int, ...]) -> Any:
 @st.composite
 def damaged_json(draw: st.DrawFn, content: Any) -> str:
     """Return a strategy for a JSON text with replaced, removed, added and exchanged values."""
-    for _ in range(draw(st.integers(1, 2))):
+    for _ in range(draw(st.sampled_from((1, 1, 1, 2)))):
         paths = list(paths_of(content))
         if not paths:
             break
         values = [value_at(content, path) for path in paths]
-        path = draw(st.sampled_from(paths))
+        numbers = [path for path, value in zip(paths, values, strict=True) if isinstance(value, int | float)]
+        path = draw(st.sampled_from(numbers if numbers and draw(st.booleans()) else paths))
         content = copy.deepcopy(content)
         parent = value_at(content, path[:-1])
-        kind = draw(st.sampled_from(("value", "value", "value", "scale", "remove", "add", "rename", "exchange", "repeat")))
+        kind = draw(st.sampled_from(_JSON_KINDS))
         value = parent[path[-1]]
-        if kind == "scale" and isinstance(value, int | float):
+        if kind == "scale" and isinstance(value, int | float) and abs(value) < 1e200:
             parent[path[-1]] = value * draw(st.sampled_from((-1, 0, 1e-3, 1e3, 1e9, 1e-9, 1e30, 1e-30)))
         elif kind == "remove":
             del parent[path[-1]]
@@ -135,5 +148,7 @@ def damaged_json(draw: st.DrawFn, content: Any) -> str:
             parent[path[-1]] = draw(hostile_value())
     text = json.dumps(content)
     if draw(st.integers(0, 30)) == 0:
-        text = draw(st.sampled_from((text[: len(text) // 2], "[" * 100_000, '{"a":' * 100_000, "9" * 100_000, f"[{text}]")))
+        text = draw(
+            st.sampled_from((text[: len(text) // 2], "[" * 100_000, '{"a":' * 100_000, "9" * 100_000, f"[{text}]"))
+        )
     return text

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import gzip
 import io
 import json
@@ -17,6 +16,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 from .materials import (
+    HEADER,
     answer_curves,
     answer_machine,
     answer_report,
@@ -27,7 +27,6 @@ from .materials import (
     run_table,
     run_text,
     write_material,
-    HEADER,
 )
 from .mutations import PAYLOAD, TEXTS, damaged_bytes, damaged_json, damaged_table
 
@@ -101,7 +100,9 @@ def parquet_run(draw: st.DrawFn) -> Case:
     from pyarrow import parquet
 
     words = draw(
-        st.sampled_from((("simulate", "--inputs", "a.parquet", "--out", "out.csv"), ("import", "a.parquet", "--out", "r")))
+        st.sampled_from(
+            (("simulate", "--inputs", "a.parquet", "--out", "out.csv"), ("import", "a.parquet", "--out", "r"))
+        )
     )
     if draw(st.booleans()):
         return Case({"a.parquet": draw(damaged_bytes(contents_of("run", "a.parquet")["a.parquet"]))}, words)
@@ -162,7 +163,12 @@ def mat_log(draw: st.DrawFn) -> Case:
     name = draw(st.sampled_from(HEADER))
     others = (
         *(columns[name][:-1], columns[name].astype(complex), np.zeros((3, 4, 5)), np.array("text"), np.zeros((0, 2))),
-        *({"a": columns[name]}, np.array([{"a": 1}, "x"], object), columns[name].astype(np.int8), columns[name] * np.nan),
+        *(
+            {"a": columns[name]},
+            np.array([{"a": 1}, "x"], object),
+            columns[name].astype(np.int8),
+            columns[name] * np.nan,
+        ),
         *(columns[name] * draw(st.floats()), columns[name][::-1], np.full(len(columns[name]), 2**60), True),
     )
     columns[name] = others[draw(st.integers(0, len(others) - 1))]
@@ -190,7 +196,9 @@ def machine_file(draw: st.DrawFn) -> Case:
         damaged = draw(damaged_bytes(json.dumps(content).encode()))
     else:
         damaged = _encoded(draw(damaged_json(content)))
-    words = draw(st.sampled_from((("machines", "show", "m.json"), ("machines", "show", "m.json"), ("kernel", "m.json"))))
+    words = draw(
+        st.sampled_from((("machines", "show", "m.json"), ("machines", "show", "m.json"), ("kernel", "m.json")))
+    )
     return Case({"m.json": damaged}, words)
 
 
@@ -237,7 +245,9 @@ def answer_folder(draw: st.DrawFn) -> Case:
         files[f"answer/{name}"] = _encoded(draw(damaged_json(answer_machine())))
     if draw(st.integers(0, 20)) == 0:
         del files[f"answer/{name}"]
-    words = draw(st.sampled_from((("report", "answer"), ("effects", "new", "found", "--from", "answer", "--out", "f.py"))))
+    words = draw(
+        st.sampled_from((("report", "answer"), ("effects", "new", "found", "--from", "answer", "--out", "f.py")))
+    )
     return Case(files, words)
 
 
@@ -249,7 +259,14 @@ def damaged_curves(draw: st.DrawFn) -> bytes:
     values = curves[name]
     others = (
         *(values[:-1], values[:0], values[:, None], values.astype(np.float32), values.astype(int), values * np.nan),
-        *(values * 1e300, values * 1e-300, np.full_like(values, np.inf), values.astype(str), values + 1j, np.float64(1.0)),
+        *(
+            values * 1e300,
+            values * 1e-300,
+            np.full_like(values, np.inf),
+            values.astype(str),
+            values + 1j,
+            np.float64(1.0),
+        ),
         *(np.array([Payload()], object), np.zeros(50_000), np.zeros(0), values[::-1], np.zeros((50, 0)), values > 0),
         *(values.astype(np.longdouble), values.astype(np.float16), values.astype(">f8"), np.asfortranarray(values)),
     )
