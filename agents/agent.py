@@ -103,8 +103,15 @@ class Agent(Controller):
             Voltages divided by the rated voltages, in [-1, 1], shape (batch, drives).
 
         Raises:
-            InputError: If an array has another width than in training, as with other sensors.
+            InputError: If an array has another width than in training, as with other sensors, or the goal is
+                previewed in one of both only.
         """
+        previews = "preview" in self.policy.observation_space.spaces
+        if previews != ("preview" in observation):
+            raise InputError(
+                f"agent {self.card['name']}: was trained {'with' if previews else 'without'} a preview of the goal, for "
+                f"the task {self.card['task']}; evaluate it on this task"
+            )
         for key, space in self.policy.observation_space.spaces.items():
             if key in observation and observation[key].shape[1:] != space.shape:
                 raise InputError(
@@ -198,7 +205,8 @@ class Agent(Controller):
         algorithm = import_optional("stable_baselines3.ppo" if card["kind"] == "ppo" else "stable_baselines3.sac")
         mapping = residual_action(machine, card["settings"]["actuation"], card["period"])
         space = observation_space(machine, card["previews"])
-        if np.shape(card["features"]["rest"]) != np.shape(feature_parameters(machine)["rest"]):
+        expected = feature_parameters(machine)
+        if any(_shape(card["features"][key]) != _shape(expected[key]) for key in expected):
             raise InputError(f"{path / 'agent.json'}: features do not fit the machine in machine.json")
         policy = algorithm.MultiInputPolicy(
             mapping.observation_space(space) if mapping else space,
@@ -228,16 +236,22 @@ def load_weights(policy: Any, folder: Path) -> None:
     file = folder / "policy.safetensors"
     try:
         weights = safetensors.load_file(file)
+    except (import_optional("safetensors").SafetensorError, OSError, RuntimeError, ValueError) as error:
+        raise InputError(f"{file}: cannot be read as weights: {' '.join(str(error).split())}") from error
+    try:
         missing, unexpected = policy.load_state_dict(weights, strict=False)
-    except (import_optional("safetensors").SafetensorError, RuntimeError) as error:
-        raise InputError(
-            f"{file}: cannot be read as the weights of this policy: {' '.join(str(error).split())}"
-        ) from error
+    except RuntimeError:  # its message lists the shapes of all layers
+        raise InputError(f"{file}: does not fit the policy that agent.json describes") from None
     if not all(bool(values.isfinite().all()) for values in weights.values()):
         raise InputError(f"{file}: has weights that are not finite")
     misfits = [*unexpected, *(name for name in missing if not name.startswith(CRITIC_PREFIXES))]
     if misfits:
         raise InputError(f"{file}: does not fit the policy, see {', '.join(sorted(misfits))}")
+
+
+def _shape(values: list[Any]) -> list[int]:
+    """Return the length of a list and those of the lists in it."""
+    return [len(values), *(len(row) for row in values if isinstance(row, list))]
 
 
 def _same_parameters(machine: Machine, other: Machine) -> bool:

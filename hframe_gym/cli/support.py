@@ -189,7 +189,7 @@ def describe_failure(error: Exception) -> tuple[int, str]:
     if isinstance(error, InputError | ImportError):
         return INPUT_AT_FAULT, text
     if isinstance(error, NotFiniteError):
-        return INPUT_AT_FAULT, f"{text}: check the inputs and the machine's parameters"
+        return INPUT_AT_FAULT, f"{text.rstrip('.')}: check the inputs and the machine's parameters"
     if isinstance(error, OSError) and error.filename is not None:
         return INPUT_AT_FAULT, plain_text(f"{error.filename}: {error.strerror}")
     hint = f"set {DEBUG_VARIABLE}=1 to see the traceback"

@@ -80,7 +80,7 @@ class EnvConfig:
             steps.
 
     Raises:
-        InputError: If `ends`, `penalty`, `period`, `longest_step` or one of the switches is invalid. The environment checks the other options.
+        InputError: If `ends`, a switch or a number is invalid. The environment checks the other options.
     """
 
     machine: MachineLike = "hframe"
@@ -111,11 +111,8 @@ class EnvConfig:
                 raise InputError(f"{name} is {value!r}, it must be True or False")
         for name in ("penalty", "period", "longest_step"):
             value = getattr(self, name)
-            if (
-                isinstance(value, bool)
-                or not isinstance(value, int | float | np.number)
-                or not np.isfinite(float(value))
-            ):
+            is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+            if not (is_number and abs(value) < np.inf):
                 raise InputError(f"{name} is {value!r}, it must be a finite number")
         if not self.penalty >= 0.0:
             raise InputError(f"penalty is {self.penalty!r}, it must be a number that is not negative")
@@ -123,10 +120,8 @@ class EnvConfig:
             limits = f"{SHORTEST_PERIOD:g} to {LONGEST_PERIOD:g} s"
             raise InputError(f"period is {self.period!r}, it must be a positive number of seconds from {limits}")
         if not self.longest_step * MOST_STEPS >= self.period:
-            limits = f"at least {1 / MOST_STEPS:g} of the period"
-            raise InputError(
-                f"longest_step is {self.longest_step!r}, it must be a positive number of seconds, {limits}"
-            )
+            limits = f"number of seconds, at least {1 / MOST_STEPS:g} of the period"
+            raise InputError(f"longest_step is {self.longest_step!r}, it must be a positive {limits}")
 
 
 def check_keywords(constructor: str, options: dict[str, Any], others: tuple[str, ...] = ("render_mode",)) -> None:

@@ -302,6 +302,7 @@ def checkpoint(draw: st.DrawFn) -> Case:
 
     files = {f"agent/{Path(name).name}": content for name, content in contents_of("agent", "agent").items()}
     card = json.loads(files["agent/card.json"])
+    card["kept"] = card["curve"][-1]["steps"]
     files["agent/card.json"] = _encoded(draw(damaged_json(card))) if draw(st.booleans()) else json.dumps(card).encode()
     files["agent/checkpoint.zip"] = draw(st.one_of(st.just(pickle.dumps(Payload())), st.binary(max_size=200)))
     files["agent/replay.pkl"] = pickle.dumps(Payload())
