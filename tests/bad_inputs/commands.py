@@ -8,6 +8,7 @@ import sys
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from html.parser import HTMLParser
 from pathlib import Path
 
 from hframe_gym import cli
@@ -56,6 +57,39 @@ class Outcome:
         return ""
 
 
+class _PartsOfPage(HTMLParser):
+    """Collect the scripts, and the attributes that are scripts, of a page."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.hostile: list[str] = []
+        self._in_script = False
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self._in_script = tag == "script"
+        self.hostile += [f"{key}={value}" for key, value in attrs if key.startswith("on") and MARK in (value or "")]
+
+    def handle_endtag(self, tag: str) -> None:
+        self._in_script = False
+
+    def handle_data(self, data: str) -> None:
+        self.hostile += [data] if self._in_script and MARK in data else []
+
+
+def hostile_parts(page: Path) -> list[str]:
+    """Return the parts of a page that would execute a text from `mutations.TEXTS`.
+
+    Args:
+        page: HTML file.
+
+    Returns:
+        Texts of such scripts and attributes; empty if every text of the page is escaped.
+    """
+    parser = _PartsOfPage()
+    parser.feed(page.read_text())
+    return parser.hostile
+
+
 def run_command(words: Sequence[str], folder: Path) -> Outcome:
     """Run `hframe` in this process with a folder as the working folder.
 
@@ -81,7 +115,7 @@ def run_command(words: Sequence[str], folder: Path) -> Outcome:
     errors = [line for line in err.getvalue().splitlines() if line.strip() and not line.startswith(WARNING)]
     written = sorted(name for name in after if after[name] != before.get(name))
     pages = [folder / name for name in written if name.endswith(".html")]
-    if any(f"<script>{MARK}" in page.read_text() or f'" onload="{MARK}' in page.read_text() for page in pages):
+    if any(hostile_parts(page) for page in pages):
         trace = "a page contains a text that is not escaped"
     return Outcome(tuple(words), code, out.getvalue(), tuple(errors), tuple(written), trace)
 
