@@ -25,7 +25,7 @@ from hypothesis import HealthCheck, Phase, given, seed, settings
 
 from benchmarks.results_file import write_results
 from tests.bad_inputs.commands import run_command
-from tests.bad_inputs.readers import READERS, WEIGHTS, Case
+from tests.bad_inputs.readers import READERS, WEIGHTS, Case, save_case
 
 HANG_S = 30.0
 MAX_ADDRESS_SPACE = 16 << 30  # bytes, so that a failing case does not take the computer with it
@@ -102,7 +102,7 @@ def summarize(reader: str, count: int, number: int, save: Path | None) -> dict[s
         if seen[kind] == 1:
             print(f"  {' '.join(case.words)}\n    {kind}", flush=True)
             if save is not None:
-                case.write(save / f"{reader.replace(' ', '_')}-{len(seen)}")
+                save_case(case, save / f"{reader.replace(' ', '_')}-{len(seen)}")
     if seen:
         print("\n".join(f"  {times:5d} x {kind}" for kind, times in seen.items()))
     failures = result.pop("failures")
