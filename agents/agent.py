@@ -109,8 +109,8 @@ class Agent(Controller):
         previews = "preview" in self.policy.observation_space.spaces
         if previews != ("preview" in observation):
             raise InputError(
-                f"agent {self.card['name']}: was trained {'with' if previews else 'without'} a preview of the goal, for "
-                f"the task {self.card['task']}; evaluate it on this task"
+                f"agent {self.card['name']}: was trained {'with' if previews else 'without'} a preview of the goal, "
+                f"for the task {self.card['task']}; evaluate it on this task"
             )
         for key, space in self.policy.observation_space.spaces.items():
             if key in observation and observation[key].shape[1:] != space.shape:

@@ -22,6 +22,7 @@ MachineOption = Annotated[str, typer.Option(help="A machine.json or a built-in n
 OutOption = Annotated[Path, typer.Option(help="Folder for the results; created if it does not exist.")]
 TaskOption = Annotated[str, typer.Option(help="Task: {tasks}, or module:name.")]
 RandomizeOption = Annotated[str, typer.Option(help="Randomization of each episode's machine: {randomizations}.")]
+EpisodesOption = Annotated[int, typer.Option(min=1, max=10**6, help="Number of episodes of each controller.")]
 PeriodOption = Annotated[float, typer.Option(min=1e-5, max=10.0, help="Control period in seconds.")]
 RecordingsArgument = Annotated[Path, typer.Argument(help="A folder of recordings, one run per file.")]
 

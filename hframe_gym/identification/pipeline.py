@@ -99,7 +99,9 @@ def _refuse_unusable(recordings: Sequence[Recording], held_names: Sequence[str])
     """Raise InputError if a run is too short for the filters, or no fitted run moves a sensor."""
     for recording in recordings:
         if len(recording.time_s) < MIN_ROWS:
-            raise InputError(f"run {recording.name}: number of rows is {len(recording.time_s)}, at least {MIN_ROWS} are needed")
+            raise InputError(
+                f"run {recording.name}: number of rows is {len(recording.time_s)}, at least {MIN_ROWS} are needed"
+            )
     fitted = [recording for recording in recordings if recording.name not in held_names]
     if not any(len(np.unique(values[np.isfinite(values)])) > 1 for run in fitted for values in run.outputs.T):
         raise InputError(f"runs {', '.join(run.name for run in fitted)}: no sensor moves, so nothing can be identified")
