@@ -161,7 +161,7 @@ def open_parquet(path: Path) -> Any:
             large for the size of the file.
     """
     try:
-        from pyarrow import parquet
+        import pyarrow.parquet as parquet
     except ImportError:
         raise InputError(f"{path}: reading Parquet files needs pip install 'hframe_gym[parquet]'") from None
     try:
