@@ -3,9 +3,10 @@
     python -m benchmarks.fuzzing [--count 5000] [--seed 0] [--reader NAME ...] [--save FOLDER]
 
 Every reader of files gets mutations of valid files (tests/bad_inputs/readers.py), each in a new folder, by the command
-that reads it. A case fails if the command ends with a traceback, more than one line, another exit code than 0 or 2,
-leaves files although it refused, executes what a file says, or runs for more than 30 s. `--save` keeps the failing
-cases. The readers run one after the other, each in its process, whose peak memory is measured.
+that reads it. `--reader options` gives valid files and options of any value instead. A case fails if the command ends
+with a traceback, more than one line, another exit code than 0 or 2, leaves files although it refused, executes what a
+file says, or runs for more than 30 s. `--save` keeps the failing cases. The readers run one after the other, each in
+its process, whose peak memory is measured.
 """
 
 from __future__ import annotations
@@ -25,8 +26,10 @@ from hypothesis import HealthCheck, Phase, given, seed, settings
 
 from benchmarks.results_file import write_results
 from tests.bad_inputs.commands import run_command
+from tests.bad_inputs.options import command_with_options
 from tests.bad_inputs.readers import READERS, WEIGHTS, Case, save_case
 
+SUBJECTS = READERS | {"options": command_with_options}
 HANG_S = 30.0
 MAX_ADDRESS_SPACE = 16 << 30  # bytes, so that a failing case does not take the computer with it
 
@@ -35,7 +38,7 @@ def fuzz_reader(reader: str, count: int, number: int, folder: Path) -> None:
     """Run one reader on mutated files; write the results to `folder`, also after every failure.
 
     Args:
-        reader: Key of `READERS`.
+        reader: Key of `SUBJECTS`.
         count: Number of mutated files.
         number: Seed.
         folder: Folder for result.pkl, and case.pkl with the case that is running.
@@ -51,7 +54,7 @@ def fuzz_reader(reader: str, count: int, number: int, folder: Path) -> None:
         phases=[Phase.generate],
         suppress_health_check=list(HealthCheck),
     )
-    @given(READERS[reader]())
+    @given(SUBJECTS[reader]())
     def run(case: Case) -> None:
         (folder / "case.pkl").write_bytes(pickle.dumps(case))
         with tempfile.TemporaryDirectory() as temporary:
@@ -78,7 +81,7 @@ def summarize(reader: str, count: int, number: int, save: Path | None) -> dict[s
     """Run one reader in a new process and return its results.
 
     Args:
-        reader: Key of `READERS`.
+        reader: Key of `SUBJECTS`.
         count: Number of mutated files.
         number: Seed.
         save: Folder for the failing cases, or None.
@@ -115,7 +118,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=5000, help="mutated files in all")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--reader", action="append", choices=[*READERS], help="only this one; repeat for more")
+    parser.add_argument("--reader", action="append", choices=[*SUBJECTS], help="only this one; repeat for more")
     parser.add_argument("--save", type=Path, help="folder for the failing cases")
     arguments = parser.parse_args()
     os.environ.setdefault("HFRAME_THREADS", "1")

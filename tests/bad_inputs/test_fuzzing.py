@@ -21,7 +21,7 @@ from .readers import READERS, Case, load_case
 
 pytestmark = [pytest.mark.integration, pytest.mark.filterwarnings("ignore:Generating overly large repr")]
 
-FEW, MANY = 12, 400
+FEW, MANY = 8, 400
 FUZZING = {"deadline": None, "derandomize": True, "database": None, "suppress_health_check": list(HealthCheck)}
 REFUSALS: list[str] = []  # messages about options and actions, none of which may be empty
 CORPUS = sorted((Path(__file__).parent / "corpus").iterdir())
