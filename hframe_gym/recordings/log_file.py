@@ -255,7 +255,7 @@ def _open_mat(path: Path) -> Log:
 def _refuse_large_variables(path: Path) -> None:
     """Check the size of the compressed variables of a MATLAB file without keeping their content in memory."""
     size, content = 0, memoryview(path.read_bytes())
-    position, order = _MAT_HEADER, ">u4" if content[126:128] == b"MI" else "<u4"
+    position, order = _MAT_HEADER, ">u4" if bytes(content[126:128]) == b"MI" else "<u4"
     while position + 8 <= len(content):
         kind, length = np.frombuffer(content[position : position + 8], order).tolist()
         if kind == _MAT_COMPRESSED:
