@@ -2,13 +2,12 @@
 
 A run writes to its folder: the best agent so far by its evaluations (agent.json, machine.json, policy.safetensors), its
 card (card.json, README.md), tensorboard/, and for `resume` checkpoint.zip with replay.pkl. The last two are pickles,
-which execute code when they are loaded: load only files that you trust. Each file but the logs is replaced
-atomically, so a run may be killed at any time.
+which execute code when they are loaded: they are signed, and only files that this installation wrote are loaded (see
+agent_files.py). Each file but the logs is replaced atomically, so a run may be killed at any time.
 """
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -19,9 +18,11 @@ from ..atomic_files import atomic_file
 from ..envs import TASKS, Task
 from ..errors import InputError
 from ..evaluation import Scenario, period_concern
+from ..file_limits import read_json
 from ..machine import Machine
 from ..recordings import load_machine
 from .agent import SCHEMA, Agent, load_weights, policy_keywords
+from .agent_files import refuse_unsigned, sign_checkpoint
 from .controller_source import shipped_agent_folder
 from .features import feature_parameters
 from .model_card import improves, progress_line, score_agent, versions, write_card
@@ -53,6 +54,7 @@ def train(
     log: Log = print,
     progress: Progress = lambda done, total: None,
     randomize: str | None = None,
+    trust: bool = False,
 ) -> dict[str, Any]:
     """Train an agent with stable-baselines3 and write it to a folder.
 
@@ -72,12 +74,15 @@ def train(
         progress: Function that receives the number of environment steps done and the total, after each step.
         randomize: Randomization of the machine's parameters in place of the recipe's, for example "identified" for a
             machine.json with standard deviations.
+        trust: Resume also from a checkpoint that this installation did not write. Loading it executes code that it may
+            contain.
 
     Returns:
         Contents of card.json: recipe, package versions and learning curve (`curve`, one row of scores per evaluation).
 
     Raises:
-        InputError: If the recipe or task is unknown, or `out` has no checkpoint of this recipe and seed to resume.
+        InputError: If the recipe or task is unknown, or `out` has no checkpoint of this recipe and seed to resume,
+            or one that this installation did not write.
         ImportError: If the extra `agents` is not installed; the message names it.
     """
     require_training_packages()
@@ -87,6 +92,7 @@ def train(
     if randomize is not None:
         recipe = replace(recipe, env={**recipe.env, "randomize": randomize})
     run = _Run(recipe, load_machine(machine), task, seed, Path(out), log, progress)
+    run.trust = trust
     return run.execute(recipe.steps if steps is None else steps, resume)
 
 
@@ -99,6 +105,7 @@ class _Run:
     next_evaluation: int  # environment step
     start_time: float  # s, monotonic clock; such that the time before a resume counts
     start_cpu_time: float  # s, likewise
+    trust = False  # whether to resume from a checkpoint that this installation did not write
     kept_costs: Any = None  # costs of the evaluation episodes of the agent that is kept, (B,); None before the first
 
     def __init__(
@@ -170,12 +177,15 @@ class _Run:
         checkpoint, replay, card_file = (self.folder / f for f in ("checkpoint.zip", "replay.pkl", "card.json"))
         if not (checkpoint.is_file() and card_file.is_file()):
             raise InputError(f"nothing to resume: {checkpoint if card_file.is_file() else card_file} does not exist")
-        previous = json.loads(card_file.read_text("utf-8"))
+        previous = _read_previous_card(card_file)
         if (previous["recipe"], previous["seed"]) != (self.card["recipe"], self.card["seed"]):
             raise InputError(
                 f"nothing to resume: {self.folder} holds a run of {previous['recipe']} with seed {previous['seed']}, "
                 f"not of {self.card['recipe']} with seed {self.card['seed']}"
             )
+        for file in (checkpoint, replay) if not self.trust else ():
+            if file.is_file():
+                refuse_unsigned(file)
         sb3 = import_optional("stable_baselines3")
         model = getattr(sb3, self.recipe.kind.upper()).load(checkpoint, env=self.environment, device="cpu")
         if replay.is_file():
@@ -216,10 +226,26 @@ class _Run:
             self.card["kept"], self.kept_costs = row["steps"], scores.costs
         with atomic_file(self.folder / "checkpoint.zip") as temporary:
             model.save(temporary)
+            sign_checkpoint(temporary)
         if getattr(model, "replay_buffer", None) is not None:
             with atomic_file(self.folder / "replay.pkl") as temporary:
                 model.save_replay_buffer(temporary)
+                sign_checkpoint(temporary)
         write_card(self.folder, self.card)
+
+
+def _read_previous_card(file: Path) -> dict[str, Any]:
+    """Read the card of the run that is resumed and check the entries that are used."""
+    card = read_json(file)
+    try:
+        columns = {tuple(row) for row in card["curve"]}
+        numbers = [card["kept"], *(value for row in card["curve"] for value in row.values())]
+        is_valid = all(isinstance(value, int | float) and abs(value) < 1e15 for value in numbers) and len(columns) == 1
+        if is_valid and {"steps", "seconds", "cpu_s"} <= set(*columns) and {"recipe", "seed"} <= set(card):
+            return dict(card)
+    except (KeyError, TypeError, IndexError, AttributeError):
+        pass
+    raise InputError(f"nothing to resume: {file} is damaged")
 
 
 def _build_task(name: str, settings: dict[str, Any]) -> Task:

@@ -185,8 +185,11 @@ def _numbers(option: str, text: str) -> tuple[float, ...] | None:
 
 
 def _number(option: str, text: str) -> float:
-    """Return the number of a text."""
+    """Return the finite number of a text."""
     try:
-        return float(text)
+        number = float(text)
     except ValueError:
         raise InputError(f"--{option}: {text!r} is not a number") from None
+    if not math.isfinite(number):
+        raise InputError(f"--{option}: {text!r} is not a finite number")
+    return number

@@ -58,7 +58,9 @@ def import_logs(
     split_at_rests: Annotated[
         bool, typer.Option("--split-at-rests", help="Cut each log into runs where the machine rests.")
     ] = False,
-    min_rest: Annotated[float, typer.Option(min=0.01, help="Shortest rest at which a log is cut, s.")] = 0.5,
+    min_rest: Annotated[
+        float, typer.Option(min=0.01, max=3600.0, help="Shortest rest at which a log is cut, s.")
+    ] = 0.5,
     format: Annotated[RunFormats, typer.Option(help="Format of the recordings.")] = RunFormats.CSV_GZ,
 ) -> None:
     """Convert logs to recordings: any separator, decimal mark and encoding, other names and units, several rates.
@@ -121,7 +123,7 @@ def identify(
     hold_out: Annotated[
         list[str] | None, typer.Option(help="A run to evaluate on instead of fitting it; repeat for more runs.")
     ] = None,
-    jobs: Annotated[int | None, typer.Option(min=1, help="Number of threads (default: all cores).")] = None,
+    jobs: Annotated[int | None, typer.Option(min=1, max=1024, help="Number of threads (default: all cores).")] = None,
     seed: Annotated[int, typer.Option(help="Accepted for scripts; identification is deterministic.")] = 0,
     force: Annotated[
         bool, typer.Option("--force", help="Fit although `hframe check` finds faults in the data.")

@@ -14,6 +14,7 @@ from typer.core import TyperCommand
 
 from ..errors import InputError
 from ..registry import PLUGIN_VARIABLE, load_plugins
+from .app import plain_text
 
 if TYPE_CHECKING:
     from ..identification import IdentificationResult
@@ -181,13 +182,16 @@ def describe_failure(error: Exception) -> tuple[int, str]:
     """
     from ..dynamics import NotFiniteError
 
-    text = " ".join(str(error).split())
+    usage = getattr(error, "format_message", None)  # of Typer's errors about options
+    text = plain_text(" ".join((usage() if usage else str(error)).split()))
+    if usage:
+        return INPUT_AT_FAULT, f"{text} (see --help)"
     if isinstance(error, InputError | ImportError):
         return INPUT_AT_FAULT, text
     if isinstance(error, NotFiniteError):
-        return INPUT_AT_FAULT, f"{text}: check the inputs and the machine's parameters"
+        return INPUT_AT_FAULT, f"{text.rstrip('.')}: check the inputs and the machine's parameters"
     if isinstance(error, OSError) and error.filename is not None:
-        return INPUT_AT_FAULT, f"{error.filename}: {error.strerror}"
+        return INPUT_AT_FAULT, plain_text(f"{error.filename}: {error.strerror}")
     hint = f"set {DEBUG_VARIABLE}=1 to see the traceback"
     return INTERNAL_ERROR, f"internal error, please report it ({hint}): {type(error).__name__}: {text}"
 
@@ -198,7 +202,7 @@ def print_warning(message: Warning | str, *_args: Any, **_keywords: Any) -> None
     Args:
         message: The warning.
     """
-    print(f"hframe: warning: {message}", file=sys.stderr)
+    print(f"hframe: warning: {plain_text(' '.join(str(message).split()))}", file=sys.stderr)
 
 
 @contextmanager

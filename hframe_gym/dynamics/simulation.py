@@ -16,6 +16,7 @@ from ..machine import Machine, Trajectory, rest_state
 from .kernel import Kernel, rollout_kernel
 from .simd import LANES
 
+MOST_STEPS = 1_000_000_000  # of one simulation; it takes minutes
 LONGEST_STEP = 0.25e-3  # s; 0.2 um median error over 0.4 s of random voltages (benchmarks/accuracy.py)
 
 _DIVERGED = 1e6  # m, rad, or per second; no machine of this kind gets anywhere near
@@ -244,7 +245,8 @@ def simulate(
         (n, sensors), at every sample, in m or rad.
 
     Raises:
-        ValueError: If the shapes do not fit the machine, times do not increase, or a value is not finite.
+        ValueError: If the shapes do not fit the machine, times do not increase or span more than `MOST_STEPS` steps, or
+            a value is not finite.
         NotFiniteError: If the motion diverges; the message names time and coordinate.
 
     References:
@@ -252,6 +254,8 @@ def simulate(
     """
     grid = np.asarray(time_s, float)
     voltages = np.asarray(inputs, float)
+    if grid.ndim == 1 and len(grid) and grid[-1] - grid[0] > MOST_STEPS * longest_step:
+        raise ValueError(f"time_s spans {grid[-1] - grid[0]:g} s, which are more than {MOST_STEPS:.0e} steps")
     if grid.ndim != 1 or len(grid) == 0 or np.any(np.diff(grid) <= 0) or not np.all(np.isfinite(grid)):
         raise ValueError("time_s must be one-dimensional, finite and strictly increasing")
     if voltages.shape != (len(grid), len(machine.drives)):

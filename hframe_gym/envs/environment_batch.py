@@ -204,6 +204,8 @@ class EnvironmentBatch:
             raise error.ResetNeeded("call reset before step")
         values = np.ascontiguousarray(actions)
         if values.dtype != _FLOAT32:
+            if values.dtype.kind not in "fiub":
+                raise ValueError(f"actions have the type {values.dtype}, they must be numbers")
             values = values.astype(np.float64, copy=False)
         if values.shape != self._expected_shape:
             raise ValueError(f"actions have shape {values.shape}, they must have {self._expected_shape}")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -13,6 +11,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from ..errors import InputError
+from ..file_limits import read_arrays, read_document
 from ..machine import Machine
 from ..recordings import load_machine
 from .result import Verdict
@@ -189,15 +188,11 @@ def load_result(folder: Path) -> SavedResult:
     if not (folder / "report.json").is_file():
         raise InputError(f"{folder}: no report.json here; run `hframe identify RUNS --out {folder}` first")
     try:
-        text = (folder / "report.json").read_text(encoding="utf-8")
-        report = _Report.model_validate_json(text).model_dump(by_alias=True)
-    except UnicodeDecodeError as error:
-        raise _damaged(folder / "report.json", f"is not a text file ({error.reason})") from None
+        report = _Report.model_validate_json(read_document(folder / "report.json")).model_dump(by_alias=True)
     except ValidationError as error:
         first = error.errors()[0]
-        raise _damaged(
-            folder / "report.json", f"{'.'.join(map(str, first['loc'])) or 'file'}: {first['msg']}"
-        ) from None
+        field = ".".join(map(str, first["loc"])) or "file"
+        raise _damaged(folder / "report.json", f"{field}: {first['msg']}") from None
     for name in ("machine.json", "declared.json"):
         if not (folder / name).is_file():
             raise _damaged(folder / name, "is missing")
@@ -222,19 +217,9 @@ def _load_curves(path: Path) -> dict[str, Array]:
     if not path.is_file():
         raise _damaged(path, "is missing")
     try:
-        with path.open("rb") as handle, np.load(handle) as file:
-            curves = dict(file)
-    except (
-        OSError,
-        EOFError,
-        ValueError,
-        TypeError,
-        AttributeError,
-        KeyError,
-        zipfile.BadZipFile,
-        zlib.error,
-    ) as error:
-        raise _damaged(path, f"is not a readable .npz file ({error})") from None
+        curves = read_arrays(path)
+    except InputError as error:
+        raise _damaged(path, str(error).removeprefix(f"{path}: ")) from None
     for name, values in curves.items():
         if not np.issubdtype(values.dtype, np.floating):
             raise _damaged(path, f"{name} holds {values.dtype}, not floating-point numbers")
