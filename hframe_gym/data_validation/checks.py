@@ -77,8 +77,7 @@ def check_before_fit(recordings: Sequence[Recording], machine: Machine) -> list[
         machine: Machine as declared, before identification.
 
     Returns:
-        Findings (severity, run, channel, message) of severity "fault" (the data contradict themselves), then "advice";
-        notes are left out.
+        Findings (severity, run, channel, message) of severity "fault" (the data contradict themselves), then "advice".
     """
     if wrong_times := _times_in_milliseconds(recordings):
         return wrong_times
