@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from ..errors import InputError
 from .app import MachineOption, OutOption, RandomizeOption, TaskOption, app, console, log
 from .support import (
     CommandWithChoices,
@@ -60,6 +61,7 @@ def train(
 
 @app.command(cls=CommandWithChoices)
 def evaluate(
+    context: typer.Context,
     controllers: Annotated[
         list[str],
         typer.Argument(
@@ -82,11 +84,21 @@ def evaluate(
     episodes: Annotated[int, typer.Option(min=1, help="Number of episodes; the same for every controller.")] = 512,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the starts, goals and machine parameters.")] = 0,
     html: Annotated[bool, typer.Option("--html", help="Also write scorecard.html, one self-contained page.")] = False,
+    protocol: Annotated[
+        str | None,
+        typer.Option(help="Fixed benchmark for the leaderboard: {protocols}; replaces all options but --out."),
+    ] = None,
 ) -> None:
     """Score controllers on identical episodes; writes scores.json and a plot of each one's first episode.
 
-    Example:  hframe evaluate pid textbook-pid --episodes 64 --html --out out/scores
+    With --protocol, writes one result file per controller for the leaderboard (docs/leaderboard.md) instead.
+
+    Examples:  hframe evaluate pid textbook-pid --episodes 64 --html --out out/scores
+
+               hframe evaluate pid --protocol reach-v1 --out out/leaderboard
     """
+    if protocol is not None:
+        return _evaluate_by_protocol(context, list(dict.fromkeys(controllers)), protocol, out)
     from ..evaluation import evaluate as run_evaluation
     from ..evaluation import write_scores
     from ..recordings import load_machine
@@ -117,6 +129,27 @@ def evaluate(
             log(f"wrote {write_scorecard(out, scores, recorded, warned)}")
     except ImportError as error:
         log(f"no plots: {error}")
+
+
+def _evaluate_by_protocol(context: typer.Context, controllers: list[str], name: str, out: Path) -> None:
+    """Write the result file of each controller in a fixed benchmark, and print their scores."""
+    from ..evaluation import FIXED_OPTIONS, get_protocol, result_content, run_protocol, write_result
+    from .tables import protocol_tables
+
+    for option in (*FIXED_OPTIONS, "html"):
+        source = context.get_parameter_source(option)
+        if source is not None and source.name != "DEFAULT":
+            raise InputError(f"--{option}: --protocol {name} fixes everything; leave --{option} out")
+    import_module("hframe_gym.agents")
+    protocol = get_protocol(name)
+    require_folder(out)
+    with value_errors_as_input_errors():
+        contents = [result_content(protocol, *run_protocol(controller, protocol)) for controller in controllers]
+    written = [write_result(out, content) for content in contents]
+    for table in protocol_tables(contents):
+        console.print(table)
+    for path in written:
+        log(f"wrote {path}")
 
 
 @app.command(cls=CommandWithChoices)
