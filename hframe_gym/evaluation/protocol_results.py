@@ -30,7 +30,8 @@ SCHEMA = 1
 BOOTSTRAP_SEED = 0
 PACKAGES = ("hframe_gym", "numpy", "scipy", "numba", "torch", "stable-baselines3")
 BOUNDS_FOLDER = "bound_times_data"
-TOLERANCE = 1e-6  # relative, of scores that are computed again: they were written with all digits
+DIGITS = 9  # decimals of scores, s and mm
+TOLERANCE = 1e-6  # relative, of scores that are computed again when a file is read
 
 
 class _Strict(BaseModel):
@@ -119,8 +120,10 @@ def part_scores(values: Draws, duration_s: float) -> dict[str, Any]:
     scores: dict[str, Any] = {}
     for metric, column in values.items():
         numbers = filled(column, duration_s)
-        scores[metric] = ratio_of_means(numbers, np.ones(len(numbers)), BOOTSTRAP_SEED)
-        scores[metric]["median"] = float(np.median(numbers))
+        mean = ratio_of_means(numbers, np.ones(len(numbers)), BOOTSTRAP_SEED)
+        limits = [round(limit, DIGITS) for limit in mean["ci95"]]
+        scores[metric] = {"mean": round(mean["mean"], DIGITS), "ci95": limits}
+        scores[metric]["median"] = round(float(np.median(numbers)), DIGITS)
         if metric.startswith("settling_s."):
             scores[metric]["success"] = float(np.mean([value is not None for value in column]))
     return scores
@@ -203,8 +206,8 @@ def read_result(path: str | Path) -> ResultFile:
         raise InputError(f"{path}: {error}") from None
     if result.digest != protocol.digest:
         raise InputError(
-            f"{path}: digest {result.digest} is not that of protocol {protocol.name} ({protocol.digest}): it was scored "
-            "on other draws"
+            f"{path}: digest {result.digest} is not that of protocol {protocol.name} ({protocol.digest}): it was "
+            "scored on other draws"
         )
     _check_draws(Path(path), result, protocol)
     return result
@@ -224,8 +227,8 @@ def _check_draws(path: Path, result: ResultFile, protocol: Protocol) -> None:
             valid = all(metric in settling if v is None else v >= 0.0 for v in column)
             if len(column) != protocol.draws or not valid:
                 raise InputError(
-                    f"{path}: draws.{part}.{metric}: must hold {protocol.draws} values that are not negative (null only "
-                    "for a settling time)"
+                    f"{path}: draws.{part}.{metric}: must hold {protocol.draws} values that are not negative (null "
+                    "only for a settling time)"
                 )
         if not _close(result.scores.get(part), part_scores(values, protocol.duration_s)):
             raise InputError(f"{path}: scores.{part} do not follow from the draws; write the file again")
@@ -241,12 +244,12 @@ def _close(given: Any, computed: Any) -> bool:
         )
     if isinstance(computed, list):
         return isinstance(given, list) and len(given) == len(computed) and all(map(_close, given, computed))
-    return isinstance(given, int | float) and math.isclose(given, computed, rel_tol=TOLERANCE, abs_tol=1e-12)
+    return isinstance(given, int | float) and math.isclose(given, computed, rel_tol=TOLERANCE, abs_tol=10.0**-DIGITS)
 
 
 @cache
 def protocol_bounds(name: str) -> dict[str, Array]:
-    """Load the shortest settling times to 0.2 mm of a protocol's moves; `python -m benchmarks.protocol_bounds` computes.
+    """Load the shortest settling times to 0.2 mm of a protocol's moves, which `benchmarks.protocol_bounds` computes.
 
     Args:
         name: Name of the protocol.

@@ -228,8 +228,8 @@ def run_protocol(name: str, protocol: Protocol) -> tuple[Entry, dict[str, Draws]
     """Run a controller or an agent through all parts of a protocol.
 
     Args:
-        name: Name as for `make_controller`: a registered controller, `module:name`, a shipped agent or an agent's
-            folder.
+        name: Name as for `make_controller` (a registered controller, `module:name`, a shipped agent or an agent's
+            folder), or a folder with one agent per task in the folders `reach` and `track`.
         protocol: The benchmark.
 
     Returns:
@@ -263,7 +263,7 @@ def make_entry(name: str, protocol: Protocol, part: str) -> tuple[Entry, Control
     machine.
 
     Args:
-        name: Name as for `make_controller`.
+        name: Name as for `make_controller`, or a folder with one agent per task in the folders `reach` and `track`.
         protocol: The benchmark.
         part: Name of the part.
 
@@ -275,10 +275,14 @@ def make_entry(name: str, protocol: Protocol, part: str) -> tuple[Entry, Control
         InputError: If the name is unknown or the entry cannot run on the task.
     """
     scenario = protocol.declared_scenario(part)
+    collection, folder = name, Path(name) / scenario.task_name
+    name = str(folder) if folder.is_dir() else name
     controller = make_controller(name, scenario)
     sources = (CONTROLLER_SOURCES.get(source).files(name, scenario) for source in CONTROLLER_SOURCES)
     files = next(filter(None, sources), None)
-    entry = Entry(files.name, "agent", _hash(files.files)) if files else _controller_entry(name, controller)
+    entry = _controller_entry(name, controller)
+    if files:
+        entry = Entry(Path(collection).name if folder.is_dir() else files.name, "agent", _hash(files.files))
     needs_state = files.sensors == "state" if files else controller.feedback != "observation"
     observed = observed_machine(protocol.declared_machine, protocol.sensors)  # type: ignore[arg-type]
     if observed is not None and needs_state:

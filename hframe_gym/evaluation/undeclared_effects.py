@@ -148,9 +148,7 @@ EFFECT_FAMILIES: tuple[EffectFamily, ...] = (
     EffectFamily("constant_force", "size", _up_to(x=0.8, y=0.8), signed=True),
     EffectFamily("quadratic_drag", "c", _up_to(x=40.0, y=40.0)),
     EffectFamily("cable_spring", "k", _up_to(x=20.0, y=20.0), others={"q0": Uniform(-0.1, 0.1)}),
-    EffectFamily(
-        "cogging", "A", _up_to(motor1=0.03, motor2=0.03), others={"n": LogUniform(4.0, 40.0), "p": _PHASE}
-    ),
+    EffectFamily("cogging", "A", _up_to(motor1=0.03, motor2=0.03), others={"n": LogUniform(4.0, 40.0), "p": _PHASE}),
     EffectFamily("eccentric_pulley", "e", _up_to(motor1=0.2e-3, motor2=0.2e-3), others={"p": _PHASE}),
     EffectFamily("voltage_offset", "V0", _up_to(motor1=0.35, motor2=0.35), signed=True),
     EffectFamily("gain_mismatch", "g", _up_to(motor1=0.1, motor2=0.1), signed=True),
