@@ -4,8 +4,8 @@
     python -m benchmarks.protocol_bounds hard-v1 --draws 128
 
 The bounds are stored in the package (hframe_gym/evaluation/bound_times_data/PROTOCOL.json), a few draws at a time;
-stored ones are not computed again. Draws are taken in order from the first one, whatever their bounds. A draw with an effect
-that the optimization does not support (docs/bound.md) has no bound, and the file says why.
+stored ones are not computed again. Draws are taken in order from the first one, whatever their bounds. A draw with an
+effect that the optimization does not support (docs/bound.md) has no bound, and the file says why.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -17,6 +17,9 @@ from .support import (
     task_with_path,
     value_errors_as_input_errors,
 )
+
+if TYPE_CHECKING:
+    from ..evaluation import Episodes
 
 
 @app.command(cls=CommandWithChoices)
@@ -117,15 +120,22 @@ def evaluate(
     for reason in unknown_bound_reasons(scores):
         log(reason)
     log(f"wrote {written}")
+    _write_plots(out, declared.name, scores, recorded, warned if html else None)
+
+
+def _write_plots(
+    out: Path, machine: str, scores: dict[str, Any], recorded: dict[str, Episodes], warned: list[str] | None
+) -> None:
+    """Plot the first episode of each controller, and write the scorecard if a list of warnings is given."""
     try:
         from ..evaluation import save_plot, write_scorecard
 
         for name, episode in recorded.items():
             label = Path(name).name.replace(":", "-")  # of a folder the last part; no colon in a file name
             plot = out / f"{label}.png"
-            save_plot(plot, episode, title=f"{label} on {declared.name}")
+            save_plot(plot, episode, title=f"{label} on {machine}")
             log(f"wrote {plot}")
-        if html:
+        if warned is not None:
             log(f"wrote {write_scorecard(out, scores, recorded, warned)}")
     except ImportError as error:
         log(f"no plots: {error}")

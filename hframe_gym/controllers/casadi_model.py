@@ -58,17 +58,42 @@ class SymbolicModel:
         return [0.5 * (low + high) + 0.5 * (high - low) * u for low, high, u in parts]
 
     def rate(self, state: Any, action: Any, time: Any) -> Any:
-        """Return the state's derivative."""
+        """Return the state's derivative.
+
+        Args:
+            state: Belt travel, m, and its rate, m/s, shape (2 n,).
+            action: Voltages at the motors from -1, the lowest, to 1, the highest, shape (drives,).
+            time: Time since the start, s.
+
+        Returns:
+            Expression of the derivative, m/s and m/s^2, shape (2 n,).
+        """
         return self._rate(state, action, time, self._parameters, self._start)
 
     def current_excess(self, state: Any, action: Any) -> list[Any]:
-        """Return expressions that are not positive where the drives' currents are within their limits."""
+        """Return expressions that are not positive where the drives' currents are within their limits.
+
+        Args:
+            state: Belt travel, m, and its rate, m/s, shape (2 n,).
+            action: Voltages at the motors from -1, the lowest, to 1, the highest, shape (drives,).
+
+        Returns:
+            One dimensionless expression per current limit.
+        """
         voltages, point = self._voltages(action), self._point(state, 0.0)
         current = self._equations.ohmic_current
         return [(current(j, point, voltages[j]) / limit) ** 2 - 1.0 for j, limit in self._current_limits]
 
     def static_excess(self, state: Any, time: Any) -> list[Any]:
-        """Return expressions that are not positive where static friction holds each coordinate that is not driven."""
+        """Return expressions that are not positive where static friction holds each coordinate that is not driven.
+
+        Args:
+            state: Belt travel, m, and its rate, m/s, shape (2 n,); the rate does not matter.
+            time: Time since the start, s.
+
+        Returns:
+            Two expressions per coordinate, N.
+        """
         equations = self._equations
         at_rest = ca.vertcat(state[: self._count], ca.SX.zeros(self._count))
         balance = equations.balance(self._point(at_rest, time), [0.0] * len(equations.machine.drives))
@@ -90,7 +115,14 @@ class SymbolicModel:
 
 
 def voltage_limits(equations: Equations) -> tuple[list[Any], list[Any]]:
-    """Return the lowest and highest voltages at the motors, V, within the rated commands."""
+    """Compute the lowest and highest voltages at the motors within the rated commands.
+
+    Args:
+        equations: Equations of the machine with its effects on the drives.
+
+    Returns:
+        Lowest voltages and highest voltages, V, one per drive.
+    """
     rated = [d.rated_voltage for d in equations.machine.drives]
     return equations.motor_voltages([-volts for volts in rated]), equations.motor_voltages(rated)
 

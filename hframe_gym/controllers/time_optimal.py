@@ -54,6 +54,8 @@ INITIAL_GUESSES = (1.0, 1.6, 0.8)  # of T, in times of the rigid stage; tried in
 PER_PERIOD = 4  # collocation intervals of a control period with held voltages
 LATEST_PERIODS = 4  # periods in which a motion with held voltages is sought
 HELD_GUESSES = (1.0,)
+SHORTEST_PART_S = 1e-4  # s, least distance of the entry from the ends of its period
+AT_START_S = 2e-4  # s after the start of the period, within which the entry counts as at its start
 
 
 @dataclass(frozen=True)
@@ -110,6 +112,7 @@ class TimeOptimalReach:
         positions = [np.split(rest_state(machine, row), 2)[0] for row in np.eye(len(self._axes))]
         self._rigid = np.stack(positions, axis=1) * machine.travel_per_unit[:, None]  # travel per meter of each axis
         self._points = np.array(ca.collocation_points(DEGREE, "radau"))
+        self.solution: Array = np.zeros(0)  # unknowns of the last call of `solve`
         self._build()
 
     @property
@@ -203,7 +206,7 @@ class TimeOptimalReach:
             if statistics["success"]:
                 break
         # The unknowns are T, then for each interval the actions and the states at its collocation points.
-        solution = np.array(result["x"]).ravel()
+        self.solution = solution = np.array(result["x"]).ravel()
         T, by_interval = float(solution[0]), solution[1:].reshape(sum(self.intervals), -1)
         grid = np.array(self._grid(T), float)
         edges = np.append(grid[:, 0], grid[-1].sum())
@@ -280,12 +283,25 @@ class HeldVoltageReach:
         """
         first = max(1, int(np.ceil(free_s / self.period)))
         for last in range(first, first + LATEST_PERIODS):
-            if last not in self._problems:
-                self._problems[last] = _HeldProblem(self.machine, last, self.period, self.band)
-            motion = self._problems[last].solve(start, goal, parameters, HELD_GUESSES)
+            motion = self._problem(last).solve(start, goal, parameters, HELD_GUESSES)
             if motion.solved:
                 break
+        # An entry at the very start of its period means that IPOPT did not converge for the period before.
+        while motion.solved and last > first and motion.time_s < (last - 1) * self.period + AT_START_S:
+            before = self._problem(last - 1)
+            before.warm_start = self._problem(last).without_last_period()
+            earlier = before.solve(start, goal, parameters, HELD_GUESSES)
+            before.warm_start = None
+            if not earlier.solved:
+                break
+            motion, last = earlier, last - 1
         return motion
+
+    def _problem(self, last: int) -> _HeldProblem:
+        """Return the problem with the entry in period `last`."""
+        if last not in self._problems:
+            self._problems[last] = _HeldProblem(self.machine, last, self.period, self.band)
+        return self._problems[last]
 
 
 class _HeldProblem(TimeOptimalReach):
@@ -294,7 +310,8 @@ class _HeldProblem(TimeOptimalReach):
     def __init__(self, machine: Machine, last: int, period: float, band: float) -> None:
         self._last, self._period = last, period
         holding = round(HOLD_S / period) * PER_PERIOD
-        self._window = ((last - 1) * period + 1e-4, last * period - 1e-4)
+        self._window = ((last - 1) * period + SHORTEST_PART_S, last * period - SHORTEST_PART_S)
+        self.warm_start: Array | None = None  # unknowns from which IPOPT starts
         super().__init__(machine, band=band, intervals=(last * PER_PERIOD, PER_PERIOD + holding))
 
     @property
@@ -315,6 +332,17 @@ class _HeldProblem(TimeOptimalReach):
 
     def _guess(self, start: Array, goal: Array, time_s: float) -> Array:
         """Return an initial guess with T in the middle of its period; `time_s` selects how fast the guess moves."""
+        if self.warm_start is not None:
+            return self.warm_start
         guess = super()._guess(start, goal, self._window[1])
         guess[0] = 0.5 * sum(self._window)
         return guess
+
+    def without_last_period(self) -> Array:
+        """Return the last solution as a guess for an entry at the end of the period before."""
+        rows = self.solution[1:].reshape(sum(self.intervals), -1)
+        entry, holding = (self._last - 1) * PER_PERIOD, self.intervals[1]
+        before, after = rows[:entry], rows[self._last * PER_PERIOD :]
+        at_entry = np.repeat(before[-1:], PER_PERIOD, axis=0)
+        guess = np.concatenate([before, at_entry, after[: holding - PER_PERIOD]])
+        return np.concatenate([[(self._last - 1) * self._period - 2.0 * SHORTEST_PART_S], guess.ravel()])

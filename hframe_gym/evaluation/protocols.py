@@ -123,7 +123,10 @@ class Protocol:
             Scenario for the design of a controller.
         """
         return dataclasses.replace(
-            self.scenario(part), machine=self.declared_machine, randomize=self.randomize, sensors="state"
+            self.scenario(part),
+            machine=self.declared_machine,
+            randomize=self.randomize,  # type: ignore[arg-type]
+            sensors="state",
         )
 
     def compute_digest(self) -> str:
@@ -299,8 +302,8 @@ def _controller_entry(name: str, controller: Controller) -> Entry:
         if module is None or module.__name__ in found:
             continue
         found[module.__name__] = Path(inspect.getfile(module))
-        used = {getattr(value, "__module__", None) for value in vars(module).values()} & set(sys.modules)
-        others = (sys.modules[name] for name in sorted(used, key=str))
+        used = {str(getattr(value, "__module__", "")) for value in vars(module).values()} & set(sys.modules)
+        others = (sys.modules[name] for name in sorted(used))
         modules += [other for other in others if other.__package__ and other.__package__ == module.__package__]
     return Entry(name, "controller", _hash(tuple(found[module_name] for module_name in sorted(found))))
 

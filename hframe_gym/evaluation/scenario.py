@@ -234,6 +234,19 @@ class ControllerSource(ABC):
             of a trained agent".
         """
 
+    @staticmethod
+    def files(name: str, scenario: Scenario) -> ControllerFiles | None:
+        """List the files of a controller, for results that name what was scored.
+
+        Args:
+            name: Controller name from the user, for example a path.
+            scenario: Machine, task, sensors and control period with which the controller will run.
+
+        Returns:
+            Name, files and sensors of the controller; None if this source does not provide it or has no files.
+        """
+        return None
+
 
 CONTROLLER_SOURCES: Registry[type[ControllerSource]] = Registry("controller source")
 

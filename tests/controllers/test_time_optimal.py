@@ -221,7 +221,8 @@ def test_held_voltages_cost_little_and_change_once_per_period(hframe_problem: Ti
     assert free < motion.time_s < free + 0.01
     period = np.floor(0.5 * (motion.edges_s[:-1] + motion.edges_s[1:]) / 0.01)
     for k in np.unique(period):
-        np.testing.assert_allclose(motion.volts[period == k], motion.volts[period == k][:1] * np.ones(2), atol=1e-4)
+        volts = motion.volts[period == k]
+        np.testing.assert_allclose(volts, np.broadcast_to(volts[0], volts.shape), atol=1e-4)
     assert len(np.unique(np.round(motion.volts[:, 0], 3))) > 3
 
 
