@@ -101,7 +101,8 @@ def evaluate(
                hframe evaluate pid --protocol reach-v1 --out out/leaderboard
     """
     if protocol is not None:
-        return _evaluate_by_protocol(context, list(dict.fromkeys(controllers)), protocol, out)
+        _evaluate_by_protocol(context, list(dict.fromkeys(controllers)), protocol, out)
+        return
     from ..evaluation import evaluate as run_evaluation
     from ..evaluation import write_scores
     from ..recordings import load_machine
