@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ..errors import InputError
 from .app import (
     MAX_SEED,
     EpisodesOption,
@@ -27,6 +28,9 @@ from .support import (
     task_with_path,
     value_errors_as_input_errors,
 )
+
+if TYPE_CHECKING:
+    from ..evaluation import Episodes
 
 
 @app.command(cls=CommandWithChoices)
@@ -77,6 +81,7 @@ def train(
 
 @app.command(cls=CommandWithChoices)
 def evaluate(
+    context: typer.Context,
     controllers: Annotated[
         list[str],
         typer.Argument(
@@ -101,11 +106,22 @@ def evaluate(
         int, typer.Option(min=0, max=MAX_SEED, help="Seed of the starts, goals and machine parameters.")
     ] = 0,
     html: Annotated[bool, typer.Option("--html", help="Also write scorecard.html, one self-contained page.")] = False,
+    protocol: Annotated[
+        str | None,
+        typer.Option(help="Fixed benchmark for the leaderboard: {protocols}; replaces all options but --out."),
+    ] = None,
 ) -> None:
     """Score controllers on identical episodes; writes scores.json and a plot of each one's first episode.
 
-    Example:  hframe evaluate pid textbook-pid --episodes 64 --html --out out/scores
+    With --protocol, writes one result file per controller for the leaderboard (docs/leaderboard.md) instead.
+
+    Examples:  hframe evaluate pid textbook-pid --episodes 64 --html --out out/scores
+
+               hframe evaluate pid --protocol reach-v1 --out out/leaderboard
     """
+    if protocol is not None:
+        _evaluate_by_protocol(context, list(dict.fromkeys(controllers)), protocol, out)
+        return
     from ..evaluation import evaluate as run_evaluation
     from ..evaluation import write_scores
     from ..recordings import load_machine
@@ -124,18 +140,46 @@ def evaluate(
     for reason in unknown_bound_reasons(scores):
         log(reason)
     log(f"wrote {written}")
+    _write_plots(out, declared.name, scores, recorded, warned if html else None)
+
+
+def _write_plots(
+    out: Path, machine: str, scores: dict[str, Any], recorded: dict[str, Episodes], warned: list[str] | None
+) -> None:
+    """Plot the first episode of each controller, and write the scorecard if a list of warnings is given."""
     try:
         from ..evaluation import save_plot, write_scorecard
 
         for name, episode in recorded.items():
             label = Path(name).name.replace(":", "-")  # of a folder the last part; no colon in a file name
             plot = out / f"{label}.png"
-            save_plot(plot, episode, title=f"{label} on {declared.name}")
+            save_plot(plot, episode, title=f"{label} on {machine}")
             log(f"wrote {plot}")
-        if html:
+        if warned is not None:
             log(f"wrote {write_scorecard(out, scores, recorded, warned)}")
     except ImportError as error:
         log(f"no plots: {error}")
+
+
+def _evaluate_by_protocol(context: typer.Context, controllers: list[str], name: str, out: Path) -> None:
+    """Write the result file of each controller in a fixed benchmark, and print their scores."""
+    from ..evaluation import FIXED_OPTIONS, get_protocol, result_content, run_protocol, write_result
+    from .tables import protocol_tables
+
+    for option in (*FIXED_OPTIONS, "html"):
+        source = context.get_parameter_source(option)
+        if source is not None and source.name != "DEFAULT":
+            raise InputError(f"--{option}: --protocol {name} fixes everything; leave --{option} out")
+    import_module("hframe_gym.agents")
+    protocol = get_protocol(name)
+    require_folder(out)
+    with value_errors_as_input_errors():
+        contents = [result_content(protocol, *run_protocol(controller, protocol)) for controller in controllers]
+    written = [write_result(out, content) for content in contents]
+    for table in protocol_tables(contents):
+        console.print(table)
+    for path in written:
+        log(f"wrote {path}")
 
 
 @app.command(cls=CommandWithChoices)
