@@ -43,6 +43,7 @@ Array = NDArray[np.float64]
 # Bandwidths that are compared, rad/s. The likelihood changes little between neighbors.
 BANDWIDTHS = (SEARCH_BANDWIDTH, 30.0, 15.0, 7.0, 3.0, SIMULATION)
 _MIN_RUNS, _PIECES = 4, 8  # fewer runs are divided into that many pieces for cross-validation
+_MIN_AGREEING = 2  # runs that must agree with each other for another one to contradict them
 CONTRADICTION = 10.0  # times the chi-squared of the other runs; effects that single runs excite reach 30
 _CORRELATION_S = 0.05  # s; longer than the correlation of a sensor's noise
 _SEARCH_STEP_NARROW = 0.25e-3  # s; a narrow observer does not forgive the error of longer integration steps
@@ -222,9 +223,9 @@ def contradicting_run(fitted: Fit, data: Dataset) -> str | None:
 
     Returns:
         Name of the run whose chi-squared per sample, with the parameters that the other runs determine, is more than
-        ten times theirs, and most; None if there is no such run, or fewer than four runs.
+        ten times theirs, and most; None if there is no such run, or fewer than three runs.
     """
-    if len(data.runs) < _MIN_RUNS:
+    if len(data.runs) < _MIN_AGREEING + 1:
         return None
     costs = _left_out_costs(fitted, data, 1)
     counts = [run.count for run in data.runs]
