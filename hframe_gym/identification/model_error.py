@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from .criteria import SelectionCriteria
 from .dataset import Dataset, PreparedRecording
 from .effect_size import force_size
-from .estimation import Fit, fit
+from .estimation import Fit, fit, prediction_cost
 from .free_parameters import prior_precision
 from .linearization import NormalEquations, ResidualModel
 from .prediction import (
@@ -127,6 +127,27 @@ def polish(fitted: Fit, data: Dataset) -> Fit:
         error of the search.
     """
     return fit(fitted.machine, fitted.free, data, fitted.bandwidth, theta=fitted.theta, longest_step=POLISH_STEP)
+
+
+def refined_in_simulation(fitted: Fit, data: Dataset) -> Fit:
+    """Fit a machine to its simulation error, if cross-validation confirms that this reduces it.
+
+    An observer hides slow errors from the fit, and with them what they say about the parameters. It protects the search
+    from the model's error; the final machine is used in simulation.
+
+    Args:
+        fitted: Final fit at any observer bandwidth.
+        data: Runs that were fitted.
+
+    Returns:
+        Fit in simulation if its error on runs that are left out in turn is smaller than the simulation error of the
+        given fit; else, and for fewer than four runs, the given one.
+    """
+    if fitted.bandwidth == SIMULATION or len(data.runs) < _MIN_RUNS:
+        return fitted
+    cost = prediction_cost(fitted.machine, data, SIMULATION, longest_step=POLISH_STEP)
+    simulated = polish(at_bandwidth(fitted, SIMULATION, data), data)
+    return simulated if _leave_one_out_cost(simulated, data) < cost else fitted
 
 
 def residue_force(fitted: Fit, data: Dataset) -> float:
