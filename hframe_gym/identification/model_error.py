@@ -141,9 +141,9 @@ def refined_in_simulation(fitted: Fit, data: Dataset) -> Fit:
 
     Returns:
         Fit in simulation if its error on runs that are left out in turn is smaller than the simulation error of the
-        given fit; else, and for fewer than four runs, the given one.
+        given fit; else, and for fewer than three runs, the given one.
     """
-    if fitted.bandwidth == SIMULATION or len(data.runs) < _MIN_RUNS:
+    if fitted.bandwidth == SIMULATION or len(data.runs) <= _MIN_AGREEING:
         return fitted
     cost = prediction_cost(fitted.machine, data, SIMULATION, longest_step=POLISH_STEP)
     simulated = polish(at_bandwidth(fitted, SIMULATION, data), data)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import NamedTuple
 
 from ..machine import Machine
@@ -13,7 +14,7 @@ from .forward_selection import ConsideredEffect, EffectSearch, Log, SelectedEffe
 from .free_parameters import default_free_parameters
 from .model_error import contradicting_run, explains, fit_with_model_error, polish, refined_in_simulation
 from .nonparametric import add_tables
-from .prediction import SEARCH_BANDWIDTH
+from .prediction import SEARCH_BANDWIDTH, SIMULATION
 from .result import Verdict
 
 
@@ -116,7 +117,7 @@ class _Search:
         tabled = self._with_tables((after, effects))
         if tabled is not None:
             return self._outcome("effect_found", *tabled, considered)
-        if effects and self._wide_excess(after) < self._criteria.max_partial_excess * self._wide_excess(self.base):
+        if effects and self._reduces_error(after):
             return self._outcome("effect_found", after, effects, considered)
         return self._outcome("unexplained", self.before, (), considered)
 
@@ -174,9 +175,22 @@ class _Search:
         """Return the cost of a machine at the bandwidth of the search, at which all machines can be compared."""
         return prediction_cost(fitted.machine, self._data, SEARCH_BANDWIDTH)
 
-    def _wide_excess(self, fitted: Fit) -> float:
-        """Return the excess of chi-squared per sample at that bandwidth over what a correct model reaches there."""
-        return max(self._wide_cost(fitted) / self._data.count - self._criteria.one_step_floor, 0.0)
+    def _reduces_error(self, after: Fit) -> bool:
+        """Return whether effects remove most of the error that goes beyond the noise, although they leave some.
+
+        Compared are chi-squared per sample with the widest observer, which hides slow errors, and the root mean square
+        error of the simulation, which sums them up.
+        """
+        limit, data = self._criteria.max_partial_excess, self._data
+        wide, wide_before = (
+            max(self._wide_cost(fitted) / data.count - self._criteria.one_step_floor, 0.0)
+            for fitted in (after, self.base)
+        )
+        error, error_before = (
+            math.sqrt(max(prediction_cost(fitted.machine, data, SIMULATION) / data.count - 1.0, 0.0))
+            for fitted in (refined_in_simulation(after, data), refined_in_simulation(self.before, data))
+        )
+        return wide < limit * wide_before or error < limit * error_before
 
     def _explains(self, after: Fit) -> bool:
         """Return whether a fit leaves only the sensors' noise, or a negligible part of the initial residual."""
