@@ -344,7 +344,7 @@ TABLES: dict[str, Callable[[dict[str, Any]], str]] = {
     **{f"identification_{name}": identification_set for name in IDENTIFICATION_SETS},
     "formulas": formulas,
     "other_simulator_rigs": other_simulator_rigs,
-    "random_rigs_20261121": random_rigs,
+    "random_rigs_20261124": random_rigs,
     "env_speed": env_speed,
     "her": her,
     "bound": bound,

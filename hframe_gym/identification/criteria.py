@@ -80,8 +80,9 @@ class SelectionCriteria:
             where the initial value is large.
         max_table_cost_fraction: Cost relative to the best model of known effects below which a table is accepted
             although the residual is not yet noise.
-        max_partial_excess: Excess of chi-squared per sample over `one_step_floor`, relative to that of the refitted
-            model, below which known effects are reported although they leave more than noise.
+        max_partial_excess: Error beyond the noise, relative to that of the refitted model, below which known effects
+            are reported although they leave more than noise: excess of chi-squared per sample over `one_step_floor`, or
+            root mean square error in simulation.
         min_saturated_fraction: Smallest fraction of all rows at the outermost measurement that indicates the end of a
             sensor's range.
         second_end_factor: Factor on the two saturation thresholds for the other end of a sensor that saturates at one

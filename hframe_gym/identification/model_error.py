@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from .criteria import SelectionCriteria
 from .dataset import Dataset, PreparedRecording
 from .effect_size import force_size
-from .estimation import Fit, fit
+from .estimation import Fit, fit, prediction_cost
 from .free_parameters import prior_precision
 from .linearization import NormalEquations, ResidualModel
 from .prediction import (
@@ -43,6 +43,7 @@ Array = NDArray[np.float64]
 # Bandwidths that are compared, rad/s. The likelihood changes little between neighbors.
 BANDWIDTHS = (SEARCH_BANDWIDTH, 30.0, 15.0, 7.0, 3.0, SIMULATION)
 _MIN_RUNS, _PIECES = 4, 8  # fewer runs are divided into that many pieces for cross-validation
+_MIN_AGREEING = 2  # runs that must agree with each other for another one to contradict them
 CONTRADICTION = 10.0  # times the chi-squared of the other runs; effects that single runs excite reach 30
 _CORRELATION_S = 0.05  # s; longer than the correlation of a sensor's noise
 _SEARCH_STEP_NARROW = 0.25e-3  # s; a narrow observer does not forgive the error of longer integration steps
@@ -126,6 +127,27 @@ def polish(fitted: Fit, data: Dataset) -> Fit:
         error of the search.
     """
     return fit(fitted.machine, fitted.free, data, fitted.bandwidth, theta=fitted.theta, longest_step=POLISH_STEP)
+
+
+def refined_in_simulation(fitted: Fit, data: Dataset) -> Fit:
+    """Fit a machine to its simulation error, if cross-validation confirms that this reduces it.
+
+    An observer hides slow errors from the fit, and with them what they say about the parameters. It protects the search
+    from the model's error; the final machine is used in simulation.
+
+    Args:
+        fitted: Final fit at any observer bandwidth.
+        data: Runs that were fitted.
+
+    Returns:
+        Fit in simulation if its error on runs that are left out in turn is smaller than the simulation error of the
+        given fit; else, and for fewer than three runs, the given one.
+    """
+    if fitted.bandwidth == SIMULATION or len(data.runs) <= _MIN_AGREEING:
+        return fitted
+    cost = prediction_cost(fitted.machine, data, SIMULATION, longest_step=POLISH_STEP)
+    simulated = polish(at_bandwidth(fitted, SIMULATION, data), data)
+    return simulated if _leave_one_out_cost(simulated, data) < cost else fitted
 
 
 def residue_force(fitted: Fit, data: Dataset) -> float:
@@ -222,9 +244,9 @@ def contradicting_run(fitted: Fit, data: Dataset) -> str | None:
 
     Returns:
         Name of the run whose chi-squared per sample, with the parameters that the other runs determine, is more than
-        ten times theirs, and most; None if there is no such run, or fewer than four runs.
+        ten times theirs, and most; None if there is no such run, or fewer than three runs.
     """
-    if len(data.runs) < _MIN_RUNS:
+    if len(data.runs) < _MIN_AGREEING + 1:
         return None
     costs = _left_out_costs(fitted, data, 1)
     counts = [run.count for run in data.runs]

@@ -141,7 +141,7 @@ def _without_unconfirmed(outcome: SearchOutcome, validation: Dataset, log: Log) 
     The held-out runs can only remove an effect here, never add or change one. They say nothing about an effect that
     they do not excite; then the runs that were left out in turn (`leave_one_out_gain`) must suffice.
     """
-    before, before_explains, verdict, after, selected, considered, data, _ = outcome
+    before, before_explains, _, verdict, after, selected, considered, data, _ = outcome
     while selected and validation.runs:
         runs = refine_encoder_offsets(validation, after.machine, data)
         gains = {s.effect.label: held_out_gain(s, after.machine, runs, after.bandwidth) for s in selected}
@@ -174,7 +174,7 @@ def _result(
     criteria: SelectionCriteria,
 ) -> IdentificationResult:
     """Evaluate declared, refitted and corrected machine on the held-out runs, and propose an experiment."""
-    before, _, verdict, after, selected, considered, data, _ = outcome
+    before, _, _, verdict, after, selected, considered, data, _ = outcome
     refined = refine_encoder_offsets(data, after.machine)
     corrected, selected = _corrected(after, selected, ranges, refined, f"{machine.name}-identified")
     refitted = before.machine.replace(name=f"{machine.name}-refitted")

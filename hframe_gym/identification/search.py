@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import NamedTuple
 
 from ..machine import Machine
@@ -11,9 +12,9 @@ from .dataset import Dataset, refine_encoder_offsets
 from .estimation import Fit, fit, prediction_cost
 from .forward_selection import ConsideredEffect, EffectSearch, Log, SelectedEffect, Selection
 from .free_parameters import default_free_parameters
-from .model_error import contradicting_run, explains, fit_with_model_error, polish
+from .model_error import contradicting_run, explains, fit_with_model_error, polish, refined_in_simulation
 from .nonparametric import add_tables
-from .prediction import SEARCH_BANDWIDTH
+from .prediction import SEARCH_BANDWIDTH, SIMULATION
 from .result import Verdict
 
 
@@ -23,6 +24,7 @@ class SearchOutcome(NamedTuple):
     Attributes:
         before: Fit of the refitted machine, without effects.
         before_explains: Whether that machine explains the data.
+        explained: Whether the machine with the effects explains the data.
         verdict: "effect_found", "no_effect" or "unexplained".
         after: Fit of the machine with the effects.
         selected: The selected effects.
@@ -33,6 +35,7 @@ class SearchOutcome(NamedTuple):
 
     before: Fit
     before_explains: bool
+    explained: bool
     verdict: Verdict
     after: Fit
     selected: tuple[SelectedEffect, ...]
@@ -64,7 +67,7 @@ def search_effects(machine: Machine, data: Dataset, criteria: SelectionCriteria,
     log(f"{suspect} contradicts the other runs; searching for effects without it first")
     others = _Search(machine, data.with_runs([run.name for run in data.runs if run.name != suspect]), criteria, log)
     outcome = others.run()
-    if not others.explains(outcome.after):
+    if not outcome.explained:
         return all_runs.run()
     log(f"searching for an effect that explains {suspect}")
     after, effects = outcome.after, outcome.selected
@@ -108,13 +111,13 @@ class _Search:
         """
         self._log("searching for effects")
         after, effects, considered = self._known_effects(start or (self.before, ()))
-        if self.explains(after):
+        if self._explains(after):
             verdict: Verdict = "effect_found" if effects else "no_effect"
             return self._outcome(verdict, after if effects else self.before, effects, considered)
         tabled = self._with_tables((after, effects))
         if tabled is not None:
             return self._outcome("effect_found", *tabled, considered)
-        if effects and self._wide_excess(after) < self._criteria.max_partial_excess * self._wide_excess(self.base):
+        if effects and self._reduces_error(after):
             return self._outcome("effect_found", after, effects, considered)
         return self._outcome("unexplained", self.before, (), considered)
 
@@ -125,8 +128,15 @@ class _Search:
         selected: tuple[SelectedEffect, ...],
         considered: tuple[ConsideredEffect, ...],
     ) -> SearchOutcome:
-        """Return the outcome with the refitted machine and the runs of this search."""
-        return SearchOutcome(self.before, self.explains(self.before), verdict, after, selected, considered, self._data)
+        """Return the outcome of this search, with its machines fitted in simulation where that is better."""
+        before_explains, explained = self._explains(self.before), self._explains(after)
+        before = refined_in_simulation(self.before, self._data)
+        if after is self.before:
+            after = before
+        else:
+            after = refined_in_simulation(after, refine_encoder_offsets(self._data, after.machine))
+            selected = tuple(s.with_values(after.machine) for s in selected)
+        return SearchOutcome(before, before_explains, explained, verdict, after, selected, considered, self._data)
 
     def _known_effects(self, start: Selection) -> tuple[Fit, tuple[SelectedEffect, ...], tuple[ConsideredEffect, ...]]:
         """Return the fit with effects of the library, the effects, and those that failed a test."""
@@ -157,7 +167,7 @@ class _Search:
                 refined = polish(fit_with_model_error(fitted, data), data)
                 candidate, kept = EffectSearch(data, self.before.machine, criteria, log).prune(refined, more)
                 limit = criteria.max_table_cost_fraction * min(self.base.cost, wide.cost)
-                if kept and (self.explains(candidate) or self._wide_cost(candidate) < limit):
+                if kept and (self._explains(candidate) or self._wide_cost(candidate) < limit):
                     return candidate, kept
         return None
 
@@ -165,11 +175,24 @@ class _Search:
         """Return the cost of a machine at the bandwidth of the search, at which all machines can be compared."""
         return prediction_cost(fitted.machine, self._data, SEARCH_BANDWIDTH)
 
-    def _wide_excess(self, fitted: Fit) -> float:
-        """Return the excess of chi-squared per sample at that bandwidth over what a correct model reaches there."""
-        return max(self._wide_cost(fitted) / self._data.count - self._criteria.one_step_floor, 0.0)
+    def _reduces_error(self, after: Fit) -> bool:
+        """Return whether effects remove most of the error that goes beyond the noise, although they leave some.
 
-    def explains(self, after: Fit) -> bool:
+        Compared are chi-squared per sample with the widest observer, which hides slow errors, and the root mean square
+        error of the simulation, which sums them up.
+        """
+        limit, data = self._criteria.max_partial_excess, self._data
+        wide, wide_before = (
+            max(self._wide_cost(fitted) / data.count - self._criteria.one_step_floor, 0.0)
+            for fitted in (after, self.base)
+        )
+        error, error_before = (
+            math.sqrt(max(prediction_cost(fitted.machine, data, SIMULATION) / data.count - 1.0, 0.0))
+            for fitted in (refined_in_simulation(after, data), refined_in_simulation(self.before, data))
+        )
+        return wide < limit * wide_before or error < limit * error_before
+
+    def _explains(self, after: Fit) -> bool:
         """Return whether a fit leaves only the sensors' noise, or a negligible part of the initial residual."""
         return explains(after, self.base.chi2, self._criteria)
 
