@@ -193,7 +193,7 @@ class Agent(Controller):
         path = Path(folder)
         card = _read_card(path)
         machine = load_machine(path / "machine.json")
-        algorithm = import_optional("stable_baselines3.ppo" if card["kind"] == "ppo" else "stable_baselines3.sac")
+        algorithm = import_optional("stable_baselines3.sac" if card["kind"] == "sac" else "stable_baselines3.ppo")
         mapping = residual_action(machine, card["settings"]["actuation"], card["period"])
         space = observation_space(machine, card["previews"])
         policy = algorithm.MultiInputPolicy(

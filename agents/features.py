@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..controllers import MinimumEnergyTransfers, MotionModel
 from ..machine import Machine, rest_state
 
 Array = NDArray[np.float64]
@@ -29,6 +30,8 @@ STRETCH_SCALES = (1e-3, 1e-4)  # m
 # Fractions of the rated voltage: full voltage, and about what Coulomb friction takes.
 ACTION_SCALES = (1.0, 0.03)
 FRICTION_VOLTAGE_SCALES = (0.03, 0.003)  # fractions of the rated voltage
+# Fractions of the rated voltage; far from the goal a short transfer takes far more than the rated voltage.
+TRANSFER_SCALES, LARGEST_TRANSFER = (1.0, 0.05), 30.0
 ESTIMATE_SCALE, LARGEST_ESTIMATE = 0.2, 1.0  # relative deviations from the nominal parameters
 POSITION_SCALE = 0.2  # m
 EXTRAPOLATION_S = 0.01  # s, one control period
@@ -51,17 +54,24 @@ OBSERVATION_KEYS = (
 )
 
 
-def feature_parameters(machine: Machine) -> dict[str, Any]:
+def feature_parameters(machine: Machine, period: float = 0.01, transfers: Sequence[int] = ()) -> dict[str, Any]:
     """Compute the geometry of a machine that `feature_matrix` needs, as its keyword arguments.
 
     Args:
         machine: Machine with a workspace.
+        period: Control period, s.
+        transfers: Durations of minimum-energy transfers, in periods beyond the shortest one, whose voltages are
+            features.
 
     Returns:
         `radii`: belt travel (radius * angle) per radian of each motor coordinate, m/rad, list of one per motor; a drive
             that acts on an axis of the tool itself has no motor coordinate.
         `rest`: belt travel of each motor coordinate per meter of each axis with unstretched belts, m/m, nested list of
             shape (motors, axes).
+        `gains`: only with transfers; gains of the state error (tool and motors, then their velocities, in the units of
+            the observation) for the first voltages of the transfers, divided by the rated voltages, nested list of
+            shape (transfers * drives, entries of `observation`).
+        `goal_gains`: only with transfers; the same for the goal, shape (transfers * drives, axes).
     """
     axes = machine.tool_axes
     linear_names = [c.name for c in machine.coordinates if c.kind == "linear"]
@@ -69,13 +79,31 @@ def feature_parameters(machine: Machine) -> dict[str, Any]:
     driven = [machine.coordinate_names.index(name) for name in dict.fromkeys(motors)]
     # Rest states for a displacement of 1 m along each axis.
     unit_states = [rest_state(machine, [float(name == axis) for name in linear_names]) for axis in axes]
-    return {
+    geometry = {
         "radii": [float(machine.travel_per_unit[i]) for i in driven],
         "rest": [[float(state[i] * machine.travel_per_unit[i]) for state in unit_states] for i in driven],
     }
+    return geometry | (_transfer_gains(machine, period, transfers) if transfers else {})
 
 
-def feature_matrix(sizes: Mapping[str, int], radii: Array, rest: Array) -> tuple[Array, Array]:
+def _transfer_gains(machine: Machine, period: float, transfers: Sequence[int]) -> dict[str, Any]:
+    """Return `gains` and `goal_gains` of `feature_parameters`, at the center of the workspace."""
+    model = MotionModel(machine)
+    designed = MinimumEnergyTransfers(model, period)
+    center = designed.grid.points.mean(axis=0, keepdims=True)
+    by_duration = designed.gains[designed.grid.nearest(center)[0], :, 0]  # (durations, drives, 2 n)
+    on_state = np.concatenate([by_duration[extra] / model.rated[:, None] for extra in transfers])
+    # state = observation @ in_travel; the goal state is linear in the goal.
+    in_travel = model.state({"observation": np.eye(on_state.shape[1])})
+    return {
+        "gains": (on_state @ in_travel.T).tolist(),
+        "goal_gains": (-on_state @ model.goal_state(np.eye(len(model.axes))).T).tolist(),
+    }
+
+
+def feature_matrix(
+    sizes: Mapping[str, int], radii: Array, rest: Array, gains: Array | None = None, goal_gains: Array | None = None
+) -> tuple[Array, Array]:
     """Build the matrix M and the factors g of the features g * sign(z M) * log(1 + |z M|) of an observation z.
 
     Args:
@@ -84,6 +112,9 @@ def feature_matrix(sizes: Mapping[str, int], radii: Array, rest: Array) -> tuple
         radii: Belt travel (radius * angle) per radian of each motor coordinate, m/rad, shape (motors,).
         rest: Belt travel of each motor coordinate per meter of each axis with unstretched belts, m/m, shape
             (motors, axes).
+        gains: Gains of `observation` for the voltages of transfers to rest, as `feature_parameters` returns them.
+            Default: no such features.
+        goal_gains: Gains of `desired_goal`, likewise.
 
     Returns:
         M: Combines entries of z to errors and speeds and divides them by their scales, shape (entries, features).
@@ -121,6 +152,9 @@ def feature_matrix(sizes: Mapping[str, int], radii: Array, rest: Array) -> tuple
         blocks.append(_scaled_columns(columns, FRICTION_VOLTAGE_SCALES, FRICTION_VOLTAGE_SCALES[0]))
     if "estimates" in selectors:
         blocks.append(_scaled_columns(selectors["estimates"], (ESTIMATE_SCALE,), LARGEST_ESTIMATE))
+    if gains is not None and goal_gains is not None:
+        volts = selectors["observation"] @ np.transpose(gains) + goal @ np.transpose(goal_gains)
+        blocks.append(_scaled_columns(volts, TRANSFER_SCALES, LARGEST_TRANSFER))
     return np.hstack([matrix for matrix, _ in blocks]), np.concatenate([gain for _, gain in blocks])
 
 

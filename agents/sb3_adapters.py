@@ -29,6 +29,8 @@ class LogScaleFeatures(BaseFeaturesExtractor):
         radii: Belt travel (radius * angle) per radian of each motor coordinate, m/rad, one per motor.
         rest: Belt travel of each motor coordinate per meter of each axis with unstretched belts, m/m, shape
             (motors, axes).
+        gains: Gains of `observation` for the voltages of transfers to rest, see `feature_parameters`. Default: none.
+        goal_gains: Gains of `desired_goal`, likewise.
 
     Attributes:
         keys: Keys of the observation in the order in which their arrays are concatenated.
@@ -39,13 +41,26 @@ class LogScaleFeatures(BaseFeaturesExtractor):
     matrix: torch.Tensor  # (entries, features)
     gain: torch.Tensor  # (features,)
 
-    def __init__(self, observation_space: spaces.Dict, radii: list[float], rest: list[list[float]]) -> None:
+    def __init__(
+        self,
+        observation_space: spaces.Dict,
+        radii: list[float],
+        rest: list[list[float]],
+        gains: list[list[float]] | None = None,
+        goal_gains: list[list[float]] | None = None,
+    ) -> None:
         sizes = {
             key: int(np.prod(observation_space[key].shape or ()))
             for key in OBSERVATION_KEYS
             if key in observation_space.spaces
         }
-        matrix, gain = feature_matrix(sizes, np.array(radii), np.array(rest))
+        matrix, gain = feature_matrix(
+            sizes,
+            np.array(radii),
+            np.array(rest),
+            None if gains is None else np.array(gains),
+            None if goal_gains is None else np.array(goal_gains),
+        )
         super().__init__(observation_space, features_dim=len(gain))
         self.keys = tuple(sizes)
         # Not persistent: they follow from agent.json, so the file of weights does not repeat them.
