@@ -5,9 +5,9 @@ chain of policy and machine, and backpropagation through time gives the derivati
 derivatives of the machine over one control period are finite differences of the compiled simulator: 11 simulations of
 10 ms for a state of 8 and an action of 2 entries, which take about as long as the network.
 
-Static friction makes the motion depend on state and voltage discontinuously, and small errors at the goal grow over many
-periods. Three measures keep the gradient useful: the differences have random steps, which smooths the derivatives; the
-derivative by the state is discounted per period; and it is limited in every episode.
+Static friction makes the motion depend discontinuously on state and voltage, and small errors at the goal grow over
+many periods. Three measures keep the gradient useful: the differences have random steps, which smooths the derivatives;
+the derivative by the state is discounted per period; and it is limited in every episode.
 
 Importing this module needs the extra `agents`.
 
@@ -38,11 +38,10 @@ from .sb3_adapters import ResidualActionVecEnv
 Array = NDArray[np.float64]
 SAMPLES = 2  # samples of the tool position per control period that enter the cost
 INTEGRATION_STEP = 1e-3  # s, twice that of the environment; the gradient needs no higher accuracy
-# Steps of the finite differences: belt travel, m, its rate, m/s, and the range of the voltages, V. Near the goal friction
-# takes up to 0.7 V; steps of this size show a policy at rest that a higher voltage moves the tool.
+# Steps of the finite differences: belt travel, m, its rate, m/s, and the range of the voltages, V. Friction takes up to
+# 0.7 V; steps of this size show a policy at rest that a higher voltage moves the tool.
 TRAVEL_STEP, RATE_STEP, VOLTAGE_STEPS = 2e-5, 5e-3, (0.05, 0.3)
-# Units of travel, m, and rate, m/s, in which the derivative by the state is limited: what changes in one period near the
-# goal.
+# Units of travel, m, and rate, m/s, in which the derivative by the state is limited: typical changes in one period.
 TRAVEL_UNIT, RATE_UNIT = 1e-3, 0.05
 # Lengths s, m, and weights w of the cost sum w d / (d + s) of a distance d: the reward "dense", with more weight on the
 # last tenths of a millimeter.
@@ -159,6 +158,10 @@ class _Limit(torch.autograd.Function):
         return gradient * ((values.abs() <= 1.0) | (values * gradient > 0.0))
 
 
+_differentiable_period: Any = _Period.apply
+_limited: Any = _Limit.apply
+
+
 def distance_cost(distance: Any) -> Any:
     """Compute the cost sum w d / (d + s) of distances d over the lengths s of `COST_SCALES` with `COST_WEIGHTS`.
 
@@ -188,8 +191,7 @@ class AnalyticPolicyGradient:
         periods: Control periods of an episode.
         skipped: Largest number of periods at the beginning that are not differentiated.
         discount: Factor per period of the derivative by the state, 0 to 1.
-        limit: Limit of this derivative per episode, in costs per period, for travel in units of 1 mm and rates in units
-            of 50 mm/s.
+        limit: Limit of this derivative per episode, in costs of a period per 1 mm and 50 mm/s.
         averaging: Fraction of the averaged weights that remains in an update, 0 to below 1.
 
     Attributes:
@@ -198,8 +200,7 @@ class AnalyticPolicyGradient:
         logger: Logger of stable-baselines3.
 
     Raises:
-        InputError: If there is no action mapping, it has a base controller (whose derivatives are not available), or the
-            goal moves.
+        InputError: If the goal moves, or the action mapping has a base controller, whose derivatives are not known.
     """
 
     def __init__(
@@ -230,7 +231,8 @@ class AnalyticPolicyGradient:
         self._generator = np.random.default_rng(seed)
         self._learning_rate, self._periods, self._skipped = learning_rate, periods, skipped
         self._discount, self._limit, self._averaging = discount, limit, averaging
-        self._trained = MultiInputPolicy(env.observation_space, env.action_space, lambda _: 0.0, **policy_kwargs)
+        space: Any = env.observation_space
+        self._trained: Any = MultiInputPolicy(space, env.action_space, lambda _: 0.0, **policy_kwargs)
         self.policy = copy.deepcopy(self._trained)
         self._optimizer = torch.optim.Adam(self._trained.parameters())
         self.num_timesteps, self._updates = 0, 0
@@ -286,11 +288,12 @@ class AnalyticPolicyGradient:
         parameters, references = self._envs.parameters, batch.references
         state = torch.from_numpy(model.goal_state(batch.simulator.tools()))
         last_observation, last_action, costs = None, None, []
+        limit = self._limit / len(state)  # the mean over the episodes is differentiated
         for k in range(self._periods):
             observation = {"observation": model.observation(state.detach().numpy()).astype(np.float32)}
             references.add_blank(observation)
             references.write(slice(None), observation)
-            entries = {key: torch.from_numpy(v) for key, v in self.mapping.augment(observation).items()}
+            entries: dict[str, Any] = {key: torch.from_numpy(v) for key, v in self.mapping.augment(observation).items()}
             with torch.set_grad_enabled(k >= skipped):
                 # What depends on the state and on earlier actions replaces the arrays of the same values.
                 entries["observation"] = (state @ self._observed).float()
@@ -305,10 +308,10 @@ class AnalyticPolicyGradient:
                     arrays = self._period.outputs(state.numpy(), volts.numpy(), parameters)
                     state = torch.from_numpy(arrays)[:, : state.shape[1]]
                     continue
-                outputs = _Period.apply(state, volts, parameters, self._period, self._limit, self._discount)
+                outputs = _differentiable_period(state, volts, parameters, self._period, limit, self._discount)
                 state, tool = outputs[:, : state.shape[1]], outputs[:, state.shape[1] :]
                 costs.append(self._period_cost(tool.reshape(len(tool), SAMPLES, -1), entries["desired_goal"]))
-        return torch.stack(costs, dim=1).mean(1)
+        return torch.stack(costs, dim=1).sum(1)
 
     def _action(self, entries: Mapping[str, Any]) -> Any:
         """Compute the actions (B, drives) of the policy that is trained, limited to [-1, 1]."""
@@ -317,7 +320,7 @@ class AnalyticPolicyGradient:
         goal, observation = entries["desired_goal"], entries["observation"]
         distance = torch.linalg.vector_norm(goal - observation[:, : goal.shape[1]], dim=1)
         speed = torch.linalg.vector_norm(observation[:, self.mapping.tool_speeds], dim=1)
-        return _Limit.apply(self.mapping.combine(_Limit.apply(output), distance, speed, entries["last_action"]))
+        return _limited(self.mapping.combine(_limited(output), distance, speed, entries["last_action"]))
 
     def _period_cost(self, tool: Any, goal: Any) -> Any:
         """Return the cost (B,) of tool positions (B, SAMPLES, axes), m, with goals (B, axes)."""
