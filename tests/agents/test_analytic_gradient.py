@@ -8,7 +8,8 @@ import torch
 
 from hframe_gym.agents import Agent, load_recipe, train
 from hframe_gym.agents.agent import policy_keywords
-from hframe_gym.agents.analytic_gradient import AnalyticPolicyGradient, SimulatedPeriod, distance_cost
+from hframe_gym.agents.analytic_gradient import AnalyticPolicyGradient
+from hframe_gym.agents.differentiable_episode import SimulatedPeriod, distance_cost
 from hframe_gym.agents.features import feature_parameters
 from hframe_gym.agents.model_card import score_agent
 from hframe_gym.agents.residual_action import ResidualAction
@@ -51,14 +52,15 @@ def test_the_cost_rewards_every_decade_of_distance():
     costs = distance_cost(torch.tensor([0.0, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1, 10.0])).numpy()
     assert costs[0] == 0.0
     assert costs[-1] == pytest.approx(1.0, abs=0.02)
-    assert np.diff(costs).min() > 0.05
+    assert np.diff(costs).min() > 0.04
 
 
 def build(actuation=None, task="reach", **settings):
     """Return an algorithm with few periods, whose derivatives are neither limited nor discounted."""
     actuation = {"least": 0.5, "hold_m": 5e-4, "estimates": True} if actuation is None else actuation
-    mapping = ResidualAction(MACHINE, PERIOD, **actuation)
-    environment = ResidualActionVecEnv(HFrameVecEnv(8, task=task, randomize="none"), mapping)
+    environment = HFrameVecEnv(8, task=task, randomize="none")
+    if actuation:
+        environment = ResidualActionVecEnv(environment, ResidualAction(MACHINE, PERIOD, **actuation))
     chosen = {"periods": 4, "skipped": 0, "discount": 1.0, "limit": np.inf, "averaging": 0.5, **settings}
     keywords = policy_keywords({"net_arch": [16]}, feature_parameters(MACHINE))
     algorithm = AnalyticPolicyGradient(
@@ -69,8 +71,9 @@ def build(actuation=None, task="reach", **settings):
     return algorithm
 
 
-def test_the_gradient_of_an_episode_predicts_how_its_cost_changes():
-    algorithm = build()
+@pytest.mark.parametrize("task", ["reach", "track"])
+def test_the_gradient_of_an_episode_predicts_how_its_cost_changes(task):
+    algorithm = build(task=task)
     environment = algorithm.env.venv
 
     def costs():
@@ -104,12 +107,10 @@ def test_the_derivative_by_the_state_is_limited_in_every_episode():
     assert norm(discount=0.0) < norm()
 
 
-@pytest.mark.parametrize(
-    ("actuation", "task"), [({"base": "pid"}, "reach"), ({"least": 0.5}, "track")], ids=["base", "moving goal"]
-)
-def test_problems_without_derivatives_are_rejected(actuation, task):
-    with pytest.raises(InputError, match="a goal at rest and an \\[actuation\\] without a base controller"):
-        build(actuation, task)
+@pytest.mark.parametrize("actuation", [{"base": "pid"}, {}], ids=["base", "none"])
+def test_a_mapping_without_derivatives_is_rejected(actuation):
+    with pytest.raises(InputError, match=r"an \[actuation\] without a base controller"):
+        build(actuation)
 
 
 def test_estimates_of_an_agent_are_those_of_the_adaptive_controller():
