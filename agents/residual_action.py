@@ -7,7 +7,7 @@
 With the tool at rest at the goal, 0.1 V moves it by 0.1 mm in one control period. A policy explores with the same noise
 everywhere; the authority makes that noise small at the goal and large far from it. A held action makes the policy's
 output a change of voltage at the goal, so that it integrates against friction. The previous observation and action let
-the policy infer masses and friction, which it cannot observe; a `MomentumFilter` can add estimates of them.
+the policy infer masses and friction, which it cannot observe; a `ParameterFilter` can add estimates of them.
 Training and the finished agent use this one implementation.
 """
 
@@ -25,9 +25,8 @@ from ..controllers import (
     CONTROLLERS,
     AdaptiveController,
     EpisodeStarts,
-    InputInversion,
-    MomentumFilter,
     MotionModel,
+    ParameterFilter,
 )
 from ..errors import InputError
 from ..machine import Machine
@@ -87,46 +86,6 @@ class Authority:
         return (1.0 - distance / self.hold_m - speed / self.hold_m_s).clip(min=0.0)[:, None]
 
 
-class ParameterEstimator:
-    """Estimates of friction, masses and belts of a batch of machines from observations and actions.
-
-    Args:
-        machine: Machine with its declared parameters.
-        period: Control period, s.
-
-    Attributes:
-        size: Number of estimates per machine.
-    """
-
-    def __init__(self, machine: Machine, period: float) -> None:
-        self._model, self._inversion = MotionModel(machine), InputInversion(machine)
-        self._filter = MomentumFilter(self._model, period)
-        self._state, self._elapsed_s = np.zeros((0, 0)), np.zeros(0)  # at the previous observation
-        self.size = 2 * len(self._model.mass) + 1
-
-    @property
-    def estimates(self) -> Array:
-        """Estimated relative errors of the model, shape (batch, size); see `MomentumFilter.estimates`."""
-        return self._filter.estimates
-
-    def update(self, observation: Observation, actions: Array, starts: NDArray[np.bool_]) -> None:
-        """Update the estimates by the period that has ended.
-
-        Args:
-            observation: Arrays by key with the full state at its end, `observation`, shape (batch, entries).
-            actions: Voltages applied in it, divided by the rated voltages, shape (batch, drives).
-            starts: True where an episode starts with this observation, shape (batch,).
-        """
-        state = self._model.state(observation)
-        previous = self._state if len(self._state) == len(state) else state
-        volts = self._inversion.motor_voltage(actions * self._model.rated)
-        elapsed_s = self._elapsed_s if len(self._elapsed_s) == len(state) else np.zeros(len(state))
-        midpoint, midpoint_s = 0.5 * (previous + state), elapsed_s + 0.5 * self._filter.period
-        force = self._model.effect_force(midpoint, midpoint_s) + self._model.effect_friction(midpoint, midpoint_s)
-        self._filter.update(previous, state, volts, force, starts)
-        self._state, self._elapsed_s = state, np.where(starts, 0.0, elapsed_s + self._filter.period)
-
-
 class ResidualAction:
     """Conversion of policy outputs to actions, action = base + authority * output, for a batch of environments.
 
@@ -164,7 +123,8 @@ class ResidualAction:
         axes = machine.tool_axes
         first = len({*axes, *(drive.coordinate for drive in machine.drives)})  # after all positions
         self.tool_speeds = slice(first, first + len(axes))
-        self._estimator = ParameterEstimator(machine, period) if estimates else None
+        self._model = MotionModel(machine) if estimates else None
+        self._filter = ParameterFilter(self._model, period) if self._model else None
         self._starts = EpisodeStarts()
         self._state: NDArray[Any] = np.zeros((0, 0))  # `observation` of this period, (batch, entries)
         self._last_state: NDArray[Any] = np.zeros((0, 0))  # and of the previous period
@@ -192,8 +152,8 @@ class ResidualAction:
         if self._adaptive_base:
             for key, size in zip(ADAPTIVE_FEATURES, self._adaptive_base.feature_sizes.values(), strict=True):
                 added[key] = spaces.Box(-np.inf, np.inf, (size,), np.float32)
-        if self._estimator:
-            added["estimates"] = spaces.Box(-np.inf, np.inf, (self._estimator.size,), np.float32)
+        if self._filter:
+            added["estimates"] = spaces.Box(-np.inf, np.inf, (self._filter.size,), np.float32)
         return spaces.Dict({**observation_space.spaces, **added})
 
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
@@ -226,8 +186,9 @@ class ResidualAction:
         if self._starts.resize(len(state)):
             self._state, self._last_action = state, np.zeros((len(state), self._drives))
         starting = self._starts.mask[:, None]  # (batch, 1)
-        if self._estimator:
-            self._estimator.update(observation, self._last_action, self._starts.mask)
+        if self._filter and self._model:
+            before, after = (self._model.state({"observation": rows}) for rows in (self._state, state))
+            self._filter.update(before, after, self._last_action, self._starts.mask)
         self._last_state = np.where(starting, state, self._state)
         self._last_action = np.where(starting, 0.0, self._last_action)
         self._starts.clear()
@@ -255,8 +216,8 @@ class ResidualAction:
             added["base_action"] = self._base_action
         if self._adaptive_base:
             added |= {key: getattr(self._adaptive_base, key) for key in ADAPTIVE_FEATURES}
-        if self._estimator:
-            added["estimates"] = self._estimator.estimates
+        if self._filter:
+            added["estimates"] = self._filter.estimates
         return {key: values.astype(np.float32) for key, values in added.items()}
 
     def action(self, output: NDArray[Any]) -> Array:

@@ -14,8 +14,7 @@ from hframe_gym.agents.features import feature_parameters
 from hframe_gym.agents.model_card import score_agent
 from hframe_gym.agents.residual_action import ResidualAction
 from hframe_gym.agents.sb3_adapters import ResidualActionVecEnv
-from hframe_gym.controllers import CONTROLLERS, MotionModel
-from hframe_gym.envs import HFrameVectorEnv
+from hframe_gym.controllers import MotionModel
 from hframe_gym.envs.sb3_vec_env import HFrameVecEnv
 from hframe_gym.errors import InputError
 from hframe_gym.evaluation import Scenario
@@ -111,19 +110,6 @@ def test_the_derivative_by_the_state_is_limited_in_every_episode():
 def test_a_mapping_without_derivatives_is_rejected(actuation):
     with pytest.raises(InputError, match=r"an \[actuation\] without a base controller"):
         build(actuation)
-
-
-def test_estimates_of_an_agent_are_those_of_the_adaptive_controller():
-    envs = HFrameVectorEnv(4, randomize="default")
-    controller = CONTROLLERS.get("adaptive-pid")(MACHINE, PERIOD)
-    mapping = ResidualAction(MACHINE, PERIOD, estimates=True)
-    observation, _ = envs.reset(seed=0)
-    for _ in range(15):
-        actions = controller.act(observation)
-        assert mapping.augment(observation)["estimates"] == pytest.approx(controller.estimates, rel=1e-5, abs=1e-7)
-        mapping.replace_last_action(actions)
-        observation = envs.step(actions)[0]
-    assert np.abs(controller.estimates).max() > 0.05
 
 
 @pytest.mark.train
