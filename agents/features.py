@@ -181,7 +181,7 @@ def feature_matrix(
     if "estimates" in selectors:
         blocks.append(_scaled_columns(selectors["estimates"], (ESTIMATE_SCALE,), LARGEST_ESTIMATE))
     if gains:
-        volts = sum(selectors[key] @ np.transpose(values) for key, values in gains.items())
+        volts = np.sum([selectors[key] @ np.transpose(values) for key, values in gains.items()], axis=0)
         blocks.append(_scaled_columns(volts, TRANSFER_SCALES, LARGEST_TRANSFER))
     return np.hstack([matrix for matrix, _ in blocks]), np.concatenate([gain for _, gain in blocks])
 

@@ -47,7 +47,7 @@ VARIANTS: dict[str, tuple[str, Callable[[Recipe], Recipe]]] = {
     "without estimates of friction, masses and belts": ("apg", _without("actuation", "estimates")),
     "without a held action": ("apg", _without("actuation", "hold_m")),
     "derivative by the state not discounted": ("apg", _with("algorithm", discount=1.0)),
-    "derivative by the state not limited": ("apg", _with("algorithm", limit=1e9)),
+    "derivative by the state limited a hundred times less": ("apg", _with("algorithm", limit=300.0)),
     "without averaged weights": ("apg", _with("algorithm", averaging=0.0)),
     "PPO": ("ppo", lambda recipe: recipe),
 }
