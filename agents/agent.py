@@ -202,7 +202,7 @@ class Agent(Controller):
         path = Path(folder)
         card = read_card(path, SCHEMA, AGENT_FILES)
         machine = load_machine(path / "machine.json")
-        algorithm = import_optional("stable_baselines3.ppo" if card["kind"] == "ppo" else "stable_baselines3.sac")
+        algorithm = import_optional("stable_baselines3.sac" if card["kind"] == "sac" else "stable_baselines3.ppo")
         mapping = residual_action(machine, card["settings"]["actuation"], card["period"])
         space = observation_space(machine, card["previews"])
         expected = feature_parameters(machine)

@@ -52,6 +52,9 @@ class _Actuation(_Table):
     most: Fraction = 1.0
     full_at_m: Positive = 5e-3
     full_at_m_s: Positive = 0.2
+    estimates: bool = False
+    hold_m: Annotated[FiniteFloat, Field(ge=0.0, le=1e3)] = 0.0
+    hold_m_s: Positive = 0.015
 
 
 class _Settings(_Table):
@@ -68,6 +71,7 @@ class _Features(_Table):
 
     radii: Annotated[list[FiniteFloat], Field(max_length=100)]
     rest: Annotated[list[Annotated[list[FiniteFloat], Field(max_length=100)]], Field(max_length=100)]
+    gains: dict[str, Annotated[list[Annotated[list[FiniteFloat], Field(max_length=1000)]], Field(max_length=1000)]] = {}
 
 
 class _Card(_Table):
@@ -78,7 +82,7 @@ class _Card(_Table):
     schema_: int = Field(alias="schema")
     name: Annotated[str, Field(max_length=200)]
     task: Annotated[str, Field(max_length=200)]
-    kind: Literal["ppo", "sac"]
+    kind: Literal["ppo", "sac", "apg"]
     machine: Annotated[str, Field(max_length=1000)]
     seed: int
     recipe: Annotated[str, Field(max_length=200)]

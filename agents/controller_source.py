@@ -99,7 +99,7 @@ def shipped_agent_names() -> tuple[str, ...]:
     """List the trained agents that come with the package, for any task.
 
     Returns:
-        Names without the suffix "-seedN", sorted, for example ("ppo", "residual", "sac").
+        Names without the suffix "-seedN", sorted, for example ("apg", "ppo", "residual", "sac").
     """
     return tuple(sorted({label.rpartition("-seed")[0] for label in _shipped_folders("*")}))
 

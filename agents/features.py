@@ -19,6 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..controllers import MinimumEnergyTransfers, MotionModel, OperatingPointGrid, PreviewGains
+from ..controllers.finite_horizon_control import VOLTAGE_CHANGE_WEIGHT
 from ..machine import Machine, rest_state
 
 Array = NDArray[np.float64]
@@ -29,6 +31,8 @@ STRETCH_SCALES = (1e-3, 1e-4)  # m
 # Fractions of the rated voltage: full voltage, and about what Coulomb friction takes.
 ACTION_SCALES = (1.0, 0.03)
 FRICTION_VOLTAGE_SCALES = (0.03, 0.003)  # fractions of the rated voltage
+# Fractions of the rated voltage; far from the goal a short transfer takes far more than the rated voltage.
+TRANSFER_SCALES, LARGEST_TRANSFER = (1.0, 0.05), 30.0
 ESTIMATE_SCALE, LARGEST_ESTIMATE = 0.2, 1.0  # relative deviations from the nominal parameters
 POSITION_SCALE = 0.2  # m
 EXTRAPOLATION_S = 0.01  # s, one control period
@@ -51,17 +55,25 @@ OBSERVATION_KEYS = (
 )
 
 
-def feature_parameters(machine: Machine) -> dict[str, Any]:
+def feature_parameters(
+    machine: Machine, period: float = 0.01, transfers: Sequence[int] = (), preview: int = 0
+) -> dict[str, Any]:
     """Compute the geometry of a machine that `feature_matrix` needs, as its keyword arguments.
 
     Args:
         machine: Machine with a workspace.
+        period: Control period, s.
+        transfers: Durations of minimum-energy transfers, in periods beyond the shortest one, whose voltages are
+            features, for a goal at rest.
+        preview: Number of previewed goals of a preview control whose voltages are features, for a moving goal.
 
     Returns:
         `radii`: belt travel (radius * angle) per radian of each motor coordinate, m/rad, list of one per motor; a drive
             that acts on an axis of the tool itself has no motor coordinate.
         `rest`: belt travel of each motor coordinate per meter of each axis with unstretched belts, m/m, nested list of
             shape (motors, axes).
+        `gains`: only with transfers or a preview; by key of the observation, the gains on its entries for the voltages
+            of these controls, divided by the rated voltages, nested list of shape (voltages, entries).
     """
     axes = machine.tool_axes
     linear_names = [c.name for c in machine.coordinates if c.kind == "linear"]
@@ -69,13 +81,58 @@ def feature_parameters(machine: Machine) -> dict[str, Any]:
     driven = [machine.coordinate_names.index(name) for name in dict.fromkeys(motors)]
     # Rest states for a displacement of 1 m along each axis.
     unit_states = [rest_state(machine, [float(name == axis) for name in linear_names]) for axis in axes]
-    return {
+    geometry = {
         "radii": [float(machine.travel_per_unit[i]) for i in driven],
         "rest": [[float(state[i] * machine.travel_per_unit[i]) for state in unit_states] for i in driven],
     }
+    if transfers:
+        return {**geometry, "gains": _transfer_gains(MotionModel(machine), period, transfers)}
+    if preview:
+        return {**geometry, "gains": _preview_gains(MotionModel(machine), period, preview)}
+    return geometry
 
 
-def feature_matrix(sizes: Mapping[str, int], radii: Array, rest: Array) -> tuple[Array, Array]:
+def _transfer_gains(model: MotionModel, period: float, transfers: Sequence[int]) -> dict[str, Any]:
+    """Return the gains for the first voltages of transfers to rest, designed at the center of the workspace."""
+    designed = MinimumEnergyTransfers(model, period)
+    by_duration = designed.gains[_center(designed.grid), :, 0]  # (durations, drives, 2 n)
+    on_state = np.concatenate([by_duration[extra] / model.rated[:, None] for extra in transfers])
+    return _as_lists(
+        observation=on_state @ _state_of_observation(model),
+        desired_goal=-on_state @ model.goal_state(np.eye(len(model.axes))).T,
+    )
+
+
+def _preview_gains(model: MotionModel, period: float, preview: int) -> dict[str, Any]:
+    """Return the gains for the voltages of a preview control, designed at the center of the workspace."""
+    grid = OperatingPointGrid(model.machine)
+    designed = PreviewGains(model, grid, period, preview, VOLTAGE_CHANGE_WEIGHT)
+    center, rated = _center(grid), model.rated[:, None]
+    return _as_lists(
+        observation=designed.state[center] / rated @ _state_of_observation(model),
+        preview=designed.goal[center] / rated,
+        last_action=designed.last[center] / rated * model.rated,
+    )
+
+
+def _center(grid: OperatingPointGrid) -> int:
+    """Return the index of the operating point at the center of the workspace."""
+    return int(grid.nearest(grid.points.mean(axis=0, keepdims=True))[0])
+
+
+def _state_of_observation(model: MotionModel) -> Array:
+    """Return the matrix that converts a full-state observation to a state in belt travel, (2 n, entries)."""
+    return model.state({"observation": np.eye(2 * len(model.mass))}).T
+
+
+def _as_lists(**gains: Array) -> dict[str, Any]:
+    """Return arrays as nested lists, for agent.json."""
+    return {key: values.tolist() for key, values in gains.items()}
+
+
+def feature_matrix(
+    sizes: Mapping[str, int], radii: Array, rest: Array, gains: Mapping[str, Array] | None = None
+) -> tuple[Array, Array]:
     """Build the matrix M and the factors g of the features g * sign(z M) * log(1 + |z M|) of an observation z.
 
     Args:
@@ -84,6 +141,8 @@ def feature_matrix(sizes: Mapping[str, int], radii: Array, rest: Array) -> tuple
         radii: Belt travel (radius * angle) per radian of each motor coordinate, m/rad, shape (motors,).
         rest: Belt travel of each motor coordinate per meter of each axis with unstretched belts, m/m, shape
             (motors, axes).
+        gains: By key, gains on the entries of z for voltages of model-based controls, each of shape (voltages, entries
+            of the key), as `feature_parameters` returns them. Default: no such features.
 
     Returns:
         M: Combines entries of z (m, rad, m/s, rad/s) to errors and speeds and divides them by their scales, which makes
@@ -122,6 +181,9 @@ def feature_matrix(sizes: Mapping[str, int], radii: Array, rest: Array) -> tuple
         blocks.append(_scaled_columns(columns, FRICTION_VOLTAGE_SCALES, FRICTION_VOLTAGE_SCALES[0]))
     if "estimates" in selectors:
         blocks.append(_scaled_columns(selectors["estimates"], (ESTIMATE_SCALE,), LARGEST_ESTIMATE))
+    if gains:
+        volts = np.sum([selectors[key] @ np.transpose(values) for key, values in gains.items()], axis=0)
+        blocks.append(_scaled_columns(volts, TRANSFER_SCALES, LARGEST_TRANSFER))
     return np.hstack([matrix for matrix, _ in blocks]), np.concatenate([gain for _, gain in blocks])
 
 

@@ -10,7 +10,7 @@ from typing import Any
 from ..envs import EnvConfig
 from ..errors import InputError
 
-ALGORITHMS = ("ppo", "sac")
+ALGORITHMS = ("ppo", "sac", "apg")
 
 
 @dataclass(frozen=True)
@@ -40,11 +40,11 @@ class LinearSchedule:
 
 @dataclass(frozen=True)
 class Recipe:
-    """Settings of a training run of stable-baselines3.
+    """Settings of a training run of stable-baselines3 or by analytic gradients.
 
     Attributes:
         name: Name of the recipe, ALGORITHM_TASK, for example "ppo_reach".
-        kind: Algorithm, "ppo" or "sac".
+        kind: Algorithm, "ppo", "sac" or "apg" (`AnalyticPolicyGradient`).
         steps: Environment steps of a run.
         env: Keyword arguments of the vector environment `HFrameVecEnv`.
         algorithm: Keyword arguments of the algorithm's class. A pair is a rate that changes linearly from the
@@ -54,6 +54,7 @@ class Recipe:
         actuation: Keyword arguments of `ResidualAction`, which converts the policy's outputs to actions; if empty, the
             outputs are the actions.
         hindsight: Keyword arguments of `HerReplayBuffer`; if empty, the replay buffer is the algorithm's default.
+        features: Keyword arguments of `feature_parameters` beside machine and period.
         start: Name of an agent that comes with the package and from whose weights training starts; empty to start from
             random weights.
     """
@@ -67,6 +68,7 @@ class Recipe:
     task: dict[str, Any] = field(default_factory=dict)
     actuation: dict[str, Any] = field(default_factory=dict)
     hindsight: dict[str, Any] = field(default_factory=dict)
+    features: dict[str, Any] = field(default_factory=dict)
     start: str = ""
 
     @property

@@ -1,11 +1,13 @@
 """Residual action: base controller plus policy output, scaled by an authority that shrinks near the goal.
 
-    action = base + authority * output
+    action = base + held * last action + authority * output
     authority = min(most, least + distance / full_at_m + speed / full_at_m_s)
+    held = max(0, 1 - distance / hold_m - speed / hold_m_s), 0 by default
 
 With the tool at rest at the goal, 0.1 V moves it by 0.1 mm in one control period. A policy explores with the same noise
-everywhere; the authority makes that noise small at the goal and large far from it. The previous observation and action
-let the policy infer masses and friction, which it cannot observe; an adaptive base adds its estimates of them.
+everywhere; the authority makes that noise small at the goal and large far from it. A held action makes the policy's
+output a change of voltage at the goal, so that it integrates against friction. The previous observation and action let
+the policy infer masses and friction, which it cannot observe; a `ParameterFilter` can add estimates of them.
 Training and the finished agent use this one implementation.
 """
 
@@ -19,7 +21,13 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from ..controllers import CONTROLLERS, AdaptiveController, EpisodeStarts
+from ..controllers import (
+    CONTROLLERS,
+    AdaptiveController,
+    EpisodeStarts,
+    MotionModel,
+    ParameterFilter,
+)
 from ..errors import InputError
 from ..machine import Machine
 
@@ -28,42 +36,54 @@ Observation = Mapping[str, NDArray[Any]]
 
 # What an adaptive base adds to the observation: attributes of `AdaptiveController` in the order of its `feature_sizes`.
 ADAPTIVE_FEATURES = ("expected_friction", "estimates")
+LARGEST_HELD = 0.12  # largest action that is held, of the rated voltage: twice what Coulomb friction takes
 
 
 @dataclass(frozen=True)
 class Authority:
-    """Authority of a policy: the fraction of the rated voltage that an output of 1 represents, by distance and speed.
+    """Fractions of the rated voltage and of the last action in an action, by distance to the goal and tool speed.
 
     Attributes:
-        least: Fraction for a tool at rest at its goal, 0 to 1.
-        most: Upper limit of the fraction, 0 to 1.
+        least: Fraction of the rated voltage that an output of 1 represents for a tool at rest at its goal, 0 to 1.
+        most: Upper limit of this fraction, 0 to 1.
         full_at_m: Distance to the goal that increases the fraction by 1, m.
         full_at_m_s: Tool speed that increases the fraction by 1, m/s.
+        hold_m: Distance to the goal from which nothing of the last action is held, m; 0: nothing is held anywhere.
+        hold_m_s: Tool speed from which nothing of the last action is held, m/s.
     """
 
     least: float = 1.0
     most: float = 1.0
     full_at_m: float = 5e-3
     full_at_m_s: float = 0.2
+    hold_m: float = 0.0
+    hold_m_s: float = 0.015
 
-    def __call__(self, observation: Observation, tool_speeds: slice) -> Array:
-        """Compute the fraction of the rated voltage that a policy output of 1 represents, for each environment.
-
-        It is min(most, least + distance / full_at_m + speed / full_at_m_s), with distance to the goal and tool speed.
+    def __call__(self, distance: Any, speed: Any) -> Any:
+        """Compute the fraction of the rated voltage that a policy output of 1 represents.
 
         Args:
-            observation: Arrays by key. `observation`: full state, the tool position in its first columns, m, shape
-                (batch, entries) for a batch of environments. `desired_goal`: tool goal, m, shape (batch, axes).
-            tool_speeds: Slice of the columns of `observation` that hold the tool velocity along its axes, m/s.
+            distance: Distances to the goal, m, array or torch tensor of shape (batch,).
+            speed: Tool speeds, m/s, likewise.
 
         Returns:
-            Fractions of the rated voltage, shape (batch, 1).
+            min(most, least + distance / full_at_m + speed / full_at_m_s), of the same type, shape (batch, 1).
         """
-        goal = observation["desired_goal"]
-        distance = np.linalg.norm(goal - observation["observation"][:, : goal.shape[1]], axis=1)
-        speed = np.linalg.norm(observation["observation"][:, tool_speeds], axis=1)
-        unlimited = self.least + distance / self.full_at_m + speed / self.full_at_m_s
-        return np.minimum(unlimited, self.most)[:, None]
+        return (self.least + distance / self.full_at_m + speed / self.full_at_m_s).clip(max=self.most)[:, None]
+
+    def held(self, distance: Any, speed: Any) -> Any:
+        """Compute the fraction of the last action that is held.
+
+        Args:
+            distance: Distances to the goal, m, array or torch tensor of shape (batch,).
+            speed: Tool speeds, m/s, likewise.
+
+        Returns:
+            max(0, 1 - distance / hold_m - speed / hold_m_s), of the same type, shape (batch, 1); 0 without `hold_m`.
+        """
+        if not self.hold_m:
+            return 0.0
+        return (1.0 - distance / self.hold_m - speed / self.hold_m_s).clip(min=0.0)[:, None]
 
 
 class ResidualAction:
@@ -77,10 +97,13 @@ class ResidualAction:
         machine: Machine for which the base controller is designed.
         period: Control period, s.
         base: Name of a registered controller whose action the policy corrects; None: the policy acts alone.
+        estimates: Whether to estimate friction, masses and belts without a base, for the observation `estimates`.
         **authority: Keyword arguments of `Authority`, which limits the policy's part of the action.
 
     Attributes:
-        authority: Fraction of the rated voltage that an output of 1 represents, by distance and speed.
+        authority: Fractions of the rated voltage and of the last action, by distance and speed.
+        period: As given, s.
+        tool_speeds: Columns of `observation` with the tool velocity along its axes.
         base: Controller whose action the policy corrects, or None.
 
     Raises:
@@ -88,8 +111,10 @@ class ResidualAction:
             a module to import.
     """
 
-    def __init__(self, machine: Machine, period: float, base: str | None = None, **authority: float) -> None:
-        self.authority = Authority(**authority)
+    def __init__(
+        self, machine: Machine, period: float, base: str | None = None, estimates: bool = False, **authority: float
+    ) -> None:
+        self.authority, self.period = Authority(**authority), period
         if base and base not in CONTROLLERS:
             raise InputError(f"base controller {base!r} is unknown; choose one of {', '.join(CONTROLLERS)}")
         self.base = CONTROLLERS.get(base)(machine, period) if base else None
@@ -97,11 +122,14 @@ class ResidualAction:
         self._drives = len(machine.drives)
         axes = machine.tool_axes
         first = len({*axes, *(drive.coordinate for drive in machine.drives)})  # after all positions
-        self._tool_speeds = slice(first, first + len(axes))
+        self.tool_speeds = slice(first, first + len(axes))
+        self._model = MotionModel(machine) if estimates else None
+        self._filter = ParameterFilter(self._model, period) if self._model else None
         self._starts = EpisodeStarts()
         self._state: NDArray[Any] = np.zeros((0, 0))  # `observation` of this period, (batch, entries)
         self._last_state: NDArray[Any] = np.zeros((0, 0))  # and of the previous period
-        self._last_action = self._base_action = self._authority = np.zeros((0, 0))  # (batch, drives), (batch, 1)
+        self._last_action = self._base_action = np.zeros((0, 0))  # (batch, drives)
+        self._distance = self._speed = np.zeros(0)  # m and m/s, (batch,)
 
     def observation_space(self, observation_space: spaces.Dict) -> spaces.Dict:
         """Extend the observation space of an environment by the keys that `augment` adds.
@@ -124,6 +152,8 @@ class ResidualAction:
         if self._adaptive_base:
             for key, size in zip(ADAPTIVE_FEATURES, self._adaptive_base.feature_sizes.values(), strict=True):
                 added[key] = spaces.Box(-np.inf, np.inf, (size,), np.float32)
+        if self._filter:
+            added["estimates"] = spaces.Box(-np.inf, np.inf, (self._filter.size,), np.float32)
         return spaces.Dict({**observation_space.spaces, **added})
 
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
@@ -157,11 +187,16 @@ class ResidualAction:
         if self._starts.resize(len(state)):
             self._state, self._last_action = state, np.zeros((len(state), self._drives))
         starting = self._starts.mask[:, None]  # (batch, 1)
+        if self._filter and self._model:
+            before, after = (self._model.state({"observation": rows}) for rows in (self._state, state))
+            self._filter.update(before, after, self._last_action, self._starts.mask)
         self._last_state = np.where(starting, state, self._state)
         self._last_action = np.where(starting, 0.0, self._last_action)
         self._starts.clear()
         self._state = state
-        self._authority = self.authority(observation, self._tool_speeds)
+        goal = observation["desired_goal"]
+        self._distance = np.linalg.norm(goal - state[:, : goal.shape[1]], axis=1)
+        self._speed = np.linalg.norm(state[:, self.tool_speeds], axis=1)
         if self.base:
             self._base_action = np.clip(self.base.act(observation), -1.0, 1.0)
         return {**observation, **self.history()}
@@ -182,6 +217,8 @@ class ResidualAction:
             added["base_action"] = self._base_action
         if self._adaptive_base:
             added |= {key: getattr(self._adaptive_base, key) for key in ADAPTIVE_FEATURES}
+        if self._filter:
+            added["estimates"] = self._filter.estimates
         return {key: values.astype(np.float32) for key, values in added.items()}
 
     def action(self, output: NDArray[Any]) -> Array:
@@ -197,8 +234,24 @@ class ResidualAction:
             Voltages divided by the rated voltages, limited to [-1, 1], shape (batch, drives).
         """
         base_action = self._base_action if self.base else 0.0
-        self.replace_last_action(np.clip(self._authority * output + base_action, -1.0, 1.0))
+        action = self.combine(output, self._distance, self._speed, self._last_action) + base_action
+        self.replace_last_action(np.clip(action, -1.0, 1.0))
         return self._last_action
+
+    def combine(self, output: Any, distance: Any, speed: Any, last_action: Any) -> Any:
+        """Add policy outputs, scaled by the authority, to the held part of the last actions; without base and limits.
+
+        Args:
+            output: Policy outputs, array or torch tensor of shape (batch, drives).
+            distance: Distances to the goal, m, shape (batch,).
+            speed: Tool speeds, m/s, shape (batch,).
+            last_action: Actions of the previous period, shape (batch, drives).
+
+        Returns:
+            held * last action + authority * output, of the same type, shape (batch, drives).
+        """
+        held = self.authority.held(distance, speed) * last_action.clip(-LARGEST_HELD, LARGEST_HELD)
+        return held + self.authority(distance, speed) * output
 
     def replace_last_action(self, actions: Array) -> None:
         """Record the actions that were applied, for the next observation and for the base controller.

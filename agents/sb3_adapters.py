@@ -29,6 +29,8 @@ class LogScaleFeatures(BaseFeaturesExtractor):
         radii: Belt travel (radius * angle) per radian of each motor coordinate, m/rad, one per motor.
         rest: Belt travel of each motor coordinate per meter of each axis with unstretched belts, m/m, shape
             (motors, axes).
+        gains: Gains for the voltages of model-based controls by key of the observation, see `feature_parameters`.
+            Default: no such features.
 
     Attributes:
         keys: Keys of the observation in the order in which their arrays are concatenated.
@@ -39,13 +41,20 @@ class LogScaleFeatures(BaseFeaturesExtractor):
     matrix: torch.Tensor  # (entries, features)
     gain: torch.Tensor  # (features,)
 
-    def __init__(self, observation_space: spaces.Dict, radii: list[float], rest: list[list[float]]) -> None:
+    def __init__(
+        self,
+        observation_space: spaces.Dict,
+        radii: list[float],
+        rest: list[list[float]],
+        gains: dict[str, list[list[float]]] | None = None,
+    ) -> None:
         sizes = {
             key: int(np.prod(observation_space[key].shape or ()))
             for key in OBSERVATION_KEYS
             if key in observation_space.spaces
         }
-        matrix, gain = feature_matrix(sizes, np.array(radii), np.array(rest))
+        arrays = {key: np.array(values) for key, values in (gains or {}).items()}
+        matrix, gain = feature_matrix(sizes, np.array(radii), np.array(rest), arrays)
         super().__init__(observation_space, features_dim=len(gain))
         self.keys = tuple(sizes)
         # Not persistent: they follow from agent.json, so the file of weights does not repeat them.

@@ -63,7 +63,7 @@ def train(
 
     Args:
         algorithm: Settings of the training run (a recipe), or the first part of the name of a recipe in the package:
-            "ppo", "sac", "sac_her", "residual" or "adapt".
+            "ppo", "sac", "sac_her", "residual", "adapt" or "apg".
         machine: Machine to train on, a preset name or the path of a machine.json.
         task: Name of the task, "reach" or "track".
         steps: Environment steps in total, including those before a resume. Default: the recipe's.
@@ -157,15 +157,17 @@ class _Run:
     def _new_model(self) -> Any:
         """Build the model with random weights."""
         recipe = self.recipe
-        sb3 = import_optional("stable_baselines3")
-        hindsight = {"replay_buffer_class": sb3.HerReplayBuffer, "replay_buffer_kwargs": recipe.hindsight}
-        model = getattr(sb3, recipe.kind.upper())(
+        hindsight = {}
+        if recipe.hindsight:
+            buffer = import_optional("stable_baselines3").HerReplayBuffer
+            hindsight = {"replay_buffer_class": buffer, "replay_buffer_kwargs": recipe.hindsight}
+        model = _algorithm(recipe.kind)(
             "MultiInputPolicy",
             self.environment,
             seed=self.seed,
             device="cpu",
-            policy_kwargs=policy_keywords(recipe.policy, feature_parameters(self.machine)),
-            **(hindsight if recipe.hindsight else {}),
+            policy_kwargs=policy_keywords(recipe.policy, self.card["features"]),
+            **hindsight,
             **recipe.algorithm_keywords,
         )
         if "base" in recipe.actuation:
@@ -186,8 +188,11 @@ class _Run:
         for file in (checkpoint, replay) if not self.trust else ():
             if file.is_file():
                 refuse_unsigned(file)
-        sb3 = import_optional("stable_baselines3")
-        model = getattr(sb3, self.recipe.kind.upper()).load(checkpoint, env=self.environment, device="cpu")
+        if self.recipe.kind == "apg":
+            model = self._new_model()
+            model.restore(checkpoint)
+        else:
+            model = _algorithm(self.recipe.kind).load(checkpoint, env=self.environment, device="cpu")
         if replay.is_file():
             model.load_replay_buffer(replay)
         self.card["curve"] = [row for row in previous["curve"] if row["steps"] <= model.num_timesteps]
@@ -248,6 +253,15 @@ def _read_previous_card(file: Path) -> dict[str, Any]:
     raise InputError(f"nothing to resume: {file} is damaged")
 
 
+def _algorithm(kind: str) -> Any:
+    """Return the class of the algorithm of a recipe's kind."""
+    if kind == "apg":
+        from .analytic_gradient import AnalyticPolicyGradient
+
+        return AnalyticPolicyGradient
+    return getattr(import_optional("stable_baselines3"), kind.upper())
+
+
 def _build_task(name: str, settings: dict[str, Any]) -> Task:
     """Build a task with a recipe's settings; lists become tuples, which TOML lacks."""
     task_class: Any = TASKS.get(name)
@@ -284,7 +298,7 @@ def _new_card(recipe: Recipe, machine: Machine, task: str, seed: int) -> dict[st
         "recipe": recipe.name,
         "settings": recipe.as_dict(),
         "period": recipe.period,
-        "features": feature_parameters(machine),
+        "features": feature_parameters(machine, recipe.period, **recipe.features),
         "versions": versions(),
         "curve": [],
     }

@@ -2,6 +2,7 @@
 
     python -m benchmarks.agents train residual --task reach --seeds 0 1 2    # minutes per seed
     python -m benchmarks.agents score                                        # all shipped agents -> results/agents.json
+    python -m benchmarks.agents score --recipes apg                          # those of one recipe, others kept
 
 A shipped agent is the result of `hframe train` with its recipe. Its card also lists scores and failures on episodes
 that no training used. The recipes were chosen on other episodes (those of the learning curves) than those of the
@@ -19,7 +20,7 @@ import argparse
 import json
 import shutil
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import bootstrap
 
-from benchmarks.results_file import write_results
+from benchmarks.results_file import RESULTS, write_results
 from hframe_gym.agents import Agent, train
 from hframe_gym.agents.model_card import write_card
 from hframe_gym.controllers import CONTROLLERS, Controller
@@ -137,16 +138,27 @@ def ratio(numerator: Array, denominator: Array) -> dict[str, Any]:
     return {"mean": float(numerator.mean() / denominator.mean()), "ci95": [float(interval.low), float(interval.high)]}
 
 
-def score(task: str) -> dict[str, Any]:
-    """Score the controllers and every shipped agent of a task, and compare each recipe with the PID and the bound."""
-    agents: dict[str, Any] = {}
+def score(task: str, recipes: Sequence[str] | None = None, previous: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """Score the controllers and the shipped agents of a task, and compare each recipe with the PID and the bound.
+
+    Args:
+        task: Name of the task.
+        recipes: Names of recipes whose agents are scored; None for all, with the controllers.
+        previous: Earlier result, from which the other rows are taken.
+
+    Returns:
+        Scores by agent (`agents`), and ratios by scenario and recipe (`compared`).
+    """
+    agents: dict[str, Any] = dict(previous["agents"]) if previous else {}
     rows: dict[str, dict[str, list[Array]]] = {name: {} for name in TRIALS[task]}
-    for kind in ("pid", "adaptive-pid"):
+    for kind in ("pid", "adaptive-pid") if recipes is None else ("pid",):
         runs = drive(CONTROLLERS.get(kind)(BUILTIN_MACHINES["hframe"](), 0.01), task)
         agents[kind] = {"scores": {name: scores(name, run) for name, run in runs.items()}}
         for name, run in runs.items():
             rows[name][kind] = [criterion(run)]
     for folder in sorted((SHIPPED / task).iterdir()):
+        if recipes is not None and folder.name.rpartition("-seed")[0] not in recipes:
+            continue
         runs = drive(Agent.load(folder), task)
         card = write_scores(folder, runs)
         last = card["curve"][-1]
@@ -157,12 +169,16 @@ def score(task: str) -> dict[str, Any]:
         print(folder.name, {name: f"{criterion(run).mean():.4g}" for name, run in runs.items()}, flush=True)
     compared = {
         name: {
-            recipe: compare(np.stack(values), by_recipe["pid"][0], stored_bounds(scenario(name)).times_s)
-            for recipe, values in by_recipe.items()
+            **(previous["compared"][name] if previous else {}),
+            **{
+                recipe: compare(np.stack(values), by_recipe["pid"][0], stored_bounds(scenario(name)).times_s)
+                for recipe, values in by_recipe.items()
+            },
         }
         for name, by_recipe in rows.items()
     }
-    return {"agents": agents, "compared": compared}
+    ordered = sorted(agents, key=lambda name: (name not in CONTROLLERS, name == "adaptive-pid", name))
+    return {"agents": {name: agents[name] for name in ordered}, "compared": compared}
 
 
 def compare(values: Array, pid: Array, bound_s: Array | None) -> dict[str, Any]:
@@ -191,13 +207,20 @@ def main() -> None:
     training.add_argument("name")
     training.add_argument("--task", default="reach")
     training.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
-    commands.add_parser("score")
+    scoring = commands.add_parser("score")
+    scoring.add_argument("--recipes", nargs="+", help="score the agents of these recipes only; keep the other results")
     arguments = parser.parse_args()
     if arguments.command == "train":
         for seed in arguments.seeds:
             ship(arguments.name, arguments.task, seed)
         return
-    tasks = {path.name: score(path.name) for path in sorted(SHIPPED.iterdir())}
+    previous = json.loads((RESULTS / "agents.json").read_text("utf-8"))["tasks"] if arguments.recipes else {}
+    tasks = {
+        path.name: score(path.name, arguments.recipes, previous.get(path.name))
+        if not arguments.recipes or any(any(path.glob(f"{name}-seed*")) for name in arguments.recipes)
+        else previous[path.name]
+        for path in sorted(SHIPPED.iterdir())
+    }
     write_results("agents", {**TRIAL, "tasks": tasks}, seed=TRIAL["seed"])
 
 

@@ -296,6 +296,17 @@ def agents(results: dict[str, Any]) -> str:
     return f"{reach}\n\n{track}"
 
 
+def agent_ablation(results: dict[str, Any]) -> str:
+    """Format the scores of short trainings with one part of the recipe changed each."""
+    rows = []
+    for name, runs in results["variants"].items():
+        for r in runs:
+            rates = [f"{100 * r['success'][band]:.1f} %" for band in ("0.2mm", "0.05mm")]
+            rows.append([name, str(r["seed"]), str(r["steps"]), f"{r['cpu_s']:.0f}", *rates, _ratio(r, "over_bound")])
+    header = ["training", "seed", "steps", "processor s", "within 0.2 mm", "within 0.05 mm", "over the bound"]
+    return markdown(header, rows)
+
+
 def _by_agent(task: dict[str, Any], name: str) -> Iterable[tuple[str, dict[str, Any]]]:
     """Yield the agents of a task with their scores in one scenario and their ratios."""
     for agent, result in task["agents"].items():
@@ -350,6 +361,7 @@ TABLES: dict[str, Callable[[dict[str, Any]], str]] = {
     "bound": bound,
     "controllers": controllers,
     "agents": agents,
+    "agent_ablation": agent_ablation,
     "closed_loop": closed_loop,
     "real_machines_emps": real_machines_emps,
     "real_machines_ced": real_machines_ced,

@@ -28,6 +28,7 @@ from .finite_horizon_control import MinimumEnergyTransfers, PreviewGains, Previe
 from .input_compensation import DeadTime, InputInversion
 from .model_based_controller import ModelBasedController
 from .motion_model import MotionModel, OperatingPointGrid
+from .parameter_filter import ParameterFilter
 from .state_estimator import StateEstimator
 from .textbook_pid import TextbookPID
 
@@ -46,6 +47,7 @@ __all__ = [
     "MotionModel",
     "OperatingPointGrid",
     "OutputFeedbackController",
+    "ParameterFilter",
     "PreviewGains",
     "PreviewTracker",
     "StateEstimator",

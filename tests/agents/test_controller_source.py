@@ -18,11 +18,13 @@ def test_shipped_agents_are_found_by_name_and_by_prefix(name, expected, task):
 
 
 def test_names_of_the_shipped_agents():
-    assert shipped_agent_names() == ("ppo", "residual", "sac")
+    assert shipped_agent_names() == ("apg", "ppo", "residual", "sac")
 
 
 def test_unknown_shipped_agent_is_refused_with_a_list():
-    with pytest.raises(InputError, match="no shipped agent 'pp' for the task reach; choose one of: ppo-seed0, "):
+    with pytest.raises(
+        InputError, match="no shipped agent 'pp' for the task reach; choose one of: apg-seed0, ppo-seed0, "
+    ):
         shipped_agent_folder("pp", "reach")
 
 
@@ -52,7 +54,7 @@ def test_another_machine_or_period_than_in_training_gives_one_warning(scenario, 
 
 def test_other_names_are_left_to_other_sources_and_listed(tmp_path):
     assert AgentSource.make("no-such-agent", Scenario()) is None
-    with pytest.raises(InputError, match=r"'no-such-agent' is unknown.*pid.*a shipped agent \(ppo-seed0, "):
+    with pytest.raises(InputError, match=r"'no-such-agent' is unknown.*pid.*a shipped agent \(apg-seed0, "):
         make_controller("no-such-agent", Scenario())
 
 

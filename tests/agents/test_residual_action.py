@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hframe_gym.agents.residual_action import Authority, ResidualAction
+from hframe_gym.agents.residual_action import LARGEST_HELD, Authority, ResidualAction
 from hframe_gym.controllers import CONTROLLERS
 from hframe_gym.envs import HFrameVectorEnv, observation_space
 from hframe_gym.errors import InputError
@@ -17,8 +17,21 @@ MACHINE = BUILTIN_MACHINES["hframe"]()
     ("distance", "fraction"), [(0.0, 0.06), (1e-3, 0.26), (0.1, 1.0)], ids=["at the goal", "near", "far"]
 )
 def test_authority_grows_with_the_distance(distance, fraction):
-    observation = rest_observation(MACHINE, (0.1 + distance, 0.0), (0.1, 0.0))
-    assert Authority(least=0.06)(observation, slice(4, 6)) == pytest.approx(fraction, rel=1e-3)
+    assert Authority(least=0.06)(np.array([distance]), np.zeros(1)) == pytest.approx(fraction, rel=1e-3)
+
+
+def test_the_last_action_is_held_at_rest_at_the_goal_only():
+    mapping = ResidualAction(MACHINE, 0.01, least=0.1, hold_m=5e-4)
+    held = {}
+    for error in (0.0, 2.5e-4, 1e-3):
+        mapping.reset()
+        mapping.augment(rest_observation(MACHINE, (0.1, 0.0), (0.1, 0.0)))
+        mapping.replace_last_action(np.array([[0.08, -0.5]]))
+        mapping.augment(rest_observation(MACHINE, (0.1 + error, 0.0), (0.1, 0.0)))
+        held[error] = mapping.action(np.zeros((1, 2)))[0]
+    assert held[0.0] == pytest.approx([0.08, -LARGEST_HELD], rel=1e-3)
+    assert held[2.5e-4] == pytest.approx([0.04, -0.5 * LARGEST_HELD], rel=1e-3)
+    assert held[1e-3] == pytest.approx([0.0, 0.0], abs=1e-9)
 
 
 def test_history_covers_one_period_and_is_cleared_by_a_reset():

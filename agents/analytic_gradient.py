@@ -1,0 +1,220 @@
+"""Analytic policy gradient: train a policy by backpropagation through simulated episodes.
+
+PPO estimates the gradient of the return from the noise of its actions. Here the chain rule computes it: an episode is a
+chain of policy and machine, and backpropagation through time gives the derivatives of its cost by the weights. The
+derivatives of the machine over one control period are finite differences of the compiled simulator: 11 simulations of
+10 ms for a state of 8 and an action of 2 entries, which take about as long as the network.
+
+Static friction makes the motion depend discontinuously on state and voltage, and small errors at the goal grow over
+many periods. Three measures keep the gradient useful: the differences have random steps, which smooths the derivatives;
+the derivative by the state is discounted per period; and it is limited in every episode.
+
+Importing this module needs the extra `agents`.
+
+References:
+    Werbos (1990), Backpropagation through time: what it does and how to do it.
+    Xu et al. (2022), Accelerated policy learning with parallel differentiable simulation.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3.ppo import MultiInputPolicy
+
+from ..controllers import MotionModel
+from ..errors import InputError
+from .differentiable_episode import (
+    SAMPLES,
+    SimulatedPeriod,
+    differentiable_period,
+    limited,
+    path_cost,
+    path_errors,
+    reach_cost,
+)
+from .sb3_adapters import ResidualActionVecEnv
+
+LARGEST_NORM = 1.0  # of the gradient by the weights
+
+
+class AnalyticPolicyGradient:
+    """Analytic policy gradient with the interface that a training run uses of a stable-baselines3 algorithm.
+
+    Every update simulates one episode in each environment. The first periods are not differentiated: their number is
+    random, which saves time and lets later periods, in which the tool arrives, count as much as the first ones.
+
+    Args:
+        policy: Name of the policy class; "MultiInputPolicy" is the only one.
+        env: Environments whose resets provide machines, starts and goals.
+        learning_rate: Learning rate of Adam as a function of the fraction of the run that remains.
+        seed: Seed of weights and finite differences.
+        device: "cpu".
+        policy_kwargs: Keyword arguments of the policy class.
+        periods: Control periods of an episode.
+        skipped: Largest number of periods at the beginning that are not differentiated.
+        discount: Factor per period of the derivative by the state, 0 to 1.
+        limit: Limit of this derivative per episode, in costs of a period per 1 mm and 50 mm/s.
+        averaging: Fraction of the averaged weights that remains in an update, 0 to below 1.
+
+    Attributes:
+        policy: Policy with averaged weights (exponential moving average), which is evaluated and saved.
+        num_timesteps: Environment steps so far, without the additional simulations of the differences.
+        logger: Logger of stable-baselines3.
+
+    Raises:
+        InputError: If there is no action mapping or it has a base controller, whose derivatives are not known.
+    """
+
+    def __init__(
+        self,
+        policy: str,
+        env: Any,
+        learning_rate: Callable[[float], float],
+        *,
+        seed: int,
+        device: str,
+        policy_kwargs: Mapping[str, Any],
+        periods: int,
+        skipped: int,
+        discount: float,
+        limit: float,
+        averaging: float,
+    ) -> None:
+        inner: Any = getattr(env, "venv", None)
+        if not isinstance(env, ResidualActionVecEnv) or env.mapping.base:
+            raise InputError("analytic gradients need an [actuation] without a base controller")
+        torch.manual_seed(seed)
+        self.env, self.mapping = env, env.mapping
+        self._envs = inner.envs
+        self._model = MotionModel(self._envs.machine)
+        # Full-state observations are linear in the state: observation = state @ _observed.
+        self._observed = torch.from_numpy(self._model.observation(np.eye(2 * len(self._model.mass))))
+        self._period = SimulatedPeriod(self._envs.machine, self.mapping.period, seed)
+        self._generator = np.random.default_rng(seed)
+        self._learning_rate, self._periods, self._skipped = learning_rate, periods, skipped
+        self._discount, self._limit, self._averaging = discount, limit, averaging
+        space: Any = env.observation_space
+        self._trained: Any = MultiInputPolicy(space, env.action_space, lambda _: 0.0, **policy_kwargs)
+        self.policy = copy.deepcopy(self._trained)
+        self._optimizer = torch.optim.Adam(self._trained.parameters())
+        self.num_timesteps, self._updates = 0, 0
+        self.logger: Any = None
+
+    def set_logger(self, logger: Any) -> None:
+        """Set the logger.
+
+        Args:
+            logger: Logger of stable-baselines3.
+        """
+        self.logger = logger
+
+    def learn(self, total_timesteps: int, callback: Callable[..., bool], reset_num_timesteps: bool = False) -> None:
+        """Train for a number of environment steps, rounded up to complete updates.
+
+        Args:
+            total_timesteps: Number of environment steps.
+            callback: Function that is called after every update with local and global variables.
+            reset_num_timesteps: Whether to count the steps from zero.
+        """
+        if reset_num_timesteps:
+            self.num_timesteps = 0
+        final = self.num_timesteps + total_timesteps
+        while self.num_timesteps < final:
+            rate = self._learning_rate(1.0 - self.num_timesteps / final)
+            for group in self._optimizer.param_groups:
+                group["lr"] = rate
+            self._update()
+            self.num_timesteps += self._envs.num_envs * self._periods
+            callback(locals(), globals())
+
+    def _update(self) -> None:
+        """Simulate one episode in each environment and change the weights by the gradient of its cost."""
+        costs = self._episode_costs(int(self._generator.integers(self._skipped + 1)))
+        self._optimizer.zero_grad()
+        costs[torch.isfinite(costs)].mean().backward()
+        norm = torch.nn.utils.clip_grad_norm_(self._trained.parameters(), LARGEST_NORM)
+        if torch.isfinite(norm):
+            self._optimizer.step()
+        self._updates += 1
+        # The first weights are random: the average forgets them faster.
+        kept = min(self._averaging, self._updates / (self._updates + 9.0))
+        with torch.no_grad():
+            for average, weights in zip(self.policy.parameters(), self._trained.parameters(), strict=True):
+                average.lerp_(weights, 1.0 - kept)
+
+    def _episode_costs(self, skipped: int) -> Any:
+        """Simulate one episode in each environment; return the costs (B,) of its periods from `skipped` on."""
+        self.env.venv.reset()
+        self.mapping.reset()
+        batch, model = self._envs.batch, self._model
+        parameters, references, moving = self._envs.parameters, batch.references, batch.references.moving
+        state = torch.from_numpy(model.goal_state(batch.simulator.tools()))
+        last_observation, last_action, costs = None, None, []
+        limit = self._limit / len(state)  # the mean over the episodes is differentiated
+        for k in range(self._periods):
+            observation = {"observation": model.observation(state.detach().numpy()).astype(np.float32)}
+            references.add_blank(observation)
+            references.write(slice(None), observation)
+            entries: dict[str, Any] = {key: torch.from_numpy(v) for key, v in self.mapping.augment(observation).items()}
+            with torch.set_grad_enabled(k >= skipped):
+                # What depends on the state and on earlier actions replaces the arrays of the same values.
+                entries["observation"] = (state @ self._observed).float()
+                if last_observation is not None:
+                    entries |= {"last_observation": last_observation, "last_action": last_action}
+                action = self._action(entries)
+                self.mapping.replace_last_action(action.detach().numpy().astype(np.float64))
+                last_observation, last_action = entries["observation"], action
+                volts = action.double() * torch.from_numpy(model.rated)
+                references.advance()
+                if k < skipped:
+                    arrays = self._period.outputs(state.numpy(), volts.numpy(), parameters)
+                    state = torch.from_numpy(arrays)[:, : state.shape[1]]
+                    continue
+                outputs = differentiable_period(state, volts, parameters, self._period, limit, self._discount)
+                state, tool = outputs[:, : state.shape[1]], outputs[:, state.shape[1] :]
+                tool = tool.reshape(len(tool), SAMPLES, -1)
+                costs.append(path_errors(tool, references) if moving else reach_cost(tool, entries["desired_goal"]))
+        by_period = torch.stack(costs, dim=1)
+        return path_cost(by_period) * len(costs) if moving else by_period.sum(1)
+
+    def _action(self, entries: Mapping[str, Any]) -> Any:
+        """Compute the actions (B, drives) of the policy that is trained, limited to [-1, 1]."""
+        policy = self._trained
+        output = policy.action_net(policy.mlp_extractor.forward_actor(policy.extract_features(entries)))
+        goal, observation = entries["desired_goal"], entries["observation"]
+        distance = torch.linalg.vector_norm(goal - observation[:, : goal.shape[1]], dim=1)
+        speed = torch.linalg.vector_norm(observation[:, self.mapping.tool_speeds], dim=1)
+        return limited(self.mapping.combine(limited(output), distance, speed, entries["last_action"]))
+
+    def save(self, path: str | Path) -> None:
+        """Write the state of the training to a file that `load` reads without executing code.
+
+        Args:
+            path: File.
+        """
+        state = {
+            "trained": self._trained.state_dict(),
+            "averaged": self.policy.state_dict(),
+            "optimizer": self._optimizer.state_dict(),
+            "steps": self.num_timesteps,
+            "updates": self._updates,
+        }
+        torch.save(state, path)
+
+    def restore(self, path: str | Path) -> None:
+        """Continue from a file that `save` wrote.
+
+        Args:
+            path: File.
+        """
+        state = torch.load(path, weights_only=True)
+        self._trained.load_state_dict(state["trained"])
+        self.policy.load_state_dict(state["averaged"])
+        self._optimizer.load_state_dict(state["optimizer"])
+        self.num_timesteps, self._updates = state["steps"], state["updates"]

@@ -1,0 +1,224 @@
+"""Differentiable parts of an episode: the motion of a control period, the limits of actions, and the cost.
+
+The derivatives of the machine are finite differences of the compiled simulator. Importing this module needs the extra
+`agents`; `AnalyticPolicyGradient` uses it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from ..dynamics import simulate_batch
+from ..envs.end_stops import with_end_stops
+from ..envs.tasks.base import ReferenceTrajectories
+from ..machine import Machine
+
+Array = NDArray[np.float64]
+SAMPLES = 2  # samples of the tool position per control period that enter the cost
+INTEGRATION_STEP = 1e-3  # s, twice that of the environment; the gradient needs no higher accuracy
+# Steps of the finite differences: belt travel, m, its rate, m/s, and the range of the voltages, V. Friction takes up to
+# 0.7 V; steps of this size show a policy at rest that a higher voltage moves the tool.
+TRAVEL_STEP, RATE_STEP, VOLTAGE_STEPS = 2e-5, 5e-3, (0.05, 0.3)
+# Units of travel, m, and rate, m/s, in which the derivative by the state is limited: typical changes in one period.
+TRAVEL_UNIT, RATE_UNIT = 1e-3, 0.05
+# Lengths s, m, and weights w of the cost sum w d / (d + s) of a distance d: the reward "dense", with more weight on a
+# few tenths of a millimeter.
+COST_SCALES, COST_WEIGHTS = (2e-1, 2e-2, 2e-3, 2e-4, 2e-5), (0.05, 0.05, 0.3, 0.5, 0.1)
+SMALLEST_DISTANCE = 1e-6  # m, below which the cost is smooth
+# Cost along a path: per CONTOUR_UNIT of rms contour error, and per TRACKING_UNIT of rms distance to the moving goal.
+CONTOUR_UNIT, TRACKING_UNIT = 1e-4, 2e-4  # m; with less weight on the goal, agents learn to stay at the start
+CONTOUR_STEP = 1e-6  # m, of the finite differences of the contour error
+
+
+class SimulatedPeriod:
+    """One control period of B machines with n coordinates and d drives, and its derivatives by finite differences.
+
+    Args:
+        machine: Machine that is simulated, with end stops.
+        period: Control period, s.
+        seed: Seed of the random steps of the differences.
+    """
+
+    def __init__(self, machine: Machine, period: float, seed: int) -> None:
+        self._machine = with_end_stops(machine)
+        self._coordinates, self._drives = len(machine.coordinates), len(machine.drives)
+        self._tool = [machine.coordinate_names.index(name) for name in machine.tool_axes]
+        self._units = np.tile(machine.travel_per_unit, 2)
+        self._end_stops = np.array(list(self._machine.parameters.values()))[len(machine.parameters) :]
+        self._time_s = np.linspace(0.0, period, SAMPLES + 1)
+        self._generator = np.random.default_rng(seed)
+
+    def outputs(self, state: Array, volts: Array, parameters: Array) -> Array:
+        """Simulate one period.
+
+        Args:
+            state: Belt travel (radius * angle if rotary) of the coordinates and its rate, m and m/s, shape (B, 2 n).
+            volts: Voltages of the drives, V, shape (B, d).
+            parameters: Parameters of the machines in the order of `Machine.parameters`, SI, shape (B, P).
+
+        Returns:
+            State at the end of the period, then the tool positions at SAMPLES equally spaced times, the last of which
+            is the end, m; shape (B, 2 n + 2 SAMPLES).
+        """
+        motion = simulate_batch(
+            self._machine,
+            self._time_s,
+            np.broadcast_to(volts[:, None], (len(volts), len(self._time_s), self._drives)),
+            parameters=np.hstack([parameters, np.tile(self._end_stops, (len(parameters), 1))]),
+            start=state / self._units,
+            longest_step=INTEGRATION_STEP,
+            readings=False,
+            parallel=False,
+        )
+        end = np.concatenate([motion.positions[:, -1], motion.velocities[:, -1]], axis=1) * self._units
+        return np.hstack([end, motion.positions[:, 1:, self._tool].reshape(len(state), -1)])
+
+    def differences(self, state: Array, volts: Array, parameters: Array) -> tuple[Array, Array]:
+        """Simulate one period, and again with every entry of state and voltages changed by a random step.
+
+        Args:
+            state: As for `outputs`.
+            volts: As for `outputs`.
+            parameters: As for `outputs`.
+
+        Returns:
+            outputs: Result of `outputs`, shape (B, o).
+            derivatives: Difference quotients of the outputs by the entries of state and voltages, shape
+                (2 n + d, B, o).
+        """
+        inputs = np.hstack([state, volts])
+        batch, entries = inputs.shape
+        steps = np.tile(np.repeat([TRAVEL_STEP, RATE_STEP, 1.0], [self._coordinates] * 2 + [self._drives]), (batch, 1))
+        lowest, highest = np.log(VOLTAGE_STEPS)
+        steps[:, -self._drives :] = np.exp(self._generator.uniform(lowest, highest, volts.shape))
+        steps *= np.where(self._generator.random(steps.shape) < 0.5, -1.0, 1.0)
+        changed = np.tile(inputs, (1 + entries, 1, 1))
+        for i in range(entries):
+            changed[1 + i, :, i] += steps[:, i]
+        rows = changed.reshape(-1, entries)
+        split = state.shape[1]
+        results = self.outputs(rows[:, :split], rows[:, split:], np.tile(parameters, (1 + entries, 1)))
+        results = results.reshape(1 + entries, batch, -1)
+        return results[0], (results[1:] - results[0]) / steps.T[:, :, None]
+
+
+class _Period(torch.autograd.Function):
+    """Outputs of `SimulatedPeriod` as a differentiable function of state and voltages."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, state: Any, volts: Any, parameters: Array, period: SimulatedPeriod, limit: float, discount: float
+    ) -> Any:
+        outputs, ctx.derivatives = period.differences(state.detach().numpy(), volts.detach().numpy(), parameters)
+        ctx.limit, ctx.discount, ctx.states = limit, discount, state.shape[1]
+        return torch.from_numpy(outputs)
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Any) -> Any:  # type: ignore[override]
+        change = np.nan_to_num(np.einsum("bo,ibo->bi", gradient.numpy(), ctx.derivatives))
+        by_state = change[:, : ctx.states] * np.repeat([TRAVEL_UNIT, RATE_UNIT], ctx.states // 2)
+        norm = np.linalg.norm(by_state, axis=1, keepdims=True)
+        change *= np.minimum(1.0, ctx.limit / np.maximum(norm, 1e-12))
+        change[:, : ctx.states] *= ctx.discount
+        by_state, by_volts = change[:, : ctx.states], change[:, ctx.states :]
+        return torch.from_numpy(by_state), torch.from_numpy(by_volts), None, None, None, None
+
+
+class _Limit(torch.autograd.Function):
+    """Limit to [-1, 1] whose gradient is zero only where a descent step would lead farther outside."""
+
+    @staticmethod
+    def forward(ctx: Any, values: Any) -> Any:
+        ctx.save_for_backward(values)
+        return values.clamp(-1.0, 1.0)
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Any) -> Any:  # type: ignore[override]
+        (values,) = ctx.saved_tensors
+        return gradient * ((values.abs() <= 1.0) | (values * gradient > 0.0))
+
+
+class _SquaredContour(torch.autograd.Function):
+    """Squared distances (B,), m^2, of points (B, axes) to the paths of their goals."""
+
+    @staticmethod
+    def forward(ctx: Any, points: Any, references: ReferenceTrajectories) -> Any:
+        def squares(moved: Array) -> Array:
+            distance = references.contour(slice(None), moved)
+            assert distance is not None
+            return distance**2
+
+        place = points.detach().numpy()
+        steps = CONTOUR_STEP * np.eye(place.shape[1])
+        ctx.slopes = np.stack(
+            [(squares(place + step) - squares(place - step)) / (2.0 * CONTOUR_STEP) for step in steps], axis=1
+        )
+        return torch.from_numpy(squares(place))
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Any) -> Any:  # type: ignore[override]
+        return gradient[:, None] * torch.from_numpy(ctx.slopes), None
+
+
+_squared_contour: Any = _SquaredContour.apply
+differentiable_period: Any = _Period.apply
+limited: Any = _Limit.apply
+
+
+def distance_cost(distance: Any) -> Any:
+    """Compute the cost sum w d / (d + s) of distances d over the lengths s of `COST_SCALES` with `COST_WEIGHTS`.
+
+    Args:
+        distance: Distances, m, tensor of any shape.
+
+    Returns:
+        Costs, 0 to 1, tensor of the same shape.
+    """
+    scales, weights = (torch.tensor(values, dtype=distance.dtype) for values in (COST_SCALES, COST_WEIGHTS))
+    return (weights * distance[..., None] / (distance[..., None] + scales)).sum(-1)
+
+
+def reach_cost(tool: Any, goal: Any) -> Any:
+    """Compute the cost of a control period on the way to a goal at rest.
+
+    Args:
+        tool: Tool positions within the period, m, shape (B, SAMPLES, axes).
+        goal: Goals, m, shape (B, axes).
+
+    Returns:
+        Mean `distance_cost` of the period, shape (B,).
+    """
+    squares = ((tool - goal.double()[:, None]) ** 2).sum(2)
+    return distance_cost(torch.sqrt(squares + SMALLEST_DISTANCE**2)).mean(1)
+
+
+def path_errors(tool: Any, references: ReferenceTrajectories) -> Any:
+    """Compute the errors of a control period along a path.
+
+    Args:
+        tool: Tool positions within the period, m, shape (B, SAMPLES, axes); the last is its end.
+        references: Paths and goals; their present time is the end of the period.
+
+    Returns:
+        Mean squared contour error of the period, and squared distance to the goal at its end, m^2, shape (B, 2).
+    """
+    contour = torch.stack([_squared_contour(points, references) for points in tool.unbind(1)]).mean(0)
+    goal = torch.from_numpy(references.goals(slice(None)).astype(np.float64))
+    return torch.stack([contour, ((tool[:, -1] - goal) ** 2).sum(1)], dim=1)
+
+
+def path_cost(squares: Any) -> Any:
+    """Compute the cost of an episode along a path.
+
+    Args:
+        squares: Results of `path_errors` by period, m^2, shape (B, periods, 2).
+
+    Returns:
+        Rms contour error per CONTOUR_UNIT plus rms distance to the goal per TRACKING_UNIT, shape (B,).
+    """
+    units = torch.tensor([CONTOUR_UNIT, TRACKING_UNIT], dtype=squares.dtype)
+    return (torch.sqrt(squares.mean(1) + SMALLEST_DISTANCE**2) / units).sum(1)

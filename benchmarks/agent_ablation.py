@@ -1,0 +1,97 @@
+"""What do the parts of the recipe `apg` contribute? Trainings with one part changed each, of the same length.
+
+    python -m benchmarks.agent_ablation [--steps 400000] [--seeds 1] [--only NAME ...]
+
+Every variant is trained by `hframe_gym.agents.train`, and the agent that is kept is scored on 512 episodes of seed 0;
+the scores of the shipped agents use other ones. Short trainings show what learns fast, not what ends best. Results are
+added to results/agent_ablation.json, which keeps variants that are not run again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.agents import ratio
+from benchmarks.results_file import RESULTS, write_results
+from hframe_gym.agents import Agent, Recipe, load_recipe, train
+from hframe_gym.evaluation import BANDS, BOUND_BAND, Scenario, rollout, settling_times, stored_bounds
+
+SCENARIO = Scenario(episodes=512, seed=0)
+NAME = "agent_ablation"
+
+
+def _without(table: str, *keys: str) -> Callable[[Recipe], Recipe]:
+    """Return a function that removes keys of a table of a recipe."""
+    return lambda recipe: replace(
+        recipe, **{table: {key: value for key, value in getattr(recipe, table).items() if key not in keys}}
+    )
+
+
+def _with(table: str, **values: Any) -> Callable[[Recipe], Recipe]:
+    """Return a function that changes values in a table of a recipe."""
+    return lambda recipe: replace(recipe, **{table: {**getattr(recipe, table), **values}})
+
+
+VARIANTS: dict[str, tuple[str, Callable[[Recipe], Recipe]]] = {
+    "apg": ("apg", lambda recipe: recipe),
+    "without the voltages of transfers as features": ("apg", _without("features", "transfers")),
+    "without estimates of friction, masses and belts": ("apg", _without("actuation", "estimates")),
+    "without a held action": ("apg", _without("actuation", "hold_m")),
+    "derivative by the state not discounted": ("apg", _with("algorithm", discount=1.0)),
+    "derivative by the state limited a hundred times less": ("apg", _with("algorithm", limit=300.0)),
+    "without averaged weights": ("apg", _with("algorithm", averaging=0.0)),
+    "PPO": ("ppo", lambda recipe: recipe),
+}
+
+
+def score(agent: Agent) -> dict[str, Any]:
+    """Return the success rate by band and the mean settling time over the mean bound, with its 95 % interval."""
+    episodes = rollout(agent, SCENARIO)
+    bounds = stored_bounds(SCENARIO).times_s
+    assert bounds is not None
+    by_band = {name: settling_times(episodes.goal_error, episodes.time_s, band) for name, band in BANDS.items()}
+    return {
+        "success": {name: float(np.mean(success)) for name, (_, success) in by_band.items()},
+        "over_bound": ratio(by_band[BOUND_BAND][0][None], bounds),
+    }
+
+
+def run(variant: str, steps: int, seed: int) -> dict[str, Any]:
+    """Train a variant and score the agent that it keeps."""
+    name, change = VARIANTS[variant]
+    recipe = replace(change(load_recipe(name, "reach")), steps=steps)
+    began = time.process_time()
+    with tempfile.TemporaryDirectory() as folder:
+        card = train(recipe, seed=seed, out=folder, log=lambda line: None)
+        cpu_s = time.process_time() - began
+        scores = score(Agent.load(folder))
+    return {"seed": seed, "steps": card["curve"][-1]["steps"], "kept": card["kept"], "cpu_s": round(cpu_s, 1), **scores}
+
+
+def main() -> None:
+    """Train and score the variants, and write the results after each."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--steps", type=int, default=400_000)
+    parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--only", nargs="+", choices=VARIANTS, default=list(VARIANTS))
+    arguments = parser.parse_args()
+    file = Path(RESULTS) / f"{NAME}.json"
+    results = json.loads(file.read_text())["variants"] if file.exists() else {}
+    for variant in arguments.only:
+        results[variant] = [run(variant, arguments.steps, seed) for seed in range(arguments.seeds)]
+        print(variant, json.dumps(results[variant]), flush=True)
+        ordered = {name: results[name] for name in VARIANTS if name in results}
+        write_results(NAME, {"episodes": SCENARIO.episodes, "variants": ordered}, seed=SCENARIO.seed)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,129 @@
+"""Analytic policy gradient: derivatives of one period, of a whole episode, and a short training."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from hframe_gym.agents import Agent, load_recipe, train
+from hframe_gym.agents.agent import policy_keywords
+from hframe_gym.agents.analytic_gradient import AnalyticPolicyGradient
+from hframe_gym.agents.differentiable_episode import SimulatedPeriod, distance_cost
+from hframe_gym.agents.features import feature_parameters
+from hframe_gym.agents.model_card import score_agent
+from hframe_gym.agents.residual_action import ResidualAction
+from hframe_gym.agents.sb3_adapters import ResidualActionVecEnv
+from hframe_gym.controllers import MotionModel
+from hframe_gym.envs.sb3_vec_env import HFrameVecEnv
+from hframe_gym.errors import InputError
+from hframe_gym.evaluation import Scenario
+from hframe_gym.machine import BUILTIN_MACHINES
+
+MACHINE = BUILTIN_MACHINES["hframe"]()
+PERIOD = 0.01
+MODEL = MotionModel(MACHINE)
+
+
+def moving_states(count):
+    """Return states of the nominal machine that move fast enough for friction not to reverse in a period."""
+    generator = np.random.default_rng(0)
+    state = MODEL.goal_state(generator.uniform(-0.05, 0.05, (count, 2)))
+    state[:, 4:] = generator.uniform(0.4, 0.6, (count, 2)) * [1.0, 0.5] @ MODEL.rigid.T
+    return state, np.tile(list(MACHINE.parameters.values()), (count, 1))
+
+
+def test_difference_quotients_agree_with_the_linear_model_of_the_motion():
+    state, parameters = moving_states(16)
+    outputs, derivatives = SimulatedPeriod(MACHINE, PERIOD, seed=0).differences(
+        state, np.full((16, 2), 2.0), parameters
+    )
+    A, B, _ = MODEL.discretize(MODEL.tool_position(state).mean(axis=0), PERIOD)
+    expected = np.hstack([A, B]).T  # (entries of state and voltages, entries of the next state)
+    scale = np.repeat([1e-3, 0.05], 4) / np.repeat([1e-3, 0.05, 1.0], [4, 4, 2])[:, None]
+    error = (derivatives[:, :, :8].mean(axis=1) - expected) / scale
+    # Back-EMF, belts and friction are linear here; the operating point differs between the states.
+    assert np.abs(error).max() < 0.08
+    assert np.abs(outputs[:, -2:] - outputs[:, :2]).max() < 1e-12
+
+
+def test_the_cost_rewards_every_decade_of_distance():
+    costs = distance_cost(torch.tensor([0.0, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1, 10.0])).numpy()
+    assert costs[0] == 0.0
+    assert costs[-1] == pytest.approx(1.0, abs=0.02)
+    assert np.diff(costs).min() > 0.04
+
+
+def build(actuation=None, task="reach", **settings):
+    """Return an algorithm with few periods, whose derivatives are neither limited nor discounted."""
+    actuation = {"least": 0.5, "hold_m": 5e-4, "estimates": True} if actuation is None else actuation
+    environment = HFrameVecEnv(8, task=task, randomize="none")
+    if actuation:
+        environment = ResidualActionVecEnv(environment, ResidualAction(MACHINE, PERIOD, **actuation))
+    chosen = {"periods": 4, "skipped": 0, "discount": 1.0, "limit": np.inf, "averaging": 0.5, **settings}
+    keywords = policy_keywords({"net_arch": [16]}, feature_parameters(MACHINE))
+    algorithm = AnalyticPolicyGradient(
+        "MultiInputPolicy", environment, lambda _: 1e-3, seed=0, device="cpu", policy_kwargs=keywords, **chosen
+    )
+    with torch.no_grad():  # enough voltage to overcome friction
+        algorithm._trained.action_net.bias += torch.tensor([0.5, 0.3])
+    return algorithm
+
+
+@pytest.mark.parametrize("task", ["reach", "track"])
+def test_the_gradient_of_an_episode_predicts_how_its_cost_changes(task):
+    algorithm = build(task=task)
+    environment = algorithm.env.venv
+
+    def costs():
+        environment.seed(5)
+        return algorithm._episode_costs(0).mean()
+
+    parameters = [p for n, p in algorithm._trained.named_parameters() if "policy_net" in n or "action_net" in n]
+    gradients = torch.autograd.grad(costs(), parameters)
+    length = torch.sqrt(sum((g**2).sum() for g in gradients))
+    change = {}
+    for sign in (1.0, -1.0):
+        with torch.no_grad():
+            for parameter, gradient in zip(parameters, gradients, strict=True):
+                parameter += sign * 0.02 * gradient / length
+        change[sign] = costs().item()
+        with torch.no_grad():
+            for parameter, gradient in zip(parameters, gradients, strict=True):
+                parameter -= sign * 0.02 * gradient / length
+    slope = (change[1.0] - change[-1.0]) / 0.04
+    assert slope == pytest.approx(length.item(), rel=0.1)
+
+
+def test_the_derivative_by_the_state_is_limited_in_every_episode():
+    def norm(**settings):
+        algorithm = build(**settings)
+        algorithm.env.venv.seed(5)
+        algorithm._episode_costs(0).mean().backward()
+        return algorithm._trained.action_net.weight.grad.norm().item()
+
+    assert norm(limit=1e-4) < 0.2 * norm()
+    assert norm(discount=0.0) < norm()
+
+
+@pytest.mark.parametrize("actuation", [{"base": "pid"}, {}], ids=["base", "none"])
+def test_a_mapping_without_derivatives_is_rejected(actuation):
+    with pytest.raises(InputError, match=r"an \[actuation\] without a base controller"):
+        build(actuation)
+
+
+@pytest.mark.train
+def test_a_short_training_reaches_the_goal_and_resumes(tmp_path, monkeypatch):
+    monkeypatch.setattr("hframe_gym.agents.training.EVALUATION_EPISODES", 32)
+    recipe = load_recipe("apg", "reach")
+    recipe = replace(recipe, env={**recipe.env, "num_envs": 64})
+    card = train(recipe, steps=100_000, out=tmp_path, log=lambda line: None)
+    assert card["curve"][0]["success_1mm"] < 0.1
+    assert card["curve"][-1]["success_1mm"] > 0.5
+    agent = Agent.load(tmp_path)
+    kept = next(row for row in card["curve"] if row["steps"] == card["kept"])
+    assert score_agent(agent, Scenario(episodes=32, seed=1_000_000)).row.items() <= kept.items()
+    steps = card["curve"][-1]["steps"] + 64
+    resumed = train(recipe, steps=steps, out=tmp_path, resume=True, log=lambda line: None)
+    assert resumed["curve"][: len(card["curve"])] == card["curve"]
+    assert resumed["curve"][-1]["steps"] >= steps

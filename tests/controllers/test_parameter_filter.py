@@ -1,0 +1,61 @@
+"""Extended Kalman filter of friction, masses and belts: how close its estimates come within a motion."""
+
+import numpy as np
+import pytest
+
+from hframe_gym.agents.residual_action import ResidualAction
+from hframe_gym.controllers import CONTROLLERS, MotionModel, ParameterFilter
+from hframe_gym.envs import HFrameVectorEnv
+from hframe_gym.machine import BUILTIN_MACHINES
+
+MACHINE = BUILTIN_MACHINES["hframe"]()
+PERIOD, PERIODS, COUNT = 0.01, 15, 64
+
+
+@pytest.fixture(scope="module")
+def motion():
+    """Return states (PERIODS + 1, B, 8), actions (PERIODS, B, 2) and logarithms of parameter ratios by name."""
+    envs = HFrameVectorEnv(COUNT, randomize="default")
+    model, controller = MotionModel(MACHINE), CONTROLLERS.get("pid")(MACHINE, PERIOD)
+    observation, _ = envs.reset(seed=0)
+    states, actions = [model.state(observation)], []
+    for _ in range(PERIODS):
+        actions.append(controller.act(observation))
+        observation = envs.step(actions[-1])[0]
+        states.append(model.state(observation))
+    ratios = np.log(envs.parameters / np.array(list(MACHINE.parameters.values())))
+    return np.array(states), np.array(actions), dict(zip(MACHINE.parameters, ratios.T, strict=True))
+
+
+def estimated(motion):
+    """Return the estimates after the motion."""
+    states, actions, _ = motion
+    parameter_filter = ParameterFilter(MotionModel(MACHINE), PERIOD)
+    parameter_filter.update(states[0], states[0], actions[0], np.ones(COUNT, np.bool_))
+    assert not parameter_filter.estimates.any()
+    for k in range(PERIODS):
+        parameter_filter.update(states[k], states[k + 1], actions[k], np.zeros(COUNT, np.bool_))
+    return parameter_filter.estimates
+
+
+def test_estimates_approach_the_parameters_of_each_episode(motion):
+    ratios = motion[2]
+    belts = [ratios[f"{b.name}.EA"] - ratios[f"{b.name}.rest_length"] for b in MACHINE.belts]
+    names = [f"{name}.{kind}" for kind in ("coulomb", "mass") for name in MACHINE.coordinate_names]
+    expected = np.stack([*(ratios[name] for name in names), *belts], axis=1)
+    error = np.sqrt(np.mean((estimated(motion) - expected) ** 2, axis=0)) / expected.std(axis=0)
+    by_kind = {"friction of the motors": error[2:4], "masses": error[4:8], "belts": error[8:]}
+    assert by_kind["friction of the motors"].max() < 0.4
+    assert by_kind["masses"].max() < 0.6
+    assert by_kind["belts"].max() < 0.3
+
+
+def test_the_observation_of_a_policy_contains_the_estimates(motion):
+    states, actions, _ = motion
+    model, mapping = MotionModel(MACHINE), ResidualAction(MACHINE, PERIOD, estimates=True)
+    for k in range(PERIODS + 1):
+        goal = np.zeros((COUNT, 2))
+        augmented = mapping.augment({"observation": model.observation(states[k]), "desired_goal": goal})
+        if k < PERIODS:
+            mapping.replace_last_action(actions[k])
+    assert augmented["estimates"] == pytest.approx(estimated(motion), abs=1e-3)
