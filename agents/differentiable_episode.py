@@ -81,9 +81,9 @@ class SimulatedPeriod:
         """Simulate one period, and again with every entry of state and voltages changed by a random step.
 
         Args:
-            state: As for `outputs`.
-            volts: As for `outputs`.
-            parameters: As for `outputs`.
+            state: As for `outputs`, shape (B, 2 n).
+            volts: As for `outputs`, V, shape (B, d).
+            parameters: As for `outputs`, shape (B, P).
 
         Returns:
             outputs: Result of `outputs`, shape (B, o).

@@ -102,9 +102,7 @@ def evaluate(
     ] = "state",
     period: PeriodOption = 0.01,
     episodes: EpisodesOption = 512,
-    seed: Annotated[
-        int, typer.Option(min=0, max=MAX_SEED, help="Seed of the starts, goals and machine parameters.")
-    ] = 0,
+    seed: Annotated[int, typer.Option(min=0, max=MAX_SEED, help="Seed of starts, goals and parameters.")] = 0,
     html: Annotated[bool, typer.Option("--html", help="Also write scorecard.html, one self-contained page.")] = False,
     protocol: Annotated[
         str | None,

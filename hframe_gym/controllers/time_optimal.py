@@ -278,8 +278,8 @@ class HeldVoltageReach:
             free_s: Shortest time with free voltages, s, from `TimeOptimalReach`.
 
         Returns:
-            Duration and commanded voltages of the motion, with the collocation intervals as `edges_s`; `solved` is
-            False if there is none up to `LATEST_PERIODS` periods after the free one.
+            Duration, s, and commanded voltages of the motion, V, shape (intervals, drives), with the collocation
+            intervals as `edges_s`; `solved` is False if there is none up to `LATEST_PERIODS` periods after the free one.
         """
         first = max(1, int(np.ceil(free_s / self.period)))
         for last in range(first, first + LATEST_PERIODS):

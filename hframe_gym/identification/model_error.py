@@ -140,8 +140,8 @@ def refined_in_simulation(fitted: Fit, data: Dataset) -> Fit:
         data: Runs that were fitted.
 
     Returns:
-        Fit in simulation if its error on runs that are left out in turn is smaller than the simulation error of the
-        given fit; else, and for fewer than three runs, the given one.
+        Fit of the same k parameters (theta of shape (k,)) in simulation, if its error on runs that are left out in turn
+        is smaller than the simulation error of the given fit; else, and for fewer than three runs, the given one.
     """
     if fitted.bandwidth == SIMULATION or len(data.runs) <= _MIN_AGREEING:
         return fitted

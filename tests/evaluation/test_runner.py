@@ -93,6 +93,7 @@ def test_same_seed_gives_every_controller_the_same_episodes() -> None:
         "episodes",
         "seed",
         "sensors",
+        "drives",
         "period_s",
         "controllers",
     }
