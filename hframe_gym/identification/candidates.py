@@ -211,7 +211,7 @@ def effect_parameters(effect: AppliedEffect, machine: Machine, scales: TypicalSc
     Returns:
         One free parameter for every parameter of the effect that is not fixed.
     """
-    at_site = _scales_at(effect.site, machine, scales)
+    at_site = _scales_at(effect.definition, effect.site, machine, scales)
     free = []
     for p in effect.definition.parameters:
         if p.role == "fixed":

@@ -93,7 +93,7 @@ class CoordinateEntry(Table):
         coulomb: Coulomb friction, N or Nm.
         radius: Pitch radius of the pulley, m; required for a rotary coordinate, not allowed for a linear one.
         range: Lowest and highest position [low, high], m or rad. Default: unlimited. The environment needs the ranges
-            of x and y, which are its workspace.
+            of the linear coordinates, which are its workspace.
     """
 
     name: Name
