@@ -6,13 +6,15 @@ Nothing is integrated and no kernel is compiled, so that a wrong sign or factor 
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
 
-from hframe_gym.dynamics import Equations, MotionPoint
+from hframe_gym.dynamics import Equations, MotionPoint, belt_forces, belt_states, effect_forces, net_forces
+from hframe_gym.dynamics.elementwise import where
 from hframe_gym.effects import EFFECTS
-from hframe_gym.machine import Machine
+from hframe_gym.machine import BUILTIN_MACHINES, Effect, EffectParameter, Machine
 from tests.effects.one_of_each import CASES, Case
 from tests.reference_simulator import Rig
 from tests.reference_simulator.equations import EXTRA, derivative
@@ -173,3 +175,128 @@ def test_an_eccentric_pulley_at_rest_has_drawn_as_much_belt_as_a_round_one() -> 
     assert case.effect("lever_arm", q=1.0, z=1.0, per_radius=1.0 / radius) == pytest.approx(e * np.cos(1.0 + p - lag))
     travel = e * (np.sin(1.0 + p - lag) - np.sin(p - lag))
     assert case.effect("belt_travel", q=1.0, z=1.0, per_radius=1.0 / radius) == pytest.approx(travel)
+
+
+def test_forces_along_a_motion_are_mass_times_acceleration(hframe: Machine) -> None:
+    """Arrays over samples in the coordinates' units, and positions without velocities."""
+    case = Case("none", "", {})
+    points = random_points(hframe, case)
+    q, v, volts = (np.array([point[k] for point in points]) for k in range(3))
+    mass = np.array([c.mass for c in hframe.coordinates])
+    expected = mass * np.array([own_rates(hframe, case, *point)[0] for point in points])
+    forces = net_forces(hframe, np.arange(len(q)) * 1e-3, q, v, volts)
+    np.testing.assert_allclose(forces, expected, rtol=1e-9, atol=1e-9)
+    equations = Equations(hframe)
+    point = equations.point(q[0])
+    assert point.speed == [0.0] * 4
+    np.testing.assert_allclose(equations.in_units(point.travel), q[0] * hframe.travel_per_unit**2)
+
+
+def _push(q: Any, F: Any) -> Any:
+    return 0.0 * q + F
+
+
+def _beyond(q: Any, limit: Any) -> Any:
+    return q > limit
+
+
+def _wall(q: Any, limit: Any, k: Any) -> Any:
+    return where(q > limit, -k * (q - limit), 0.0)
+
+
+def _inertial(m: Any, net: Any, friction: Any, r: Any) -> Any:
+    return m * r + 2.0 * net + 3.0 * friction
+
+
+def test_forces_behind_a_branch_add_to_the_others(hframe: Machine) -> None:
+    """Two walls on one coordinate and one on another, in all combinations; beside an ordinary force."""
+    limit = EffectParameter("limit", "position", -1.0, 1.0, scale=1.0)
+    stiffness = EffectParameter("k", "stiffness", 0.0, 1e6, scale=1.0)
+    fields = {"family": "test", "site": "coordinate", "formula": "", "source": ""}
+    walls = [
+        Effect(name=f"wall{i}", parameters=(limit, stiffness), force=_wall, active_region=_beyond, **fields)
+        for i in range(2)
+    ]
+    push = Effect(name="push", parameters=(EffectParameter("F", "force", 0.0, 9.0, scale=1.0),), force=_push, **fields)
+    machine = hframe.with_effects(
+        walls[0].at("x", limit=0.01, k=100.0),
+        walls[1].at("x", limit=0.03, k=1000.0),
+        walls[0].at("phi1", limit=0.5, k=2.0),
+        push.at("y", F=4.0),
+    )
+    for x, phi, on_x, on_phi in ((0.0, 0.0, 0.0, 0.0), (0.02, 0.0, -1.0, 0.0), (0.05, 0.6, -24.0, -0.2)):
+        q = np.array([[x, 0.0, phi, 0.0]])
+        change = effect_forces(machine, np.zeros(1), q, np.zeros_like(q), np.zeros((1, 2)))
+        np.testing.assert_allclose(change, [[on_x, 4.0, on_phi, 0.0]], atol=1e-9)
+
+
+@pytest.mark.parametrize("speed", [0.2, -0.2, 0.0])
+def test_reactions_take_mass_net_force_and_friction_of_the_site(hframe: Machine, speed: float) -> None:
+    """In the units of a rotary coordinate too: the inertia, the net torque and the torque of friction."""
+    fields = {"family": "test", "site": "coordinate", "formula": "", "source": ""}
+    reaction = Effect(
+        name="reaction", parameters=(EffectParameter("r", "1", -9.0, 9.0, scale=1.0),), force=_inertial, **fields
+    )
+    machine = hframe.with_effects(reaction.at("phi1", r=0.5))
+    q, v = np.zeros((1, 4)), np.array([[0.0, 0.0, speed / 0.0194, 0.0]])
+    volts = np.array([[0.3, 0.0]])
+    change = effect_forces(machine, np.zeros(1), q, v, volts)[0, 2]
+    c, drive = hframe.coordinate("phi1"), hframe.drives[0]
+    torque = drive.gain * 0.3
+    viscous = (c.viscous + drive.back_emf) * v[0, 2]
+    dry = np.sign(speed) * c.coulomb if speed else np.clip(torque, -c.coulomb, c.coulomb)
+    friction = viscous + dry
+    assert change == pytest.approx(0.5 * c.mass + 2.0 * (torque - friction) + 3.0 * friction)
+
+
+def _constant_travel(q: Any, a: Any) -> Any:
+    return a * q
+
+
+def _constant_arm(a: Any) -> Any:
+    return a
+
+
+def test_effects_on_the_travel_of_one_pulley_add_up(hframe: Machine) -> None:
+    """Three pulleys that draw more belt per angle, on the shaft of one motor, equal a larger radius."""
+    larger = [
+        Effect(
+            name=f"larger{i}",
+            family="test",
+            site="motor",
+            formula="",
+            source="",
+            parameters=(EffectParameter("a", "m", 0.0, 1.0, scale=1.0),),
+            belt_travel=_constant_travel,
+            lever_arm=_constant_arm,
+        )
+        for i in range(3)
+    ]
+    effects = [effect.at("motor1", a=a) for effect, a in zip(larger, (1e-3, 2e-3, 3e-3), strict=True)]
+    machine = hframe.with_effects(*effects)
+    wider = hframe.replace({"phi1.radius": hframe.coordinate("phi1").radius + 6e-3})
+    rng = np.random.default_rng(3)
+    for _ in range(5):
+        q, v = rng.normal(size=4) * 1e-3, rng.normal(size=4)
+        np.testing.assert_allclose(belt_forces(machine, q, v), belt_forces(wider, q, v), rtol=1e-9)
+        for state, expected in zip(belt_states(machine, q, v), belt_states(wider, q, v), strict=True):
+            np.testing.assert_allclose(state.rate, expected.rate, rtol=1e-9)
+
+
+def test_a_belt_of_constant_stiffness_and_one_with_two_effects(hframe: Machine) -> None:
+    """Tensions of several effects add; the elastic energy is that of the stretch which each leaves."""
+    play, hardening = CASES["belt_play"].effect, CASES["belt_hardening"].effect
+    q = np.array([2e-3, 1e-3, 0.02, 0.03])
+    plain, first, second, both = (
+        belt_states(hframe.with_effects(*effects), q) for effects in ((), (play,), (hardening,), (play, hardening))
+    )
+    for a, b, c, d in zip(plain, first, second, both, strict=True):
+        assert d.tension == pytest.approx(b.tension + c.tension - a.tension, rel=1e-12)
+        assert d.stiffness_force == pytest.approx(b.stiffness_force + c.stiffness_force - a.stiffness_force, rel=1e-9)
+        assert d.net_tension == pytest.approx(d.tension - d.stiffness_force, rel=1e-12)
+        assert a.net_tension == pytest.approx(a.tension - a.stiffness_force, rel=1e-12)
+    constant = BUILTIN_MACHINES["hframe-linear"]()
+    for state, belt in zip(belt_states(constant, q), constant.belts, strict=True):
+        extension = float(constant.coefficients(belt.extension) @ (q * constant.travel_per_unit))
+        assert state.tension == state.net_tension == pytest.approx(belt.EA / belt.rest_length * extension)
+        assert state.stiffness_force == 0.0

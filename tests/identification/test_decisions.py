@@ -673,6 +673,68 @@ def test_which_effects_depend_on_the_same_variable(first: AppliedEffect, second:
     assert depend_on_same_variable(second, first, HFRAME) == same
 
 
+def test_the_difference_of_forces_is_that_at_the_belt(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Torques are divided by the radius of the pulley; the motion is that of the first machine."""
+    other = dataclasses.replace(HFRAME, name="other")
+    moved: list[str] = []
+
+    def predict(machine: Machine, run: Any, bandwidth: float, period: float, states: bool) -> Any:
+        assert (bandwidth, period, states) == (60.0, 1e-3, True)
+        moved.append(machine.name)
+        return SimpleNamespace(positions=np.zeros((1, 5, 4)), velocities=np.zeros((1, 5, 4)))
+
+    forces = {HFRAME.name: np.full((5, 4), 0.1), "other": np.tile([3.1, 4.1, 0.1, 0.1 + 12.0 * 0.0194], (5, 1))}
+    monkeypatch.setattr(effect_size, "predict", predict)
+    monkeypatch.setattr(effect_size, "map_runs", lambda function, data: map(function, data.runs))
+    monkeypatch.setattr(effect_size, "net_forces", lambda machine, *record: forces[machine.name])
+    data: Any = SimpleNamespace(period=1e-3, runs=[SimpleNamespace(time_s=np.arange(5.0), inputs=np.zeros((5, 2)))] * 2)
+    assert effect_size.force_difference(HFRAME, other, data) == pytest.approx(13.0)
+    assert set(moved) == {HFRAME.name}
+
+
+def test_the_force_of_the_drives_is_at_the_belt() -> None:
+    inputs = np.array([[3.0, -4.0], [0.0, 0.0]])
+    data: Any = SimpleNamespace(runs=[SimpleNamespace(inputs=inputs)])
+    drive = HFRAME.drives[0]
+    assert effect_size.drive_force(HFRAME, data) == pytest.approx(np.sqrt(12.5) * drive.gain / 0.0194)
+
+
+@pytest.mark.parametrize("bandwidth", [0.0, 30.0])
+def test_the_residue_is_the_correction_beyond_that_of_noise(monkeypatch: pytest.MonkeyPatch, bandwidth: float) -> None:
+    """The observer corrects the velocity by bandwidth^2 times the innovation; without one, by that of 3 rad/s."""
+    innovation = np.array([[3e-3], [-5e-3], [np.nan], [1e-3]])
+    run: Any = SimpleNamespace(outputs=innovation, noise=np.array([1e-3]))
+    data: Any = SimpleNamespace(period=1e-3, runs=[run])
+    monkeypatch.setattr(model_error, "predict", lambda *arguments, **more: SimpleNamespace(readings=None))
+    monkeypatch.setattr(model_error, "prediction_error", lambda run, data, readings: innovation[None])
+    monkeypatch.setattr(model_error, "map_runs", lambda function, data: map(function, data.runs))
+    power = (9.0 + 25.0 + 1.0 - 3.0) / 4.0 * 1e-6  # m^2; the missing measurement has neither error nor noise
+    mass = AXIS.coordinates[0].mass
+    expected = max(bandwidth, 3.0) ** 2 * mass * np.sqrt(power)
+    assert model_error.residue_force(fit_with(chi2=1.0, bandwidth=bandwidth), data) == pytest.approx(expected)
+    run.noise = np.array([9e-3])
+    assert model_error.residue_force(fit_with(chi2=1.0), data) == 0.0
+
+
+@pytest.mark.parametrize(("period", "rows"), [(1e-3, 50), (0.2, 1)])
+def test_the_long_run_variance_is_that_of_sums_over_50_ms(
+    monkeypatch: pytest.MonkeyPatch, period: float, rows: int
+) -> None:
+    sums = {4: np.array([[1.0, 3.0], [1.0, -1.0]]), 1: np.array([[0.5, 0.1]])}
+
+    def residuals(run: Any, data: Any, readings: Any, summed: int) -> np.ndarray:
+        assert summed == rows
+        return np.ravel(sums[run])[None]
+
+    monkeypatch.setattr(model_error, "predict", lambda *arguments, **more: SimpleNamespace(readings=None))
+    monkeypatch.setattr(model_error, "residuals", residuals)
+    monkeypatch.setattr(model_error, "map_runs", lambda function, data: map(function, data.runs))
+    machine = dataclasses.replace(HFRAME, sensors=HFRAME.sensors[:2])
+    fitted = dataclasses.replace(fit_with(chi2=1.0), machine=machine)
+    assert model_error.long_run_variance(fitted, SimpleNamespace(period=period, runs=[4])) == pytest.approx(5.0)
+    assert model_error.long_run_variance(fitted, SimpleNamespace(period=period, runs=[1])) == 1.0
+
+
 @pytest.mark.parametrize("effect", [FRAME, EFFECTS["sensor_scale"].at("x_m", g=1.01)])
 def test_no_force_describes_structures_and_measurements(effect: AppliedEffect) -> None:
     assert effect_size.effect_force(AXIS, effect, DATA) == np.inf
