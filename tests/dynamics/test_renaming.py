@@ -8,6 +8,7 @@ import keyword
 import re
 from collections.abc import Mapping, Sequence
 from functools import cache
+from pathlib import Path
 
 import numba
 import numpy as np
@@ -15,10 +16,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hframe_gym.dynamics import kernel_source_text, linearize, mode_frequencies, net_forces, simulate
+from hframe_gym.dynamics import kernel_source_text, linearize, mode_frequencies, net_forces, sensor_readings, simulate
 from hframe_gym.effects import EFFECTS, effect_sites, get_effect
 from hframe_gym.effects.smooth_table import KNOTS
 from hframe_gym.envs import HFrameEnv
+from hframe_gym.errors import InputError
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, draw_machine
 from hframe_gym.recordings import load_machine, save_machine
 from tests.effects.one_of_each import CASES, history
@@ -231,7 +233,7 @@ def test_a_search_tries_the_same_effects_at_the_same_components(names: list[str]
 
 
 @pytest.mark.parametrize("name", ["many effects", "yaw", "frame"])
-def test_a_file_with_other_names_gives_the_same_machine(name: str, tmp_path) -> None:  # type: ignore[no-untyped-def]
+def test_a_file_with_other_names_gives_the_same_machine(name: str, tmp_path: Path) -> None:
     names = [f"{word}_" if word in ("drives", "belts") else word for word in COLLISIONS[3]]
     machine = renamed(name, [*names, *(f"other_{i}" for i in range(COUNT))])
     save_machine(machine, tmp_path / "machine.json")
@@ -249,3 +251,34 @@ def test_a_name_that_an_effect_adds_is_refused() -> None:
     machine = renamed("hframe", ["frame", *labels_of(original("hframe")[0])[1:]])
     with pytest.raises(ValueError, match="frame_resonance: does not fit"):
         machine.with_effects(EFFECTS["frame_resonance"].at("frame", **CASES["frame_resonance"].parameters))
+
+
+def test_a_file_whose_effect_lacks_its_coordinate_is_refused(tmp_path: Path) -> None:
+    """Without the coordinate `yaw` the spring of the bridge would act on nothing."""
+    path = tmp_path / "machine.json"
+    save_machine(original("yaw")[0], path)
+    path.write_text(re.sub(r"(?<!bridge_)\byaw\b", "psi", path.read_text()))
+    with pytest.raises(InputError, match=r"effects.bridge_yaw: the effect needs a coordinate that is called 'yaw'"):
+        load_machine(path)
+
+
+def test_a_channel_with_the_name_of_another_component_is_that_channel(tmp_path: Path) -> None:
+    """The laser of x is called like the pulley phi1; its scale has the units of the laser and acts on it alone."""
+    names = list(labels_of(original("hframe")[0]))
+    names[names.index("x_m")], names[names.index("y_m")] = "phi1", "motor1"
+    machine = renamed("hframe", names).with_effects(
+        EFFECTS["sensor_range"].at("phi1", low=-0.01, high=0.01), EFFECTS["sensor_skew"].at("motor1", a=5e-3)
+    )
+    assert machine.unit("sensor_range@phi1.low") == "m"
+    save_machine(machine, tmp_path / "machine.json")
+    read = load_machine(tmp_path / "machine.json")
+    readings = sensor_readings(read, np.array([0.5, 0.2, 0.3, 0.4]))
+    np.testing.assert_allclose(readings, [0.3, 0.4, 0.01, 0.2 + 5e-3 * 0.5])
+
+
+def test_axes_in_an_unusual_order_are_pointed_out(tmp_path: Path) -> None:
+    machine = original("corexy")[0]
+    first, second, *rest = machine.coordinates
+    save_machine(dataclasses.replace(machine, coordinates=(second, first, *rest)), tmp_path / "machine.json")
+    with pytest.warns(UserWarning, match="y comes before x, so it is the first axis of the tool: list x first"):
+        load_machine(tmp_path / "machine.json")
