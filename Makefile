@@ -3,8 +3,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 PYTHON ?= python3
 INSTALLED := $(VENV)/.installed
+AUDIT := $(VENV)/audit/bin
 
-.PHONY: demo test check wheel bench tables docs clean
+.PHONY: demo test check audit sbom wheel bench tables docs clean
 
 demo: $(INSTALLED)  ## identify a recorded rig, control the corrected machine
 	$(BIN)/hframe identify examples/rig_a --out out/demo
@@ -20,6 +21,17 @@ check: $(INSTALLED) hframe_gym/agents  ## format, lint, docstrings, types, layer
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo
 	$(BIN)/python -m tools.dependencies --check
+	$(BIN)/python -m pip check
+
+audit: $(INSTALLED) $(AUDIT)/uv  ## needs the network: every extra resolves with the pins, all are pinned, known vulnerabilities
+	mkdir -p out
+	$(AUDIT)/uv pip compile -q --all-extras -c constraints.txt --python $(BIN)/python --no-header --no-annotate -o out/resolved.txt pyproject.toml
+	$(BIN)/python -m tools.dependencies --resolved out/resolved.txt
+	$(AUDIT)/pip-audit --strict --disable-pip --no-deps -r constraints.txt
+
+sbom: $(INSTALLED) $(AUDIT)/uv  ## software bill of materials of the environment: dist/sbom.cdx.json (CycloneDX), with licenses
+	mkdir -p dist
+	$(AUDIT)/cyclonedx-py environment --pyproject pyproject.toml --mc-type library --output-reproducible -o dist/sbom.cdx.json $(BIN)/python
 
 wheel: $(INSTALLED)  ## wheel and source distribution in dist/, checked, installed in empty environments and used
 	$(BIN)/pip install -q --disable-pip-version-check -c constraints.txt -e '.[release]'
@@ -44,6 +56,11 @@ docs: $(INSTALLED) hframe_gym/agents  ## the documentation site, out/site; fails
 # mypy and import-linter look for hframe_gym.agents beside the package's other folders.
 hframe_gym/agents:
 	ln -s ../agents $@
+
+$(AUDIT)/uv: constraints.txt
+	$(PYTHON) -m venv $(VENV)/audit
+	$(AUDIT)/pip install -q --disable-pip-version-check -c constraints.txt cyclonedx-bom pip-audit uv
+	touch $@
 
 clean:
 	rm -rf $(VENV) out build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache hframe_gym/agents

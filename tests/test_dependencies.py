@@ -64,8 +64,11 @@ def test_problems_are_reported_per_package() -> None:
     pins = dependencies.read_pins("# comment\nTorch==2.13.0  # pinned\nold_pin==1.0\n")
     assert pins == {"torch": "2.13.0", "old-pin": "1.0"}
     installed = {"torch": package("2.13.0+cpu"), "old-pin": package("1.1"), "new": package("5"), "a": None, "b": None}
+    pins |= {"a": "1", "b": "1"}
+    installed |= {"c": None}
     assert list(dependencies.find_problems(installed, {"a", "torch"}, pins)) == [
         "a: is not installed; run: pip install -c constraints.txt -e '.[dev]'",
+        "c: constraints.txt has no version",
         "new: constraints.txt has no version",
         "old-pin: constraints.txt has 1.0, installed is 1.1",
     ]
@@ -101,6 +104,21 @@ def test_a_missing_pin_is_reported_and_then_written(
     assert f"\nnumpy=={metadata.version('numpy')}\n" in constraints.read_text()
     assert f"\n| numpy | {metadata.version('numpy')} | BSD-3-Clause" in page.read_text()
     assert page.read_text().endswith("<!-- end -->\n\nMore text.\n")
+
+
+def test_resolved_versions_are_compared_with_the_pins(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """GPU libraries depend on the platform and are not pinned."""
+    version = dependencies.read_pins(dependencies.CONSTRAINTS.read_text("utf-8"))["numpy"]
+    resolved = tmp_path / "resolved.txt"
+    resolved.write_text(f"numpy=={version}\nnvidia-something==1.0\n")
+    assert dependencies.main(["--resolved", str(resolved)]) == 0
+    assert "1 packages" in capsys.readouterr().out
+    resolved.write_text("numpy==0.1\nunheard-of==2.0\n")
+    assert dependencies.main(["--resolved", str(resolved)]) == 1
+    assert capsys.readouterr().err.splitlines() == [
+        "numpy==0.1: constraints.txt does not have this line",
+        "unheard-of==2.0: constraints.txt does not have this line",
+    ]
 
 
 def test_hints_name_extras_that_exist_and_are_spelled_alike() -> None:

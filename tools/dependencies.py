@@ -1,12 +1,13 @@
 """Check that constraints.txt pins every dependency, and list the licenses of the dependencies in docs/dependencies.md.
 
-    python -m tools.dependencies [--check]
+    python -m tools.dependencies [--check] [--resolved FILE]
 
-Without `--check`, missing pins are added to constraints.txt and the table of docs/dependencies.md is written. With it,
-nothing is written: the exit code is 1, and one line per problem says what is wrong.
+Without an option, missing pins are added to constraints.txt and the table of docs/dependencies.md is written. With
+one, nothing is written: the exit code is 1, and one line per problem says what is wrong.
 
-The dependencies are those of the installed packages, followed from the requirements in pyproject.toml. Extras that the
-extra `dev` does not include, such as `bench`, need not be installed; their packages are pinned where they are.
+The dependencies are those of the installed packages, followed from the requirements in pyproject.toml. Of extras that
+the extra `dev` does not include, such as `clients`, only the direct requirements are known unless they are installed.
+`make audit` therefore resolves all extras on the package index, and `--resolved` compares the result with the pins.
 """
 
 from __future__ import annotations
@@ -135,7 +136,9 @@ def find_problems(
     """
     for name, distribution in sorted(packages.items()):
         if distribution is None:
-            if name in needed:
+            if name not in pins:
+                yield f"{name}: constraints.txt has no version"
+            elif name in needed:
                 yield f"{name}: is not installed; run: pip install -c constraints.txt -e '.[dev]'"
         elif name not in pins:
             yield f"{name}: constraints.txt has no version"
@@ -190,7 +193,13 @@ def main(arguments: list[str] | None = None) -> int:
     """
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--check", action="store_true", help="write nothing; exit with 1 if something is missing")
-    check = parser.parse_args(arguments).check
+    parser.add_argument(
+        "--resolved", type=Path, metavar="FILE", help="check only that every name==version of it is pinned"
+    )
+    options = parser.parse_args(arguments)
+    if options.resolved:
+        return _check_resolved(options.resolved)
+    check = options.check
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
     requirements, installed = requirements_by_extra(project)
     groups = {extra: installed_dependencies(direct) for extra, direct in requirements.items()}
@@ -213,6 +222,18 @@ def main(arguments: list[str] | None = None) -> int:
     else:
         print(f"{len(needed)} dependencies are pinned and listed with their licenses")
     return 1 if problems else 0
+
+
+def _check_resolved(path: Path) -> int:
+    """Compare resolved versions with the pins and report differences; return the exit code."""
+    pins, resolved = (read_pins(file.read_text("utf-8")) for file in (CONSTRAINTS, path))
+    resolved = {name: version for name, version in resolved.items() if not name.startswith(_GPU_LIBRARIES)}
+    wrong = [f"{name}=={version}" for name, version in resolved.items() if pins.get(name) != version]
+    for line in wrong:
+        print(f"{line}: constraints.txt does not have this line", file=sys.stderr)
+    if not wrong:
+        print(f"{len(resolved)} packages that the extras need are pinned")
+    return 1 if wrong else 0
 
 
 def _write_pins(packages: Mapping[str, metadata.Distribution | None]) -> None:

@@ -92,7 +92,8 @@ class BeltEquations(ParameterizedMachine):
         k = named("stiffness", b, k)
         linear = k * s
         tension = linear
-        for _, e in self.effects_at("tension", name):
+        tension_effects = [e for _, e in self.effects_at("tension", name)]
+        for e in tension_effects:
             tension = tension + (self.evaluate(e, "tension", {"s": s, "rate": rate, "k": k}) - linear)
         tension = named("tension", b, tension)
         if per_length is None:
@@ -106,8 +107,9 @@ class BeltEquations(ParameterizedMachine):
             force = named("stiffness_force", b, slope * k * per_length)
             return BeltState(s, rate, k, tension, force, named("net_tension", b, tension - force))
         strain = named("strain", b, s * per_length)
-        net = named("net_tension", b, fma(-0.5 * strain, tension, tension))
-        return BeltState(s, rate, k, tension, 0.5 * strain * tension, net)
+        elastic = linear if tension_effects else tension  # damping stores no energy
+        net = named("net_tension", b, fma(-0.5 * strain, elastic, tension))
+        return BeltState(s, rate, k, tension, 0.5 * strain * elastic, net)
 
     def _pulley_quantities(self, k: int, i: int, point: MotionPoint) -> dict[str, Value]:
         return {"q": self.position(point, i), "z": self.effect_state(k, point), "per_radius": self.per_radius(i)}

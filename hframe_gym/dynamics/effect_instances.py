@@ -57,6 +57,8 @@ def _moved_coordinate(effect: AppliedEffect, component: str, machine: Machine) -
         return definition.coordinate
     if definition.site in ("motor", "drive", "drives"):
         return machine.drive(component).coordinate
+    if definition.site == "machine":
+        return component  # every coordinate, or the word "machine" of a structural effect
     if definition.site in ("sensor", "belts"):
         return ""
-    return machine.coordinate_of_site(component) or ""
+    return machine.coordinate_of_site(component, definition.site) or ""

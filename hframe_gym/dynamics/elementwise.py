@@ -281,7 +281,7 @@ def update_if_any(
         The updated values, in the order, units and shape (...) of `values`.
     """
     # Only traced expressions (from which code is generated) can write the `if`; other algebras update in any case.
-    traced = next((v for v in values if hasattr(v, "trace")), None)
+    traced = next((v for v in values if hasattr(v, "traced_function")), None)
     if traced is not None:
         return list(traced.trace.update_if_any(condition(), values, update))
     return list(update(values))

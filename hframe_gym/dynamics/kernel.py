@@ -191,6 +191,9 @@ def _load(text: str) -> ModuleType:
     path = cache_folder() / f"{name}.py"
     if not path.exists():
         write_text(path, text)
+    loaded = sys.modules.get(f"hframe_gym_kernels.{name}")
+    if loaded is not None and loaded.__file__ == str(path):  # machines that differ in names only have the same text
+        return loaded
     spec = importlib.util.spec_from_file_location(f"hframe_gym_kernels.{name}", path)
     assert spec is not None
     assert spec.loader is not None

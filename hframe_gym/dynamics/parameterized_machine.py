@@ -57,8 +57,9 @@ class ParameterizedMachine:
         self._values: dict[str, Value] = {**machine.parameters, **(values or {})}
         names = machine.coordinate_names
         index = {name: i for i, name in enumerate(names)}
-        self.extension_rows = [{index[c]: g for c, g in b.extension.items() if g} for b in machine.belts]
-        self.length_rows = [{index[c]: g for c, g in b.length.items() if g} for b in machine.belts]
+        # In the order of the coordinates: the order in which a file lists the factors must not change a rounding error.
+        self.extension_rows = [_ordered(b.extension, index) for b in machine.belts]
+        self.length_rows = [_ordered(b.length, index) for b in machine.belts]
         self.drive_coordinates = [index[d.coordinate] for d in machine.drives]
         self.instances = effect_instances(machine)
         self.states = [k for k, instance in enumerate(self.instances) if instance.effect.definition.next_state]
@@ -329,3 +330,8 @@ class ParameterizedMachine:
         if (i := self.instances[k].state_coordinate) >= 0:
             quantities |= {"dq": traveled[i] * self.per_radius(i), "v": speed[i] * self.per_radius(i)}
         return self.evaluate(self.instances[k].effect, "next_state", quantities)
+
+
+def _ordered(row: Mapping[str, float], index: Mapping[str, int]) -> IndexRow:
+    """Return the factors of a row that are not zero by index of the coordinate, ascending."""
+    return dict(sorted((index[name], factor) for name, factor in row.items() if factor))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from .belts import combination
@@ -53,14 +54,15 @@ class SignalEquations(ParameterizedMachine):
         names = self.machine.coordinate_names
         readings = []
         for j, sensor in enumerate(self.machine.sensors):
-            terms = []
-            for key in sensor.row:  # a key is a coordinate, or a product of two such as "y*yaw"
+            rows = []
+            for key, coefficient in sensor.row.items():  # a key is a coordinate, or a product of two such as "y*yaw"
                 factors = [key] if key in names else key.split("*")
-                value = positions[names.index(factors[0])]
-                for factor in factors[1:]:
-                    value = value * positions[names.index(factor)]
-                terms.append(value)
-            reading = combination(dict(enumerate(sensor.row.values())), terms)
+                rows.append((sorted(names.index(factor) for factor in factors), coefficient))
+            terms, coefficients = [], {}
+            for k, (indices, coefficient) in enumerate(sorted(rows)):  # in an order that is independent of the file's
+                terms.append(math.prod((positions[i] for i in indices[1:]), start=positions[indices[0]]))
+                coefficients[k] = coefficient
+            reading = combination(coefficients, terms)
             across = self.machine.other_axis(sensor.coordinate)  # skew depends on the other carriage's position
             quantities = {"across": positions[names.index(across)] if across else 0.0}
             for _, e in self.effects_at("measurement", sensor.channel):

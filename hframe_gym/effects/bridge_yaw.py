@@ -1,5 +1,6 @@
 """Yaw of the bridge: a coordinate `yaw` with inertia J, stiffness k, damping c and half-width w.
 
+The bridge moves along the first axis of the tool, here x, and the cart on it along the second one, here y.
 The extension of the left belt follows x + w yaw, that of the right belt x - w yaw, that of the bottom belt x. The tool
 is at x + y yaw. The effect explains an oscillation of 0.2 mm in x during y-moves, which Sollmann et al. (2010), section
 V, report without explanation.
@@ -16,15 +17,16 @@ def force(q, k):  # type: ignore[no-untyped-def]
 
 
 def _sides(machine: Machine) -> dict[str, float]:
-    """Return, for each belt along y, the side of the bridge (+1 or -1) on which it acts."""
+    """Return, for each belt along both axes of the tool, the side of the bridge (+1 or -1) on which it acts."""
+    bridge, cart = machine.tool_axes
     rows = {b.name: b.extension for b in machine.belts}
-    return {name: row["y"] / row["x"] for name, row in rows.items() if row.get("x") and row.get("y")}
+    return {name: row[cart] / row[bridge] for name, row in rows.items() if row.get(bridge) and row.get(cart)}
 
 
 def fits(machine: Machine) -> bool:
     """Check whether a machine can have this effect: belts on both sides of the bridge and no coordinate `yaw` yet.
 
-    The bridge must move along x: then x has the larger mass, because the bridge carries the cart.
+    The bridge must move along the first axis, which then has the larger mass, because the bridge carries the cart.
 
     Args:
         machine: The machine.
@@ -32,9 +34,10 @@ def fits(machine: Machine) -> bool:
     Returns:
         True if the effect can be added.
     """
-    if set(_sides(machine).values()) != {1.0, -1.0} or "yaw" in machine.coordinate_names:
+    if len(machine.tool_axes) != 2 or "yaw" in machine.coordinate_names:
         return False
-    return machine.coordinate("x").mass >= machine.coordinate("y").mass
+    bridge, cart = (machine.coordinate(axis) for axis in machine.tool_axes)
+    return set(_sides(machine).values()) == {1.0, -1.0} and bridge.mass >= cart.mass
 
 
 def structure(machine: Machine, effect: AppliedEffect) -> Machine:
@@ -50,12 +53,14 @@ def structure(machine: Machine, effect: AppliedEffect) -> Machine:
     values = effect.parameters
     yaw = Coordinate("yaw", values["J"], values["c"], kind="rotary", radius=values["w"])
     sides = _sides(machine)
+    bridge, cart = machine.tool_axes
     belts = tuple(
         dataclasses.replace(b, extension={**b.extension, "yaw": sides[b.name]}) if b.name in sides else b
         for b in machine.belts
     )
     sensors = tuple(
-        dataclasses.replace(s, row={**s.row, "y*yaw": s.row["x"]}) if s.row.get("x") else s for s in machine.sensors
+        dataclasses.replace(s, row={**s.row, f"{cart}*yaw": s.row[bridge]}) if s.row.get(bridge) else s
+        for s in machine.sensors
     )
     ties = {"yaw.mass": ("J", 1.0), "yaw.viscous": ("c", 1.0), "yaw.coulomb": ("c", 0.0), "yaw.radius": ("w", 1.0)}
     tied = {name: (f"{effect.label}.{key}", factor) for name, (key, factor) in ties.items()}

@@ -6,26 +6,29 @@ both are subtracted there: M_cart - 4 J/r^2, J_M - J. The idlers of one side are
 """
 
 import dataclasses
+import itertools
 
 from ..machine import AppliedEffect, Belt, Coordinate, Effect, EffectParameter, Machine, Row
 from ..machine.presets import SECTIONS
 
-# Sections by belt: (name, number in the paper, extension, length). The first one keeps the parameters of the belt.
+# Names of the H-frame's components by which this module refers to them; `_roles` finds their names in a machine.
+# Sections by belt: (suffix of the name, number in the paper, extension, length). The first one keeps the parameters and
+# the name of the belt.
 _SECTIONS: dict[str, tuple[tuple[str, int, Row, Row], ...]] = {
     "left": (
-        ("left", 1, {"phi1": 1, "phi3": -1}, {}),
-        ("left_rail", 5, {"x": 1, "phi3": 1, "phi7": 1}, {"x": 1}),
-        ("left_cart", 7, {"y": 1, "phi7": -1}, {"y": 1}),
+        ("", 1, {"phi1": 1, "phi3": -1}, {}),
+        ("_rail", 5, {"x": 1, "phi3": 1, "phi7": 1}, {"x": 1}),
+        ("_cart", 7, {"y": 1, "phi7": -1}, {"y": 1}),
     ),
     "right": (
-        ("right", 2, {"phi2": -1, "phi4": 1}, {}),
-        ("right_rail", 6, {"x": 1, "phi4": -1, "phi8": -1}, {"x": 1}),
-        ("right_cart", 8, {"y": -1, "phi8": 1}, {"y": -1}),
+        ("", 2, {"phi2": -1, "phi4": 1}, {}),
+        ("_rail", 6, {"x": 1, "phi4": -1, "phi8": -1}, {"x": 1}),
+        ("_cart", 8, {"y": -1, "phi8": 1}, {"y": -1}),
     ),
     "bottom": (
-        ("bottom", 9, {"phi5": 1, "phi6": -1}, {}),
-        ("bottom_left", 3, {"x": -1, "phi1": -1, "phi5": -1}, {"x": -1}),
-        ("bottom_right", 4, {"x": -1, "phi2": 1, "phi6": 1}, {"x": -1}),
+        ("", 9, {"phi5": 1, "phi6": -1}, {}),
+        ("_left", 3, {"x": -1, "phi1": -1, "phi5": -1}, {"x": -1}),
+        ("_right", 4, {"x": -1, "phi2": 1, "phi6": 1}, {"x": -1}),
     ),
 }
 _ROWS: dict[str, Row] = {
@@ -36,8 +39,24 @@ _ROWS: dict[str, Row] = {
 _SIDES = (("left", "phi1", (3, 5, 7)), ("right", "phi2", (4, 6, 8)))
 
 
+def _roles(machine: Machine) -> dict[str, str]:
+    """Return the name of each component in the machine by its name here, empty if the belts are not an H-frame's."""
+    rows = [(dict(b.extension), b.name) for b in machine.belts]
+    coordinates = ("x", "y", "phi1", "phi2")
+    stretched_by = [name for name in machine.coordinate_names if any(name in row for row, _ in rows)]
+    if len(rows) != len(_ROWS) or len(stretched_by) != len(coordinates):
+        return {}
+    for names in itertools.permutations(stretched_by):
+        roles = dict(zip(coordinates, names, strict=True))
+        wanted = {belt: {roles[c]: factor for c, factor in row.items()} for belt, row in _ROWS.items()}
+        if all(any(row == extension for extension, _ in rows) for row in wanted.values()):
+            belts = {belt: next(name for extension, name in rows if extension == row) for belt, row in wanted.items()}
+            return roles | belts
+    return {}
+
+
 def fits(machine: Machine) -> bool:
-    """Check whether a machine can have this effect: it needs the belts of the 8th-order model and no ties.
+    """Check whether a machine can have this effect: the belts of the 8th-order model, no ties, and no name in use.
 
     Args:
         machine: The machine.
@@ -45,7 +64,12 @@ def fits(machine: Machine) -> bool:
     Returns:
         True if the effect can be added.
     """
-    return {b.name: dict(b.extension) for b in machine.belts} == _ROWS and not machine.ties
+    roles = _roles(machine)
+    if not roles or machine.ties:
+        return False
+    added = {f"phi{i}" for *_, numbers in _SIDES for i in numbers}
+    added |= {roles[b] + suffix for b, sections in _SECTIONS.items() for suffix, *_ in sections if suffix}
+    return not added & {*roles.values(), *(d.name for d in machine.drives)}
 
 
 def structure(machine: Machine, effect: AppliedEffect) -> Machine:
@@ -58,10 +82,11 @@ def structure(machine: Machine, effect: AppliedEffect) -> Machine:
     Returns:
         The machine of 20th order; the parameters of idlers and sections are tied to the effect and the belts.
     """
-    radius = machine.coordinate("phi1").radius
+    roles = _roles(machine)
+    radius = machine.coordinate(roles["phi1"]).radius
     idlers, lumped = [], {}
     ties: dict[str, tuple[str, float]] = {}
-    cart = machine.coordinate("y")
+    cart = machine.coordinate(roles["y"])
     for side, motor, numbers in _SIDES:
         inertia, viscous = (effect.parameters[f"{symbol}_{side}"] for symbol in "JB")
         for i in numbers:
@@ -69,17 +94,22 @@ def structure(machine: Machine, effect: AppliedEffect) -> Machine:
             idlers.append(c)
             ties |= {f"{c.name}.mass": (f"{effect.label}.J_{side}", 1.0)}
             ties |= {f"{c.name}.viscous": (f"{effect.label}.B_{side}", 1.0)}
-            ties |= {f"{c.name}.coulomb": (f"{effect.label}.B_{side}", 0.0), f"{c.name}.radius": ("phi1.radius", 1.0)}
-        lumped[motor] = _without(machine.coordinate(motor), inertia, viscous)
+            ties |= {f"{c.name}.coulomb": (f"{effect.label}.B_{side}", 0.0)}
+            ties |= {f"{c.name}.radius": (f"{roles['phi1']}.radius", 1.0)}
+        lumped[roles[motor]] = _without(machine.coordinate(roles[motor]), inertia, viscous)
         cart = _without(cart, 2.0 * inertia / radius**2, 2.0 * viscous / radius**2)
-    lumped["y"] = cart
+    lumped[cart.name] = cart
     belts = []
+    role_of = {name: role for role, name in roles.items()}
     for b in machine.belts:
-        total = sum(SECTIONS[number - 1] for _, number, _, _ in _SECTIONS[b.name])
-        fractions = [SECTIONS[number - 1] / total for _, number, _, _ in _SECTIONS[b.name]]
-        for (name, _, extension, length), fraction in zip(_SECTIONS[b.name], fractions, strict=True):
+        sections = _SECTIONS[role_of[b.name]]
+        total = sum(SECTIONS[number - 1] for _, number, _, _ in sections)
+        fractions = [SECTIONS[number - 1] / total for _, number, _, _ in sections]
+        for (suffix, _, *rows), fraction in zip(sections, fractions, strict=True):
+            name = b.name + suffix
+            extension, length = ({roles.get(c, c): factor for c, factor in row.items()} for row in rows)
             belts.append(Belt(name, b.EA, fraction * b.rest_length, extension, length if b.length else {}))
-            if name != b.name:
+            if suffix:
                 ties |= {f"{name}.EA": (f"{b.name}.EA", 1.0)}
                 ties |= {f"{name}.rest_length": (f"{b.name}.rest_length", fraction / fractions[0])}
     return dataclasses.replace(

@@ -250,7 +250,7 @@ class MachineSampler:
 
     Attributes:
         space: Names, nominal values and limits of all N parameters.
-        names: Full names of the randomized parameters, sorted.
+        names: Full names of the randomized parameters, in the order of `space.names`.
         columns: Indices of the randomized parameters in `space.names`.
         low: Smallest possible value of every parameter, SI, shape (N,).
         high: Largest possible value of every parameter, SI, shape (N,).
@@ -268,8 +268,9 @@ class MachineSampler:
         self._startup = RuleSampler(self.space, rules, machine, "startup")
         self._reset = RuleSampler(self.space, rules, machine, "reset", (self._startup.low, self._startup.high))
         self.low, self.high = self._reset.low, self._reset.high
-        self.names = sorted({*self._startup.names, *self._reset.names})
-        self.columns = [self.space.names.index(name) for name in self.names]
+        changed = {*self._startup.names, *self._reset.names}
+        self.columns = [i for i, name in enumerate(self.space.names) if name in changed]
+        self.names = [self.space.names[i] for i in self.columns]
         self._integers = [i for i in self.columns if self.space.names[i].endswith(".converter_bits")]
         self._base = np.tile(self.space.nominal, (count if self._startup.names else 1, 1))
         # An environment needs startup samples if it was not seeded, or not sampled since.

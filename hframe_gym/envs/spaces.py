@@ -46,7 +46,7 @@ class SignalSpec:
 
 
 def workspace_of(machine: Machine) -> Array:
-    """Return the ranges of the tool's axes, x and y or the only linear coordinate: the workspace of the tool.
+    """Return the ranges of the tool's axes (`Machine.tool_axes`): the workspace of the tool.
 
     Args:
         machine: Machine with these coordinates (`Machine.tool_axes`).
@@ -63,7 +63,7 @@ def workspace_of(machine: Machine) -> Array:
         linear = [c.name for c in machine.coordinates if c.kind == "linear"]
         raise InputError(
             f"machine {machine.name!r} has the linear coordinates {', '.join(linear) or 'none'}; the environment moves "
-            "a tool along x and y, or along the only linear coordinate. Name two of them x and y, or describe one axis"
+            "a tool along one or two of them. Declare one or two, or name two of several x and y"
         )
     for name in axes:
         if machine.coordinate(name).range is None:

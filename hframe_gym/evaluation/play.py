@@ -83,7 +83,8 @@ class PlayedStage:
     def position(self) -> tuple[float, float]:
         """True position (x, y) of the tool, m."""
         position = self.env.batch.simulator.positions(0)
-        return position["x"], position["y"]
+        first, second = self.env.batch.machine.tool_axes
+        return position[first], position[second]
 
     @property
     def elapsed_s(self) -> float:

@@ -122,16 +122,16 @@ def candidates(
         for site in effect_sites(effect, machine):
             if f"{effect.name}@{site}" in present:
                 continue
-            at_site = _scales_at(site, machine, scales)
+            at_site = _scales_at(effect, site, machine, scales)
             for shape in _shapes(effect, site, machine, data, at_site, missing_force, slow_friction):
                 proposed.append(Candidate(effect, site, _columns(effect, shape, at_site), at_site))
     return proposed
 
 
-def _scales_at(site: str, machine: Machine, scales: TypicalScales) -> Mapping[str, float]:
+def _scales_at(effect: Effect, site: str, machine: Machine, scales: TypicalScales) -> Mapping[str, float]:
     """Return the typical sizes at a site; those of the first drive serve for all drives."""
-    component = machine.drives[0].name if site == "drives" else site
-    return scales.of(machine.coordinate_of_site(component) or "")
+    shared = site not in [d.name for d in machine.drives] and site == "drives"
+    return scales.of(machine.coordinate_of_site(machine.drives[0].name if shared else site, effect.site) or "")
 
 
 def _columns(
@@ -163,7 +163,7 @@ def _shapes(
         if p.role == "shape":
             grids[p.name] = [g * scales.get(p.unit, 1.0) for g in p.grid]
         elif p.role in ("rate", "period"):
-            motion = missing_force[machine.coordinate_of_site(site) or ""]
+            motion = missing_force[machine.coordinate_of_site(site, effect.site) or ""]
             rates = periodogram_peaks(motion, friction=effect.coulomb is not None)
             if slow_friction and effect.coulomb:
                 rates = np.concatenate([rates, slow_rates(motion[:, 0])])
@@ -211,7 +211,7 @@ def effect_parameters(effect: AppliedEffect, machine: Machine, scales: TypicalSc
     Returns:
         One free parameter for every parameter of the effect that is not fixed.
     """
-    at_site = _scales_at(effect.site, machine, scales)
+    at_site = _scales_at(effect.definition, effect.site, machine, scales)
     free = []
     for p in effect.definition.parameters:
         if p.role == "fixed":

@@ -83,7 +83,7 @@ def depend_on_same_variable(first: AppliedEffect, second: AppliedEffect, machine
     Returns:
         True for example for Stribeck friction and quadratic drag of one coordinate, two functions of its speed.
     """
-    sites = [machine.coordinate_of_site(e.site) or e.site for e in (first, second)]
+    sites = [machine.coordinate_of_site(e.site, e.definition.site) or e.site for e in (first, second)]
     return sites[0] == sites[1] and bool(_variables(first) & _variables(second))
 
 

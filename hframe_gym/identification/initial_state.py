@@ -157,7 +157,11 @@ def model_initial_state(machine: Machine, initial: InitialState) -> Array:
     measured = position_from_measurements(machine, initial)
     position = static_equilibrium(machine, measured)
     if initial.offsets_refined or np.array_equal(measured, initial.position):
-        eccentric = [machine.coordinate_of_site(e.site) for e in machine.effects if e.definition.rest_angle_offset]
+        eccentric = [
+            machine.coordinate_of_site(e.site, e.definition.site)
+            for e in machine.effects
+            if e.definition.rest_angle_offset
+        ]
         for i, angle in encoder_angles(machine, initial).items():
             if initial.offsets_refined or machine.coordinate_names[i] not in eccentric:
                 position[i] = angle
@@ -198,7 +202,8 @@ def concentric_angle(machine: Machine, index: int, angle: float) -> float:
     converted = angle
     # The formula of eccentricity gives the difference of the two angles, rad.
     for e in machine.effects:
-        if e.definition.rest_angle_offset and machine.coordinate_of_site(e.site) == machine.coordinate_names[index]:
+        moved = machine.coordinate_of_site(e.site, e.definition.site)
+        if e.definition.rest_angle_offset and moved == machine.coordinate_names[index]:
             converted += float(e("rest_angle_offset", q=angle, per_radius=1.0 / machine.travel_per_unit[index]))
     return converted
 

@@ -210,7 +210,7 @@ def _table(effect: AppliedEffect, machine: Machine) -> Panel:
     names = [f"{effect.label}.{key}" for key in effect.parameters if key[0] == "f"]
     std = [machine.uncertainty.std(name) if machine.uncertainty else None for name in names]
     spread = 2.0 * np.array([s or 0.0 for s in std])
-    coordinate = machine.coordinate(machine.coordinate_of_site(effect.site) or effect.site)
+    coordinate = machine.coordinate(effect.site)
     what = "force" if effect.definition.force else "additional friction"
     unit, against = coordinate.unit("force"), _with_unit(effect.definition.against, machine)
 

@@ -272,7 +272,7 @@ def screen_structures(current: Fit, data: Dataset, scale: TypicalScales, minimum
         for site in effect_sites(effect, machine):
             if f"{effect.name}@{site}" in present:
                 continue
-            starting_values = _starting_values(effect, scale.of(machine.coordinate_of_site(site) or ""))
+            starting_values = _starting_values(effect, scale.of(machine.coordinate_of_site(site, effect.site) or ""))
             variants = [machine.with_effects(effect.at(site, **values)) for values in starting_values]
             # Linearized reduction of chi-squared by each variant, summed over all samples.
             gains = _structure_gains(variants, current, data)

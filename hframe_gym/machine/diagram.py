@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ _MIN_ROWS = 10  # of the table, so that few rows are not drawn higher
 
 
 def draw_machine(machine: Machine) -> Any:
-    """Draw a machine: its plan view, if it has the axes x and y or one axis, and a table of all factors.
+    """Draw a machine: its plan view, if its tool has one or two axes, and a table of all factors.
 
     The table has a row for each belt, drive and sensor and a column for each coordinate. A belt's cell is its extension
     per travel of the coordinate, a drive's the force or torque per volt, a sensor's the coefficient.
@@ -41,9 +42,8 @@ def draw_machine(machine: Machine) -> Any:
     height = max(4.8, 1.4 + _CELL_HEIGHT * rows)
     figure = Figure(figsize=(_VIEW_WIDTH + table_width, height), layout="constrained")
     view, table = figure.subplots(1, 2, width_ratios=(_VIEW_WIDTH, table_width))
-    names = set(machine.coordinate_names)
     linear = [c for c in machine.coordinates if c.kind == "linear"]
-    if names >= {"x", "y"}:
+    if len(machine.tool_axes) == 2:
         _draw_stage(view, machine, stage_geometry(machine))
     elif len(linear) == 1:
         _draw_axis(view, machine, linear[0].name)
@@ -88,10 +88,10 @@ def _draw_stage(view: Any, machine: Machine, geometry: StageGeometry) -> None:
     box = (geometry.left, geometry.low, geometry.right, geometry.high)
     _fill_box(view, box, "none", edge="gray", style=":")
     view.text(geometry.left, geometry.high, " workspace", fontsize=7, color="gray", va="top")
-    _draw_axes(view, (geometry.left, geometry.low), 0.25 * (geometry.right - geometry.left))
+    _draw_axes(view, machine.tool_axes, (geometry.left, geometry.low), 0.25 * (geometry.right - geometry.left))
     view.set_aspect("equal")
     view.margins(0.12)
-    view.set(xlabel="x, m", ylabel="y, m")
+    view.set(xlabel=f"{machine.tool_axes[0]}, m", ylabel=f"{machine.tool_axes[1]}, m")
     if labelled:
         view.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=5, frameon=False)
     elif machine.belts:
@@ -139,9 +139,9 @@ def _draw_factors(axes: Any, machine: Machine) -> None:
                 axes.text(j + 0.5, i + 0.5, f"{factor:+.3g}", ha="center", va="center", fontsize=8)
 
 
-def _draw_axes(view: Any, origin: Point, length: float) -> None:
-    """Draw arrows along x and y from a point, of a length in m."""
-    for name, (dx, dy) in {"x": (1.0, 0.0), "y": (0.0, 1.0)}.items():
+def _draw_axes(view: Any, names: Sequence[str], origin: Point, length: float) -> None:
+    """Draw arrows along both axes of the tool from a point, of a length in m."""
+    for name, (dx, dy) in zip(names, ((1.0, 0.0), (0.0, 1.0)), strict=True):
         end = (origin[0] + dx * length, origin[1] + dy * length)
         view.annotate("", end, origin, arrowprops={"arrowstyle": "->", "color": _INK, "lw": 1.2})
         view.text(end[0] + 0.01 * dx, end[1] + 0.01 * dy, f" {name}", fontsize=9, color=_INK, va="center")

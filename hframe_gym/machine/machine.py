@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .components import FIXED_UNITS, UNITS, Array, Belt, Coordinate, Drive, Row, Sensor, Uncertainty
-from .effect import AppliedEffect
+from .effect import AppliedEffect, SiteKind
 from .motion import SIMULATORS, Trajectory
 
 
@@ -149,27 +149,34 @@ class Machine:
         """
         return np.array([self.coefficients(s.row) for s in self.sensors])
 
-    def coordinate_of_site(self, site: str) -> str | None:
+    def coordinate_of_site(self, site: str, kind: SiteKind) -> str | None:
         """Return the coordinate on which an effect (deviation from the nominal model) at a site acts.
 
         Args:
             site: Site of an effect: name of a coordinate, drive or output channel, or "drives", "belts", "machine".
+            kind: Kind of the site (`Effect.site`), because a channel may have the name of another component.
 
         Returns:
-            Name of the coordinate: the site itself, or the coordinate of the drive or sensor. None for "drives",
-            "belts" and "machine", which concern several coordinates.
+            Name of the coordinate, None for belts and for "drives" and "machine", which concern several coordinates.
         """
-        by_drive = {d.name: d.coordinate for d in self.drives}
-        by_sensor = {s.channel: s.coordinate for s in self.sensors}
-        return (by_drive | by_sensor | {name: name for name in self.coordinate_names}).get(site)
+        coordinates = {
+            "coordinate": {name: name for name in self.coordinate_names},
+            "sensor": {s.channel: s.coordinate for s in self.sensors},
+        }
+        if kind in ("motor", "drive", "drives"):
+            return {d.name: d.coordinate for d in self.drives}.get(site)
+        return coordinates.get(kind, {}).get(site)
 
     @cached_property
     def tool_axes(self) -> tuple[str, ...]:
-        """Coordinates of the tool position: x and y if it has both, else the only linear one; empty if neither."""
-        if {"x", "y"} <= set(self.coordinate_names):
-            return "x", "y"
+        """Coordinates of the tool position: one or two linear ones in the machine's order, whatever their names.
+
+        Of more than two linear coordinates they are those with the names x and y; empty without these.
+        """
         linear = tuple(c.name for c in self.coordinates if c.kind == "linear")
-        return linear if len(linear) == 1 else ()
+        if len(linear) > 2:
+            return ("x", "y") if {"x", "y"} <= set(linear) else ()
+        return linear
 
     @cached_property
     def spring_loaded(self) -> tuple[str, ...]:
@@ -253,7 +260,7 @@ class Machine:
             StopIteration: If the effect has no such parameter.
         """
         unit = effect.definition.parameter(parameter).unit
-        coordinate = self.coordinate_of_site(effect.site)
+        coordinate = self.coordinate_of_site(effect.site, effect.definition.site)
         return UNITS[self.coordinate(coordinate).kind].get(unit, unit) if coordinate else unit
 
     def replace(self, values: Mapping[str, float] | None = None, **fields: object) -> Machine:
@@ -302,14 +309,18 @@ class Machine:
             The extended machine.
 
         Raises:
-            ValueError: If the machine does not have the site of an effect; the message lists the machine's sites.
+            ValueError: If the machine does not have the site of an effect, or not the structure that it changes.
         """
         machine = self
         for effect in effects:
             effect.check_site(machine)
+            definition = effect.definition
+            if definition.structure and definition.fits and not definition.fits(machine):
+                reason = "it lacks components, or has the names of those that the effect adds"
+                raise ValueError(f"effect {effect.name}: does not fit machine {self.name!r}: {reason}")
             machine = dataclasses.replace(machine, effects=(*machine.effects, effect))
-            if effect.definition.structure:
-                machine = effect.definition.structure(machine, effect)
+            if definition.structure:
+                machine = definition.structure(machine, effect)
         return machine
 
     def simulate(self, time_s: ArrayLike, inputs: ArrayLike, initial: ArrayLike | None = None) -> Trajectory:

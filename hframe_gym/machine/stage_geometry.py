@@ -221,7 +221,7 @@ class CoreXYGeometry(StageGeometry):
         mirrored = 1.0 if bridge_axis == 1 else -1.0  # exchanging x and y reverses rotations
         spins = [mirrored * float(row[along]) for row in signs]
         self.motors = tuple((0 if drive == self._first else 1, spins[drive]) for drive in (0, 1))
-        axis = ("x", "y")[across]
+        axis = machine.tool_axes[across]
         for drive, label in ((self._first, "1"), (1 - self._first, "2")):
             rows = [b for b in machine.belts if machine.drives[drive].coordinate in b.extension]
             for b in rows:
@@ -302,8 +302,7 @@ def stage_geometry(machine: Machine) -> StageGeometry:
     """Choose the plan view of a machine by its kinematics, whatever its belts are called.
 
     Args:
-        machine: Machine with the linear coordinates x and y, or one of them; an axis without a range gets
-            `DEFAULT_RANGE`.
+        machine: Machine with one or two tool axes; an axis without a range gets `DEFAULT_RANGE`.
 
     Returns:
         `BeltGeometry` if both motors pull x and y by one common belt (H-frame), `CoreXYGeometry` if each motor has one
@@ -333,10 +332,11 @@ def _belt_travel(machine: Machine) -> NDArray[np.float64] | None:
     """Return the belt travel at both drives per travel along x and y, (2, 2), or None if it is not 1 or -1."""
     motions = rigid_motions(machine)
     drives = [machine.coordinate(d.coordinate) for d in machine.drives]
-    if len(drives) != 2 or not {"x", "y"} <= set(motions) or any(d.kind == "linear" for d in drives):
+    axes = machine.tool_axes
+    if len(drives) != 2 or not set(axes) <= set(motions) or any(d.kind == "linear" for d in drives):
         return None
     columns = [machine.coordinate_names.index(d.name) for d in drives]
-    travel = np.array([[motions[axis][c] * d.radius for axis in "xy"] for c, d in zip(columns, drives, strict=True)])
+    travel = np.array([[motions[axis][c] * d.radius for axis in axes] for c, d in zip(columns, drives, strict=True)])
     return travel if np.allclose(np.abs(travel), 1.0, atol=0.05) else None
 
 

@@ -260,6 +260,10 @@ class MachineReader:
             sites = definition.possible_sites(machine)
         if entry.site not in sites:
             raise self._error(field, f"site {entry.site!r} is none of {', '.join(sites) or 'this machine'}")
+        needed = (definition.coordinate, definition.against.partition(" of ")[2])
+        absent = next((name for name in needed if name and name not in machine.coordinate_names), None)
+        if absent is not None:
+            raise self._error(field, f"the effect needs a coordinate that is called {absent!r}; the file has none")
         try:
             applied = definition.at(entry.site, **{key: q.value for key, q in entry.parameters.items()})
         except ValueError as error:
@@ -297,6 +301,8 @@ def implausible_values(machine: Machine) -> list[tuple[str, str]]:
         Dotted name of the field, and what is doubtful about it with advice, for each doubt.
     """
     doubts = [*_large_lengths(machine), *_doubtful_belts(machine)]
+    if machine.tool_axes == ("y", "x"):
+        doubts.append(("coordinates", "y comes before x, so it is the first axis of the tool: list x first"))
     for sensor in machine.sensors:
         ending = next((ending for ending in _OTHER_UNITS if sensor.channel.endswith(ending)), None)
         unit = machine.unit(f"{sensor.channel}.noise")

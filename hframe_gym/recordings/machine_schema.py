@@ -85,8 +85,8 @@ class CoordinateEntry(Table):
     """One coordinate (degree of freedom) of the machine.
 
     Attributes:
-        name: Name by which belts, drives, sensors and effects refer to the coordinate. The environment and the
-            controllers of a two-axis stage need coordinates with the names x and y.
+        name: Name by which belts, drives, sensors and effects refer to the coordinate. The linear coordinates are the
+            axes of the tool in the environment, in the order of the file, whatever their names.
         kind: "linear" (a carriage, positions in m) or "rotary" (a pulley, angles in rad).
         mass: Everything that moves with the coordinate: mass, kg, or moment of inertia, kg m^2. The rotor of a motor
             behind a gear counts gear_ratio^2 times its inertia.
@@ -94,7 +94,7 @@ class CoordinateEntry(Table):
         coulomb: Coulomb friction, N or Nm.
         radius: Pitch radius of the pulley, m; required for a rotary coordinate, not allowed for a linear one.
         range: Lowest and highest position [low, high], m or rad. Default: unlimited. The environment needs the ranges
-            of x and y, which are its workspace.
+            of the linear coordinates, which are its workspace.
     """
 
     name: Name

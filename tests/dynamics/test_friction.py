@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from decimal import Decimal
+from types import ModuleType
+
 import numpy as np
 import pytest
 from numba import njit
 from scipy.integrate import solve_ivp
 
-from hframe_gym.dynamics import LANES
+from hframe_gym.dynamics import LANES, elementwise, friction
 from hframe_gym.dynamics.friction import decay_integral, end_weight, stop_or_reverse, update_speed
 from hframe_gym.dynamics.simd import load, store, where
 
@@ -81,3 +84,71 @@ def test_series_agree_with_closed_forms_over_ten_decades() -> None:
     # 1/(1 - e^-z) - 1/z cancels for small z; there its series is 1/2 + z/12.
     expected = np.where(z < 1e-2, 0.5 + z / 12 - z**3 / 720, -1 / np.expm1(-z) - 1 / z)
     np.testing.assert_allclose(out[1::2], expected, rtol=1e-11)
+
+
+@pytest.fixture
+def on_arrays(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """Return the module with its functions as plain Python on NumPy arrays, without compilation."""
+    for name in ("absolute", "any_of", "copysign", "fma", "where", "exp"):
+        monkeypatch.setattr(friction, name, getattr(elementwise, name))
+    for name in (
+        "decay_integral",
+        "direction",
+        "end_weight",
+        "friction_force",
+        "ramp",
+        "static_friction",
+        "stop_or_reverse",
+        "update_speed",
+    ):
+        monkeypatch.setattr(friction, name, getattr(friction, name).py_func)
+    return friction
+
+
+def test_weights_without_compilation(on_arrays: ModuleType) -> None:
+    """The series and the closed forms, on both sides of the point where they change over, to rounding."""
+    for z in np.concatenate([np.linspace(1e-3, 0.5, 200), np.linspace(0.501, 30.0, 50)]):
+        z_exact = Decimal(float(z))
+        decay = 1 - (-z_exact).exp()
+        point = np.array([z])
+        assert on_arrays.decay_integral(point)[0] == pytest.approx(float(decay / z_exact), rel=3e-14)
+        assert on_arrays.end_weight(point)[0] == pytest.approx(float(1 / decay - 1 / z_exact), rel=2e-12)
+        for signed in (z, -z):
+            exact = Decimal(float(signed))
+            expected = float((exact - 1 + (-exact).exp()) / (exact * exact))
+            assert on_arrays.ramp(np.array([signed]))[0] == pytest.approx(expected, rel=1e-12)
+    mixed = np.array([0.1, 3.0])  # one lane on each side
+    np.testing.assert_allclose(on_arrays.decay_integral(mixed), -np.expm1(-mixed) / mixed, rtol=1e-14)
+
+
+@pytest.mark.parametrize("viscous", [0.0, 3.0, 800.0])
+def test_flow_without_compilation(on_arrays: ModuleType, viscous: float) -> None:
+    """The cases of `test_flow_agrees_with_event_integration`, with another coefficient after a reversal."""
+    h, mass, coulomb = 1e-3, 0.3, 2.0
+    v = np.array([0.5, 0.004, 0.004, -0.004, 0.0, 0.0, 0.0, -0.3, 0.0066])
+    f = np.array([1.0, -1.0, -6.0, 9.0, 1.9, -2.5, 0.0, -4.0, 0.0])
+    z = viscous * h / mass * np.ones_like(v)
+    gain, weight = h / mass * on_arrays.decay_integral(z), on_arrays.end_weight(z)
+    after, stopped = on_arrays.update_speed(v, f, coulomb, np.exp(-z), gain)
+    arguments = (v, f, coulomb, viscous * np.ones_like(v))
+    turned, turned_travel = on_arrays.stop_or_reverse(*arguments, arguments[3], mass, 1.0 / mass, h)
+    travel = np.where(stopped, turned_travel, h * ((1.0 - weight) * v + weight * after))
+    expected = np.array([exact(v[i], f[i], coulomb, viscous, mass, h) for i in range(len(v))]).T
+    np.testing.assert_allclose(np.where(stopped, turned, after), expected[0], rtol=1e-8, atol=1e-12)
+    np.testing.assert_allclose(travel[:-1], expected[1, :-1], rtol=1e-7, atol=1e-13)
+    assert travel[-1] == pytest.approx(expected[1, -1], rel=1e-5)  # the stop's series ends where damping is strongest
+    # After a reversal the coefficient of the new direction acts for the rest of the step.
+    lane = 2
+    stop = mass / viscous * np.log1p(viscous * v[lane] / (coulomb - f[lane])) if viscous else v[lane] * mass / 8.0
+    _, other = on_arrays.stop_or_reverse(*arguments, 5.0 * np.ones_like(v), mass, 1.0 / mass, h)
+    to_rest = exact(v[lane], f[lane], coulomb, viscous, mass, stop)[1]
+    away = exact(0.0, f[lane], coulomb, 5.0, mass, h - stop)[1]
+    assert other[lane] == pytest.approx(to_rest + away, rel=1e-6)
+
+
+def test_directions_and_static_friction(on_arrays: ModuleType) -> None:
+    v, f = np.array([0.2, -0.2, 0.0, 0.0, 0.0]), np.array([-1.0, 1.0, 1.5, -1.5, 9.0])
+    np.testing.assert_array_equal(np.sign(on_arrays.direction(v, f)), [1.0, -1.0, 1.0, -1.0, 1.0])
+    np.testing.assert_array_equal(on_arrays.static_friction(f, 2.0), [-1.0, 1.0, 1.5, -1.5, 2.0])
+    np.testing.assert_array_equal(on_arrays.static_friction(-f, 2.0), [1.0, -1.0, -1.5, 1.5, -2.0])
+    np.testing.assert_array_equal(on_arrays.friction_force(v, f, 2.0), [2.0, -2.0, 1.5, -1.5, 2.0])

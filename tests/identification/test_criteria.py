@@ -25,3 +25,57 @@ def test_every_threshold_is_documented_and_printed() -> None:
 def test_impossible_thresholds_are_refused(value: float) -> None:
     with pytest.raises(ValueError, match="explained_chi2"):
         SelectionCriteria(explained_chi2=value)
+
+
+# Calibrated on rigs without effects by benchmarks/identification.py: run it before you change one of them.
+CALIBRATED = SelectionCriteria(
+    min_gain_simulation=0.003,
+    min_gain_one_step=0.01,
+    min_total_gain=200.0,
+    min_chance_gain=30.0,
+    min_gain_fraction=0.1,
+    rival_gain_fraction=0.97,
+    rival_gain_margin=0.002,
+    noise_level=1.01,
+    min_trial_gain=0.5,
+    min_confirmed_fraction=0.3,
+    min_force_ratio=1.0,
+    max_form_error=0.2,
+    max_effects=5,
+    max_full_fits=5,
+    min_promise=0.4,
+    rival_promise=0.8,
+    min_structural_promise=0.1,
+    min_promised_force_ratio=0.5,
+    linear_gain_ratio=0.6,
+    one_step_floor=1.1,
+    rival_remainder=0.2,
+    structural_remainder=0.5,
+    min_structural_excess=0.05,
+    structural_retry=0.67,
+    min_table_gain=0.02,
+    min_table_gain_fraction=0.2,
+    max_screened_tables=6,
+    max_tables_per_coordinate=3,
+    max_table_cross_validation=0.4,
+    cross_validation_blocks=8,
+    max_drift=0.3,
+    explained_chi2=1.5,
+    explained_fraction=0.0001,
+    max_table_cost_fraction=0.1,
+    max_partial_cost_fraction=0.25,
+    min_saturated_fraction=0.01,
+    second_end_factor=0.2,
+    saturation_band=8.0,
+    min_saturated_travel=300.0,
+)
+
+
+def test_the_thresholds_are_the_calibrated_ones() -> None:
+    """A threshold changes verdicts, so none changes unnoticed."""
+    assert SelectionCriteria() == CALIBRATED
+
+
+@pytest.mark.parametrize("value", [0.0, 5.0])
+def test_thresholds_that_are_zero_or_more_are_accepted(value: float) -> None:
+    assert SelectionCriteria(explained_chi2=value).explained_chi2 == value
