@@ -8,6 +8,8 @@ from typing import Annotated, Any
 
 import typer
 
+from ..atomic_files import output_batch
+from ..locked_folders import locked_folder
 from .app import MachineOption, OutOption, RandomizeOption, TaskOption, app, console, log
 from .support import (
     CommandWithChoices,
@@ -48,13 +50,13 @@ def train(
     declared = load_machine(machine)
     columns = BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
     bar = Progress(*columns, console=console, disable=not console.is_terminal)
-    with bar, value_errors_as_input_errors():
+    with locked_folder(require_folder(out)), bar, value_errors_as_input_errors():
         bar_task = bar.add_task("", total=None)
 
         def progress(done: int, total: int) -> None:
             bar.update(bar_task, completed=done, total=total)
 
-        run_training(algorithm, declared, task, steps, seed, resume, require_folder(out), log, progress, randomize)
+        run_training(algorithm, declared, task, steps, seed, resume, out, log, progress, randomize)
     log(f"wrote {out}")
 
 
@@ -95,28 +97,29 @@ def evaluate(
     # Registers the agents as controllers, also where the package is used without its installed entry points.
     import_module("hframe_gym.agents")
     declared = load_machine(machine)
-    require_folder(out)
     options: dict[str, Any] = {"randomize": randomize, "sensors": sensors, "episodes": episodes, "seed": seed}
-    with value_errors_as_input_errors(), repeat_warnings() as warned:
-        built_task = task_with_path(task, path)
-        scores, recorded = run_evaluation(controllers, declared, task=built_task, period=period, **options)
-    written = write_scores(out, scores)
-    console.print(score_table(scores))
-    for reason in unknown_bound_reasons(scores):
-        log(reason)
-    log(f"wrote {written}")
-    try:
-        from ..evaluation import save_plot, write_scorecard
+    with locked_folder(require_folder(out)):
+        with value_errors_as_input_errors(), repeat_warnings() as warned:
+            built_task = task_with_path(task, path)
+            scores, recorded = run_evaluation(controllers, declared, task=built_task, period=period, **options)
+        console.print(score_table(scores))
+        for reason in unknown_bound_reasons(scores):
+            log(reason)
+        with output_batch(out):
+            written = [write_scores(out, scores)]
+            try:
+                from ..evaluation import save_plot, write_scorecard
 
-        for name, episode in recorded.items():
-            label = Path(name).name.replace(":", "-")  # of a folder the last part; no colon in a file name
-            plot = out / f"{label}.png"
-            save_plot(plot, episode, title=f"{label} on {declared.name}")
-            log(f"wrote {plot}")
-        if html:
-            log(f"wrote {write_scorecard(out, scores, recorded, warned)}")
-    except ImportError as error:
-        log(f"no plots: {error}")
+                for name, episode in recorded.items():
+                    label = Path(name).name.replace(":", "-")  # of a folder the last part; no colon in a file name
+                    written.append(out / f"{label}.png")
+                    save_plot(written[-1], episode, title=f"{label} on {declared.name}")
+                if html:
+                    written.append(write_scorecard(out, scores, recorded, warned))
+            except ImportError as error:
+                log(f"no plots: {error}")
+    for file in written:
+        log(f"wrote {file}")
 
 
 @app.command(cls=CommandWithChoices)

@@ -12,7 +12,9 @@ from typing import Annotated
 
 import typer
 
+from ..atomic_files import output_batch
 from ..errors import InputError
+from ..locked_folders import locked_folder
 from .app import MachineOption, OutOption, RecordingsArgument, app, console, log
 from .support import FAULT_FOUND, progress_bar, require_folder, require_several_runs
 
@@ -122,7 +124,8 @@ def identify(
         list[str] | None, typer.Option(help="A run to evaluate on instead of fitting it; repeat for more runs.")
     ] = None,
     jobs: Annotated[int | None, typer.Option(min=1, help="Number of threads (default: all cores).")] = None,
-    seed: Annotated[int, typer.Option(help="Accepted for scripts; identification is deterministic.")] = 0,
+    # Has no effect, because identification draws no random numbers; scripts that pass it keep working.
+    seed: Annotated[int, typer.Option(hidden=True)] = 0,
     force: Annotated[
         bool, typer.Option("--force", help="Fit although `hframe check` finds faults in the data.")
     ] = False,
@@ -145,20 +148,22 @@ def identify(
     if jobs:
         os.environ["HFRAME_THREADS"] = str(jobs)
     declared = load_machine(machine)
-    require_folder(out)
-    with progress_bar("reading") as progress:
-        recordings = load_recordings(runs_dir, declared, progress)
-    require_several_runs(recordings, runs_dir)
-    findings = check_recordings_before_fit(recordings, declared, None if force else runs_dir, log)
-    result = run_identification(recordings, declared, held_out=hold_out or (), log=log)
-    write_result(result, out, findings, proposed_formulas(result, log))
-    contents, channels = result.as_json(), list(declared.output_channels)
-    console.print(identification_table(contents, channels))
-    log(verdict_sentence(contents, channels))
-    try:
-        log(f"wrote {build_report(out)}")
-    except ImportError as error:
-        log(f"report.html not written: {error}")
+    with locked_folder(require_folder(out)):
+        with progress_bar("reading") as progress:
+            recordings = load_recordings(runs_dir, declared, progress)
+        require_several_runs(recordings, runs_dir)
+        findings = check_recordings_before_fit(recordings, declared, None if force else runs_dir, log)
+        result = run_identification(recordings, declared, held_out=hold_out or (), log=log)
+        contents, channels = result.as_json(), list(declared.output_channels)
+        console.print(identification_table(contents, channels))
+        log(verdict_sentence(contents, channels))
+        with output_batch(out):
+            write_result(result, out, findings, proposed_formulas(result, log))
+            try:
+                written = f"wrote {build_report(out)}"
+            except ImportError as error:
+                written = f"report.html not written: {error}"
+    log(written)
 
 
 @app.command()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from ..machine import Machine
     from ..recordings import Recording
 
+FULL_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 INPUT_AT_FAULT, INTERNAL_ERROR = 2, 1
 FAULT_FOUND = 1  # exit code of `hframe check` where the recordings have a fault
 DEBUG_VARIABLE = "HFRAME_DEBUG"  # if set, errors keep their traceback
@@ -186,8 +188,10 @@ def describe_failure(error: Exception) -> tuple[int, str]:
         return INPUT_AT_FAULT, text
     if isinstance(error, NotFiniteError):
         return INPUT_AT_FAULT, f"{text}: check the inputs and the machine's parameters"
-    if isinstance(error, OSError) and error.filename is not None:
-        return INPUT_AT_FAULT, f"{error.filename}: {error.strerror}"
+    if isinstance(error, OSError) and (error.filename is not None or error.errno in FULL_DISK):
+        place = "writing" if error.filename is None else str(error.filename)
+        advice = "; make room or write to another disk (nothing was replaced)" if error.errno in FULL_DISK else ""
+        return INPUT_AT_FAULT, f"{place}: {error.strerror}{advice}"
     hint = f"set {DEBUG_VARIABLE}=1 to see the traceback"
     return INTERNAL_ERROR, f"internal error, please report it ({hint}): {type(error).__name__}: {text}"
 

@@ -2,7 +2,7 @@
 
 from .belts import BeltState
 from .equations import Equations, ForceBalance
-from .kernel import Kernel, in_blocks, kernel_for, kernel_source_text, share_kernel
+from .kernel import Kernel, cache_folder, in_blocks, kernel_for, kernel_source_text, share_kernel
 from .linearization import StateSpace, linearize, mode_frequencies, stiffness_matrix
 from .motion_forces import (
     belt_forces,
@@ -28,6 +28,7 @@ __all__ = [
     "StateSpace",
     "belt_forces",
     "belt_states",
+    "cache_folder",
     "delayed_voltages",
     "effect_forces",
     "effect_states",

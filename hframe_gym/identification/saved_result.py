@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
+from ..atomic_files import newest
 from ..errors import InputError
+from ..locked_folders import complete_commit
 from ..machine import Machine
 from ..recordings import load_machine
 from .result import Verdict
@@ -185,10 +187,11 @@ def load_result(folder: Path) -> SavedResult:
     Raises:
         InputError: If a file is missing, damaged or inconsistent with the others; the message names the file.
     """
-    if not (folder / "report.json").is_file():
+    complete_commit(folder)
+    if not newest(folder / "report.json").is_file():
         raise InputError(f"{folder}: no report.json here; run `hframe identify RUNS --out {folder}` first")
     try:
-        text = (folder / "report.json").read_text(encoding="utf-8")
+        text = newest(folder / "report.json").read_text(encoding="utf-8")
         report = _Report.model_validate_json(text).model_dump(by_alias=True)
     except UnicodeDecodeError as error:
         raise _damaged(folder / "report.json", f"is not a text file ({error.reason})") from None
@@ -198,12 +201,12 @@ def load_result(folder: Path) -> SavedResult:
             folder / "report.json", f"{'.'.join(map(str, first['loc'])) or 'file'}: {first['msg']}"
         ) from None
     for name in ("machine.json", "declared.json"):
-        if not (folder / name).is_file():
+        if not newest(folder / name).is_file():
             raise _damaged(folder / name, "is missing")
     saved = SavedResult(
         report,
-        load_machine(folder / "machine.json"),
-        load_machine(folder / "declared.json"),
+        load_machine(newest(folder / "machine.json")),
+        load_machine(newest(folder / "declared.json")),
         _load_curves(folder / "evidence.npz"),
     )
     _check_report(saved, folder / "report.json")
@@ -218,10 +221,11 @@ def _damaged(path: Path, problem: str) -> InputError:
 
 def _load_curves(path: Path) -> dict[str, Array]:
     """Read evidence.npz."""
-    if not path.is_file():
+    source = newest(path)
+    if not source.is_file():
         raise _damaged(path, "is missing")
     try:
-        with path.open("rb") as handle, np.load(handle) as file:
+        with source.open("rb") as handle, np.load(handle) as file:
             curves = dict(file)
     except (
         OSError,

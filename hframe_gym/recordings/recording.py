@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import gzip
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -183,11 +184,11 @@ def write_trajectory(path: str | Path, trajectory: Trajectory, inputs: Array, ma
     """
     header = ["time_s", *machine.input_channels, *machine.output_channels]
     table = np.column_stack([trajectory.time_s, inputs, trajectory.outputs])
-    with atomic_file(path) as temporary:
-        stream = gzip.open(temporary, "wt") if str(path).endswith(".gz") else open(temporary, "w")  # noqa: SIM115
-        with stream as file:
-            file.write(",".join(header) + "\n")
-            np.savetxt(file, table, fmt="%.9g", delimiter=",")
+    with atomic_file(path) as file:
+        # Without name and time, equal simulations are equal files.
+        packed = gzip.GzipFile("", "wb", fileobj=file, mtime=0) if str(path).endswith(".gz") else None
+        with packed or nullcontext(file) as stream:
+            np.savetxt(stream, table, fmt="%.9g", delimiter=",", header=",".join(header), comments="")
 
 
 def run_name(path: Path) -> str:
