@@ -2,8 +2,8 @@
 
 A run writes to its folder: the best agent so far by its evaluations (agent.json, machine.json, policy.safetensors), its
 card (card.json, README.md), tensorboard/, and for `resume` checkpoint.zip, replay.pkl and environment.pkl. These three
-are pickles, which execute code when they are loaded: load only files that you trust. After each evaluation all files but
-the logs are replaced together, so a run may be killed at any time and continues as if it had not been.
+are pickles, which execute code when they are loaded: load only files that you trust. After each evaluation all files
+but the logs are replaced together, so a run may be killed at any time and continues as if it had not been.
 """
 
 from __future__ import annotations
@@ -182,7 +182,7 @@ class _Run:
         return model
 
     def _load_checkpoint(self) -> Any:
-        """Load model, environment and random numbers of the folder's checkpoint, and its learning curve into the card."""
+        """Load the folder's checkpoint: model, environment, random numbers, and the learning curve into the card."""
         complete_commit(self.folder)
         card_file, checkpoint, environment, replay = (self.folder / name for name in RESUME_FILES)
         for file in (card_file, checkpoint, environment):

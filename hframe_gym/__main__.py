@@ -12,8 +12,11 @@ _SECONDS_TO_CLEAN_UP = 5.0  # threads of a computation may need some time until 
 _LINES = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 
 
+_received: list[int] = []
+
+
 class _Stopped(BaseException):
-    """A signal asked this process to end; not an Exception, so that no library handles it."""
+    """A signal asked this process to end; not an Exception, so that few libraries handle it."""
 
 
 def _leave(number: int) -> None:
@@ -25,6 +28,7 @@ def _leave(number: int) -> None:
 
 def _stop(number: int, frame: FrameType | None) -> None:
     """Handle a signal: unwind, so that the terminal and temporary folders are restored; a second one ends at once."""
+    _received.append(number)
     for other in _LINES:
         signal.signal(other, lambda again, _: _leave(again))
     watchdog = threading.Timer(_SECONDS_TO_CLEAN_UP, _leave, (number,))
@@ -45,9 +49,14 @@ def main() -> None:
     try:
         from .cli import main as run
 
-        run()
-    except _Stopped as stopped:
-        _leave(stopped.args[0])
+        run(interrupted=lambda: bool(_received))
+    except BaseException:
+        if _received:
+            _leave(_received[0])
+        raise
+    finally:  # the work is done: a signal that comes now changes nothing
+        for number in _LINES:
+            signal.signal(number, signal.SIG_IGN)
 
 
 if __name__ == "__main__":

@@ -207,7 +207,7 @@ def print_warning(message: Warning | str, *_args: Any, **_keywords: Any) -> None
 
 @contextmanager
 def repeat_warnings() -> Iterator[list[str]]:
-    """Collect the texts of the library's warnings inside a `with` block; they are printed as without it.
+    """Collect the texts of the library's warnings about results inside a `with` block; all are printed as without it.
 
     Yields:
         List that receives the texts.
@@ -215,9 +215,10 @@ def repeat_warnings() -> Iterator[list[str]]:
     texts: list[str] = []
     show = warnings.showwarning
 
-    def collect(message: Warning | str, *arguments: Any, **keywords: Any) -> None:
-        texts.append(str(message))
-        show(message, *arguments, **keywords)
+    def collect(message: Warning | str, category: type[Warning], *arguments: Any, **keywords: Any) -> None:
+        if issubclass(category, UserWarning):
+            texts.append(str(message))
+        show(message, category, *arguments, **keywords)
 
     warnings.showwarning = collect
     try:

@@ -141,6 +141,7 @@ def _first_usable(preferred: tuple[str, ...], temporary: str) -> Path:
         warnings.warn(
             f"{preferred[0]} cannot be written or is full; compiled code is cached in {path}. Set HFRAME_CACHE to a "
             "folder that stays, so that later runs start quickly",
+            RuntimeWarning,
             stacklevel=2,
         )
     return path

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import os
+import tempfile
 from collections import deque
 from pathlib import Path
 
@@ -74,7 +76,7 @@ def test_folder_without_write_access_is_skipped(tmp_path: Path, monkeypatch: pyt
     (tmp_path / "file").write_text("not a folder")
     monkeypatch.setenv("HFRAME_CACHE", str(tmp_path / "file" / "below"))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    with pytest.warns(UserWarning, match=r"below cannot be written.*is cached in .*Set HFRAME_CACHE"):
+    with pytest.warns(RuntimeWarning, match=r"below cannot be written.*is cached in .*Set HFRAME_CACHE"):
         assert cache_folder() == tmp_path / "cache" / "hframe_gym"
     assert cache_folder() == tmp_path / "cache" / "hframe_gym"  # says it once
 
@@ -90,7 +92,7 @@ def test_code_is_not_cached_in_a_temporary_folder_that_others_can_write(
     shared = tmp_path / f"hframe_gym-{os.getuid()}"
     shared.mkdir()
     shared.chmod(0o777)
-    with pytest.warns(UserWarning, match="is cached in"):
+    with pytest.warns(RuntimeWarning, match="is cached in"):
         chosen = cache_folder()
     assert chosen != shared
     assert chosen.stat().st_mode & 0o077 == 0
