@@ -21,6 +21,8 @@ from ..errors import InputError
 from ..locked_folders import complete_commit
 from ..machine import Machine
 from ..recordings import load_machine, save_machine
+from .agent_files import read_card
+from .features import feature_parameters
 from .optional_dependencies import import_optional, single_threaded_torch
 from .residual_action import ResidualAction, residual_action
 
@@ -102,8 +104,15 @@ class Agent(Controller):
             Voltages divided by the rated voltages, in [-1, 1], shape (batch, drives).
 
         Raises:
-            InputError: If an array has another width than in training, as with other sensors.
+            InputError: If an array has another width than in training, as with other sensors, or the goal is
+                previewed in one of both only.
         """
+        previews = "preview" in self.policy.observation_space.spaces
+        if previews != ("preview" in observation):
+            raise InputError(
+                f"agent {self.card['name']}: was trained {'with' if previews else 'without'} a preview of the goal, "
+                f"for the task {self.card['task']}; evaluate it on this task"
+            )
         for key, space in self.policy.observation_space.spaces.items():
             if key in observation and observation[key].shape[1:] != space.shape:
                 raise InputError(
@@ -194,11 +203,14 @@ class Agent(Controller):
         """
         path = Path(folder)
         complete_commit(path)
-        card = _read_card(path)
+        card = read_card(path, SCHEMA, AGENT_FILES)
         machine = load_machine(path / "machine.json")
         algorithm = import_optional("stable_baselines3.ppo" if card["kind"] == "ppo" else "stable_baselines3.sac")
         mapping = residual_action(machine, card["settings"]["actuation"], card["period"])
         space = observation_space(machine, card["previews"])
+        expected = feature_parameters(machine)
+        if any(_shape(card["features"][key]) != _shape(expected[key]) for key in expected):
+            raise InputError(f"{path / 'agent.json'}: features do not fit the machine in machine.json")
         policy = algorithm.MultiInputPolicy(
             mapping.observation_space(space) if mapping else space,
             action_space(machine),
@@ -227,34 +239,22 @@ def load_weights(policy: Any, folder: Path) -> None:
     file = folder / "policy.safetensors"
     try:
         weights = safetensors.load_file(file)
+    except (import_optional("safetensors").SafetensorError, OSError, RuntimeError, ValueError) as error:
+        raise InputError(f"{file}: cannot be read as weights: {' '.join(str(error).split())}") from error
+    try:
         missing, unexpected = policy.load_state_dict(weights, strict=False)
-    except (import_optional("safetensors").SafetensorError, RuntimeError) as error:
-        raise InputError(
-            f"{file}: cannot be read as the weights of this policy: {' '.join(str(error).split())}"
-        ) from error
+    except RuntimeError:  # its message lists the shapes of all layers
+        raise InputError(f"{file}: does not fit the policy that agent.json describes") from None
+    if not all(bool(values.isfinite().all()) for values in weights.values()):
+        raise InputError(f"{file}: has weights that are not finite")
     misfits = [*unexpected, *(name for name in missing if not name.startswith(CRITIC_PREFIXES))]
     if misfits:
         raise InputError(f"{file}: does not fit the policy, see {', '.join(sorted(misfits))}")
 
 
-def _read_card(folder: Path) -> dict[str, Any]:
-    """Read agent.json and check that the folder holds an agent of this version."""
-    for name in AGENT_FILES:
-        if not (folder / name).is_file():
-            raise InputError(f"{folder} is not an agent: {name} is missing")
-    file = folder / "agent.json"
-    try:
-        card = json.loads(file.read_text("utf-8"))
-    except ValueError as error:
-        raise InputError(f"{file}: not valid JSON: {error}") from error
-    schema = card.get("schema") if isinstance(card, dict) else None
-    if schema != SCHEMA:
-        raise InputError(f"{file}: schema is {schema!r}, this version reads {SCHEMA}")
-    missing = [key for key in AGENT_KEYS if key not in card]
-    missing += [f"settings.{key}" for key in ("actuation", "policy") if key not in card.get("settings", ())]
-    if missing:
-        raise InputError(f"{file}: entries are missing: {', '.join(missing)}")
-    return dict(card)
+def _shape(values: list[Any]) -> list[int]:
+    """Return the length of a list and those of the lists in it."""
+    return [len(values), *(len(row) for row in values if isinstance(row, list))]
 
 
 def _same_parameters(machine: Machine, other: Machine) -> bool:

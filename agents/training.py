@@ -2,14 +2,14 @@
 
 A run writes to its folder: the best agent so far by its evaluations (agent.json, machine.json, policy.safetensors), its
 card (card.json, README.md), tensorboard/, and for `resume` checkpoint.zip, replay.pkl and environment.pkl. These three
-are pickles, which execute code when they are loaded: load only files that you trust. After each evaluation all files
-but the logs are replaced together, so a run may be killed at any time and continues as if it had not been.
+are pickles, which execute code when they are loaded: they are signed, and only files that this installation wrote are
+loaded (see agent_files.py). After each evaluation all files but the logs are replaced together, so a run may be killed
+at any time and continues as if it had not been.
 """
 
 from __future__ import annotations
 
 import copy
-import json
 import pickle
 import random
 import time
@@ -21,14 +21,16 @@ from typing import Any
 
 import numpy as np
 
-from ..atomic_files import atomic_file, output_batch
+from ..atomic_files import atomic_file, newest, output_batch
 from ..envs import TASKS, Task
 from ..errors import InputError
 from ..evaluation import Scenario, period_concern
+from ..file_limits import read_json
 from ..locked_folders import complete_commit, locked_folder
 from ..machine import Machine
 from ..recordings import load_machine
 from .agent import SCHEMA, Agent, load_weights, policy_keywords
+from .agent_files import refuse_unsigned, sign_checkpoint
 from .controller_source import shipped_agent_folder
 from .features import feature_parameters
 from .model_card import improves, progress_line, score_agent, versions, write_card
@@ -61,6 +63,7 @@ def train(
     log: Log = print,
     progress: Progress = lambda done, total: None,
     randomize: str | None = None,
+    trust: bool = False,
 ) -> dict[str, Any]:
     """Train an agent with stable-baselines3 and write it to a folder.
 
@@ -80,13 +83,15 @@ def train(
         progress: Function that receives the number of environment steps done and the total, after each step.
         randomize: Randomization of the machine's parameters in place of the recipe's, for example "identified" for a
             machine.json with standard deviations.
+        trust: Resume also from a checkpoint that this installation did not write. Loading it executes code that it may
+            contain.
 
     Returns:
         Contents of card.json: recipe, package versions and learning curve (`curve`, one row of scores per evaluation).
 
     Raises:
-        InputError: If the recipe or task is unknown, `out` has no checkpoint of this recipe and seed to resume, or
-            another process writes to `out`.
+        InputError: If the recipe or task is unknown, `out` has no checkpoint of this recipe and seed to resume or one
+            that this installation did not write, or another process writes to `out`.
         ImportError: If the extra `agents` is not installed; the message names it.
     """
     require_training_packages()
@@ -97,6 +102,7 @@ def train(
         recipe = replace(recipe, env={**recipe.env, "randomize": randomize})
     with locked_folder(out):
         run = _Run(recipe, load_machine(machine), task, seed, Path(out), log, progress)
+        run.trust = trust
         return run.execute(recipe.steps if steps is None else steps, resume)
 
 
@@ -109,6 +115,7 @@ class _Run:
     next_evaluation: int  # environment step
     start_time: float  # s, monotonic clock; such that the time before a resume counts
     start_cpu_time: float  # s, likewise
+    trust = False  # whether to resume from a checkpoint that this installation did not write
     kept_costs: Any = None  # costs of the evaluation episodes of the agent that is kept, (B,); None before the first
     improved_agent: Agent | None = None  # the agent to keep that is not saved yet
     evaluated: bool = False  # whether an evaluation is not saved yet
@@ -188,12 +195,15 @@ class _Run:
         for file in (card_file, checkpoint, environment):
             if not file.is_file():
                 raise InputError(f"nothing to resume: {file} does not exist")
-        previous = json.loads(card_file.read_text("utf-8"))
+        previous = _read_previous_card(card_file)
         if (previous["recipe"], previous["seed"]) != (self.card["recipe"], self.card["seed"]):
             raise InputError(
                 f"nothing to resume: {self.folder} holds a run of {previous['recipe']} with seed {previous['seed']}, "
                 f"not of {self.card['recipe']} with seed {self.card['seed']}"
             )
+        for file in (checkpoint, environment, replay) if not self.trust else ():
+            if file.is_file():
+                refuse_unsigned(file)
         sb3 = import_optional("stable_baselines3")
         state = pickle.loads(environment.read_bytes())
         self.environment, self.next_evaluation = state["environment"], state["next_evaluation"]
@@ -250,16 +260,16 @@ class _Run:
             "next_evaluation": self.next_evaluation,
             "random": _random_state(model),
         }
+        pickles = {"checkpoint.zip": model.save, "environment.pkl": lambda file: pickle.dump(state, file)}
+        if getattr(model, "replay_buffer", None) is not None:
+            pickles["replay.pkl"] = model.save_replay_buffer
         with output_batch(self.folder):
             if self.improved_agent is not None:
                 self.improved_agent.save(self.folder)
-            with atomic_file(self.folder / "checkpoint.zip") as file:
-                model.save(file)
-            with atomic_file(self.folder / "environment.pkl") as file:
-                pickle.dump(state, file)
-            if getattr(model, "replay_buffer", None) is not None:
-                with atomic_file(self.folder / "replay.pkl") as file:
-                    model.save_replay_buffer(file)
+            for name, write in pickles.items():
+                with atomic_file(self.folder / name) as file:
+                    write(file)
+                sign_checkpoint(newest(self.folder / name))
             write_card(self.folder, self.card)
         self.improved_agent, self.evaluated = None, False
 
@@ -281,6 +291,20 @@ def _set_random_state(model: Any, state: dict[str, Any]) -> None:
     np.random.set_state(state["numpy"])  # noqa: NPY002
     import_optional("torch").set_rng_state(state["torch"])
     model.action_space.np_random.bit_generator.state = state["actions"]
+
+
+def _read_previous_card(file: Path) -> dict[str, Any]:
+    """Read the card of the run that is resumed and check the entries that are used."""
+    card = read_json(file)
+    try:
+        columns = {tuple(row) for row in card["curve"]}
+        numbers = [card["kept"], *(value for row in card["curve"] for value in row.values())]
+        is_valid = all(isinstance(value, int | float) and abs(value) < 1e15 for value in numbers) and len(columns) == 1
+        if is_valid and {"steps", "seconds", "cpu_s"} <= set(*columns) and {"recipe", "seed"} <= set(card):
+            return dict(card)
+    except (KeyError, TypeError, IndexError, AttributeError):
+        pass
+    raise InputError(f"nothing to resume: {file} is damaged")
 
 
 def _build_task(name: str, settings: dict[str, Any]) -> Task:

@@ -17,6 +17,7 @@ from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
 
+from .errors import InputError
 from .locked_folders import COMMIT, UNFINISHED, locked_folder, move_committed, with_parents
 
 _MAX_OPEN = 200  # files without names in a batch; processes may usually have 1024 open files
@@ -135,9 +136,12 @@ def atomic_file(path: str | Path) -> Iterator[io.BufferedRandom]:
         Empty file, open for writing and reading. If the block raises an error, an existing file at `path` is unchanged.
 
     Raises:
+        InputError: If `path` is a folder, a device or another thing that a file must not replace.
         OSError: If the folder cannot be created or written, or the disk is full; the error names `path`.
     """
     target = Path(path)
+    if target.exists() and not target.is_file():
+        raise InputError(f"{path}: is no regular file, so it is not replaced; choose another name")
     batch = _BATCH.get()
     name = _name_in(batch, target)
     if batch is None or name is None:

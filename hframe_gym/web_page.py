@@ -102,6 +102,7 @@ def plot_style() -> Any:  # matplotlib's type lists the names of all settings
         "ytick.color": muted,
         "xtick.labelcolor": ink,
         "ytick.labelcolor": ink,
+        "text.parse_math": False,  # names of channels and runs are data
         "legend.frameon": False,
         "legend.fontsize": 8,
         "svg.fonttype": "none",  # text stays text: it can be selected, and takes the font of the page

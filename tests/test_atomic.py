@@ -72,6 +72,17 @@ def test_a_file_is_written_into_a_new_folder_and_is_readable_by_others(tmp_path:
     assert list(path.parent.iterdir()) == [path]
 
 
+@pytest.mark.parametrize("make", [Path.mkdir, os.mkfifo])
+def test_what_is_no_regular_file_is_not_replaced(make: Callable[[Path], None], tmp_path: Path) -> None:
+    """A device, for example: `--json /dev/null` of an administrator must not replace it."""
+    path = tmp_path / "special"
+    make(path)
+    before = path.stat().st_mode
+    with pytest.raises(InputError, match="special: is no regular file"):
+        write_text(path, "text")
+    assert path.stat().st_mode == before
+
+
 @pytest.mark.usefixtures("_unnamed")
 def test_a_batch_appears_at_its_end_and_can_be_read_before(tmp_path: Path) -> None:
     write_old(tmp_path)

@@ -56,7 +56,7 @@ def _full_disk(stage: Stage, log: Log) -> Row:
         script = f"""
             mount -t tmpfs -o size={DISK_MB}m none /mnt && cp -a {work}/. /mnt/ || exit 99
             touch /mnt/ballast; free=$(df -B1 --output=avail /mnt | tail -1)
-            head -c $((free - {FREE_BYTES})) /dev/zero > /mnt/ballast
+            fallocate -l $((free - {FREE_BYTES})) /mnt/ballast || exit 98
             cd /mnt; {command(job, stage)}; code=$?
             rm -f /mnt/ballast; cp -a /mnt {after}; exit $code"""
         finished = in_namespace(script, stage.folder)

@@ -18,7 +18,7 @@ import typer
 from .. import __version__
 from . import control_commands, machine_commands, recording_commands
 from .app import app, log
-from .support import DEBUG_VARIABLE, describe_failure, print_warning
+from .support import DEBUG_VARIABLE, FAULT_FOUND, describe_failure, print_warning
 
 __all__ = ["app", "control_commands", "machine_commands", "main", "recording_commands"]
 
@@ -52,10 +52,14 @@ def main(interrupted: Callable[[], bool] = lambda: False) -> None:
         warnings.simplefilter("always", UserWarning)
         warnings.showwarning = print_warning
         try:
-            app()
+            # Otherwise Typer prints its errors about options in a box of several lines.
+            code = app(sys.argv[1:] or ["--help"], standalone_mode=False)
+        except typer.Abort:  # the user ended a question
+            raise SystemExit(FAULT_FOUND) from None
         except Exception as error:
             if os.environ.get(DEBUG_VARIABLE) or interrupted():
                 raise
             code, line = describe_failure(error)
             print(f"hframe: {line}", file=sys.stderr)
             raise SystemExit(code) from None
+    raise SystemExit(code if isinstance(code, int) else 0)

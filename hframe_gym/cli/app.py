@@ -15,12 +15,14 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
+MAX_SEED = 2**31 - 1
 console = Console(soft_wrap=True)
 
 MachineOption = Annotated[str, typer.Option(help="A machine.json or a built-in name (see `hframe machines`).")]
 OutOption = Annotated[Path, typer.Option(help="Folder for the results; created if it does not exist.")]
 TaskOption = Annotated[str, typer.Option(help="Task: {tasks}, or module:name.")]
 RandomizeOption = Annotated[str, typer.Option(help="Randomization of each episode's machine: {randomizations}.")]
+PeriodOption = Annotated[float, typer.Option(min=1e-5, max=10.0, help="Control period in seconds.")]
 RecordingsArgument = Annotated[Path, typer.Argument(help="A folder of recordings, one run per file.")]
 
 
@@ -30,4 +32,16 @@ def log(line: str) -> None:
     Args:
         line: Text without markup.
     """
-    console.print(line, markup=False, highlight=False)
+    console.print(plain_text(line), markup=False, highlight=False)
+
+
+def plain_text(text: str) -> str:
+    """Replace characters that would control the terminal, which names in files may contain.
+
+    Args:
+        text: Text to print.
+
+    Returns:
+        The text with their escape sequences in Python's notation in place of such characters.
+    """
+    return "".join(c if c.isprintable() or c in "\n\t" else repr(c)[1:-1] for c in text)

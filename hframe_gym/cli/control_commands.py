@@ -10,7 +10,7 @@ import typer
 
 from ..atomic_files import output_batch
 from ..locked_folders import locked_folder
-from .app import MachineOption, OutOption, RandomizeOption, TaskOption, app, console, log
+from .app import MAX_SEED, MachineOption, OutOption, PeriodOption, RandomizeOption, TaskOption, app, console, log
 from .support import (
     CommandWithChoices,
     repeat_warnings,
@@ -30,10 +30,15 @@ def train(
         str | None, typer.Option(help="Randomization: {randomizations} (default: the recipe's).")
     ] = None,
     steps: Annotated[
-        int | None, typer.Option(min=1, help="Environment steps in total (default: the recipe's).")
+        int | None, typer.Option(min=1, max=10**12, help="Environment steps in total (default: the recipe's).")
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the network, the episodes and the algorithm.")] = 0,
+    seed: Annotated[
+        int, typer.Option(min=0, max=MAX_SEED, help="Seed of the network, the episodes and the algorithm.")
+    ] = 0,
     resume: Annotated[bool, typer.Option("--resume", help="Continue from the checkpoint in the folder.")] = False,
+    trust: Annotated[
+        bool, typer.Option("--trust", help="Resume from a checkpoint of another installation; it can execute code.")
+    ] = False,
 ) -> None:
     """Train an agent by the recipe of an algorithm and a task.
 
@@ -56,7 +61,7 @@ def train(
         def progress(done: int, total: int) -> None:
             bar.update(bar_task, completed=done, total=total)
 
-        run_training(algorithm, declared, task, steps, seed, resume, out, log, progress, randomize)
+        run_training(algorithm, declared, task, steps, seed, resume, out, log, progress, randomize, trust)
     log(f"wrote {out}")
 
 
@@ -80,9 +85,13 @@ def evaluate(
     sensors: Annotated[
         str, typer.Option(help="What controllers observe: {sensors}; state is exact, the others are measurements.")
     ] = "state",
-    period: Annotated[float, typer.Option(help="Control period in seconds.")] = 0.01,
-    episodes: Annotated[int, typer.Option(min=1, help="Number of episodes; the same for every controller.")] = 512,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the starts, goals and machine parameters.")] = 0,
+    period: PeriodOption = 0.01,
+    episodes: Annotated[
+        int, typer.Option(min=1, max=10**6, help="Number of episodes; the same for every controller.")
+    ] = 512,
+    seed: Annotated[
+        int, typer.Option(min=0, max=MAX_SEED, help="Seed of the starts, goals and machine parameters.")
+    ] = 0,
     html: Annotated[bool, typer.Option("--html", help="Also write scorecard.html, one self-contained page.")] = False,
 ) -> None:
     """Score controllers on identical episodes; writes scores.json and a plot of each one's first episode.
@@ -138,9 +147,11 @@ def export(
     sensors: Annotated[
         str, typer.Option(help="What controllers observe: {sensors}; state is exact, the others are measurements.")
     ] = "state",
-    period: Annotated[float, typer.Option(help="Control period in seconds.")] = 0.01,
-    episodes: Annotated[int, typer.Option(min=1, help="Number of episodes of each controller.")] = 100,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the first episode; episode i has the seed + i.")] = 0,
+    period: PeriodOption = 0.01,
+    episodes: Annotated[int, typer.Option(min=1, max=10**6, help="Number of episodes of each controller.")] = 100,
+    seed: Annotated[
+        int, typer.Option(min=0, max=MAX_SEED, help="Seed of the first episode; episode i has the seed + i.")
+    ] = 0,
     normalize: Annotated[
         bool, typer.Option("--normalize", help="Store observations and goals divided by their scales.")
     ] = False,
@@ -185,9 +196,11 @@ def play(
     ] = None,
     randomize: RandomizeOption = "none",
     sensors: Annotated[str, typer.Option(help="What controllers observe: {sensors}.")] = "state",
-    period: Annotated[float, typer.Option(help="Control period in seconds.")] = 0.01,
-    speed: Annotated[float, typer.Option(help="Speed relative to real time; a hand is slower than a motor.")] = 0.3,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the first start and goal.")] = 0,
+    period: PeriodOption = 0.01,
+    speed: Annotated[
+        float, typer.Option(min=0.001, max=100.0, help="Speed relative to real time; a hand is slower than a motor.")
+    ] = 0.3,
+    seed: Annotated[int, typer.Option(min=0, max=MAX_SEED, help="Seed of the first start and goal.")] = 0,
     frames: Annotated[int | None, typer.Option(min=1, help="Stop after this number of frames (50 per second).")] = None,
     picture: Annotated[Path | None, typer.Option(help="PNG file for the last frame.")] = None,
 ) -> None:

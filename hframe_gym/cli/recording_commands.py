@@ -60,7 +60,9 @@ def import_logs(
     split_at_rests: Annotated[
         bool, typer.Option("--split-at-rests", help="Cut each log into runs where the machine rests.")
     ] = False,
-    min_rest: Annotated[float, typer.Option(min=0.01, help="Shortest rest at which a log is cut, s.")] = 0.5,
+    min_rest: Annotated[
+        float, typer.Option(min=0.01, max=3600.0, help="Shortest rest at which a log is cut, s.")
+    ] = 0.5,
     format: Annotated[RunFormats, typer.Option(help="Format of the recordings.")] = RunFormats.CSV_GZ,
 ) -> None:
     """Convert logs to recordings: any separator, decimal mark and encoding, other names and units, several rates.
@@ -123,7 +125,7 @@ def identify(
     hold_out: Annotated[
         list[str] | None, typer.Option(help="A run to evaluate on instead of fitting it; repeat for more runs.")
     ] = None,
-    jobs: Annotated[int | None, typer.Option(min=1, help="Number of threads (default: all cores).")] = None,
+    jobs: Annotated[int | None, typer.Option(min=1, max=1024, help="Number of threads (default: all cores).")] = None,
     # Has no effect, because identification draws no random numbers; scripts that pass it keep working.
     seed: Annotated[int, typer.Option(hidden=True)] = 0,
     force: Annotated[

@@ -15,6 +15,7 @@ from typer.core import TyperCommand
 
 from ..errors import InputError
 from ..registry import PLUGIN_VARIABLE, load_plugins
+from .app import plain_text
 
 if TYPE_CHECKING:
     from ..identification import IdentificationResult
@@ -183,15 +184,18 @@ def describe_failure(error: Exception) -> tuple[int, str]:
     """
     from ..dynamics import NotFiniteError
 
-    text = " ".join(str(error).split())
+    usage = getattr(error, "format_message", None)  # of Typer's errors about options
+    text = plain_text(" ".join((usage() if usage else str(error)).split()))
+    if usage:
+        return INPUT_AT_FAULT, f"{text} (see --help)"
     if isinstance(error, InputError | ImportError):
         return INPUT_AT_FAULT, text
     if isinstance(error, NotFiniteError):
-        return INPUT_AT_FAULT, f"{text}: check the inputs and the machine's parameters"
+        return INPUT_AT_FAULT, f"{text.rstrip('.')}: check the inputs and the machine's parameters"
     if isinstance(error, OSError) and (error.filename is not None or error.errno in FULL_DISK):
         place = "writing" if error.filename is None else str(error.filename)
         advice = "; make room or write to another disk (nothing was replaced)" if error.errno in FULL_DISK else ""
-        return INPUT_AT_FAULT, f"{place}: {error.strerror}{advice}"
+        return INPUT_AT_FAULT, plain_text(f"{place}: {error.strerror}{advice}")
     hint = f"set {DEBUG_VARIABLE}=1 to see the traceback"
     return INTERNAL_ERROR, f"internal error, please report it ({hint}): {type(error).__name__}: {text}"
 
@@ -202,7 +206,7 @@ def print_warning(message: Warning | str, *_args: Any, **_keywords: Any) -> None
     Args:
         message: The warning.
     """
-    print(f"hframe: warning: {message}", file=sys.stderr)
+    print(f"hframe: warning: {plain_text(' '.join(str(message).split()))}", file=sys.stderr)
 
 
 @contextmanager

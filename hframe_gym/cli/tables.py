@@ -41,10 +41,10 @@ def identification_table(report: Mapping[str, Any], channels: Sequence[str]) -> 
     errors = [report[stage]["held_out"] for stage in ("declared", "before", "after")]
     for channel in channels:
         if errors[0][channel]["rmse"] is None:
-            table.add_row(channel, *["not measured"] * len(errors))
+            table.add_row(escape(channel), *["not measured"] * len(errors))
         else:
             cells = (e[channel] for e in errors)
-            table.add_row(channel, *(f"{cell['rmse']:.3g} ({number(cell['noise_ratio'])}x)" for cell in cells))
+            table.add_row(escape(channel), *(f"{cell['rmse']:.3g} ({number(cell['noise_ratio'])}x)" for cell in cells))
     if "force_error" in errors[0]:
         table.add_row("force, relative", *(f"{100 * e['force_error']:.2f} %" for e in errors))
     return table
@@ -76,7 +76,7 @@ def score_table(scores: Mapping[str, Any]) -> Table:
         columns += [*(f"until\n{band}\ns" for band in bands), "over\nthe\nbound"]
     else:
         columns += [f"{label}\nerror\n{kind}\nmm" for label in PATH_ERRORS.values() for kind in ("rms", "max")]
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
+    table = Table(title=escape(title), title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
     table.add_column("name", overflow="fold")
     for column in columns:
         table.add_column(column, justify="right", no_wrap=True, min_width=max(map(len, column.split("\n"))))
@@ -175,7 +175,7 @@ def machine_tables(machine: Machine) -> list[Table]:
     effects = _titled("effects", "effect@site", "parameters")
     for effect in machine.effects:
         values = (f"{k} = {v:.4g} {_unit(machine, f'{effect.label}.{k}')}" for k, v in effect.parameters.items())
-        effects.add_row(effect.label, escape(", ".join(values)))
+        effects.add_row(escape(effect.label), escape(", ".join(values)))
     return [table for table in (*tables, effects, _limits_table(machine)) if table.row_count]
 
 
@@ -217,7 +217,7 @@ def _coordinate_table(machine: Machine) -> Table:
         cells = [_cell(machine, f"{c.name}.{key}", getattr(c, key)) for key in ("mass", "viscous", "coulomb")]
         radius = _cell(machine, f"{c.name}.radius", c.radius) if c.kind == "rotary" else "-"
         limits = f"{c.range[0]:g} to {c.range[1]:g} {c.unit('position')}" if c.range else "-"
-        table.add_row(c.name, *cells, radius, limits)
+        table.add_row(*map(escape, (c.name, *cells, radius, limits)))
     return table
 
 
@@ -239,7 +239,7 @@ def _drive_table(machine: Machine) -> Table:
     table = _titled("drives", "name", "channel", "moves", "Kt", "Ke", "R", "gear ratio", "rated")
     for d in machine.drives:
         cells = [_cell(machine, f"{d.name}.{key}", getattr(d, key)) for key in d.PARAMETERS]
-        table.add_row(d.name, d.channel, d.coordinate, *cells, f"{d.rated_voltage:g} V")
+        table.add_row(*map(escape, (d.name, d.channel, d.coordinate, *cells, f"{d.rated_voltage:g} V")))
     return table
 
 
@@ -248,7 +248,7 @@ def _sensor_table(machine: Machine) -> Table:
     table = _titled("sensors", "channel", "kind", "measures", "noise", "resolution")
     for s in machine.sensors:
         cells = [_cell(machine, f"{s.channel}.{key}", value) for key, value in s.device_parameters.items()]
-        table.add_row(s.channel, s.kind, _sum(s.row), *cells)
+        table.add_row(*map(escape, (s.channel, s.kind, _sum(s.row), *cells)))
     return table
 
 

@@ -30,8 +30,12 @@ Mask = NDArray[np.bool_]
 Feedback = Literal["state", "estimated_state", "observation"]
 
 
+# s. The preview and the horizon of the controllers last a fixed time, so that a shorter period costs time and memory.
+SHORTEST_PERIOD, LONGEST_PERIOD = 1e-5, 10.0
+
+
 def check_period(period: float) -> float:
-    """Check that a control period is positive and finite.
+    """Check that a control period is a number of seconds for which controllers can be designed.
 
     Args:
         period: Control period, s.
@@ -40,10 +44,11 @@ def check_period(period: float) -> float:
         The period as a float, s.
 
     Raises:
-        InputError: If the period is not positive and finite.
+        InputError: If the period is not from `SHORTEST_PERIOD` to `LONGEST_PERIOD`.
     """
-    if not (np.isfinite(period) and period > 0.0):
-        raise InputError(f"period is {period!r}, it must be a positive number of seconds")
+    if not SHORTEST_PERIOD <= period <= LONGEST_PERIOD:
+        limits = f"{SHORTEST_PERIOD:g} to {LONGEST_PERIOD:g} s"
+        raise InputError(f"period is {period!r}, it must be a positive number of seconds from {limits}")
     return float(period)
 
 

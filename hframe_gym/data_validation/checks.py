@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..dynamics import stiffness_matrix
-from ..identification import Dataset, estimate_initial_state, prepare
+from ..identification import MIN_ROWS, Dataset, estimate_initial_state, prepare
 from ..machine import Machine
 from ..recordings import GAP_PERIODS, Recording, bridge_blanks, without_outliers
 from .excitation import check_excitation, check_parameters, constant_inputs
@@ -99,8 +99,11 @@ def _faults_and_advice(
     findings = []
     for recording, without in zip(recordings, cleaned, strict=True):
         findings += _check_sampling(recording) + _outliers(recording, without, machine)
+    if not moving:
+        message = "nothing moves in any run: are the drives powered and the sensors connected?"
+        return [*findings, Finding("fault", "", "", message)]
     findings += _stuck_outputs([recording for recording in cleaned if recording.name in moving], machine)
-    return findings + (check_wiring(data.with_runs(moving), machine) if moving else [])
+    return findings + check_wiring(data.with_runs(moving), machine)
 
 
 def _by_severity(findings: Sequence[Finding]) -> list[Finding]:
@@ -123,8 +126,8 @@ def _times_in_milliseconds(recordings: Sequence[Recording]) -> list[Finding]:
 def _check_sampling(recording: Recording) -> list[Finding]:
     """Report lost samples and irregular sampling of one run."""
     steps = np.diff(recording.time_s)
-    if len(steps) == 0:
-        message = "has a single row, which contains no motion: delete the file"
+    if len(steps) + 1 < MIN_ROWS:
+        message = f"number of rows is {len(steps) + 1}, identification needs at least {MIN_ROWS}: delete the file"
         return [Finding("fault", recording.name, "time_s", message)]
     findings = []
     period = float(np.median(steps))

@@ -28,6 +28,8 @@ PENALTY = 100.0
 # s. After 0.4 s of random voltages up to 12 V the tool is off by 1.1 um (median; 3 um at most), with 0.25 ms by 0.2 um
 # (0.8 um) (benchmarks/accuracy.py). That is a twentieth of a laser's noise, for half the time.
 LONGEST_STEP = 0.5e-3
+# Limits of the control period, s, and of its integration steps; beyond them a step of the environment takes minutes.
+SHORTEST_PERIOD, LONGEST_PERIOD, MOST_STEPS = 1e-6, 10.0, 100_000
 
 
 class EnvOptions(TypedDict, total=False):
@@ -73,11 +75,12 @@ class EnvConfig:
         ends: What happens at the workspace's edge: "stops" (rubber buffers) or "terminate" (the episode ends with
             `penalty`). With "terminate" an agent can learn to give up, so the penalty must outweigh that.
         penalty: Subtracted from the reward outside the workspace where `ends` is "terminate".
-        period: Control period, s, positive.
-        longest_step: Largest integration step, s, positive; a control period is divided into equal steps.
+        period: Control period, s, from 1 us to 10 s.
+        longest_step: Largest integration step, s, positive; a control period is divided into at most 100 000 equal
+            steps.
 
     Raises:
-        InputError: If `ends`, `penalty` or one of the switches is invalid. The environment checks the other options.
+        InputError: If `ends`, a switch or a number is invalid. The environment checks the other options.
     """
 
     machine: MachineLike = "hframe"
@@ -106,8 +109,19 @@ class EnvConfig:
             value = getattr(self, name)
             if not isinstance(value, bool):
                 raise InputError(f"{name} is {value!r}, it must be True or False")
-        if not (np.isfinite(self.penalty) and self.penalty >= 0.0):
+        for name in ("penalty", "period", "longest_step"):
+            value = getattr(self, name)
+            is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+            if not (is_number and abs(value) < np.inf):
+                raise InputError(f"{name} is {value!r}, it must be a finite number")
+        if not self.penalty >= 0.0:
             raise InputError(f"penalty is {self.penalty!r}, it must be a number that is not negative")
+        if not SHORTEST_PERIOD <= self.period <= LONGEST_PERIOD:
+            limits = f"{SHORTEST_PERIOD:g} to {LONGEST_PERIOD:g} s"
+            raise InputError(f"period is {self.period!r}, it must be a positive number of seconds from {limits}")
+        if not self.longest_step * MOST_STEPS >= self.period:
+            limits = f"number of seconds, at least {1 / MOST_STEPS:g} of the period"
+            raise InputError(f"longest_step is {self.longest_step!r}, it must be a positive {limits}")
 
 
 def check_keywords(constructor: str, options: dict[str, Any], others: tuple[str, ...] = ("render_mode",)) -> None:

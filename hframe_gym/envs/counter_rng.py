@@ -16,8 +16,8 @@ import math
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
+import numba
 import numpy as np
-from numba import config, njit
 from numpy.typing import NDArray
 
 from ..dynamics import cache_folder
@@ -42,7 +42,8 @@ def compiled(function: Function) -> Function:
     Returns:
         Compiled function with the same arguments.
     """
-    compile_cached: Any = njit(nogil=True, cache=True, error_model="numpy")
+    config: Any = numba.config
+    compile_cached: Any = numba.njit(nogil=True, cache=True, error_model="numpy")
     try:
         return cast("Function", compile_cached(function))
     except RuntimeError:  # neither the package's folder nor Numba's folder in HOME can be written

@@ -26,6 +26,8 @@ from .scenario import Episodes, Scenario, make_controller, period_concern
 
 Array = NDArray[np.float64]
 SAMPLES_PER_PERIOD = 10
+MAX_SAMPLES = 200_000_000  # of all episodes together; a recorded sample of a planar machine takes 32 bytes
+MANY_PERIODS = 10_000  # control periods of an episode from which a warning says that the evaluation takes long
 
 
 class Evaluation(NamedTuple):
@@ -80,6 +82,14 @@ def evaluate(
     scenario = machine
     if not isinstance(scenario, Scenario):
         scenario = Scenario(scenario, task, randomize, sensors, episodes, seed, period, duration_s)
+    samples = scenario.episodes * (scenario.periods * SAMPLES_PER_PERIOD + 1)
+    if samples > MAX_SAMPLES:
+        raise InputError(
+            f"{scenario.episodes} episodes of {scenario.periods} control periods have {samples:.2g} samples, the limit "
+            f"is {MAX_SAMPLES:.0e}: evaluate fewer episodes or a longer control period"
+        )
+    if scenario.periods > MANY_PERIODS:
+        warnings.warn(f"an episode has {scenario.periods} control periods, which takes minutes", stacklevel=2)
     concern = period_concern(scenario.declared_machine, scenario.period)
     if concern:
         warnings.warn(concern, stacklevel=2)

@@ -31,6 +31,7 @@ from ..machine import Machine
 from ..registry import Registry, load_plugins
 
 Array = NDArray[np.float64]
+LONGEST_EPISODE = 3600.0  # s
 SAMPLES_PER_MODE = 4.0  # control periods per period of the slowest belt mode that a warning suggests
 
 
@@ -72,7 +73,7 @@ class Scenario:
             raise InputError(f"episodes is {self.episodes!r}, it must be at least 1")
         if self.seed < 0:
             raise InputError(f"seed is {self.seed!r}, it must not be negative")
-        if not np.isfinite(self.duration_s) or self.periods < 1:
+        if not 0.0 < self.duration_s <= LONGEST_EPISODE or self.periods < 1:
             raise InputError(
                 f"period is {self.period:g} s and duration_s is {self.duration_s!r}: an episode must last for "
                 "at least one control period"

@@ -1,7 +1,7 @@
 """Identification of a machine from recordings: initial states, fit, selection of effects, evaluation and report."""
 
 from .criteria import SelectionCriteria
-from .dataset import Dataset, PreparedRecording, prepare
+from .dataset import MIN_ROWS, Dataset, PreparedRecording, prepare
 from .estimation import Fit, fit
 from .forward_selection import EffectSearch, SelectedEffect
 from .free_parameters import FreeParameter, default_free_parameters
@@ -13,6 +13,7 @@ from .result import IdentificationResult, write_result
 from .screening import screen
 
 __all__ = [
+    "MIN_ROWS",
     "Dataset",
     "EffectSearch",
     "Fit",

@@ -18,6 +18,7 @@ from .rest_measurement import InitialState, behind_belts, estimate_initial_state
 from .sensor_properties import clock_jitter, sensor_noise, sensor_quantum, smooth_speed
 
 Array = NDArray[np.float64]
+MIN_ROWS = 20  # rows of a run that the filters of the residual need
 _MIN_SPEED_ROWS = 11  # measured rows that a speed needs
 
 

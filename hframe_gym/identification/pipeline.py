@@ -15,7 +15,7 @@ from ..machine import Machine
 from ..recordings import Recording, without_outliers
 from ..registry import load_plugins
 from .criteria import SelectionCriteria
-from .dataset import Dataset, prepare, refine_encoder_offsets, with_all_measurements, with_known_positions
+from .dataset import MIN_ROWS, Dataset, prepare, refine_encoder_offsets, with_all_measurements, with_known_positions
 from .effect_size import drive_force, effect_force
 from .estimation import Fit, fit, prediction_cost, with_uncertainty
 from .experiment_design import design_discriminating_experiment
@@ -75,6 +75,7 @@ def identify(
     log = log or (lambda line: None)
     recordings = sorted(recordings, key=lambda recording: recording.name)  # the result depends on no other order
     held_names = hold_out(recordings, held_out)
+    _refuse_unusable(recordings, held_names)
     as_measured = recordings
     recordings = [_cleaned(recording, machine, log) for recording in recordings]
     all_runs, ranges = _prepare(recordings, machine, criteria, log)
@@ -93,6 +94,18 @@ def identify(
     result = _result(outcome, machine, before, ranges, data, validation, as_measured, criteria)
     log(f"verdict: {result.verdict}")
     return dataclasses.replace(result, seconds=time.perf_counter() - began, excluded=(*unused, *excluded))
+
+
+def _refuse_unusable(recordings: Sequence[Recording], held_names: Sequence[str]) -> None:
+    """Raise InputError if a run is too short for the filters, or no fitted run moves a sensor."""
+    for recording in recordings:
+        if len(recording.time_s) < MIN_ROWS:
+            raise InputError(
+                f"run {recording.name}: number of rows is {len(recording.time_s)}, at least {MIN_ROWS} are needed"
+            )
+    fitted = [recording for recording in recordings if recording.name not in held_names]
+    if not any(len(np.unique(values[np.isfinite(values)])) > 1 for run in fitted for values in run.outputs.T):
+        raise InputError(f"runs {', '.join(run.name for run in fitted)}: no sensor moves, so nothing can be identified")
 
 
 def _cleaned(recording: Recording, machine: Machine, log: Log) -> Recording:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -14,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from ..atomic_files import newest
 from ..errors import InputError
+from ..file_limits import read_arrays, read_document
 from ..locked_folders import complete_commit
 from ..machine import Machine
 from ..recordings import load_machine
@@ -191,15 +190,12 @@ def load_result(folder: Path) -> SavedResult:
     if not newest(folder / "report.json").is_file():
         raise InputError(f"{folder}: no report.json here; run `hframe identify RUNS --out {folder}` first")
     try:
-        text = newest(folder / "report.json").read_text(encoding="utf-8")
+        text = read_document(newest(folder / "report.json"))
         report = _Report.model_validate_json(text).model_dump(by_alias=True)
-    except UnicodeDecodeError as error:
-        raise _damaged(folder / "report.json", f"is not a text file ({error.reason})") from None
     except ValidationError as error:
         first = error.errors()[0]
-        raise _damaged(
-            folder / "report.json", f"{'.'.join(map(str, first['loc'])) or 'file'}: {first['msg']}"
-        ) from None
+        field = ".".join(map(str, first["loc"])) or "file"
+        raise _damaged(folder / "report.json", f"{field}: {first['msg']}") from None
     for name in ("machine.json", "declared.json"):
         if not newest(folder / name).is_file():
             raise _damaged(folder / name, "is missing")
@@ -225,19 +221,9 @@ def _load_curves(path: Path) -> dict[str, Array]:
     if not source.is_file():
         raise _damaged(path, "is missing")
     try:
-        with source.open("rb") as handle, np.load(handle) as file:
-            curves = dict(file)
-    except (
-        OSError,
-        EOFError,
-        ValueError,
-        TypeError,
-        AttributeError,
-        KeyError,
-        zipfile.BadZipFile,
-        zlib.error,
-    ) as error:
-        raise _damaged(path, f"is not a readable .npz file ({error})") from None
+        curves = read_arrays(source)
+    except InputError as error:
+        raise _damaged(path, str(error).removeprefix(f"{source}: ")) from None
     for name, values in curves.items():
         if not np.issubdtype(values.dtype, np.floating):
             raise _damaged(path, f"{name} holds {values.dtype}, not floating-point numbers")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -12,12 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from ..file_limits import refuse_expansion
 from .measurement_units import normalize_unit, split_unit
+from .table_file import open_parquet, parquet_numbers, read_parquet_column
 from .text_format import detect_format
 from .text_reader import Progress, read_columns
 
 LOG_SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".log", ".asc", ".prn", ".mat", ".parquet")
 
+_MAT_HEADER, _MAT_COMPRESSED = 128, 15  # bytes above the variables of version 5 to 7, and the type of a compressed one
+_MAT_BLOCK = 1 << 20  # bytes that are decompressed at a time
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
@@ -167,22 +172,16 @@ def _open_text(path: Path) -> Log:
 
 def _open_parquet(path: Path) -> Log:
     """Open a Parquet file with pyarrow, an optional dependency."""
-    try:
-        import pyarrow as arrow
-        from pyarrow import parquet
-    except ImportError:
-        raise InputError(f"{path}: reading Parquet files needs pip install 'hframe_gym[parquet]'") from None
-    try:
-        file = parquet.ParquetFile(path)
-    except Exception as error:  # pyarrow raises many types, some of them private
-        raise InputError(f"{path}: cannot be read: {' '.join(str(error).split())}") from None
+    file = open_parquet(path)
+    import pyarrow as arrow
+
     fields = list(file.schema_arrow)
 
     def kind(data: Any) -> str:
         types = arrow.types
         if types.is_timestamp(data) or types.is_time(data) or types.is_date(data):
             return "stamp"
-        numeric = types.is_integer(data) or types.is_floating(data) or types.is_decimal(data)
+        numeric = types.is_integer(data) or types.is_floating(data) or types.is_decimal(data) or types.is_null(data)
         return "number" if numeric or types.is_boolean(data) else "text"
 
     kinds = [kind(field.type) for field in fields]
@@ -190,15 +189,13 @@ def _open_parquet(path: Path) -> Log:
     def read(indices: Sequence[int], progress: Progress | None) -> tuple[list[NDArray[Any]], list[str]]:
         values: list[NDArray[Any]] = []
         for index in indices:
-            column = file.read(columns=[fields[index].name])[fields[index].name]
+            name = fields[index].name
             if kinds[index] == "text":
-                raise InputError(f"{path}, column {fields[index].name}: contains {column.type}, not numbers")
-            if kinds[index] == "stamp":
-                if arrow.types.is_time(column.type):
-                    column = column.cast(arrow.time64("ns")).cast(arrow.int64())
-                values.append(column.cast(arrow.timestamp("ns")).to_numpy().astype("datetime64[ns]"))
-            else:
-                values.append(column.cast("double").to_numpy())
+                raise InputError(f"{path}, column {name}: contains {fields[index].type}, not numbers")
+            column = read_parquet_column(path, file, name)
+            values.append(
+                parquet_numbers(path, name, column) if kinds[index] == "number" else _stamps(path, name, column)
+            )
             if progress is not None:
                 progress(path.stat().st_size // len(indices))
         return values, []
@@ -206,10 +203,24 @@ def _open_parquet(path: Path) -> Log:
     return Log(path, _columns([f.name for f in fields], [""] * len(fields), kinds), ("it is a Parquet file",), read)
 
 
+def _stamps(path: Path, name: str, column: Any) -> NDArray[np.datetime64]:
+    """Convert a column of dates or times of a Parquet file to instants."""
+    import pyarrow as arrow
+
+    try:
+        if arrow.types.is_time(column.type):
+            column = column.cast(arrow.time64("ns")).cast(arrow.int64())
+        return column.cast(arrow.timestamp("ns")).to_numpy().astype("datetime64[ns]")
+    except arrow.ArrowException as error:
+        reason = " ".join(str(error).split())
+        raise InputError(f"{path}, column {name}: {column.type} cannot be converted to times: {reason}") from None
+
+
 def _open_mat(path: Path) -> Log:
     """Open a MATLAB file up to version 7; columns are its vectors and the columns of its matrices, also in structs."""
     from scipy import io
 
+    _refuse_large_variables(path)
     try:
         content = io.loadmat(path, simplify_cells=True)
     except Exception as error:  # SciPy raises many types for damaged files
@@ -239,6 +250,24 @@ def _open_mat(path: Path) -> Log:
         return [vectors[index][1] for index in indices], []
 
     return Log(path, columns, ("it is a MATLAB file",), read)
+
+
+def _refuse_large_variables(path: Path) -> None:
+    """Check the size of the compressed variables of a MATLAB file without keeping their content in memory."""
+    size, content = 0, memoryview(path.read_bytes())
+    position = _MAT_HEADER
+    while position + 8 <= len(content):
+        kind, length = np.frombuffer(content[position : position + 8], np.uint32).tolist()
+        if kind == _MAT_COMPRESSED:
+            stream, rest = zlib.decompressobj(), bytes(content[position + 8 : position + 8 + length])
+            while rest:
+                try:
+                    size += len(stream.decompress(rest, _MAT_BLOCK))
+                except zlib.error:
+                    break  # which the reader reports
+                rest = stream.unconsumed_tail
+                refuse_expansion(path, size)
+        position += 8 + length
 
 
 def _vectors(name: str, value: Any) -> Iterator[tuple[str, NDArray[np.float64]]]:

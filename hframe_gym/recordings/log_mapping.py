@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shlex
 import tomllib
@@ -11,6 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..errors import InputError
+from ..file_limits import read_document, read_json
 from ..machine import Machine
 from .log_file import Log, LogColumn
 from .measurement_units import DUTY_UNITS, SI_UNITS, UNITS, Conversion, Dimension, normalize_unit, split_unit
@@ -74,12 +74,10 @@ def read_mapping_file(path: str | Path) -> MappingOptions:
     """
     path = Path(path)
     try:
-        text = path.read_text("utf-8-sig")
-        content = json.loads(text) if path.suffix.lower() == ".json" else tomllib.loads(text)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from None
-    except (ValueError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: is not a valid TOML or JSON file: {error}") from None
+        is_json = path.suffix.lower() == ".json"
+        content = read_json(path) if is_json else tomllib.loads(read_document(path, "utf-8-sig"))
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise InputError(f"{path}: is not a valid TOML file: {error}") from None
     tables: dict[str, dict[str, str | float]] = {"map": {}, "unit": {}, "scale": {}}
     for name, table in content.items() if isinstance(content, dict) else ():
         if name not in tables or not isinstance(table, dict):
@@ -273,6 +271,8 @@ def _source(
     unit = normalize_unit(stated) if stated is not None else "" if scale is not None else column.unit
     si_unit = SI_UNITS[dimension]
     conversion, remarks = Conversion(), []
+    if column.kind == "stamp" and dimension != "time":
+        raise InputError(f"{log.path}, column {column.header}: has dates or times, which cannot be {channel}")
     if column.kind == "stamp":
         remarks.append("time stamps to s")
     elif unit in UNITS[dimension]:

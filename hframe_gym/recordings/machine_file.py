@@ -11,6 +11,7 @@ from pydantic import ValidationError
 
 from ..atomic_files import write_text
 from ..errors import InputError
+from ..file_limits import read_document
 from ..machine import BUILTIN_MACHINES, Machine, Sensor
 from .machine_reader import MachineReader
 from .machine_schema import SCHEMA_VERSION, MachineFile, QuantityEntry, Table, field_units
@@ -37,10 +38,7 @@ def load_machine(source: str | Path | Machine) -> Machine:
     path = Path(source)
     if not path.is_file():
         raise InputError(f"machine {str(source)!r} is neither a file nor one of {', '.join(BUILTIN_MACHINES)}")
-    try:
-        text = path.read_text(encoding="utf-8")
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: not a machine.json: it is not a text file in UTF-8 ({error.reason})") from None
+    text = read_document(path)
     try:
         content = MachineFile.model_validate_json(text)
     except ValidationError as error:
@@ -128,7 +126,10 @@ def _zero_entry(sensor: Sensor, unit: str) -> dict[str, Any]:
 def _field_name(location: tuple[int | str, ...], text: str) -> str:
     """Return the dotted name of a field, with the names of components and channels instead of their indices."""
     labels = []
-    value: Any = json.loads(text) if location else None
+    try:
+        value: Any = json.loads(text) if location else None
+    except ValueError:  # an integer of thousands of digits, which pydantic reads
+        value = None
     for key in location:
         labels.append(str(key))
         try:
@@ -155,7 +156,8 @@ def _reason(error: dict[str, Any]) -> str:
         hint = f"did you mean {similar[0]!r}? " if similar else ""
         return f"unknown field; {hint}The fields here are {', '.join(sorted(fields))}"
     if error["type"] == "missing":
-        quantity = table is not QuantityEntry and "Quantity" in str(table.model_fields[str(field)].annotation)
+        annotations = {info.alias or name: info.annotation for name, info in table.model_fields.items()}
+        quantity = table is not QuantityEntry and "Quantity" in str(annotations.get(str(field)))
         units = f'; write {{"value": ..., "unit": "{" or ".join(field_units(field))}"}}' if quantity else ""
         return f"missing{units}"
     if error["type"] == "model_type" and _table_at(error["loc"]) is QuantityEntry:

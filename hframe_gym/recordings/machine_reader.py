@@ -40,6 +40,8 @@ from .machine_schema import (
 
 # m; larger values are probably millimeters. Belt axes of more than 10 m exist, hence a warning and no error.
 _LARGEST = {"range": 10.0, "rest_length": 50.0, "radius": 1.0, "noise": 0.1, "resolution": 0.1}
+MAX_TEXT = 1000  # characters of a name or description
+_NOT_IN_COLUMNS = (",", ";", '"', "'", "@")  # they separate or quote the columns of files, and "@" effects from sites
 _OTHER_UNITS = ("_mm", "_um", "_cm", "_deg", "_counts")
 
 
@@ -79,6 +81,8 @@ class MachineReader:
             InputError: If a name, unit, sign or site is wrong.
         """
         file = self.content
+        for field, text in (("name", file.name), ("description", file.description)):
+            self._check_text(field, text)
         if len(self._kinds) < len(file.coordinates):
             raise self._error("coordinates", "two have the same name; rename one of them")
         machine = Machine(
@@ -121,6 +125,16 @@ class MachineReader:
             The error.
         """
         return InputError(f"{self.path}: {field}: {reason}")
+
+    def _check_text(self, field: str, text: str, *, column: bool = False) -> None:
+        """Refuse texts that would break a line, control a terminal or break the header of a CSV file."""
+        if len(text) > MAX_TEXT:
+            raise self._error(field, f"is longer than {MAX_TEXT} characters")
+        if not text.isprintable():
+            raise self._error(field, "has a line break or another character that cannot be printed; remove it")
+        if column and (not text or text != text.strip() or set(text) & set(_NOT_IN_COLUMNS)):
+            signs = " ".join(_NOT_IN_COLUMNS)
+            raise self._error(field, f"must be the name of a column: no blanks at its ends and none of {signs}")
 
     def _values(self, field: str, table: Table, units: dict[str, str]) -> dict[str, float]:
         """Check unit and sign of quantities.
@@ -182,6 +196,7 @@ class MachineReader:
     def _drive(self, entry: DriveEntry) -> Drive:
         """Return a drive."""
         field = f"drives.{entry.name}"
+        self._check_text(f"{field}.channel", entry.channel, column=True)
         if entry.coordinate not in self._kinds:
             raise self._error(f"{field}.coordinate", f"no coordinate is called {entry.coordinate!r}")
         keys = (*Drive.PARAMETERS, "rated_voltage", *(() if entry.voltage_range is None else ("voltage_range",)))
@@ -192,6 +207,7 @@ class MachineReader:
 
     def _sensor(self, entry: SensorEntry) -> Sensor:
         """Return a sensor; without a declared kind, an encoder on a rotary coordinate and a laser on a linear one."""
+        self._check_text("sensors.channel", entry.channel, column=True)
         field = f"sensors.{entry.channel}"
         coordinate_kind = self._kinds[
             Sensor(entry.channel, self._row(f"{field}.row", entry.row, products=True)).coordinate
@@ -263,6 +279,8 @@ class MachineReader:
         covariance = np.array(table.covariance, float).reshape(size, size) if square else np.zeros((0, 0))
         if not square or not np.allclose(covariance, covariance.T, rtol=1e-6):
             raise self._error("uncertainty.covariance", f"must be a symmetric {size} x {size} matrix, one row per name")
+        if not np.all(np.diag(covariance) >= 0.0) or len(set(table.names)) < size:
+            raise self._error("uncertainty", "must have distinct names and no negative variance")
         unknown = sorted(set(table.names) - set(machine.parameters))
         if unknown:
             raise self._error("uncertainty.names", f"the machine has no parameter {', '.join(unknown)}")

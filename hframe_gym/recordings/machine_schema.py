@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 from ..machine import FIXED_UNITS, UNITS, CoordinateKind
 
 SCHEMA_VERSION = 1
+_MAX_PARTS = 100  # coordinates, belts, ...; the time to compile the equations grows with their number
 # Quantities that may be zero; the zero of an encoder may also be negative, and all others are positive.
 MAY_BE_ZERO = ("viscous", "coulomb", "Ke", "noise", "resolution")
 MAY_BE_NEGATIVE = ("zero",)
@@ -241,11 +242,11 @@ class MachineFile(Table):
     json_schema: str | None = Field(default=None, alias="$schema")
     name: str
     description: str = ""
-    coordinates: list[CoordinateEntry] = Field(min_length=1)
-    belts: list[BeltEntry] = []
-    drives: list[DriveEntry] = Field(min_length=1)
-    sensors: list[SensorEntry] = Field(min_length=1)
-    effects: list[EffectEntry] = []
+    coordinates: list[CoordinateEntry] = Field(min_length=1, max_length=_MAX_PARTS)
+    belts: list[BeltEntry] = Field(default=[], max_length=_MAX_PARTS)
+    drives: list[DriveEntry] = Field(min_length=1, max_length=_MAX_PARTS)
+    sensors: list[SensorEntry] = Field(min_length=1, max_length=_MAX_PARTS)
+    effects: list[EffectEntry] = Field(default=[], max_length=_MAX_PARTS)
     ties: dict[str, tuple[str, FiniteFloat]] = {}
     uncertainty: UncertaintyEntry | None = None
 

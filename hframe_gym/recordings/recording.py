@@ -41,6 +41,10 @@ _MAX_SPAN = 3.0
 # noise and for a wrong radius.
 _DEGREES = (25.0, 120.0)
 _MILLIMETERS = (300.0, 2000.0)
+# Limits of a simulation: at its longest step of 0.25 ms, a gap takes 2.4 million steps and a run 350 million.
+LONGEST_GAP = 600.0  # s
+LONGEST_RUN = 86_400.0  # s
+MOST_LOST_ROWS = 20_000_000  # rows that `fill_gaps` may insert, 1 GB
 _OUTLIERS = 0.01  # of the samples of a channel; single wrong samples are no evidence of a wrong unit
 _MOVED = 1e-3  # m, standard deviation of the carriage's travel below which the ratio is not evaluated
 
@@ -158,6 +162,7 @@ def recording_from_columns(path: Path, columns: Mapping[str, Array], machine: Ma
     for name in ("time_s", *machine.input_channels):
         refuse_rows(path, name, columns[name], np.isnan(columns[name]), "is empty. Times and inputs must have no gaps")
     refuse_decreasing_times(path, time_s)
+    _refuse_gaps(path, time_s)
     inputs = np.column_stack([columns[c] for c in machine.input_channels])
     unmeasured = np.full(len(time_s), np.nan)
     outputs = np.column_stack([columns.get(c, unmeasured) for c in machine.output_channels])
@@ -166,6 +171,22 @@ def recording_from_columns(path: Path, columns: Mapping[str, Array], machine: Ma
     recording = Recording(run_name(path), time_s, inputs, outputs)
     _check_units(path, recording, machine)
     return recording
+
+
+def _refuse_gaps(path: Path, time_s: Array) -> None:
+    """Refuse runs that would take too long to simulate: long gaps, a long duration, or too many lost rows."""
+    with np.errstate(over="ignore"):
+        steps = np.diff(time_s)
+        duration = float(time_s[-1] - time_s[0])
+    if len(steps) and steps.max() > LONGEST_GAP:
+        row = int(np.argmax(steps)) + 2
+        reason = f"{steps.max():.4g} s after row {row - 1}, gaps are at most {LONGEST_GAP:g} s: split the run there"
+        raise InputError(f"{path}, row {row}, column time_s: {reason}")
+    if duration > LONGEST_RUN:
+        raise InputError(f"{path}: lasts {duration:.4g} s, runs are at most {LONGEST_RUN:g} s: is time_s in s?")
+    if len(steps) and duration > (MOST_LOST_ROWS + len(time_s)) * float(np.median(steps)):
+        lost = f"gaps of more than {MOST_LOST_ROWS} rows in total at a period of {np.median(steps):.3g} s"
+        raise InputError(f"{path}: has {lost}: split the run there")
 
 
 def write_trajectory(path: str | Path, trajectory: Trajectory, inputs: Array, machine: Machine) -> None:

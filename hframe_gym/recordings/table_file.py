@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from ..file_limits import refuse_expansion, refuse_many_values
 from .text_format import detect_format
 from .text_reader import Progress, read_columns
 
@@ -145,30 +147,89 @@ def _read_csv(path: Path, progress: Progress | None) -> tuple[list[str], dict[st
     return header, dict(zip(header, values, strict=True))
 
 
-def _number(path: Path, row: int, column: str, cell: object) -> float:
-    """Convert a cell to a number; None is NaN."""
-    try:
-        return float("nan" if cell is None else cell)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
-        advice = "; rows of units or comments are not allowed" if row == 1 else ""
-        raise InputError(f"{path}, row {row}, column {column}: {cell!r} is not a number{advice}") from None
+def open_parquet(path: Path) -> Any:
+    """Open a Parquet file without reading its columns, and check that they fit into the memory.
 
+    Args:
+        path: File to open.
 
-def _read_parquet(path: Path) -> tuple[list[str], dict[str, Array]]:
-    """Read a Parquet file with pyarrow, an optional dependency."""
+    Returns:
+        File, an object of the class `pyarrow.parquet.ParquetFile`.
+
+    Raises:
+        InputError: If pyarrow is missing, the file is damaged, two columns have the same name, or the columns are too
+            large for the size of the file.
+    """
     try:
-        import pyarrow.parquet as parquet
+        from pyarrow import parquet
     except ImportError:
         raise InputError(f"{path}: reading Parquet files needs pip install 'hframe_gym[parquet]'") from None
     try:
-        table = parquet.read_table(path)
+        file = parquet.ParquetFile(path)
+        content, names = file.metadata, file.schema_arrow.names
+        groups = [content.row_group(i) for i in range(content.num_row_groups)]
+        size = sum(group.column(j).total_uncompressed_size for group in groups for j in range(content.num_columns))
     except Exception as error:  # pyarrow raises many types, some of them private
         raise InputError(f"{path}: cannot be read: {' '.join(str(error).split())}") from None
-    columns = {}
-    for name in table.column_names:
-        column = table[name]
-        if str(column.type) in ("double", "float", "halffloat") or str(column.type).startswith(("int", "uint")):
-            columns[name] = column.cast("double").to_numpy()
-        else:
-            columns[name] = np.array([_number(path, i, name, v) for i, v in enumerate(column.to_pylist(), start=1)])
-    return list(table.column_names), columns
+    refuse_many_values(path, content.num_rows, content.num_columns)
+    refuse_expansion(path, max(size, 8 * content.num_rows * content.num_columns))
+    repeated = next((name for name in names if names.count(name) > 1), None)
+    if repeated is not None:
+        raise InputError(f"{path}, column {repeated}: appears twice")
+    return file
+
+
+def read_parquet_column(path: Path, file: Any, name: str) -> Any:
+    """Read one column of a Parquet file.
+
+    Args:
+        path: Path of the file, for messages.
+        file: File from `open_parquet`.
+        name: Name of the column.
+
+    Returns:
+        The column, an object of the class `pyarrow.ChunkedArray`.
+
+    Raises:
+        InputError: If the column is damaged.
+    """
+    try:
+        return file.read(columns=[name]).column(0)
+    except Exception as error:  # pyarrow raises many types, some of them private
+        raise InputError(f"{path}, column {name}: cannot be read: {' '.join(str(error).split())}") from None
+
+
+def parquet_numbers(path: Path, name: str, column: Any) -> Array:
+    """Convert a column of a Parquet file to numbers.
+
+    Args:
+        path: File of the column, for messages.
+        name: Name of the column, for messages.
+        column: Column of integers, floating-point or decimal numbers or Booleans.
+
+    Returns:
+        Numbers, shape (rows,); NaN where the column has no value.
+
+    Raises:
+        InputError: If an integer is so large that floating-point numbers cannot represent it.
+    """
+    try:
+        return np.asarray(column.cast("double").to_numpy(), np.float64)
+    except Exception as error:  # pyarrow raises many types, some of them private
+        reason = " ".join(str(error).split())
+        raise InputError(f"{path}, column {name}: {column.type} cannot be converted to numbers: {reason}") from None
+
+
+def _read_parquet(path: Path) -> tuple[list[str], dict[str, Array]]:
+    """Read a Parquet file whose columns are all numbers."""
+    file = open_parquet(path)
+    from pyarrow import types
+
+    for field in file.schema_arrow:
+        kind = field.type
+        if types.is_temporal(kind):
+            raise ForeignFormatError(f"{path}, column {field.name}: has dates or times ({kind}) instead of numbers")
+        if not (types.is_integer(kind) or types.is_floating(kind) or types.is_decimal(kind) or types.is_null(kind)):
+            raise InputError(f"{path}, column {field.name}: has values of the type {kind} instead of numbers")
+    names = list(file.schema_arrow.names)
+    return names, {name: parquet_numbers(path, name, read_parquet_column(path, file, name)) for name in names}

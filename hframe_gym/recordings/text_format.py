@@ -16,9 +16,10 @@ from pathlib import Path
 from typing import BinaryIO, TextIO, cast
 
 from ..errors import InputError
+from ..file_limits import MAX_LINE, refuse_long_line
 from .measurement_units import is_unit
 
-_SAMPLE = 1 << 16  # bytes that determine the format
+_SAMPLE = MAX_LINE  # bytes that determine the format
 _WHITESPACE = " "  # as a separator: one or more blanks
 # In the order of preference; a table with semicolons or tabs may have decimal commas.
 _SEPARATORS = {"\t": "tabs", ";": "semicolons", "|": "vertical bars", ",": "commas", _WHITESPACE: "blanks"}
@@ -76,6 +77,8 @@ def detect_format(path: Path) -> TextFormat:
     if not sample.strip():
         raise InputError(f"{path}: empty")
     lines = sample.split("\n")
+    if len(lines) == 1:
+        refuse_long_line(path, len(sample))
     if len(sample) == _SAMPLE:
         lines.pop()  # it may be incomplete
     declared = lines[0].strip()[4:] if lines[0].lower().startswith("sep=") else ""

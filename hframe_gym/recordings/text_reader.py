@@ -15,13 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from ..file_limits import refuse_expansion, refuse_long_line, refuse_many_values
 from .text_format import MISSING_WORDS, TextFormat, is_missing, open_text, split_row
 
 Array = NDArray[np.float64]
 Progress = Callable[[int], None]  # called with the number of bytes of the file that were read since the last call
 
 _BLOCK = 1 << 22  # characters that are converted at a time
-_MISSING_CELL = re.compile(rf"(?<![^,\n])[ \t]*(?:{MISSING_WORDS})?[ \t]*(?=[,\n]|\Z)", re.IGNORECASE)
+# Possessive repetitions (*+, ++) and the look-behind keep the time linear in lines of blanks.
+_MISSING_CELL = re.compile(rf"(?<![^,\n])[ \t]*+(?:{MISSING_WORDS})?[ \t]*+(?=[,\n]|\Z)", re.IGNORECASE)
 _COMMENT = re.compile(r"(?mi)^[ \t]*(?:#(?!n/?a|num!|value!|ref!|div/)|%|//).*(?:\n|\Z)")
 _SEPARATORS_ONLY = re.compile(r"(?m)^[,; \t]*\n")
 _CELL_SEPARATOR = "\x1f"
@@ -98,9 +100,11 @@ def parse_stamps(cells: Sequence[str]) -> NDArray[np.datetime64]:
 def _blocks(path: Path, layout: TextFormat, progress: Progress | None) -> Iterator[tuple[str, bool]]:
     """Yield blocks of complete lines below the header, and whether a block is the last one."""
     with open_text(path, layout.encoding) as (file, raw):
-        rest, to_skip, position = "", layout.skipped_lines, 0
+        rest, to_skip, position, size = "", layout.skipped_lines, 0, 0
         while True:
             text = file.read(_BLOCK)
+            size += len(text)
+            refuse_expansion(path, size)
             if progress is not None:
                 progress(raw.tell() - position)
                 position = raw.tell()
@@ -110,6 +114,7 @@ def _blocks(path: Path, layout: TextFormat, progress: Progress | None) -> Iterat
             while to_skip and "\n" in rest:
                 rest, to_skip = rest.partition("\n")[2], to_skip - 1
             complete, newline, rest = ("", "", rest) if to_skip else rest.rpartition("\n")
+            refuse_long_line(path, len(rest))
             if newline:
                 yield complete + newline, False
         yield "" if to_skip else rest, True
@@ -169,6 +174,7 @@ class _BlockReader:
             last_row = self._rows + rows
             raise InputError(f"{self._path}, rows {self._rows + 1} to {last_row}: cannot be read as numbers")
         self._rows += rows
+        refuse_many_values(self._path, self._rows, len(self.numbers) + len(self.stamps))
 
     def _with_commas(self, block: str) -> str:
         """Return lines with commas between the cells and decimal points."""
@@ -185,7 +191,7 @@ class _BlockReader:
         elif "," in block:
             block = block.translate(_FROM_DECIMAL_POINT)
         if separator == " ":
-            return re.sub(r"[ \t]+", ",", re.sub(r"(?m)^[ \t]+|[ \t]+$", "", block))
+            return re.sub(r"[ \t]+", ",", re.sub(r"(?m)^[ \t]++|(?<![ \t])[ \t]++$", "", block))
         return block.replace(separator, ",")
 
     def _convert(self, text: str) -> bool:

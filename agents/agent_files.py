@@ -1,0 +1,202 @@
+"""Read the files of agents as data: check agent.json before anything is built from it, and sign checkpoints.
+
+A checkpoint of stable-baselines3 is a pickle, which executes code when it is loaded. Training signs its checkpoints
+with a secret key of this installation, and only a signed checkpoint is loaded unless the user trusts it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import os
+import secrets
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+
+from ..errors import InputError
+from ..file_limits import read_json
+
+KEY_BYTES = 32
+_MARK = b"\nhframe_gym checkpoint signature "
+_TRAILER = len(_MARK) + 2 * KEY_BYTES  # a pickle and a zip archive may have further bytes at the end
+
+Positive = Annotated[FiniteFloat, Field(gt=0.0)]
+Fraction = Annotated[FiniteFloat, Field(ge=0.0, le=1.0)]
+Layers = Annotated[list[Annotated[int, Field(ge=1, le=4096)]], Field(max_length=8)]
+
+
+class _Table(BaseModel):
+    """Base of the tables of agent.json: unknown entries and implicit type conversions are errors."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+
+class _Policy(_Table):
+    """Keyword arguments of the policy class."""
+
+    net_arch: Layers | dict[Literal["pi", "vf", "qf"], Layers] = [64, 64]
+    log_std_init: Annotated[FiniteFloat, Field(ge=-20.0, le=5.0)] = 0.0
+    n_critics: Annotated[int, Field(ge=1, le=16)] = 2
+    ortho_init: bool = True
+    use_sde: bool = False
+    use_expln: bool = False
+
+
+class _Actuation(_Table):
+    """Keyword arguments of `ResidualAction`."""
+
+    base: str | None = None
+    least: Fraction = 1.0
+    most: Fraction = 1.0
+    full_at_m: Positive = 5e-3
+    full_at_m_s: Positive = 0.2
+
+
+class _Settings(_Table):
+    """Recipe of the training; only the parts that rebuild the policy are checked."""
+
+    model_config = ConfigDict(extra="ignore", strict=True)
+
+    policy: _Policy
+    actuation: _Actuation
+
+
+class _Features(_Table):
+    """Keyword arguments of `LogScaleFeatures`."""
+
+    radii: Annotated[list[FiniteFloat], Field(max_length=100)]
+    rest: Annotated[list[Annotated[list[FiniteFloat], Field(max_length=100)]], Field(max_length=100)]
+
+
+class _Card(_Table):
+    """Content of agent.json."""
+
+    model_config = ConfigDict(extra="ignore", strict=True)
+
+    schema_: int = Field(alias="schema")
+    name: Annotated[str, Field(max_length=200)]
+    task: Annotated[str, Field(max_length=200)]
+    kind: Literal["ppo", "sac"]
+    machine: Annotated[str, Field(max_length=1000)]
+    seed: int
+    recipe: Annotated[str, Field(max_length=200)]
+    settings: _Settings
+    period: Positive
+    features: _Features
+    previews: Annotated[int, Field(ge=0, le=1000)]
+
+
+def read_card(folder: Path, schema: int, files: tuple[str, ...]) -> dict[str, Any]:
+    """Read agent.json and check that the folder holds an agent of this version.
+
+    Args:
+        folder: Folder of the agent.
+        schema: Version of agent.json that can be read.
+        files: Names of the files that the folder must have.
+
+    Returns:
+        Content of agent.json. The values that build the policy have the right types and are in their ranges.
+
+    Raises:
+        InputError: If a file is missing, or agent.json is damaged, of another version or has other entries.
+    """
+    for name in files:
+        if not (folder / name).is_file():
+            raise InputError(f"{folder} is not an agent: {name} is missing")
+    file = folder / "agent.json"
+    card = read_json(file)
+    found = card.get("schema") if isinstance(card, dict) else None
+    if found != schema or isinstance(found, bool):
+        raise InputError(f"{file}: schema is {str(found)[:40]!r}, this version reads {schema}")
+    try:
+        _Card.model_validate(card)
+    except ValidationError as error:
+        missing = [".".join(map(str, e["loc"])) for e in error.errors() if e["type"] == "missing"]
+        if missing:
+            raise InputError(f"{file}: entries are missing: {', '.join(missing)}") from None
+        first = error.errors()[0]
+        raise InputError(f"{file}: {'.'.join(map(str, first['loc']))}: {first['msg']}") from None
+    return dict(card)
+
+
+def sign_checkpoint(path: Path) -> None:
+    """Append the signature of this installation to a file, so that `refuse_unsigned` accepts it.
+
+    Where no key can be kept, because the folder is read-only, the file stays as it is.
+
+    Args:
+        path: Complete file; a pickle or a zip archive, which may have further bytes at its end.
+
+    Raises:
+        OSError: If the file cannot be written.
+    """
+    try:
+        key = _installation_key()
+    except OSError:
+        return
+    signature = _signature(path, path.stat().st_size, key)
+    with open(path, "ab") as file:
+        file.write(_MARK + signature)
+
+
+def refuse_unsigned(path: Path) -> None:
+    """Check that this installation wrote a file whose loading executes code; raise an error otherwise.
+
+    Args:
+        path: File that `sign_checkpoint` signed.
+
+    Raises:
+        InputError: If the file has no signature, or one of another installation, or was changed since.
+    """
+    size = path.stat().st_size - _TRAILER
+    with open(path, "rb") as file:
+        file.seek(max(size, 0))
+        trailer = file.read()
+    try:
+        key = _installation_key(create=False)
+    except OSError:
+        key = b""
+    valid = key and size >= 0 and trailer.startswith(_MARK)
+    if not valid or not hmac.compare_digest(trailer[len(_MARK) :], _signature(path, size, key)):
+        raise InputError(
+            f"{path}: was not written by this installation, and loading it can execute code that it contains; if you "
+            "trust its origin, add --trust"
+        )
+
+
+def key_file() -> Path:
+    """Return the file with the secret key of this installation.
+
+    Returns:
+        checkpoint.key in `$XDG_DATA_HOME/hframe_gym`, by default in ~/.local/share/hframe_gym.
+    """
+    root = os.environ.get("XDG_DATA_HOME") or os.path.expanduser("~/.local/share")
+    return Path(root) / "hframe_gym" / "checkpoint.key"
+
+
+def _installation_key(*, create: bool = True) -> bytes:
+    """Return the key, which only this user can read; make it at first use."""
+    path = key_file()
+    if create:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
+                file.write(secrets.token_bytes(KEY_BYTES))
+        except FileExistsError:
+            pass
+    key = path.read_bytes()
+    if len(key) != KEY_BYTES:
+        raise OSError(f"{path} is damaged; delete it")
+    return key
+
+
+def _signature(path: Path, size: int, key: bytes) -> bytes:
+    """Return the signature of the first bytes of a file as hexadecimal digits."""
+    digest = hmac.new(key, digestmod=hashlib.sha256)
+    with open(path, "rb") as file:
+        while size > 0 and (block := file.read(min(size, 1 << 20))):
+            digest.update(block)
+            size -= len(block)
+    return digest.hexdigest().encode()

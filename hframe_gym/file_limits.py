@@ -1,0 +1,196 @@
+"""Limits on files that are read, so that no file exhausts the memory: size, expansion, nesting, length of numbers.
+
+Every reader of the package uses these functions. Nothing in a file is executed.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import zipfile
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import InputError
+
+MAX_DOCUMENT = 16 << 20  # bytes of a JSON or TOML file; a machine with the covariance of 500 parameters has 4 MB
+# A compressed table may have this many times the bytes of its file. Times increase from row to row, so that tables of a
+# rig at rest reach about 25; archives that are made to fill the memory reach 1000.
+MAX_EXPANSION = 100
+FREE_EXPANSION = 64 << 20  # bytes that any compressed file may expand to
+MAX_LINE = 1 << 16  # characters of a line of a table
+MAX_VALUES = 1_000_000_000  # numbers of a table: 8 GB, two hours at 10 kHz with 13 columns
+
+
+def expansion_limit(path: Path) -> int:
+    """Return how many bytes the content of a compressed file may have.
+
+    Args:
+        path: The file.
+
+    Returns:
+        Number of bytes: `MAX_EXPANSION` times the size of the file, at least `FREE_EXPANSION`.
+
+    Raises:
+        OSError: If the file does not exist.
+    """
+    return max(FREE_EXPANSION, MAX_EXPANSION * path.stat().st_size)
+
+
+def refuse_expansion(path: Path, size: int) -> None:
+    """Check the size of the content of a compressed file; raise an error if it is out of proportion.
+
+    Args:
+        path: The file, for its size and for the message.
+        size: Number of bytes of the content, or of the part that is decompressed so far.
+
+    Raises:
+        InputError: If the content is larger than `expansion_limit`.
+    """
+    if size > expansion_limit(path):
+        raise InputError(
+            f"{path}: expands to more than {MAX_EXPANSION} times its size and {FREE_EXPANSION >> 20} MB, which no "
+            "recording does; it is refused because it would fill the memory"
+        )
+
+
+def refuse_long_line(path: Path, length: int) -> None:
+    """Check the length of a line of a table; raise an error if no table has such a line.
+
+    Args:
+        path: File of the table, for the message.
+        length: Number of characters of the line, or of the part that is read so far.
+
+    Raises:
+        InputError: If the line has `MAX_LINE` characters or more.
+    """
+    if length >= MAX_LINE:
+        raise InputError(f"{path}: has a line of more than {MAX_LINE - 1} characters, so it is not a table")
+
+
+def refuse_many_values(path: Path, rows: int, columns: int) -> None:
+    """Check the number of values of a table; raise an error if it is too large for the memory.
+
+    Args:
+        path: File of the table, for the message.
+        rows: Number of rows, or of those that are read so far.
+        columns: Number of columns.
+
+    Raises:
+        InputError: If the table has more than `MAX_VALUES` values.
+    """
+    if rows * columns > MAX_VALUES:
+        raise InputError(f"{path}: has more than {MAX_VALUES:.0e} numbers; cut the recording into several runs")
+
+
+def read_document(path: Path, encoding: str = "utf-8") -> str:
+    """Read a text file that is a document, such as JSON or TOML, and not a table.
+
+    Args:
+        path: File to read.
+        encoding: Encoding of the text.
+
+    Returns:
+        Its text.
+
+    Raises:
+        InputError: If the file cannot be read, is larger than `MAX_DOCUMENT`, or is not text in this encoding.
+    """
+    try:
+        with open(path, "rb") as file:
+            content = file.read(MAX_DOCUMENT + 1)
+        if len(content) > MAX_DOCUMENT:
+            raise InputError(f"{path}: is larger than {MAX_DOCUMENT >> 20} MB, which is not a file of this kind")
+        return content.decode(encoding)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: is not a text file in UTF-8 ({error.reason})") from None
+
+
+def read_json(path: Path) -> Any:
+    """Read a JSON file.
+
+    Args:
+        path: File to read, UTF-8 with or without a byte order mark.
+
+    Returns:
+        Its content: dictionaries, lists, texts, numbers, True, False and None.
+
+    Raises:
+        InputError: If the file cannot be read, is too large, is not JSON, is nested too deeply, or has a number of
+            too many digits or NaN or infinity.
+    """
+    try:
+        return json.loads(read_document(path, "utf-8-sig"), parse_constant=_refuse_constant)
+    except InputError:
+        raise
+    except ValueError as error:
+        raise InputError(f"{path}: is not valid JSON: {error}") from None
+    except RecursionError:
+        raise InputError(f"{path}: is not valid JSON: it is nested too deeply") from None
+
+
+def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
+    """Read the arrays of an .npz file without executing anything.
+
+    Args:
+        path: File that `numpy.savez` or `numpy.savez_compressed` wrote.
+
+    Returns:
+        Arrays of numbers or texts by name.
+
+    Raises:
+        InputError: If the file cannot be read, an array is damaged or holds Python objects, or the arrays are larger
+            than `expansion_limit`.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = archive.infolist()
+            refuse_expansion(path, sum(member.file_size for member in members))
+            return {member.filename.removesuffix(".npy"): _array(archive.open(member)) for member in members}
+    except InputError:
+        raise
+    except (OSError, EOFError, ValueError, TypeError, KeyError, NotImplementedError, RuntimeError) as error:
+        raise InputError(f"{path}: is not a readable .npz file ({error})") from None
+    except (zipfile.BadZipFile, zlib.error, SyntaxError, MemoryError) as error:
+        raise InputError(f"{path}: is not a readable .npz file ({error})") from None
+
+
+def _array(stream: Any) -> NDArray[Any]:
+    """Read one array; the size in its header must be that of its data, so that no header reserves memory."""
+    with stream:
+        version = np.lib.format.read_magic(stream)
+        read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+        if version not in read_header:
+            raise ValueError(f"version {version} of the format .npy")
+        shape, fortran_order, dtype = read_header[version](stream)
+        if dtype.hasobject:
+            raise ValueError("an array holds Python objects")
+        data = stream.read()
+        if len(data) != dtype.itemsize * math.prod(shape):
+            raise ValueError(f"an array of the shape {shape} has {len(data)} bytes")
+        values = np.frombuffer(data, dtype)
+        return values.reshape(shape[::-1]).T if fortran_order else values.reshape(shape)
+
+
+def _refuse_constant(name: str) -> Any:
+    """Refuse NaN and Infinity, which Python's reader accepts and JSON does not have."""
+    raise ValueError(f"{name} is not a number")
+
+
+def first_control_character(texts: Sequence[str]) -> str | None:
+    """Find a character that would control a terminal or break a line, in texts that are printed.
+
+    Args:
+        texts: Texts from a file.
+
+    Returns:
+        The first such character, None if there is none.
+    """
+    return next((character for text in texts for character in text if not character.isprintable()), None)

@@ -1,0 +1,38 @@
+"""Every bad input of catalogue.toml is refused: exit code 2, exactly the stated line, nothing written or executed."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from .catalogue import BadInput, load
+from .commands import PREFIX, REFUSED, run_command
+
+pytestmark = pytest.mark.integration
+CASES = load()
+READERS = (".csv", ".csv.gz", ".parquet", ".txt", ".mat", ".toml", "m.json", "path.csv", "answer", "agent", "card.json")
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_a_bad_input_is_refused_with_its_message(case: BadInput, tmp_path: Path) -> None:
+    case.write(tmp_path)
+    outcome = run_command(case.words, tmp_path)
+    assert outcome.problem == ""
+    assert outcome.code == REFUSED
+    assert outcome.errors == (PREFIX + case.error,)
+    assert outcome.written == ()
+
+
+def test_the_catalogue_covers_every_reader_and_command() -> None:
+    assert len(CASES) >= 200
+    assert [name for name, count in Counter(case.name for case in CASES).items() if count > 1] == []
+    files = [name for case in CASES for name in case.files]
+    for reader in READERS:
+        assert sum(name.endswith(reader) for name in files) >= 3, reader
+    commands = Counter(case.words[0] for case in CASES)
+    assert set(commands) >= {
+        *("simulate", "check", "identify", "import", "report", "effects", "machines", "kernel"),
+        *("train", "evaluate", "export", "play", "examples"),
+    }
