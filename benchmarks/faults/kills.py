@@ -17,7 +17,6 @@ from benchmarks.faults.commands import JOBS, Job, Row, Stage, contents, finish, 
 
 SEED = 15
 KILLS = {"simulate": 30, "identify": 20, "evaluate": 20, "report": 20, "export": 20, "train": 16}
-STARTED_S = 0.5  # a signal before the interpreter has loaded the command ends it without a line
 SIGNALS = {signal.SIGINT: (130, "interrupted"), signal.SIGTERM: (143, "terminated")}
 Log = Callable[[str], None]
 
@@ -108,7 +107,8 @@ def signals(stage: Stage, log: Log) -> list[Row]:
             for _ in range(4):
                 work = stage.fresh(job, "signal")
                 process = start(words_of(job, job.new, stage.inputs), work)
-                time.sleep(rng.uniform(STARTED_S, max(0.95 * stage.seconds[job.name], STARTED_S + 0.1)))
+                _wait_for_handlers(process)
+                time.sleep(rng.uniform(0.0, 0.9 * stage.seconds[job.name]))
                 process.send_signal(number)
                 finished = finish(process, timeout=60)
                 tried += 1
@@ -118,10 +118,19 @@ def signals(stage: Stage, log: Log) -> list[Row]:
                     failures.append(f"{job.name}: code {finished.code}, {finished.errors}, {outcome}")
                 elif not ended and word not in finished.errors[0]:
                     failures.append(f"{job.name}: {finished.errors}")
-        note = f"exit code {code}, one line"
+        note = f"exit code {code}, one line; after the first 0.2 s, in which Python starts"
         rows.append(row("signal", f"{number.name} in each of the {len(JOBS)} commands", tried, failures, note))
         log(f"{number.name}: {failures}")
     return rows
+
+
+def _wait_for_handlers(process: subprocess.Popen[str]) -> None:
+    """Wait until a command handles SIGTERM."""
+    while process.poll() is None:
+        status = Path(f"/proc/{process.pid}/status").read_text()
+        if int(status.partition("SigCgt:")[2].split()[0], 16) >> (signal.SIGTERM - 1) & 1:
+            return
+        time.sleep(0.01)
 
 
 def collisions(stage: Stage, log: Log) -> list[Row]:
