@@ -60,14 +60,14 @@ JOBS = {
     "evaluate": Job(
         "evaluate",
         ("pid", "--episodes", "8", "--html", "--out", "out"),
-        ("pid", "textbook-pid", "--episodes", "8", "--seed", "1", "--html", "--out", "out"),
+        ("pid", "--episodes", "8", "--seed", "1", "--html", "--out", "out"),
     ),
     "export": Job(
         "export",
         ("pid", "--episodes", "4", "--out", "out"),
-        ("textbook-pid", "--episodes", "300", "--out", "out"),
+        ("textbook-pid", "--episodes", "60", "--out", "out"),
     ),
-    "train": Job("train", (), ("ppo", "--steps", "12000", "--seed", "1", "--out", "out")),
+    "train": Job("train", (), ("ppo", "--steps", "8000", "--seed", "1", "--out", "out")),
 }
 
 

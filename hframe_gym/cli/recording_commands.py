@@ -15,7 +15,7 @@ import typer
 from ..atomic_files import output_batch
 from ..errors import InputError
 from ..locked_folders import locked_folder
-from .app import MachineOption, OutOption, RecordingsArgument, app, console, log
+from .app import MachineOption, MaxRowsOption, OutOption, RecordingsArgument, app, console, log
 from .support import FAULT_FOUND, progress_bar, require_folder, require_several_runs
 
 
@@ -94,6 +94,7 @@ def check(
     runs_dir: RecordingsArgument,
     machine: MachineOption = "hframe",
     json: Annotated[Path | None, typer.Option(help="Also write the findings to this file.")] = None,
+    max_rows: MaxRowsOption = 4_000_000,
 ) -> None:
     """Check recordings before a fit: clock, sensors, wiring, excitation and which parameters can be estimated.
 
@@ -106,7 +107,7 @@ def check(
 
     declared = load_machine(machine)
     with progress_bar("reading") as progress:
-        recordings = load_recordings(runs_dir, declared, progress)
+        recordings = load_recordings(runs_dir, declared, progress, max_rows=max_rows, log=log)
     with console.status("checking") if console.is_terminal else nullcontext():
         findings = check_recordings(recordings, declared)
     print_findings(findings, console)
@@ -131,6 +132,7 @@ def identify(
     force: Annotated[
         bool, typer.Option("--force", help="Fit although `hframe check` finds faults in the data.")
     ] = False,
+    max_rows: MaxRowsOption = 1_000_000,
 ) -> None:
     """Fit a machine to its recordings, find the effects that its model lacks, and verify them on held-out runs.
 
@@ -144,7 +146,7 @@ def identify(
     from ..identification import write_result
     from ..identification.report import build_report, verdict_sentence
     from ..recordings import load_machine, load_recordings
-    from .support import check_recordings_before_fit, proposed_formulas
+    from .support import check_recordings_before_fit, log_time_estimate, proposed_formulas
     from .tables import identification_table
 
     if jobs:
@@ -152,9 +154,10 @@ def identify(
     declared = load_machine(machine)
     with locked_folder(require_folder(out)):
         with progress_bar("reading") as progress:
-            recordings = load_recordings(runs_dir, declared, progress)
+            recordings = load_recordings(runs_dir, declared, progress, max_rows=max_rows, log=log)
         require_several_runs(recordings, runs_dir)
         findings = check_recordings_before_fit(recordings, declared, None if force else runs_dir, log)
+        log_time_estimate(recordings, declared, log)
         result = run_identification(recordings, declared, held_out=hold_out or (), log=log)
         contents, channels = result.as_json(), list(declared.output_channels)
         console.print(identification_table(contents, channels))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import sys
+import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from ..machine import Machine
     from ..recordings import Recording
 
+SIMULATIONS_PER_IDENTIFICATION = 1500  # of all runs; 250 to 2800 in the examples and synthetic rigs
 FULL_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 INPUT_AT_FAULT, INTERNAL_ERROR = 2, 1
 FAULT_FOUND = 1  # exit code of `hframe check` where the recordings have a fault
@@ -258,6 +260,28 @@ def check_recordings_before_fit(
     if refuse is not None:
         refuse_faults(findings, refuse)
     return [str(finding) for finding in findings]
+
+
+def log_time_estimate(recordings: Sequence[Recording], machine: Machine, log: Callable[[str], None]) -> None:
+    """Estimate how long an identification takes, from the time of one simulation of all runs; log it if it is long.
+
+    Args:
+        recordings: Runs to fit.
+        machine: Machine as declared.
+        log: Called with a line of text.
+    """
+
+    def simulate(rows: int | None) -> float:
+        begin = time.perf_counter()
+        for recording in recordings:
+            machine.simulate(recording.time_s[:rows], recording.inputs[:rows])
+        return time.perf_counter() - begin
+
+    simulate(2)  # compiles
+    minutes = SIMULATIONS_PER_IDENTIFICATION * simulate(None) / 60.0
+    rows = sum(len(recording.time_s) for recording in recordings)
+    if minutes > 1.0:
+        log(f"{len(recordings)} runs, {rows} rows: about {minutes:.0f} min (a third to three times that)")
 
 
 def proposed_formulas(result: IdentificationResult, log: Callable[[str], None]) -> tuple[TableComparison, ...]:
