@@ -99,7 +99,6 @@ def evaluate(
     Example:  hframe evaluate pid textbook-pid --episodes 64 --html --out out/scores
     """
     from ..evaluation import evaluate as run_evaluation
-    from ..evaluation import write_scores
     from ..recordings import load_machine
     from .tables import score_table, unknown_bound_reasons
 
@@ -114,21 +113,29 @@ def evaluate(
         console.print(score_table(scores))
         for reason in unknown_bound_reasons(scores):
             log(reason)
-        with output_batch(out):
-            written = [write_scores(out, scores)]
-            try:
-                from ..evaluation import save_plot, write_scorecard
-
-                for name, episode in recorded.items():
-                    label = Path(name).name.replace(":", "-")  # of a folder the last part; no colon in a file name
-                    written.append(out / f"{label}.png")
-                    save_plot(written[-1], episode, title=f"{label} on {declared.name}")
-                if html:
-                    written.append(write_scorecard(out, scores, recorded, warned))
-            except ImportError as error:
-                log(f"no plots: {error}")
+        written = _write_evaluation(out, scores, recorded, warned if html else None, declared.name)
     for file in written:
         log(f"wrote {file}")
+
+
+def _write_evaluation(
+    out: Path, scores: dict[str, Any], recorded: dict[str, Any], warned: list[str] | None, machine: str
+) -> list[Path]:
+    """Write scores, plots and, unless `warned` is None, the scorecard, all together; return the files."""
+    from ..evaluation import save_plot, write_scorecard, write_scores
+
+    with output_batch(out):
+        written = [write_scores(out, scores)]
+        try:
+            for name, episode in recorded.items():
+                label = Path(name).name.replace(":", "-")  # of a folder the last part; no colon in a file name
+                save_plot(out / f"{label}.png", episode, title=f"{label} on {machine}")
+                written.append(out / f"{label}.png")
+            if warned is not None:
+                written.append(write_scorecard(out, scores, recorded, warned))
+        except ImportError as error:
+            log(f"no plots: {error}")
+    return written
 
 
 @app.command(cls=CommandWithChoices)

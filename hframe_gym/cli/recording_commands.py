@@ -12,7 +12,7 @@ from typing import Annotated
 
 import typer
 
-from ..atomic_files import output_batch
+from ..atomic_files import output_batch, remove_file
 from ..errors import InputError
 from ..locked_folders import locked_folder
 from .app import MachineOption, MaxRowsOption, OutOption, RecordingsArgument, app, console, log
@@ -164,11 +164,15 @@ def identify(
         log(verdict_sentence(contents, channels))
         with output_batch(out):
             write_result(result, out, findings, proposed_formulas(result, log))
+            problem = None
             try:
-                written = f"wrote {build_report(out)}"
-            except ImportError as error:
-                written = f"report.html not written: {error}"
-    log(written)
+                build_report(out)
+            except Exception as error:  # the result itself must not be lost
+                remove_file(out / "report.html")  # of an older result
+                problem = error
+    if problem is not None and not isinstance(problem, ImportError):
+        raise problem
+    log(f"wrote {out / 'report.html'}" if problem is None else f"report.html not written: {problem}")
 
 
 @app.command()
