@@ -109,7 +109,7 @@ def read_card(folder: Path, schema: int, files: tuple[str, ...]) -> dict[str, An
     card = read_json(file)
     found = card.get("schema") if isinstance(card, dict) else None
     if found != schema or isinstance(found, bool):
-        raise InputError(f"{file}: schema is {str(found)[:40]!r}, this version reads {schema}")
+        raise InputError(f"{file}: schema is {repr(found)[:40]}, this version reads {schema}")
     try:
         _Card.model_validate(card)
     except ValidationError as error:

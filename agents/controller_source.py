@@ -21,7 +21,7 @@ class AgentSource(ControllerSource):
 
     @staticmethod
     def make(name: str, scenario: Scenario) -> Agent | None:
-        """Load an agent, and warn if it was trained on another machine or with another control period.
+        """Load a trained agent, and warn if it was trained on another machine or with another control period.
 
         Args:
             name: Folder of an agent, or name of an agent that comes with the package, for example "ppo".

@@ -86,8 +86,9 @@ def feature_matrix(sizes: Mapping[str, int], radii: Array, rest: Array) -> tuple
             (motors, axes).
 
     Returns:
-        M: Combines entries of z to errors and speeds and divides them by their scales, shape (entries, features).
-        g: Factors that scale the largest usual values to 1, shape (features,).
+        M: Combines entries of z (m, rad, m/s, rad/s) to errors and speeds and divides them by their scales, which makes
+            z M dimensionless, shape (entries, features).
+        g: Factors, dimensionless, that scale the largest usual values to 1, shape (features,).
     """
     # Each quantity is a matrix of columns (entries of z, components): the quantity is z times these columns.
     selectors = _selectors(sizes)

@@ -47,7 +47,7 @@ def score_agent(controller: Controller, scenario: Scenario) -> AgentScores:
         scenario: Machine, task and episodes in which the controller runs.
 
     Returns:
-        Costs of the episodes, and the row:
+        Costs of the B episodes, s or mm, shape (B,), and the row:
         With a fixed goal (an episode settles in a band if the tool stays within this distance of the goal to the end):
             `success`: fraction of episodes that settle in the task's band, 0 to 1.
             `success_BAND`: fraction of episodes that settle, 0 to 1, for the name of each band in `BANDS`.
@@ -110,11 +110,11 @@ def improves(costs: Array, kept: Array | None) -> bool:
     in one lucky episode never exceeds it.
 
     Args:
-        costs: Costs of the new agent by `episode_costs`, shape (B,).
-        kept: Costs of the kept agent in the same episodes, shape (B,); None if there is none.
+        costs: Costs of the new agent by `episode_costs`, s or mm, shape (B,).
+        kept: Costs of the kept agent in the same episodes, in the same unit, shape (B,); None if there is none.
 
     Returns:
-        Whether to keep the new agent.
+        True if the new agent replaces the kept one.
     """
     if kept is None:
         return True
@@ -126,7 +126,7 @@ def progress_line(row: Mapping[str, Any]) -> str:
     """Format one row of a learning curve as a line for the terminal.
 
     Args:
-        row: Scores as `score_agent` returns them, with `steps` (environment steps) and `seconds` (elapsed time).
+        row: Scores as `score_agent` returns them, with `steps` (environment steps) and `seconds` (elapsed time, s).
 
     Returns:
         One line of text without a line break.

@@ -73,7 +73,8 @@ class Recipe:
     def algorithm_keywords(self) -> dict[str, Any]:
         """Keyword arguments of the stable-baselines3 algorithm.
 
-        They are those of `algorithm`, with a `LinearSchedule` in place of every pair of rates [first, last].
+        They are those of `algorithm`, with a `LinearSchedule` (a rate that falls linearly) in place of every pair of
+        rates [first, last].
         """
         return {k: LinearSchedule(*v) if isinstance(v, list) else v for k, v in self.algorithm.items()}
 

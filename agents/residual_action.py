@@ -143,11 +143,12 @@ class ResidualAction:
         Call it once per control period: the base controller advances by one period.
 
         Args:
-            observation: Arrays by key as the environment returns them, each of shape (batch, entries of the key) for a
-                batch of environments.
+            observation: Arrays by key as the environment returns them, m, rad, m/s and rad/s, each of shape (batch,
+                entries of the key) for a batch of environments.
 
         Returns:
-            Arrays by key, each of shape (batch, entries of the key): the given ones and those that `history` returns.
+            Arrays by key, each of shape (batch, entries of the key), in SI: the given ones and those that `history`
+            returns.
 
         Raises:
             InputError: If the base controller does not accept the observation.
@@ -169,12 +170,12 @@ class ResidualAction:
         """Return the arrays that a policy receives beside the observation, with the most recent action.
 
         Returns:
-            `last_observation`: `observation` of the previous period, m, rad, m/s and rad/s, shape (batch, entries) for
-                a batch of environments.
-            `last_action`: voltages divided by the rated voltages, shape (batch, drives).
-            `base_action`: action of the base controller, likewise; only with a base.
-            `expected_friction`, `estimates`: attributes of these names of an `AdaptiveController`; only if it is the
-                base.
+            last_observation: `observation` of the previous period, m, rad, m/s and rad/s, shape (batch, entries) for a
+                batch of environments.
+            last_action: Voltages divided by the rated voltages, shape (batch, drives).
+            base_action: Action of the base controller, which the policy corrects, likewise; only with a base.
+            expected_friction: Attribute of this name of an `AdaptiveController`, and likewise `estimates`; only if it
+                is the base.
         """
         added: dict[str, NDArray[Any]] = {"last_observation": self._last_state, "last_action": self._last_action}
         if self.base:
@@ -186,12 +187,14 @@ class ResidualAction:
     def action(self, output: NDArray[Any]) -> Array:
         """Convert policy outputs to actions, and record the actions as applied.
 
+        action = base action + authority * output, where the base action is that of another controller and the authority
+        is the fraction of the rated voltage that an output of 1 represents.
+
         Args:
             output: Policy outputs, usually in [-1, 1], shape (batch, drives) for a batch of environments.
 
         Returns:
-            Voltages divided by the rated voltages: base action + authority * output, limited to [-1, 1], shape
-            (batch, drives).
+            Voltages divided by the rated voltages, limited to [-1, 1], shape (batch, drives).
         """
         base_action = self._base_action if self.base else 0.0
         self.replace_last_action(np.clip(self._authority * output + base_action, -1.0, 1.0))
@@ -210,7 +213,7 @@ class ResidualAction:
 
 
 def residual_action(machine: Machine, settings: Mapping[str, Any], period: float) -> ResidualAction | None:
-    """Build the conversion of policy outputs to actions from the settings of a recipe.
+    """Build the conversion of policy outputs to actions (base controller plus correction) from a recipe's settings.
 
     Args:
         machine: Machine for which the base controller is designed.

@@ -123,8 +123,8 @@ class ResidualActionVecEnv(VecEnvWrapper):
         """Start a new episode in every environment.
 
         Returns:
-            First observations as a dict; every value has the shape (num_envs, size of the key). The keys include those
-            that `ResidualAction.augment` adds.
+            First observations by key, SI, shape (num_envs, entries of the key) each. The keys include those that
+            `ResidualAction.augment` adds.
         """
         self.mapping.reset()
         return self.mapping.augment(_as_dict(self.venv.reset()))
@@ -147,9 +147,9 @@ class ResidualActionVecEnv(VecEnvWrapper):
         rest by then.
 
         Returns:
-            observations: Arrays by key, each of shape (num_envs, entries of the key); the first ones of a new episode
-                where `dones` is True.
-            rewards: Rewards of the step, shape (num_envs,).
+            observations: Arrays by key, SI, each of shape (num_envs, entries of the key); the first ones of a new
+                episode where `dones` is True.
+            rewards: Rewards of the step, dimensionless, shape (num_envs,).
             dones: True where an episode has ended, shape (num_envs,).
             infos: One dictionary per environment; `terminal_observation` holds an ended episode's last observation.
         """

@@ -136,6 +136,13 @@ def read_json(path: Path) -> Any:
         raise InputError(f"{path}: is not valid JSON: it is nested too deeply") from None
 
 
+# What zipfile and NumPy raise on damaged archives and arrays.
+_DAMAGED = (
+    OSError, EOFError, ValueError, TypeError, KeyError, RuntimeError, SyntaxError, MemoryError,
+    zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
+
+
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
     """Read the arrays of an .npz file without executing anything.
 
@@ -143,7 +150,7 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
         path: File that `numpy.savez` or `numpy.savez_compressed` wrote.
 
     Returns:
-        Arrays of numbers or texts by name.
+        Arrays of numbers or texts by name, each with the shape (any) in which it was written.
 
     Raises:
         InputError: If the file cannot be read, an array is damaged or holds Python objects, or the arrays are larger
@@ -156,9 +163,7 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
             return {member.filename.removesuffix(".npy"): _array(archive.open(member)) for member in members}
     except InputError:
         raise
-    except (OSError, EOFError, ValueError, TypeError, KeyError, NotImplementedError, RuntimeError) as error:
-        raise InputError(f"{path}: is not a readable .npz file ({error})") from None
-    except (zipfile.BadZipFile, zlib.error, SyntaxError, MemoryError) as error:
+    except _DAMAGED as error:
         raise InputError(f"{path}: is not a readable .npz file ({error})") from None
 
 

@@ -43,10 +43,10 @@ SERIES = ("after", "before", "series3", "series4", "series5", "series6")  # orde
 
 
 def color(role: str) -> str:
-    """Return the color of a role on a light display; a page replaces it by the color of the reader's display.
+    """Return the color of a plot element on a light display; a page replaces it by that of the reader's display.
 
     Args:
-        role: Key of `COLORS`.
+        role: What the color is for, a key of `COLORS`.
 
     Returns:
         Hexadecimal color, "#rrggbb".
@@ -113,7 +113,7 @@ def panel_svg(panel: Panel, prefix: str) -> str:
     """Draw a panel as an SVG element for a page, whose colors are the variables of the page's style sheet.
 
     Args:
-        panel: Plot.
+        panel: Plot: title, description and function that draws it.
         prefix: Prefix of the element's identifiers, unique in the page: letters, digits, hyphens.
 
     Returns:
@@ -153,7 +153,7 @@ def save_panels(panels: Sequence[Panel], path: Path) -> None:
     """Draw panels beside and below each other into a picture file, with the colors of a light display.
 
     Args:
-        panels: At least one plot.
+        panels: At least one plot (title, description, function that draws it).
         path: File; the suffix gives the format (.png, .svg, .pdf). It appears complete or not at all.
 
     Raises:
@@ -198,7 +198,7 @@ def legend_above(axes: Any) -> None:
 
 
 def write_page(path: Path, package: str, template: str, values: Mapping[str, Any]) -> None:
-    """Fill a template and write the page.
+    """Fill a Jinja template and write the HTML page.
 
     Args:
         path: File to write; it appears complete or not at all.
@@ -232,7 +232,7 @@ def number(value: float, digits: int = 3) -> str:
     """Format a number for reading, without an exponent where that is short.
 
     Args:
-        value: Number.
+        value: Number to format, in any unit.
         digits: Significant digits; numbers of 1000 and more keep all digits before the decimal point.
 
     Returns:

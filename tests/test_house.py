@@ -35,6 +35,10 @@ def test_public_functions_have_all_docstring_sections(repository: House) -> None
     assert repository.undocumented == []
 
 
+def test_docstrings_state_shapes_and_units(repository: House) -> None:
+    assert repository.vague == []
+
+
 def _function(source: str) -> Function:
     node = ast.parse(source).body[0]
     assert isinstance(node, ast.FunctionDef)
@@ -55,6 +59,55 @@ def _function(source: str) -> Function:
 )
 def test_missing_sections(source: str, missing: list[str]) -> None:
     assert _function(source).missing_sections() == missing
+
+
+@pytest.mark.parametrize(
+    ("signature", "entry", "result", "vague"),
+    [
+        ("x: Array) -> Array", "State, m.", "Force, N.", ["x: no shape", "Returns: no shape"]),
+        ("x: NDArray[Any] | None) -> None", "State, m, shape (n,).", "", []),
+        ("x: Sequence[Value]) -> Value", "States, m, shape (...) each.", "Force, N, any shape.", []),
+        ("x) -> float", "State, m.", "The machine's force.", ["x: no shape", "Returns: no unit"]),
+        ("x: float) -> float", "A period.", "Force, N", ["x: no unit"]),
+        ("x: float | None) -> float", "Speed, m/s; None at rest.", "Value in the unit of x.", []),
+        ("*x: float) -> int", "Fractions of the voltage.", "Number.", []),
+        ("x: int) -> dict[str, float]", "Number.", "Values by name.", []),
+    ],
+)
+def test_vague_entries(signature: str, entry: str, result: str, vague: list[str]) -> None:
+    returns = f"\n\n    Returns:\n        {result}" if result else ""
+    docstring = f"Do it.\n\n    Args:\n        x: Quantity.\n            {entry}{returns}\n    "
+    assert _function(f"def f({signature}:\n    '''{docstring}'''").vague_entries() == vague
+    shaped = docstring.replace("Do it.", "Do it.\n\n    Operands have one shape (n,).")
+    assert _function(f"def f({signature}:\n    '''{shaped}'''").vague_entries() == [
+        entry for entry in vague if "unit" in entry
+    ]
+
+
+@pytest.mark.parametrize(
+    ("returns", "docstring", "vague"),
+    [
+        ("Array", "Speeds, m/s.", ["Returns: no shape"]),
+        ("Array", "Speeds, m/s, shape (n,).", []),
+        ("float", "Period of the controller.", ["Returns: no unit"]),
+        ("float", "Period, s.", []),
+        ("str", "Name.", []),
+    ],
+)
+def test_vague_properties(returns: str, docstring: str, vague: list[str]) -> None:
+    source = f"@property\ndef f(self) -> {returns}:\n    '''{docstring}'''"
+    assert _function(source).vague_entries() == vague
+
+
+def test_results_that_hold_arrays_state_a_shape(tmp_path: Path) -> None:
+    for folder in ("hframe_gym", "agents"):
+        (tmp_path / folder).mkdir()
+    (tmp_path / "hframe_gym" / "motion.py").write_text(
+        "class Motion(NamedTuple):\n    positions: Array\n"
+        "def move() -> list[Motion]:\n    '''Move.\n\n    Returns:\n        Motions, m.\n    '''\n"
+        "def stop() -> Motion | None:\n    '''Stop.\n\n    Returns:\n        Motion, m, shape (n,).\n    '''\n"
+    )
+    assert measure(tmp_path).vague == ["hframe_gym/motion.py:3: move (Returns: no shape)"]
 
 
 def test_measures_of_a_small_tree(tmp_path: Path) -> None:

@@ -2,7 +2,8 @@
 
     python -m tools.house [--list]
 
-`--list` also prints every word that counts, every long module or function and every docstring that lacks a section.
+`--list` also prints every word that counts, every long module or function, every docstring that lacks a section, and
+every array without a shape and number without a unit in a docstring.
 tests/test_house.py holds the limits.
 """
 
@@ -12,7 +13,7 @@ import argparse
 import ast
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -31,6 +32,17 @@ _Function = ast.FunctionDef | ast.AsyncFunctionDef
 # Decorated functions that read as attributes, or whose documentation is elsewhere.
 _EXEMPT_DECORATORS = ("property", "cached_property", "overload", "setter", "override")
 _COMMAND_DECORATORS = ("command", "callback")  # Typer prints the docstring; each option has its help text
+_PROPERTY_DECORATORS = ("property", "cached_property")
+
+# Annotations of arrays, and of quantities that may be arrays. Their description states a shape, "shape (n, drives)" or
+# "any shape"; where many operands have the same one, the text above the sections may state it.
+_ARRAY = re.compile(r"\b(Array|ArrayLike|NDArray|Positions|Tensor|Value)\b")
+_NUMBER = re.compile(r"float( \| None)?|tuple\[float(, float)*\]")
+# The description of a number states its unit, ", m/s" or "in the unit of ...", or says that it has none.
+_UNIT = re.compile(
+    r"(, |\(|in )(m|s|kg|N|Nm|V|Vs|A|J|Hz|rad|Nms|Ns|mm|ms|SI|%|in|bits|turns|1)([/^][\w^]+)*(?=[\s,.;:)*]|$)"
+    r"|(?i:\bunits?\b|dimensionless|ratio|fraction|factor|multiple|relative|theta)|\[-?[01], 1\]"
+)
 
 
 @dataclass(frozen=True)
@@ -74,17 +86,52 @@ class Function:
         if decorators.intersection(_COMMAND_DECORATORS):
             return []
         missing = []
-        if self._parameters() and not re.search(r"^Args:$", docstring, re.MULTILINE):
+        if self._arguments() and not re.search(r"^Args:$", docstring, re.MULTILINE):
             missing.append("Args")
         if self._returns_value() and not re.search(r"^(Returns|Yields):$", docstring, re.MULTILINE):
             missing.append("Returns")
         return missing
 
-    def _parameters(self) -> list[str]:
-        """Return the names of the documented parameters: all but self, cls and those with a leading underscore."""
+    def vague_entries(self, array_classes: Collection[str] = ()) -> list[str]:
+        """Return the entries of the docstring that describe an array without a shape or a float without a unit.
+
+        A parameter without annotation counts as an array. Parameters and results without an entry do not count.
+
+        Args:
+            array_classes: Names of classes that hold arrays; a result of such a class must state a shape as well.
+
+        Returns:
+            Entries as "name: no shape", "name: no unit"; the name is "Returns" for results and properties.
+        """
+        decorators = {_last_name(decorator) for decorator in self.node.decorator_list}
+        docstring = ast.get_docstring(self.node)
+        if docstring is None or decorators.intersection(_COMMAND_DECORATORS):
+            return []
+        annotation = ast.unparse(self.node.returns) if self.node.returns else "Array"
+        if decorators.intersection(_PROPERTY_DECORATORS):
+            described = {"Returns": (annotation, docstring)}
+        else:
+            entries = _entries(_section(docstring, "Args"))
+            described = {x.arg: (_annotation(x), entries.get(x.arg, "")) for x in self._arguments()}
+            result = _section(docstring, "Returns") or _section(docstring, "Yields")
+            described["Returns"] = (annotation, result)
+        prose = re.split(r"^(?:Args|Returns|Yields|Raises):$", docstring, flags=re.MULTILINE)[0]
+        vague = []
+        for name, (annotated, text) in described.items():
+            is_array = _ARRAY.search(annotated) is not None
+            if name == "Returns" and "cli" not in self.path.parts:  # the tables of the command line are those of rich
+                is_array |= not set(re.findall(r"\w+", annotated)).isdisjoint(array_classes)
+            if text and is_array and "shape" not in text and "shape (" not in prose:
+                vague.append(f"{name}: no shape")
+            elif text and _NUMBER.fullmatch(annotated) and not _UNIT.search(" ".join(text.split())):
+                vague.append(f"{name}: no unit")
+        return vague
+
+    def _arguments(self) -> list[ast.arg]:
+        """Return the documented parameters: all but self, cls and those with a leading underscore."""
         a = self.node.args
         every = [*a.posonlyargs, *a.args, *a.kwonlyargs, *(x for x in (a.vararg, a.kwarg) if x)]
-        return [x.arg for x in every if x.arg not in ("self", "cls") and not x.arg.startswith("_")]
+        return [x for x in every if x.arg not in ("self", "cls") and not x.arg.startswith("_")]
 
     def _returns_value(self) -> bool:
         """Return whether the annotation promises a value."""
@@ -104,6 +151,7 @@ class House:
         module_lines: Number of lines by module, all of them.
         functions: All functions and methods that are not nested in a function.
         bases: Names of the base classes by the name of a class.
+        array_classes: Names of the classes with a field that is annotated as an array.
     """
 
     lines: int = 0
@@ -113,6 +161,7 @@ class House:
     module_lines: dict[Path, int] = field(default_factory=dict)
     functions: list[Function] = field(default_factory=list)
     bases: dict[str, list[str]] = field(default_factory=dict)
+    array_classes: set[str] = field(default_factory=set)
 
     @property
     def words_per_1000_lines(self) -> float:
@@ -145,6 +194,15 @@ class House:
             f"{_where(f)} lacks {', '.join(missing)}"
             for f in self.public_functions
             if (missing := f.missing_sections()) and (missing == ["docstring"] or not self._inherits(f.name, complete))
+        ]
+
+    @property
+    def vague(self) -> list[str]:
+        """Return the public functions' arrays without a shape and floats without a unit, "path:line: name (...)"."""
+        return [
+            f"{_where(f)} ({', '.join(vague)})"
+            for f in self.public_functions
+            if (vague := f.vague_entries(self.array_classes))
         ]
 
     def _inherits(self, name: str, complete: set[str]) -> bool:
@@ -180,6 +238,9 @@ def measure(root: Path = ROOT) -> House:
         for node in ast.walk(tree):
             if isinstance(node, ast.ClassDef):
                 house.bases[node.name] = [_last_name(base) for base in node.bases]
+                fields = [ast.unparse(item.annotation) for item in node.body if isinstance(item, ast.AnnAssign)]
+                if any(map(_ARRAY.search, fields)):
+                    house.array_classes.add(node.name)
     return house
 
 
@@ -203,6 +264,23 @@ def _functions(tree: ast.Module | ast.ClassDef, prefix: str = "") -> Iterator[tu
             yield from _functions(node, f"{prefix}{node.name}.")
         elif isinstance(node, _Function):
             yield prefix + node.name, node
+
+
+def _annotation(argument: ast.arg) -> str:
+    """Return the annotation of a parameter as text; "Array" if it has none."""
+    return ast.unparse(argument.annotation) if argument.annotation else "Array"
+
+
+def _section(docstring: str, name: str) -> str:
+    """Return the text of a section of a docstring, "" if it has none."""
+    found = re.search(rf"^{name}:\n((?:(?: .*)?\n?)*)", docstring, re.MULTILINE)
+    return found[1] if found else ""
+
+
+def _entries(section: str) -> dict[str, str]:
+    """Return the descriptions of a section's entries by name, without the stars of `*args`."""
+    found = re.findall(r"^    \**(\w+)(?: \(.*?\))?: (.*(?:\n {5,}.*)*)", section, re.MULTILINE)
+    return dict(found)
 
 
 def _last_name(expression: ast.expr) -> str:
@@ -231,8 +309,9 @@ def main() -> None:
     print(f"longest modules (limit {MAX_MODULE_LINES}): {', '.join(f'{path} {count}' for path, count in longest)}")
     print(f"functions above {MAX_FUNCTION_LINES} lines: {len(house.long_functions)} of {len(house.functions)}")
     print(f"public functions that lack a section: {len(house.undocumented)} of {len(house.public_functions)}")
+    print(f"public functions with an array without shape or a number without unit: {len(house.vague)}")
     if arguments.list:
-        for entry in (*house.words, *house.long_modules, *house.long_functions, *house.undocumented):
+        for entry in (*house.words, *house.long_modules, *house.long_functions, *house.undocumented, *house.vague):
             print(entry)
 
 

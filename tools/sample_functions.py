@@ -3,7 +3,9 @@
     python -m tools.sample_functions [--seed 12] [--count 30] [--source]
 
 The reader answers for each function: are arguments, result, shapes and units documented, and is it understood at first
-reading? The same seed and the same source tree give the same sample.
+reading? The same seed and the same source tree give the same sample. A property reads as an attribute: its docstring
+describes the value in one sentence, without sections. The docstring of a command is its help page, and the options'
+help texts (in the source) describe its arguments.
 """
 
 from __future__ import annotations
@@ -46,11 +48,13 @@ def describe(function: Function, *, root: Path = ROOT, source: bool = False) -> 
     heading = f"{function.path}:{node.lineno}  {function.name}"
     if source:
         lines = (root / function.path).read_text("utf-8").splitlines()
-        return "\n".join([heading, *lines[node.lineno - 1 : node.end_lineno]])
+        first = min([node.lineno, *(decorator.lineno for decorator in node.decorator_list)])
+        return "\n".join([heading, *lines[first - 1 : node.end_lineno]])
     returns = f" -> {ast.unparse(node.returns)}" if node.returns else ""
     docstring = ast.get_docstring(node) or "(no docstring)"
     indented = "\n".join(f"    {line}".rstrip() for line in docstring.splitlines())
-    return f"{heading}\n{node.name}({ast.unparse(node.args)}){returns}\n{indented}"
+    decorators = "".join(f"@{ast.unparse(decorator)}\n" for decorator in node.decorator_list)
+    return f"{heading}\n{decorators}{node.name}({ast.unparse(node.args)}){returns}\n{indented}"
 
 
 def main() -> None:

@@ -28,7 +28,8 @@ MaxRowsOption = Annotated[
 ]
 TaskOption = Annotated[str, typer.Option(help="Task: {tasks}, or module:name.")]
 RandomizeOption = Annotated[str, typer.Option(help="Randomization of each episode's machine: {randomizations}.")]
-PeriodOption = Annotated[float, typer.Option(min=1e-5, max=10.0, help="Control period in seconds.")]
+EpisodesOption = Annotated[int, typer.Option(min=1, max=10**6, help="Number of episodes of each controller.")]
+PeriodOption = Annotated[float, typer.Option(help="Control period in seconds, 1e-5 to 10.")]
 RecordingsArgument = Annotated[Path, typer.Argument(help="A folder of recordings, one run per file.")]
 
 

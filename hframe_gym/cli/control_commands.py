@@ -10,7 +10,18 @@ import typer
 
 from ..atomic_files import output_batch
 from ..locked_folders import locked_folder
-from .app import MAX_SEED, MachineOption, OutOption, PeriodOption, RandomizeOption, TaskOption, app, console, log
+from .app import (
+    MAX_SEED,
+    EpisodesOption,
+    MachineOption,
+    OutOption,
+    PeriodOption,
+    RandomizeOption,
+    TaskOption,
+    app,
+    console,
+    log,
+)
 from .support import (
     CommandWithChoices,
     repeat_warnings,
@@ -86,9 +97,7 @@ def evaluate(
         str, typer.Option(help="What controllers observe: {sensors}; state is exact, the others are measurements.")
     ] = "state",
     period: PeriodOption = 0.01,
-    episodes: Annotated[
-        int, typer.Option(min=1, max=10**6, help="Number of episodes; the same for every controller.")
-    ] = 512,
+    episodes: EpisodesOption = 512,
     seed: Annotated[
         int, typer.Option(min=0, max=MAX_SEED, help="Seed of the starts, goals and machine parameters.")
     ] = 0,
@@ -155,7 +164,7 @@ def export(
         str, typer.Option(help="What controllers observe: {sensors}; state is exact, the others are measurements.")
     ] = "state",
     period: PeriodOption = 0.01,
-    episodes: Annotated[int, typer.Option(min=1, max=10**6, help="Number of episodes of each controller.")] = 100,
+    episodes: EpisodesOption = 100,
     seed: Annotated[
         int, typer.Option(min=0, max=MAX_SEED, help="Seed of the first episode; episode i has the seed + i.")
     ] = 0,

@@ -72,7 +72,7 @@ class MachineAnswers:
         """Convert the answers to the options of the new machine.
 
         Returns:
-            Options with numbers.
+            Options with numbers in SI units, for `new_machine`.
 
         Raises:
             InputError: If a text is no number, or no PARAMETER=VALUE.
@@ -94,10 +94,10 @@ class MachineAnswers:
 
 
 def create_machine_file(answers: MachineAnswers, force: bool, log: Callable[[str], None]) -> None:
-    """Write a new machine.json; ask for what is missing if the template or the file is not given.
+    """Write a new machine.json; if template or file is not given, ask on the terminal for all missing values.
 
     Args:
-        answers: Values of the options.
+        answers: Values of the command's options, empty or None where not given.
         force: Whether an existing file is replaced.
         log: Called with a line of text for the user.
 
@@ -124,11 +124,11 @@ def ask(answers: MachineAnswers, log: Callable[[str], None]) -> MachineAnswers:
     """Ask on the terminal for every value that is not given; Enter accepts the value of the template.
 
     Args:
-        answers: Values of the options.
+        answers: Values of the command's options, empty or None where not given.
         log: Called with a line of text for the user.
 
     Returns:
-        Complete answers.
+        Answers without missing values.
 
     Raises:
         InputError: If the template is unknown.
@@ -154,7 +154,7 @@ def template_value(template: Machine, option: str) -> str | float | int:
     """Return the value that a template has for an option.
 
     Args:
-        template: Machine that `new_machine` made without options.
+        template: Machine (model of a stage) that `new_machine` made without options.
         option: Name of the option, for example "pulley_radius".
 
     Returns:
@@ -185,8 +185,11 @@ def _numbers(option: str, text: str) -> tuple[float, ...] | None:
 
 
 def _number(option: str, text: str) -> float:
-    """Return the number of a text."""
+    """Return the finite number of a text."""
     try:
-        return float(text)
+        number = float(text)
     except ValueError:
         raise InputError(f"--{option}: {text!r} is not a number") from None
+    if not math.isfinite(number):
+        raise InputError(f"--{option}: {text!r} is not a finite number")
+    return number

@@ -93,10 +93,10 @@ def require_folder(path: Path) -> Path:
 
 
 def require_several_runs(recordings: Sequence[Recording], folder: Path) -> None:
-    """Check that a folder has more than one run, because one is held out.
+    """Check that a folder has more than one run, because one is held out (excluded from the fit, to evaluate it).
 
     Args:
-        recordings: Runs of the folder.
+        recordings: Runs of the folder (times, s; voltages, V; measurements, m or rad).
         folder: Folder, for the message.
 
     Raises:
@@ -241,7 +241,7 @@ def check_recordings_before_fit(
     A fault is a finding that makes the data wrong for certain, for example a stuck sensor or a swapped sign.
 
     Args:
-        recordings: Runs to fit.
+        recordings: Runs to fit (times, s; voltages, V; measurements, m or rad).
         machine: Machine as declared.
         refuse: Folder of the recordings, which the error names. None: faults are only logged.
         log: Called with a line of text for every group of similar findings.
@@ -304,7 +304,9 @@ def proposed_formulas(result: IdentificationResult, log: Callable[[str], None]) 
 
 
 def write_new_effect(folder: Path, name: str, path: Path, number: int, table: str, log: Callable[[str], None]) -> None:
-    """List the formulas proposed for a table of a saved identification and write one as an effect.
+    """List the formulas proposed for a table of a saved identification and write one as an effect (Python file).
+
+    A table is a force interpolated over one variable, an effect a deviation from the nominal model of a machine.
 
     Args:
         folder: Folder that `hframe identify` wrote.

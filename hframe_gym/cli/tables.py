@@ -22,16 +22,17 @@ LISTED_MODES = 3
 
 
 def identification_table(report: Mapping[str, Any], channels: Sequence[str]) -> Table:
-    """Format the simulation errors of an identification on held-out recordings as a table.
+    """Format the simulation errors of an identification on held-out recordings (not fitted) as a table.
 
     Args:
-        report: Contents of report.json.
+        report: Contents of report.json, the file that `hframe identify` writes.
         channels: Names of the machine's output channels (sensors).
 
     Returns:
         Table (rich) with one row per channel: root-mean-square error in the channel's unit, and in parentheses as a
-        multiple of the sensor noise, for the declared machine, the refitted machine, and the machine with added
-        effects. A further row has the relative error of the drives' forces, %, where the report contains it.
+        multiple of the sensor noise, for the declared machine, the refitted machine, and the machine with added effects
+        (deviations from the nominal model). A further row has the relative error of the drives' forces, %, where the
+        report contains it.
     """
     title = "simulation error on held-out recordings: rmse (x: multiple of the sensor noise)"
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
@@ -56,7 +57,7 @@ def score_table(scores: Mapping[str, Any]) -> Table:
     Numbers are never truncated; a name that is too long for the terminal continues on the next line.
 
     Args:
-        scores: Contents of scores.json.
+        scores: Contents of scores.json, the file that `hframe evaluate` writes.
 
     Returns:
         Table (rich) with one row per controller: episodes that end within each settling band around the goal, %; then
@@ -103,7 +104,7 @@ def unknown_bound_reasons(scores: Mapping[str, Any]) -> list[str]:
     """List the reasons why the time-optimal bound (shortest possible settling time) of episodes is unknown.
 
     Args:
-        scores: Contents of scores.json.
+        scores: Contents of scores.json, the file that `hframe evaluate` writes.
 
     Returns:
         Distinct reasons as text, in the order of the controllers; empty if all bounds are known.
@@ -166,7 +167,7 @@ def machine_tables(machine: Machine) -> list[Table]:
     """Format a machine as tables with units: coordinates, belts, drives, sensors, effects, and what the drives can do.
 
     Args:
-        machine: Machine to print.
+        machine: Machine to print, with its effects (deviations from the nominal model).
 
     Returns:
         Tables (rich), without those that would be empty.
@@ -275,13 +276,13 @@ def _limits_table(machine: Machine) -> Table:
 
 
 def belt_mode_line(machine: Machine) -> str:
-    """Describe the natural frequencies of a machine at position 0 in one line.
+    """Describe the natural frequencies of a machine's masses on its belts, at position 0, in one line.
 
     Args:
         machine: Machine to describe.
 
     Returns:
-        Text without a line break.
+        Text without a line break, with frequencies in Hz.
     """
     modes = [f for f in mode_frequencies(machine).tolist() if f > 0]
     if not modes:

@@ -120,11 +120,11 @@ class AdaptiveController(FullStateController):
         Args:
             state: Belt travel (radius * angle of a rotary coordinate, position of a linear one) of the n coordinates
                 and its velocity, m and m/s, shape (B, 2 n).
-            goals: Tool goals (x, y), m, shape (B, 1 + P, 2): the present goal, then those at the ends of the next P
+            goals: Tool goals, m, shape (B, 1 + P, axes): the present goal, then those at the ends of the next P
                 periods. P = 0 means that the goal does not move.
 
         Returns:
-            Voltages divided by the rated voltages, in [-1, 1], shape (B, 2).
+            Voltages divided by the rated voltages, in [-1, 1], shape (B, drives).
 
         Raises:
             InputError: If the preview ends less than PERIODS_AHEAD + 1 periods after the dead time of the drives.
@@ -151,14 +151,14 @@ class AdaptiveController(FullStateController):
         """Record the actions that were applied instead of those that `act` returned last.
 
         Args:
-            actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (B, 2) for B machines.
+            actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (B, drives) for B machines.
         """
         self._dead_time.replace_last(actions * self.model.rated)
         for controller in self._controllers():
             controller.replace_last_action(actions)
 
     def _scheduled_force(self, state: Array, goals: Array) -> Array:
-        """Return the forces along x and y (B, 2), N, interpolated between those of the bank."""
+        """Return the forces along the tool axes (B, axes), N, interpolated between those of the bank."""
         model = self.model
         actions = [[controller.act_on_state(state, goals) for controller in row] for row in self._bank]
         commands = np.array(actions) * model.rated  # V, (stiffness ratios, mass ratios, B, drives)
@@ -228,25 +228,25 @@ class MomentumFilter:
 
     @property
     def stiffness_ratio(self) -> Array:
-        """Estimated ratio of belt stiffness to nominal stiffness, shape (B,) for B machines."""
+        """Estimated ratio of belt stiffness to nominal stiffness, dimensionless, shape (B,) for B machines."""
         return 1.0 + self.estimates[:, -1]
 
     @property
     def mass_ratio(self) -> Array:
-        """Estimated ratio of moving mass to nominal mass along x and y, shape (B, 2) for B machines."""
+        """Estimated ratio of moving mass to nominal mass along each tool axis, shape (B, axes) for B machines."""
         n = len(self.model.mass)
-        # Contribution of each coordinate to the mass that moves along x and y with unstretched belts, kg, (n, 2).
+        # Contribution of each coordinate to the mass moved along the tool axes with unstretched belts, kg, (n, axes).
         moving_mass = self.model.mass[:, None] * self.model.rigid**2
         return 1.0 + self.estimates[:, n:-1] @ (moving_mass / moving_mass.sum(axis=0))
 
     def update(self, before: Array, after: Array, volts: Array, effect_force: Array, starts: NDArray[np.bool_]) -> None:
-        """Update the estimates with the momentum balances of the last control period.
+        """Update the estimated model errors with the momentum balances of the last control period.
 
         Args:
             before: States at the start of the period: belt travel (radius * angle of a rotary coordinate) of the n
                 coordinates of B machines and its velocity, m and m/s, shape (B, 2 n).
             after: States at the end of the period, m and m/s, shape (B, 2 n).
-            volts: Mean voltages at the motors in the period, V, shape (B, 2).
+            volts: Mean voltages at the motors in the period, V, shape (B, drives).
             effect_force: Modeled forces of the machine's effects (deviations from its nominal model) on each
                 coordinate, N, shape (B, n).
             starts: True for machines whose episode starts with `after`, shape (B,); their estimates are set to zero.
@@ -285,7 +285,7 @@ class MomentumFilter:
         return D, H, variance
 
     def _mean_belt_force(self, before: Array, after: Array) -> Array:
-        """Return the mean force of the model's belts on the tool over a period, N, shape (B, 2)."""
+        """Return the mean force of the model's belts on the tool over a period, N, shape (B, axes)."""
         n = len(self.model.mass)
         # Mean of the cubic through both states, because belt modes oscillate within two or three periods.
         mean_travel = 0.5 * (before[:, :n] + after[:, :n]) + self.period / 12.0 * (before[:, n:] - after[:, n:])
@@ -296,11 +296,11 @@ class MomentumFilter:
         """Compute the voltages that compensate the estimated minus the modeled Coulomb friction along a path.
 
         Args:
-            goals: Tool goals (x, y) of B machines at k > 2 sample times, the first now, the others one period apart, m,
-                shape (B, k, 2).
+            goals: Tool goals of B machines at k > 2 sample times, the first now, the others one period apart, m, shape
+                (B, k, axes).
 
         Returns:
-            Voltages for the k - 2 periods from now on, V, shape (B, k - 2, 2).
+            Voltages for the k - 2 periods from now on, V, shape (B, k - 2, drives).
         """
         model, n = self.model, len(self.model.mass)
         mean_velocity = np.diff(goals, axis=1) / self.period

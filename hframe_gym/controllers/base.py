@@ -85,9 +85,9 @@ class Controller(ABC):
 
         Args:
             observation: Arrays by key, for B simulated machines. `observation`, shape (B, entries): with full state the
-                positions of x, y and of the driven coordinates, then their velocities, in m, rad, m/s and rad/s;
-                otherwise the sensor measurements. `desired_goal`: present tool goal (x, y), m, shape (B, 2). For a
-                moving goal also `preview`, m, shape (B, 2 P): goals (x, y) at the ends of this period and the P - 1
+                positions of the tool's axes and of the driven coordinates, then their velocities, in m, rad, m/s and
+                rad/s; otherwise the sensor measurements. `desired_goal`: present tool goal, m, shape (B, axes). For a
+                moving goal also `preview`, m, shape (B, axes * P): goals at the ends of this period and the P - 1
                 following ones.
 
         Returns:
@@ -102,7 +102,7 @@ class Controller(ABC):
         """
 
     def concern(self) -> str | None:
-        """Describe why this controller cannot be trusted on its machine at its control period.
+        """Describe why this controller cannot be expected to work on its machine at its control period.
 
         Returns:
             One sentence that `make_controller` prints as a warning, or None if nothing speaks against it.
@@ -142,7 +142,7 @@ class EpisodeStarts:
             self.mask = self.mask | mask
 
     def resize(self, count: int) -> bool:
-        """Adapt `mask` to the number of simulated machines; if that changes, mark all of them.
+        """Adapt the mask of starting episodes to the number of simulated machines; if that changes, mark all of them.
 
         Args:
             count: Number of machines.
@@ -193,12 +193,13 @@ class FullStateController(Controller):
         """Compute the actions for the control period that starts now, for B simulated machines.
 
         Args:
-            observation: Arrays by key. `observation`: positions of x, y and the motors, then their velocities, m, rad,
-                m/s and rad/s, shape (B, 2 n) for n coordinates. `desired_goal`: tool goal (x, y), m, shape (B, 2). For
-                a moving goal also `preview`, m, shape (B, 2 P): goals (x, y) at the ends of the next P periods.
+            observation: Arrays by key. `observation`: positions of the tool's axes and the motors, then their
+                velocities, m, rad, m/s and rad/s, shape (B, 2 n) for n coordinates. `desired_goal`: tool goal, m, shape
+                (B, axes). For a moving goal also `preview`, m, shape (B, axes * P): goals at the ends of the next P
+                periods.
 
         Returns:
-            Voltages divided by the rated voltages, in [-1, 1], shape (B, 2).
+            Voltages divided by the rated voltages, in [-1, 1], shape (B, drives).
 
         Raises:
             InputError: If the observation does not fit the machine, or the preview is too short for the controller.
@@ -216,11 +217,11 @@ class FullStateController(Controller):
         Args:
             state: Belt travel (radius * angle of a rotary coordinate, position of a linear one) of the n coordinates
                 and its velocity, m and m/s, shape (B, 2 n).
-            goals: Tool goals (x, y), m, shape (B, 1 + P, 2): the present goal, then those at the ends of the next P
+            goals: Tool goals, m, shape (B, 1 + P, axes): the present goal, then those at the ends of the next P
                 periods. P = 0 means that the goal does not move.
 
         Returns:
-            Voltages divided by the rated voltages, in [-1, 1], shape (B, 2).
+            Voltages divided by the rated voltages, in [-1, 1], shape (B, drives).
 
         Raises:
             InputError: If the preview is too short for the controller.
@@ -312,8 +313,8 @@ class OutputFeedbackController(Controller):
 
         Args:
             observation: Arrays by key, for B simulated machines. `observation`: one measurement per sensor, in the
-                sensor's unit, shape (B, channels or more); further columns are ignored. `desired_goal`: tool goal (x,
-                y), m, shape (B, 2). For a moving goal also `preview`, m, shape (B, 2 P): goals at the ends of the next
+                sensor's unit, shape (B, channels or more); further columns are ignored. `desired_goal`: tool goal, m,
+                shape (B, axes). For a moving goal also `preview`, m, shape (B, axes * P): goals at the ends of the next
                 P periods.
 
         Returns:

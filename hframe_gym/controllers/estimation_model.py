@@ -56,7 +56,7 @@ class AugmentedParameters:
             logarithms: Natural logarithms of the ratios, shape (B, k) for B simulated machines and k parameters.
 
         Returns:
-            Ratios, limited to 1 / LARGEST_RATIO ... LARGEST_RATIO, shape (B, k).
+            Ratios, dimensionless, limited to 1 / LARGEST_RATIO ... LARGEST_RATIO, shape (B, k).
         """
         return np.exp(self.clip(logarithms))
 
@@ -133,7 +133,7 @@ class MeasurementModel:
             )
 
     def to_travel(self, measurements: Array) -> Array:
-        """Scale measurements to meters of belt travel.
+        """Scale measurements to meters of belt travel (radius * angle of a rotary coordinate).
 
         Args:
             measurements: Measurements of B simulated machines in the units of their sensors, shape (B, channels).

@@ -62,7 +62,7 @@ class TransferSelection(NamedTuple):
 
     Attributes:
         periods: Number of control periods until the machine is at rest at its goal, shape (B,).
-        volts: Voltages of the first period of the transfer, V, shape (B, 2).
+        volts: Voltages of the first period of the transfer, V, shape (B, drives).
     """
 
     periods: NDArray[np.intp]
@@ -138,13 +138,13 @@ class MinimumEnergyTransfers:
         Args:
             error: State minus goal state: belt travel (radius * angle of a rotary coordinate) of the n coordinates and
                 its velocity, m and m/s, shape (B, 2 n).
-            goal: Tool position (x, y) of the goal, m, shape (B, 2).
-            limits: Lowest and highest voltages, V, each of shape (B, 2).
+            goal: Tool position at the goal, m, shape (B, axes).
+            limits: Lowest and highest voltages, V, each of shape (B, drives).
             at_least: Minimum number of control periods until rest, from `shortest` to `longest`, shape (B,).
 
         Returns:
-            Numbers of control periods until rest, and voltages of the first period; where no motion stays within the
-            limits, those of the longest one.
+            `TransferSelection`: number of control periods until rest, shape (B,), and voltages of the first period, V,
+            shape (B, drives); where no motion stays within the limits, those of the longest one.
         """
         points = self.grid.nearest(goal)
         lowest, highest = limits
@@ -154,7 +154,7 @@ class MinimumEnergyTransfers:
         # selected transfer is then slightly longer than the shortest admissible one.
         while np.any(low < high):
             middle = (low + high) // 2
-            # Voltages of the k checked periods, (B, k, 2).
+            # Voltages of the k checked periods, (B, k, drives).
             volts = np.einsum("bkij,bj->bki", self.gains[points, middle], error)
             admissible = np.all((volts >= lowest[:, None, :]) & (volts <= highest[:, None, :]), axis=(1, 2))
             low, high = np.where(admissible | (low == high), low, middle + 1), np.where(admissible, middle, high)
@@ -167,13 +167,13 @@ class MinimumEnergyTransfers:
         Coulomb friction is left out.
 
         Args:
-            start: Tool position (x, y) at the start, m, shape (2,).
-            goal: Tool position (x, y) at the end, m, shape (2,).
-            limit: Largest voltage magnitude of each drive, V, shape (2,).
+            start: Tool position at the start, m, shape (axes,).
+            goal: Tool position at the end, m, shape (axes,).
+            limit: Largest voltage magnitude of each drive, V, shape (drives,).
 
         Returns:
-            positions: Tool positions at the start and at the end of each of N periods, m, shape (N + 1, 2).
-            volts: Voltages, constant over each period, V, shape (N, 2).
+            positions: Tool positions at the start and at the end of each of N periods, m, shape (N + 1, axes).
+            volts: Voltages, constant over each period, V, shape (N, drives).
         """
         start, goal = (np.asarray(point, np.float64)[None] for point in (start, goal))
         error = self.model.goal_state(start) - self.model.goal_state(goal)
@@ -209,11 +209,11 @@ class PreviewGains:
 
     Attributes:
         state: Gains on the present state, V/m and Vs/m, shape (points, 2, 2 n).
-        last: Gains on the voltages of the previous period, V/V, shape (points, 2, 2).
+        last: Gains on the voltages of the previous period, V/V, shape (points, drives, drives).
         goal: Gains on the previewed goals (x, y), V/m, shape (points, 2, 2 H).
         force: Gains on the force on each coordinate in each period, V/N, shape (points, 2, n H).
         A: Discrete-time system matrices, shape (points, 2 n, 2 n).
-        B: Discrete-time input matrices of the voltages, m/V and m/(Vs), shape (points, 2 n, 2).
+        B: Discrete-time input matrices of the voltages, m/V and m/(Vs), shape (points, 2 n, drives).
         E: Discrete-time input matrices of the forces on the coordinates, m/N and m/(Ns), shape (points, 2 n, n).
     """
 
@@ -283,7 +283,7 @@ class PreviewTracker:
             before: States at the start of the period: belt travel (radius * angle of a rotary coordinate) of the n
                 coordinates of B machines and its velocity, m and m/s, shape (B, 2 n).
             after: States at the end of the period, m and m/s, shape (B, 2 n).
-            volts: Voltages at the motors in the period, V, shape (B, 2).
+            volts: Voltages at the motors in the period, V, shape (B, drives).
             starts: True for machines whose episode starts with `after`, shape (B,); their estimate is set to zero.
         """
         if len(self._disturbance) != len(after):
@@ -300,13 +300,13 @@ class PreviewTracker:
         Args:
             state: Present states: belt travel (radius * angle of a rotary coordinate) of the n coordinates of B
                 machines and its velocity, m and m/s, shape (B, 2 n).
-            goals: Tool goals (x, y) now and at the end of each following period, m, shape (B, 1 + H or more, 2) for H =
+            goals: Tool goals now and at the end of each following period, m, shape (B, 1 + H or more, axes) for H =
                 `horizon`; further goals are ignored.
-            last: Motor voltages of the previous period, V, shape (B, 2).
+            last: Motor voltages of the previous period, V, shape (B, drives).
             elapsed_s: Time since the start of the episode, s, shape (B,).
 
         Returns:
-            Motor voltages, limited to the rated voltages, V, shape (B, 2).
+            Motor voltages, limited to the rated voltages, V, shape (B, drives).
         """
         model, H = self.model, self.horizon
         goals = goals[:, : H + 1]

@@ -104,11 +104,11 @@ class DeadTime:
         """Interpolate previewed goals at times later by the dead time, the earliest that new voltages can affect.
 
         Args:
-            goals: Tool goals (x, y) of B simulated machines at P sample times, the first now, the others one period
-                apart, m, shape (B, P, 2).
+            goals: Tool goals of B simulated machines at P sample times, the first now, the others one period apart, m,
+                shape (B, P, axes).
 
         Returns:
-            Goals at the same sample times plus the dead time, up to the last given goal, m, shape (B, Q, 2), Q <= P.
+            Goals at the same sample times plus the dead time, up to the last given goal, m, shape (B, Q, axes), Q <= P.
 
         Raises:
             InputError: If fewer than two goals remain, because the preview ends within the dead time.

@@ -94,11 +94,11 @@ class ModelBasedController(FullStateController):
         Args:
             state: Belt travel (radius * angle of a rotary coordinate, position of a linear one) of the n coordinates
                 and its velocity, m and m/s, shape (B, 2 n).
-            goals: Tool goals (x, y), m, shape (B, 1 + P, 2): the present goal, then those at the ends of the next P
+            goals: Tool goals, m, shape (B, 1 + P, axes): the present goal, then those at the ends of the next P
                 periods. P = 0 means that the goal does not move.
 
         Returns:
-            Voltages divided by the rated voltages, in [-1, 1], shape (B, 2).
+            Voltages divided by the rated voltages, in [-1, 1], shape (B, drives).
 
         Raises:
             InputError: If the preview ends within the dead time of the drives.
@@ -117,7 +117,7 @@ class ModelBasedController(FullStateController):
         """Record the actions that were applied instead of those that `act` returned last.
 
         Args:
-            actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (B, 2) for B machines.
+            actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (B, drives) for B machines.
         """
         self._dead_time.replace_last(actions * self.model.rated)
 
@@ -134,7 +134,7 @@ class ModelBasedController(FullStateController):
         )
 
     def _track(self, state: Array, goals: Array) -> Array:
-        """Return motor voltages (B, 2) for goals (B, 1 + P, 2), m, now and at the end of each period."""
+        """Return motor voltages (B, drives) for goals (B, 1 + P, axes), m, now and at the end of each period."""
         goals = self._dead_time.delayed_goals(goals)
         if self._tracker is None or self._tracker.horizon > goals.shape[1] - 1:
             self._tracker = PreviewTracker(self.model, self.transfers.grid, self.period, goals.shape[1] - 1)
@@ -145,7 +145,7 @@ class ModelBasedController(FullStateController):
         return self._tracker.command(self._dead_time.predict(state), goals, last, elapsed_s)
 
     def _reach(self, measured: Array, goal: Array) -> Array:
-        """Return motor voltages (B, 2) for measured states (B, 2 n) and constant goals (B, 2), m."""
+        """Return motor voltages (B, drives) for measured states (B, 2 n) and constant goals (B, axes), m."""
         model = self.model
         state = self._dead_time.predict(measured)
         feedforward, effect_force = self._feedforward(state, measured)
@@ -166,7 +166,7 @@ class ModelBasedController(FullStateController):
         return np.clip(transfer.volts + feedforward, -model.rated, model.rated)
 
     def _feedforward(self, state: Array, measured: Array) -> tuple[Array, Array]:
-        """Return the feedforward voltage (B, 2) and the force of the machine's effects (B, n), N."""
+        """Return the feedforward voltage (B, drives) and the force of the machine's effects (B, n), N."""
         model = self.model
         elapsed_s = self._elapsed.astype(np.float64) * self.period
         effect_force = model.effect_force(state, elapsed_s)

@@ -50,7 +50,7 @@ class OperatingPointGrid:
         self.span: Array = np.array([line[-1] - line[0] for line in self._lines])
 
     def nearest(self, position: Array) -> NDArray[np.intp]:
-        """Find the nearest operating point of each of B tool positions.
+        """Find the operating point of the grid that is nearest to each of B tool positions.
 
         Args:
             position: Tool positions, m, shape (B, axes).
@@ -229,7 +229,7 @@ class MotionModel:
         return _stack(self._balance(state, elapsed_s).forces, state)
 
     def friction_force(self, state: Array, elapsed_s: Array) -> Array:
-        """Compute Coulomb friction and the friction of the machine's effects; declared viscous friction is left out.
+        """Compute Coulomb friction and the friction of effects (deviations from the model), without viscous friction.
 
         Args:
             state: Belt travel (radius * angle) of n coordinates, m, and its rate, m/s, for B machines, shape (B, 2 n).

@@ -99,7 +99,7 @@ class StateEstimator:
 
     @property
     def parameter_ratios(self) -> Array:
-        """Estimated ratios of k parameters (`augmented.names`) to the declared values, shape (B, k) for B machines."""
+        """Estimated ratios of k parameters (`augmented.names`) to the declared values, dimensionless, shape (B, k)."""
         return self.augmented.ratios(self._mean[:, len(self._scale) :])
 
     def reset(self, mask: Mask | None = None) -> None:
@@ -114,7 +114,7 @@ class StateEstimator:
         """Record the commanded voltages of the control period that starts now, for the next prediction.
 
         Args:
-            volts: Commanded voltages of the two drives, V, shape (B, 2) for B simulated machines.
+            volts: Commanded voltages of the drives, V, shape (B, drives) for B simulated machines.
         """
         self._dead_time.send(volts)
 
@@ -122,7 +122,7 @@ class StateEstimator:
         """Record the voltages that were applied instead of those passed to `send` last.
 
         Args:
-            volts: Commanded voltages of the two drives, V, shape (B, 2) for B simulated machines.
+            volts: Commanded voltages of the drives, V, shape (B, drives) for B simulated machines.
         """
         self._dead_time.replace_last(volts)
 
@@ -162,7 +162,7 @@ class StateEstimator:
 
     def _state_at_rest(self, travel: Array, valid: Mask) -> Array:
         """Return states (B, 2 n) at rest with unstretched belts, by weighted least squares from the measurements."""
-        rigid = self.measurements.matrix[:, : len(self.model.mass)] @ self.model.rigid  # (channels, 2)
+        rigid = self.measurements.matrix[:, : len(self.model.mass)] @ self.model.rigid  # (channels, axes)
         weight = valid / self.measurements.variance
         normal = np.einsum("ki,bk,kj->bij", rigid, weight, rigid)
         tool = np.linalg.solve(normal, ((weight * travel) @ rigid)[..., None])[..., 0]
@@ -231,13 +231,13 @@ def sigma_points(mean: Array, covariance: Array, smallest_std: Array) -> Array:
     (`SIGMA_SQUARED` = 3). DD2 is the filter with second-order divided differences of Norgaard, Poulsen and Ravn (2000).
 
     Args:
-        mean: Means, shape (B, N).
-        covariance: Covariances, shape (B, N, N).
-        smallest_std: Standard deviations whose squares are added to the variances, so that the points of a variable
-            with zero variance differ as well, shape (N,).
+        mean: Means, each in its variable's unit, shape (B, N).
+        covariance: Covariances, in products of these units, shape (B, N, N).
+        smallest_std: Standard deviations, in the variables' units, whose squares are added to the variances, so that
+            the points of a variable with zero variance differ as well, shape (N,).
 
     Returns:
-        Points: the mean, the N points with +, the N points with -, shape (B, 2 N + 1, N).
+        Points, in the variables' units: the mean, the N points with +, the N points with -, shape (B, 2 N + 1, N).
     """
     diagonal = np.arange(mean.shape[1])
     widened = covariance.copy()
@@ -254,12 +254,12 @@ def transformed_moments(mapped: Array) -> tuple[Array, Array]:
     Divided differences need no derivatives, which friction does not have, and the covariance is a sum of squares.
 
     Args:
-        mapped: Values of f, with M components, at the `sigma_points` of B distributions of N variables x, shape
-            (B, 2 N + 1, M).
+        mapped: Values of f, with M components in any units, at the `sigma_points` of B distributions of N variables x,
+            shape (B, 2 N + 1, M).
 
     Returns:
-        mean: Means of y, shape (B, M).
-        covariance: Covariances of y, shape (B, M, M).
+        mean: Means of y, in the units of f, shape (B, M).
+        covariance: Covariances of y, in products of these units, shape (B, M, M).
 
     References:
         Norgaard, Poulsen and Ravn (2000), New developments in state estimation for nonlinear systems, Automatica

@@ -61,8 +61,8 @@ class TextbookPID(FullStateController):
         """Check the stability of the sampled linear closed loop, without saturation, friction and dead time.
 
         Returns:
-            A sentence if an eigenvalue lies outside the unit circle at the center or an end of the workspace; else
-            None.
+            A sentence of warning if an eigenvalue lies outside the unit circle at the center or an end of the
+            workspace; else None.
         """
         n, axes = len(self.model.mass), len(self._axes)
         position, velocity = (np.eye(2 * n)[self._axes + shift] for shift in (0, n))  # select the tool from the state
@@ -89,11 +89,11 @@ class TextbookPID(FullStateController):
         Args:
             state: Belt travel (radius * angle of a rotary coordinate, position of a linear one) of the n coordinates
                 and its velocity, m and m/s, shape (B, 2 n).
-            goals: Tool goals (x, y), m, shape (B, 1 + P, 2): the present goal, then those at the ends of the next P
+            goals: Tool goals, m, shape (B, 1 + P, axes): the present goal, then those at the ends of the next P
                 periods, of which the first gives the goal's velocity. P = 0 means that the goal does not move.
 
         Returns:
-            Voltages divided by the rated voltages, in [-1, 1], shape (B, 2).
+            Voltages divided by the rated voltages, in [-1, 1], shape (B, drives).
         """
         if self._starts.resize(len(state)):
             self._integral_force = np.zeros((len(state), len(self._axes)))

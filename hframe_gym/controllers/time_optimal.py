@@ -173,8 +173,8 @@ class TimeOptimalReach:
                 belts, tried in this order; at least one.
 
         Returns:
-            Duration and commanded voltages of the motion, from the first guess with which IPOPT converges; if it
-            converges with none, those of the last guess with `solved` False.
+            `TimeOptimalMotion`: duration, s, and commanded voltages, V, shape (intervals, drives), from the first guess
+            with which the solver IPOPT converges; if it converges with none, of the last guess with `solved` False.
         """
         begin, end = np.asarray(start, float), np.asarray(goal, float)
         nominal = list(self.machine.parameters.values())

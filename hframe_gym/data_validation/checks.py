@@ -42,11 +42,11 @@ def check_recordings(recordings: Sequence[Recording], machine: Machine) -> list[
     estimated.
 
     Args:
-        recordings: Runs of the machine, at least one.
-        machine: Declared machine.
+        recordings: Runs of the machine (times, voltages, measurements), at least one.
+        machine: Machine as declared, before identification.
 
     Returns:
-        Findings sorted by severity: faults first, then advice, then notes.
+        Findings (severity, run, channel, message) sorted by severity: faults first, then advice, then notes.
     """
     if wrong_times := _times_in_milliseconds(recordings):
         return wrong_times
@@ -73,11 +73,11 @@ def check_before_fit(recordings: Sequence[Recording], machine: Machine) -> list[
     outliers, stuck or clipped outputs, and wiring (signs, swapped channels, units, ratios).
 
     Args:
-        recordings: Runs of the machine, at least one.
-        machine: Declared machine.
+        recordings: Runs of the machine (times, voltages, measurements), at least one.
+        machine: Machine as declared, before identification.
 
     Returns:
-        Findings of severity "fault" (the data contradict themselves), then "advice"; notes are left out.
+        Findings (severity, run, channel, message) of severity "fault" (the data contradict themselves), then "advice".
     """
     if wrong_times := _times_in_milliseconds(recordings):
         return wrong_times

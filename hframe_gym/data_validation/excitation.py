@@ -44,13 +44,13 @@ def check_excitation(recordings: Sequence[Recording], data: Dataset, machine: Ma
     positions, speed, direction, and the spectrum of the inputs relative to the lowest natural frequency of the belts.
 
     Args:
-        recordings: Runs as recorded.
+        recordings: Runs as recorded (times, s; voltages, V; measurements, m or rad).
         data: The same runs, prepared by `identification.prepare`.
         machine: Declared machine.
 
     Returns:
-        Findings, advice where excitation is insufficient and notes elsewhere. Except for constant inputs they are about
-        all runs together.
+        Findings (severity, run, channel, message): advice where excitation is insufficient and notes elsewhere. Except
+        for constant inputs they are about all runs together.
     """
     findings = constant_inputs(recordings, machine) + _overvoltage(recordings, machine)
     if rigid_motions(machine):
@@ -62,7 +62,7 @@ def constant_inputs(recordings: Sequence[Recording], machine: Machine) -> list[F
     """Report inputs that have one constant value throughout a run.
 
     Args:
-        recordings: Runs as recorded.
+        recordings: Runs as recorded (times, s; voltages, V; measurements, m or rad).
         machine: Declared machine, which names the input channels.
 
     Returns:
@@ -239,13 +239,14 @@ def cramer_rao_bounds(data: Dataset, machine: Machine, names: Sequence[str] = ()
     At most 20000 rows of each run are used.
 
     Args:
-        data: Prepared runs.
+        data: Runs prepared by `identification.prepare` (times, voltages, measurements, noise).
         machine: Declared machine, whose parameter values are the expansion point.
         names: Full names of the parameters. Default: those that identification refits. Parameters whose value is zero
             are left out.
 
     Returns:
-        One bound per parameter, in the order of the names.
+        One bound per parameter, in the order of the names: standard deviation relative to the value, dimensionless, and
+        largest correlation with another parameter.
 
     Raises:
         KeyError: If the machine has no parameter of a given name.
@@ -272,12 +273,12 @@ def check_parameters(data: Dataset, machine: Machine) -> list[Finding]:
     """Report how precisely each parameter that identification refits can be estimated (Cramer-Rao bound).
 
     Args:
-        data: Prepared runs in which the machine moves.
+        data: Runs prepared by `identification.prepare` (times, voltages, measurements, SI), in which the machine moves.
         machine: Declared machine.
 
     Returns:
-        One finding per parameter: advice if it has no influence or its relative standard deviation is at least 10 %,
-        otherwise a note.
+        One finding (severity, channel, message) per parameter: advice if it has no influence or its relative standard
+        deviation is at least 10 %, otherwise a note.
     """
     findings = []
     for bound in cramer_rao_bounds(data, machine):

@@ -49,7 +49,7 @@ def group_findings(findings: Sequence[Finding]) -> list[Finding]:
     """Merge findings that several runs have in common: same severity, channel and message except for its numbers.
 
     Args:
-        findings: Findings in any order.
+        findings: Findings (severity, run, channel, message) in any order.
 
     Returns:
         One finding per group in the order of first occurrence: the group's first finding, whose `run` also gives the
@@ -74,7 +74,7 @@ def print_findings(findings: Sequence[Finding], console: Console) -> None:
     Similar findings are merged by `group_findings` before they are printed.
 
     Args:
-        findings: Findings in the order of printing.
+        findings: Findings (severity, run, channel, message) in the order of printing.
         console: Rich console to print on.
     """
     if console.is_terminal:
@@ -94,10 +94,10 @@ def print_findings(findings: Sequence[Finding], console: Console) -> None:
 
 
 def refuse_faults(findings: Sequence[Finding], folder: Path) -> None:
-    """Raise an error that lists the faults of recordings, if there are any.
+    """Raise an error that lists the faults found in recordings, if there are any.
 
     Args:
-        findings: Findings of any severity.
+        findings: Findings (severity, run, channel, message) of any severity.
         folder: Folder of the recordings, for the message.
 
     Raises:

@@ -52,8 +52,8 @@ def sensor_motions(machine: Machine) -> Array:
         machine: Machine with sensors.
 
     Returns:
-        Change of the measurement in the sensor's unit (m or rad) per unit of the motion, shape (sensors, rigid
-        motions), with the motions in the order of `rigid_motions`.
+        Change of the measurement in the sensor's unit (m or rad) per unit of the motion (m or rad), shape
+        (sensors, motions), with the motions in the order of `rigid_motions`.
     """
     motions = np.array(list(rigid_motions(machine).values())).reshape(-1, len(machine.coordinates))
     return machine.sensor_matrix @ motions.T
@@ -63,16 +63,15 @@ def rigid_prediction(outputs: Array, channel: int, machine: Machine) -> tuple[Ar
     """Predict one sensor's measurements from the other sensors by rigid kinematics (belts that do not stretch).
 
     Args:
-        outputs: Measurements in the sensors' units, shape (n, sensors), NaN where not measured. A column without any
-            measurement is not used.
+        outputs: Measurements, m or rad, shape (n, sensors), NaN where not measured. A column without any measurement is
+            not used.
         channel: Index of the sensor to predict.
         machine: Machine with these sensors.
 
     Returns:
-        Predicted measurements up to a constant, in the sensor's unit, shape (n,).
-        Weights of all sensors in the prediction, shape (sensors,); 0 for unused ones.
-
-        None instead of both if the other sensors do not determine this one.
+        Predicted measurements up to a constant, m or rad, shape (n,), and the weights of all sensors in the prediction,
+        in the unit of the predicted sensor per unit of the other, shape (sensors,), 0 for unused ones. None instead of
+        both if the other sensors do not determine this one.
     """
     M = sensor_motions(machine)  # (sensors, rigid motions)
     others = [k for k in range(len(M)) if k != channel and np.isfinite(outputs[:, k]).any()]
@@ -96,13 +95,13 @@ def rigid_misfit(motion: Array, machine: Machine) -> float:
     channel is missing are left out.
 
     Args:
-        motion: Displacements or changes of the measurements in the sensors' units, shape (n, sensors), NaN where not
-            measured. A column without any measurement is not used.
+        motion: Displacements or changes of the measurements, m or rad, shape (n, sensors), NaN where not measured. A
+            column without any measurement is not used.
         machine: Machine with these sensors.
 
     Returns:
-        Root of the residual sum of squares of the best rigid motion over the total sum of squares, 0 to 1; 0 if the
-        channels are not redundant or nothing moves.
+        Root of the residual sum of squares of the best rigid motion over the total sum of squares, dimensionless, 0 to
+        1; 0 if the channels are not redundant or nothing moves.
     """
     M = sensor_motions(machine)  # (sensors, rigid motions)
     used = np.isfinite(motion).any(axis=0) & (np.linalg.norm(M, axis=1) > 0)
@@ -124,12 +123,13 @@ def check_wiring(data: Dataset, machine: Machine) -> list[Finding]:
     together and then in each run.
 
     Args:
-        data: Prepared runs in which the machine moves, at least one.
+        data: Runs prepared by `identification.prepare` in which the machine moves (times, voltages, measurements, SI),
+            at least one.
         machine: Declared machine.
 
     Returns:
-        Findings about all runs together, and about single runs that differ from the others; empty if no mistake is
-        suspected.
+        Findings (severity, run, channel, message) about all runs together, and about single runs that differ from the
+        others; empty if no mistake is suspected.
     """
     # Matrices that undo one mistake (a sign, or two swapped channels), by its description.
     output_corrections, input_corrections = _single_corrections(machine)

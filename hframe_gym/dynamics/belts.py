@@ -39,13 +39,17 @@ class BeltEquations(ParameterizedMachine):
     """
 
     def belt_states(self, point: MotionPoint) -> list[BeltState]:
-        """Return extension, stiffness and tension of each belt (eq. 38-44 of Sollmann et al. 2010), with effects.
+        """Return extension, stiffness and tension of each belt (eq. 38-44 of Sollmann et al. 2010).
+
+        Effects on belts, deviations from the nominal model such as slack, are included.
 
         Args:
-            point: Belt travel, m, and speed, m/s, of every coordinate, with the states of the effects.
+            point: Belt travel (radius * angle of a pulley), m, and its rate, m/s, of every coordinate, and the states
+                of effects: lists of floats, arrays of one common shape (...) or symbolic expressions.
 
         Returns:
-            One `BeltState` per belt, in the machine's order.
+            One `BeltState` per belt, in the machine's order: extension, m, rate, m/s, stiffness, N/m, tension, N, and
+            so on, each a value of the shape of the point's.
         """
         travel = [self._belt_travel(i, point) for i in range(len(point.travel))]  # with eccentric pulleys
         speed = [v * arm for v, arm in zip(point.speed, self._lever_arms(point), strict=True)]
@@ -73,10 +77,10 @@ class BeltEquations(ParameterizedMachine):
         """Return the stiffness of a belt whose length does not depend on the carriage's position.
 
         Args:
-            b: Index of the belt in the machine.
+            b: Index of the belt in the machine, from 0.
 
         Returns:
-            EA / rest length, N/m.
+            EA / rest length, N/m: a float, or an array of any shape or an expression if these parameters are.
         """
         name = self.machine.belts[b].name
         return self.parameter(f"{name}.EA") / self.parameter(f"{name}.rest_length")
@@ -127,14 +131,15 @@ class BeltEquations(ParameterizedMachine):
     def belt_forces(self, point: MotionPoint, belts: Sequence[BeltState]) -> list[Value]:
         """Return the force of the belts on each coordinate: -G' T - (1/2) s^2 dk/dp.
 
-        G is the extension per belt travel p, T the tension, s the extension and k the stiffness of the belts.
+        G is the extension of each belt per unit of belt travel p (radius * angle of a pulley), T the tension, s the
+        extension and k the stiffness. Values are floats, arrays of one common shape (...) or symbolic expressions.
 
         Args:
-            point: Belt travel, m, and speed, m/s, of every coordinate, with the states of the effects.
+            point: Belt travel, m, and its rate, m/s, of every coordinate, one value each.
             belts: State of each belt at this point, from `belt_states(point)`.
 
         Returns:
-            Force that acts along the belt travel of each coordinate, N (torque / radius for a pulley).
+            Force along the belt travel of each coordinate, N (torque / radius for a pulley), shape (...) each.
         """
         forces = []
         for i, arm in enumerate(self._lever_arms(point)):
@@ -158,11 +163,13 @@ def combination(row: IndexRow, values: Sequence[Value]) -> Value:
     """Return the sum of row[i] * values[i]; positive terms come first, because a leading minus costs an instruction.
 
     Args:
-        row: Factors by index, such as the extension of a belt per travel of each coordinate; absent ones count as 0.
-        values: Floats, arrays or expressions, indexed by the keys of `row`.
+        row: Factors by index, for example the extension of a belt per travel of each coordinate; absent ones count as
+            0.
+        values: Summands before scaling, in any unit, indexed by the keys of `row`: floats, arrays of one common shape
+            (...) or symbolic expressions.
 
     Returns:
-        The sum; 0.0 for an empty row.
+        The sum, in the unit of row[i] * values[i], shape (...); 0.0 for an empty row.
     """
     terms = sorted(((i, factor) for i, factor in row.items() if factor), key=lambda term: term[1] < 0)
     if not terms:
@@ -176,12 +183,12 @@ def add_combination(total: Value, row: IndexRow, values: Sequence[Value]) -> Val
     """Return total + the sum of row[i] * values[i].
 
     Args:
-        total: First summand.
+        total: First summand, in the unit of row[i] * values[i]: a float, an array of shape (...) or an expression.
         row: Factors by index; absent indices count as 0.
-        values: Floats, arrays or expressions, indexed by the keys of `row`.
+        values: Quantities to scale and add, indexed by the keys of `row`, of the same kind and shape (...) as `total`.
 
     Returns:
-        The sum.
+        The sum, shape (...).
     """
     for i, factor in sorted(row.items(), key=lambda term: term[1] < 0):
         size = values[i] if abs(factor) == 1.0 else abs(factor) * values[i]

@@ -29,13 +29,14 @@ class EffectInstance:
 
 
 def effect_instances(machine: Machine) -> list[EffectInstance]:
-    """List the effects of a machine, once for each component on which they act.
+    """List the effects of a machine (deviations from its nominal model), once for each component on which they act.
 
     Args:
         machine: Machine with its effects.
 
     Returns:
-        Instances in the order of the machine's effects, and of the components for an effect on several.
+        One `EffectInstance` (effect, component, indices of its coordinates) per effect and component, in the order of
+        the machine's effects; an effect on all belts gives one instance per belt.
     """
     # An unknown name, such as that of a belt or sensor, gives the index -1: no coordinate.
     index = {name: i for i, name in enumerate(machine.coordinate_names)}

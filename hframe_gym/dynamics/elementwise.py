@@ -26,7 +26,8 @@ def exp(x: Any) -> Any:
     """Return e**x; in a compiled simulation kernel (generated code) x < -700 gives zero, and x is limited to 700.
 
     Args:
-        x: Exponent: number, array, SIMD register, or expression (CasADi, or traced to generate a kernel).
+        x: Exponent, dimensionless: number, array of any shape, SIMD register, or expression (CasADi, or traced to
+            generate a kernel).
 
     Returns:
         e**x, with the type and shape of the operand.
@@ -38,10 +39,10 @@ def sin(x: Any) -> Any:
     """Return the sine of an angle; in a compiled simulation kernel (generated code) accurate for |x| up to 1e6 rad.
 
     Args:
-        x: Angle, rad (number, array or expression).
+        x: Angle, rad: number, array of any shape, or symbolic expression.
 
     Returns:
-        Sine, in [-1, 1], element by element.
+        Sine, in [-1, 1], element by element, in the shape of x.
     """
     return _apply("sin", x)
 
@@ -50,10 +51,10 @@ def cos(x: Any) -> Any:
     """Return the cosine of an angle; in a compiled simulation kernel (generated code) accurate for |x| up to 1e6 rad.
 
     Args:
-        x: Angle, rad (number, array or expression).
+        x: Angle, rad: number, array of any shape, or symbolic expression.
 
     Returns:
-        Cosine, in [-1, 1], element by element.
+        Cosine, in [-1, 1], element by element, in the shape of x.
     """
     return _apply("cos", x)
 
@@ -62,10 +63,10 @@ def tanh(x: Any) -> Any:
     """Return the hyperbolic tangent (not available in a compiled simulation kernel, the generated code).
 
     Args:
-        x: Operand (number, array or expression).
+        x: Operand, dimensionless: number, array of any shape, or symbolic expression.
 
     Returns:
-        Hyperbolic tangent, in [-1, 1], element by element.
+        Hyperbolic tangent, in [-1, 1], element by element, in the shape of x.
     """
     return _apply("tanh", x)
 
@@ -74,10 +75,10 @@ def sqrt(x: Any) -> Any:
     """Return the square root.
 
     Args:
-        x: Operand, not negative (number, array or expression).
+        x: Operand, not negative, any unit: number, array of any shape, or symbolic expression.
 
     Returns:
-        Square root, element by element.
+        Square root, element by element, in the shape of x.
     """
     return _apply("sqrt", x)
 
@@ -86,10 +87,10 @@ def absolute(x: Any) -> Any:
     """Return |x|.
 
     Args:
-        x: Operand (number, array or expression).
+        x: Operand, any unit: number, array of any shape, or symbolic expression.
 
     Returns:
-        Absolute value, element by element.
+        Absolute value, element by element, in the unit and shape of x.
     """
     return _apply("absolute", x)
 
@@ -98,10 +99,10 @@ def sign(x: Any) -> Any:
     """Return the sign of a value; generated simulation code does not have this function and uses `copysign`.
 
     Args:
-        x: Operand (number, array or expression).
+        x: Operand, any unit: number, array of any shape, or symbolic expression.
 
     Returns:
-        -1 for x < 0, 0 for x = 0, 1 for x > 0, element by element.
+        -1 for x < 0, 0 for x = 0, 1 for x > 0, element by element, in the shape of x.
     """
     return _apply("sign", x)
 
@@ -110,11 +111,11 @@ def minimum(a: Any, b: Any) -> Any:
     """Return the smaller of two values.
 
     Args:
-        a: First operand (number, array or expression).
-        b: Second operand.
+        a: First operand, any unit: number, array of any shape, or symbolic expression.
+        b: Second operand, in the same unit, of the same or a broadcastable shape.
 
     Returns:
-        The smaller value, element by element.
+        The smaller value, element by element, in the common shape.
     """
     return _apply("minimum", a, b)
 
@@ -123,11 +124,11 @@ def maximum(a: Any, b: Any) -> Any:
     """Return the larger of two values.
 
     Args:
-        a: First operand (number, array or expression).
-        b: Second operand.
+        a: First operand, any unit: number, array of any shape, or symbolic expression.
+        b: Second operand, in the same unit, of the same or a broadcastable shape.
 
     Returns:
-        The larger value, element by element.
+        The larger value, element by element, in the common shape.
     """
     return _apply("maximum", a, b)
 
@@ -136,11 +137,11 @@ def copysign(size: Any, sign_of: Any) -> Any:
     """Return |size| with the sign of `sign_of`.
 
     Args:
-        size: Operand whose magnitude is used; its sign is ignored.
-        sign_of: Operand whose sign is used; 0.0 counts as positive, -0.0 as negative.
+        size: Number, array of any shape, or symbolic expression, any unit; its sign is ignored.
+        sign_of: Operand whose sign is used, of a broadcastable shape; 0.0 counts as positive, -0.0 as negative.
 
     Returns:
-        |size| with the sign of `sign_of`.
+        |size| with the sign of `sign_of`, in the common shape.
     """
     return _apply("copysign", size, sign_of)
 
@@ -149,12 +150,12 @@ def where(condition: Any, yes: Any, no: Any) -> Any:
     """Return `yes` where the condition holds and `no` elsewhere, element by element.
 
     Args:
-        condition: Truth value, or an array of them.
-        yes: Value where the condition holds.
-        no: Value elsewhere.
+        condition: Truth value, array of truth values of any shape, or symbolic condition.
+        yes: Value where the condition holds, any unit: number, array of a broadcastable shape, or expression.
+        no: Value elsewhere, in the same unit, likewise.
 
     Returns:
-        The selected values.
+        The selected values, in the common shape.
     """
     return _apply("where", condition, yes, no)
 
@@ -163,12 +164,12 @@ def fma(a: Any, b: Any, c: Any) -> Any:
     """Return a * b + c: rounded once in a compiled simulation kernel (fused multiply-add), twice elsewhere.
 
     Args:
-        a: First factor.
-        b: Second factor.
-        c: Summand.
+        a: First factor, any unit: number, array of any shape, SIMD register, or symbolic expression.
+        b: Second factor, of a broadcastable shape.
+        c: Summand in the unit of a * b, of a broadcastable shape.
 
     Returns:
-        a * b + c.
+        a * b + c, in the common shape.
     """
     return _apply("fma", a, b, c)
 
@@ -177,10 +178,10 @@ def rint(x: Any) -> Any:
     """Return the nearest integer, ties to even.
 
     Args:
-        x: Operand (number, array or expression).
+        x: Operand, dimensionless: number, array of any shape, or symbolic expression.
 
     Returns:
-        Nearest integer, as a floating-point value.
+        Nearest integer, as a floating-point value, in the shape of x.
     """
     return _apply("rint", x)
 
@@ -189,10 +190,10 @@ def floor(x: Any) -> Any:
     """Return the largest integer that does not exceed x.
 
     Args:
-        x: Operand (number, array or expression).
+        x: Operand, dimensionless: number, array of any shape, or symbolic expression.
 
     Returns:
-        Largest integer that does not exceed x, as a floating-point value.
+        Largest integer that does not exceed x, as a floating-point value, in the shape of x.
     """
     return _apply("floor", x)
 
@@ -201,10 +202,10 @@ def pow2(n: Any) -> Any:
     """Return 2**n for integers n, exactly.
 
     Args:
-        n: Exponent in [-1022, 1023], an integer as a floating-point value.
+        n: Exponent in [-1022, 1023], an integer as a floating-point value: number or array of any shape.
 
     Returns:
-        2**n.
+        2**n, in the shape of n.
     """
     return _apply("pow2", n)
 
@@ -213,7 +214,7 @@ def any_of(condition: Any) -> Any:
     """Return whether the condition holds in at least one element.
 
     Args:
-        condition: Truth value, array of truth values, or SIMD mask.
+        condition: Truth value, array of truth values of any shape, or SIMD mask (one truth value per machine).
 
     Returns:
         One truth value.
@@ -227,7 +228,7 @@ def named(role: str, index: int, value: Any) -> Any:
     Args:
         role: First part of the name: what the value is, for example "extension".
         index: Index of the coordinate, belt, drive, sensor or effect, for example 0 for "extension_0".
-        value: Value to name.
+        value: Value to name, in any unit: number, array of any shape, or traced expression.
 
     Returns:
         The same value.
@@ -242,10 +243,10 @@ def reciprocals(values: Sequence[Any]) -> list[Any]:
     P = a b c, 1/a = b c / P and so on. A division costs as much as ten products.
 
     Args:
-        values: Numbers, arrays or expressions, none of them zero.
+        values: Numbers, arrays of one common shape (...) or symbolic expressions, none of them zero, in any units.
 
     Returns:
-        1/value of each value.
+        1/value for each value, in the same order, shape (...) each.
     """
     if not any(hasattr(v, "traced_function") for v in values):
         return [1.0 / v for v in values]
@@ -269,15 +270,15 @@ def reciprocals(values: Sequence[Any]) -> list[Any]:
 def update_if_any(
     condition: Callable[[], Any], values: Sequence[Any], update: Callable[[Sequence[Any]], Sequence[Any]]
 ) -> list[Any]:
-    """Return `update(values)`, which the generated simulation code skips if the condition holds for no machine.
+    """Return `update(values)`; generated simulation code skips the update if the condition holds for no machine.
 
     Args:
         condition: Function without arguments that returns the condition. Called for traced expressions only.
-        values: Numbers, arrays or expressions to update.
+        values: Numbers, arrays of one common shape (...) or symbolic expressions to update, in any units.
         update: Function from the values to the new values. Where the condition is false it must change nothing.
 
     Returns:
-        The updated values, in the order of `values`.
+        The updated values, in the order, units and shape (...) of `values`.
     """
     # Only traced expressions (from which code is generated) can write the `if`; other algebras update in any case.
     traced = next((v for v in values if hasattr(v, "trace")), None)

@@ -65,13 +65,14 @@ class Equations(BeltEquations, SignalEquations):
         """Add the drive forces due to voltage, N Kt V / (R r) for gear ratio N and pulley radius r.
 
         This is eq. 17 of Sollmann et al. (2010) with w = 0; the back-EMF term is part of the viscous coefficient.
+        Values are floats, arrays of one common shape (...) or symbolic expressions.
 
         Args:
-            forces: Force along the belt travel of each coordinate, N.
-            motor_voltages: Voltage at the terminals of each motor, V, from `motor_voltages`.
+            forces: Force along the belt travel (radius * angle of a pulley) of each coordinate, N, shape (...) each.
+            motor_voltages: Voltage at the terminals of each motor, V, from `motor_voltages`, shape (...) each.
 
         Returns:
-            Forces along the belt travel of all coordinates, N, with those of the drives added.
+            The given forces plus those of the drives, along the belt travel of each coordinate, N, shape (...) each.
         """
         result = list(forces)
         for j, voltage in enumerate(motor_voltages):
@@ -86,12 +87,12 @@ class Equations(BeltEquations, SignalEquations):
         the resistance.
 
         Args:
-            j: Index of the drive in the machine.
-            point: Belt travel and speed of every coordinate, at which to evaluate.
-            motor_voltage: Voltage at the motor, V.
+            j: Index of the drive in the machine, from 0.
+            point: Belt travel, m, and its rate, m/s, of every coordinate (radius * angle of a pulley), one value each.
+            motor_voltage: Voltage at the motor, V: float, array of shape (...) or symbolic expression.
 
         Returns:
-            Current, A.
+            Current, A, of the same kind and shape (...).
         """
         speed = self.speed(point, self.drive_coordinates[j])
         drive = self.drives[j]
@@ -116,20 +117,21 @@ class Equations(BeltEquations, SignalEquations):
     ) -> ForceBalance:
         """Add the forces of the effects to those of belts and drives, and determine the Coulomb friction force.
 
-        Values have the shape (...) of the point, or are symbols or scalars. Back-EMF counts as viscous friction and is
-        in none of the forces. Effects that are zero outside a region are added behind a branch; those that react to the
-        sum of all other forces come last.
+        Effects are deviations from the nominal model, such as Stribeck friction. Those that are zero outside a region
+        are added behind a branch; those that react to the sum of all other forces come last. Back-EMF counts as viscous
+        friction and is in none of the forces. Values are floats, arrays of one common shape (...) or symbolic
+        expressions. Forces act along the belt travel (radius * angle of a pulley).
 
         Args:
-            point: Belt travel and speed of every coordinate, at which to evaluate.
-            motor_voltages: Voltage at each motor, V, from `motor_voltages`.
-            forces: Forces of belts and drives (without back-EMF) along the belt travel of each coordinate, N.
+            point: Belt travel, m, and its rate, m/s, of every coordinate, and the states of the effects.
+            motor_voltages: Voltage at each motor, V, from `motor_voltages`, shape (...) each.
+            forces: Forces of belts and drives (without back-EMF) on each coordinate, N, shape (...) each.
 
         Returns:
-            forces: Sum of all forces on each coordinate except viscous and Coulomb friction, along its belt travel, N.
-            coulomb: Coulomb friction force (magnitude) of each coordinate, N.
-            arguments: Arguments of the hook `next_state` by index in `instances`: Coulomb friction in the coordinate's
-                unit (`level`, N or Nm) or current (`i`, A).
+            forces: Sum of all forces on each coordinate except viscous and Coulomb friction, N, shape (...) each.
+            coulomb: Coulomb friction force (magnitude) on each coordinate, N, shape (...) each.
+            arguments: For effects with a state, by index in `instances`, what their formula `next_state` takes: the
+                Coulomb friction `level`, N or Nm, or the drive's current `i`, A.
         """
         arguments: dict[int, dict[str, Value]] = {}
         totals, levels = [], []
@@ -221,14 +223,17 @@ class Equations(BeltEquations, SignalEquations):
     def balance(self, point: MotionPoint, voltages: Sequence[Value]) -> ForceBalance:
         """Return the sum of belt, drive and effect forces at a point, and the Coulomb friction force separately.
 
+        Effects are deviations from the nominal model. Values are floats, arrays of one common shape (...) or symbolic
+        expressions. Forces act along the belt travel (radius * angle of a pulley).
+
         Args:
-            point: Belt travel and speed of every coordinate, at which to evaluate.
-            voltages: Commanded voltage of each drive, V, after its delay.
+            point: Belt travel, m, and its rate, m/s, of every coordinate, and the states of the effects.
+            voltages: Commanded voltage of each drive, V, after its delay, shape (...) each.
 
         Returns:
-            forces: Sum of all forces on each coordinate except viscous and Coulomb friction, along its belt travel, N.
-            coulomb: Coulomb friction force (magnitude) of each coordinate, N.
-            arguments: Friction forces and currents that `next_state` takes, by index in `instances`.
+            forces: Sum of all forces on each coordinate except viscous and Coulomb friction, N, shape (...) each.
+            coulomb: Coulomb friction force (magnitude) on each coordinate, N, shape (...) each.
+            arguments: Friction levels, N or Nm, and currents, A, by index in `instances`; see `force_balance`.
         """
         motor_voltages = self.motor_voltages(voltages)
         forces = self.belt_forces(point, self.belt_states(point))
@@ -239,14 +244,18 @@ class Equations(BeltEquations, SignalEquations):
     ) -> list[Value]:
         """Return the sum of all forces on each coordinate, with viscous and Coulomb friction.
 
+        Forces of effects (deviations from the nominal model) are included. Values are floats, arrays of one common
+        shape (...) or symbolic expressions.
+
         Args:
-            point: Belt travel and speed of every coordinate, at which to evaluate.
-            voltages: Commanded voltage of each drive, V, after its delay.
-            direction: Function of the speed, m/s, that gives the direction of the motion in [-1, 1]: `sign`, or for
-                optimization a smooth function such as tanh(v / v0) with a small speed v0.
+            point: Belt travel (radius * angle of a pulley), m, and its rate, m/s, of every coordinate, and the effects'
+                states.
+            voltages: Commanded voltage of each drive, V, after its delay, shape (...) each.
+            direction: Function of the speed, m/s, shape (...), that gives the direction of the motion in [-1, 1]:
+                `sign`, or for optimization a smooth function such as tanh(v / v0) with a small speed v0.
 
         Returns:
-            Net force along the belt travel of each coordinate, N.
+            Net force along the belt travel of each coordinate, N, shape (...) each.
         """
         forces, coulomb, _ = self.balance(point, voltages)
         result = []
@@ -260,14 +269,18 @@ class Equations(BeltEquations, SignalEquations):
     ) -> list[Value]:
         """Return the acceleration of each coordinate.
 
+        Effects (deviations from the nominal model) are included. Values are floats, arrays of one common shape (...) or
+        symbolic expressions.
+
         Args:
-            point: Belt travel and speed of every coordinate, at which to evaluate.
-            voltages: Commanded voltage of each drive, V, after its delay.
-            direction: Function of the speed, m/s, that gives the direction of the motion in [-1, 1]: `sign`, or for
-                optimization a smooth function such as tanh(v / v0) with a small speed v0.
+            point: Belt travel (radius * angle of a pulley), m, and its rate, m/s, of every coordinate, and the effects'
+                states.
+            voltages: Commanded voltage of each drive, V, after its delay, shape (...) each.
+            direction: Function of the speed, m/s, shape (...), that gives the direction of the motion in [-1, 1]:
+                `sign`, or for optimization a smooth function such as tanh(v / v0) with a small speed v0.
 
         Returns:
-            Second derivative of the belt travel of each coordinate, m/s^2 (radius * angular acceleration of a pulley).
+            Second derivative of the belt travel of each coordinate, m/s^2, shape (...) each.
         """
         return [force / self.mass(i) for i, force in enumerate(self.net_forces(point, voltages, direction))]
 
@@ -290,7 +303,8 @@ class Equations(BeltEquations, SignalEquations):
                 its index in `instances`, shape (...) each; None: all zero.
 
         Returns:
-            The point: lists of belt travel, m, and its rate, m/s, with one array of shape (...) per coordinate.
+            The point: lists of belt travel (radius * angle of a pulley), m, and its rate, m/s, with one array of shape
+            (...) per coordinate.
         """
         q = 1.0 * np.asarray(positions)  # real or complex
         v = np.zeros_like(q) if velocities is None else 1.0 * np.asarray(velocities)
@@ -306,7 +320,7 @@ class Equations(BeltEquations, SignalEquations):
         """Convert forces along the belt travel to forces (linear) and torques (rotary) on the coordinates.
 
         Args:
-            forces: Force along the belt travel of each coordinate, N, arrays of shape (...).
+            forces: Force along the belt travel (radius * angle of a pulley) of each coordinate, N, shape (...) each.
 
         Returns:
             Forces, N, or torques, Nm (force * radius), shape (..., coordinates).

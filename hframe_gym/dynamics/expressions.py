@@ -53,7 +53,7 @@ class Expression:
         return self.operation in ("number", "variable")
 
     def traced_function(self, name: str, operands: Sequence[Any]) -> Expression:
-        """Return the expression of an elementary function; `elementwise` calls it for traced operands.
+        """Return the expression of an elementary function; the module `elementwise` calls this for traced operands.
 
         Args:
             name: Name of the function in `elementwise`, for example "sin".
@@ -65,7 +65,7 @@ class Expression:
         return self.trace.node(name, *operands)
 
     def name_as(self, role: str, index: int) -> Expression:
-        """Give the expression the identifier `role_index`, and compute it at the present position in the function.
+        """Give the expression the identifier `role_index`, and compute it at this place of the generated function.
 
         Args:
             role: First part of the identifier, for example "tension".
@@ -197,7 +197,7 @@ def function_source(trace: Trace) -> str:
     """Convert a traced function to Python source text.
 
     Args:
-        trace: Record of the statements and expressions of the function.
+        trace: Record of the statements and expressions of a function, made by calling it with symbolic arguments.
 
     Returns:
         Source text of the function, from `def` to its last line.

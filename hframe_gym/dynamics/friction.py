@@ -28,10 +28,10 @@ def decay_integral(z):  # type: ignore[no-untyped-def]
     """Return (1 - exp(-z)) / z: the speed that a constant force f adds in the time h is f h / m times this factor.
 
     Args:
-        z: Viscous damping of the step, b h / m >= 0, without unit.
+        z: Viscous damping of the step, b h / m >= 0, dimensionless; float, or SIMD register of shape (LANES,).
 
     Returns:
-        Factor in (0, 1]; 1 without damping.
+        Factor in (0, 1], dimensionless, in the shape of z; 1 without damping.
     """
     # Taylor series to z**10 in Horner's form, because the closed form cancels for small z.
     p = fma(z, -1.0 / 39916800.0, 1.0 / 3628800.0)
@@ -57,10 +57,10 @@ def end_weight(z):  # type: ignore[no-untyped-def]
     w = 1/(1 - exp(-z)) - 1/z, which is one half for small z (the trapezoidal rule).
 
     Args:
-        z: Viscous damping of the step, b h / m >= 0, without unit.
+        z: Viscous damping of the step, b h / m >= 0, dimensionless; float, or SIMD register of shape (LANES,).
 
     Returns:
-        Weight in [1/2, 1).
+        Weight in [1/2, 1), dimensionless, in the shape of z.
     """
     square = z * z
     # Bernoulli series 1/2 + z/12 - z**3/720 + ..., because the closed form cancels for small z.
@@ -80,10 +80,11 @@ def ramp(z):  # type: ignore[no-untyped-def]
     """Return (z - 1 + exp(-z)) / z**2: the distance from rest under a force f in the time t is f t**2 / m times this.
 
     Args:
-        z: Viscous damping over the time t, b t / m, without unit; negative for motion reversed in time.
+        z: Viscous damping over the time t, b t / m, dimensionless; negative for motion reversed in time. Float, or SIMD
+            register of shape (LANES,), one value per machine.
 
     Returns:
-        Factor; 1/2 without damping.
+        Factor, dimensionless, in the shape of z; 1/2 without damping.
     """
     # Taylor series to z**8, relative remainder 2e-13 for |z| <= 1/4; in pairs, to shorten the chain of dependent terms.
     q = z * z
@@ -102,9 +103,11 @@ def ramp(z):  # type: ignore[no-untyped-def]
 def direction(v, f):  # type: ignore[no-untyped-def]
     """Return a number with the sign of the motion, or of the force where the coordinate is at rest.
 
+    Operands are floats or SIMD registers, shape (LANES,), with one value per machine.
+
     Args:
         v: Speed, m/s.
-        f: Force without friction, N.
+        f: Force on the coordinate without friction, N.
 
     Returns:
         The speed, or f where the speed is zero; only the sign is meaningful.
@@ -116,8 +119,10 @@ def direction(v, f):  # type: ignore[no-untyped-def]
 def static_friction(f, coulomb):  # type: ignore[no-untyped-def]
     """Return the static friction force: f limited to [-F, F], so that it balances f exactly up to the Coulomb force.
 
+    Operands are floats or SIMD registers, shape (LANES,), with one value per machine.
+
     Args:
-        f: Force without friction, N.
+        f: Force on the coordinate without friction, N.
         coulomb: Coulomb friction force F >= 0, N.
 
     Returns:
@@ -131,9 +136,11 @@ def static_friction(f, coulomb):  # type: ignore[no-untyped-def]
 def friction_force(v, f, coulomb):  # type: ignore[no-untyped-def]
     """Return the dry friction force: F sign(v) in motion, static friction at rest.
 
+    Operands are floats or SIMD registers, shape (LANES,), with one value per machine.
+
     Args:
         v: Speed, m/s.
-        f: Force without friction, N.
+        f: Force on the coordinate without friction, N.
         coulomb: Coulomb friction force F >= 0, N.
 
     Returns:
@@ -146,19 +153,19 @@ def friction_force(v, f, coulomb):  # type: ignore[no-untyped-def]
 def update_speed(v, f, coulomb, decay, gain):  # type: ignore[no-untyped-def]
     """Advance the speed by one step of length h, and detect where the coordinate comes to rest within the step.
 
-    Operands are SIMD registers with one machine per lane. In lanes that come to rest, the returned speed is invalid;
-    `stop_or_reverse` gives it.
+    Operands are SIMD registers, shape (LANES,), with one value per machine ("lane"). In lanes that come to rest, the
+    returned speed is invalid; `stop_or_reverse` gives it.
 
     Args:
         v: Speed before the step, m/s.
-        f: Force without friction, N.
+        f: Force on the coordinate without friction, N, constant over the step.
         coulomb: Coulomb friction force F >= 0, N.
-        decay: Factor exp(-b h / m) by which viscous friction reduces the speed.
+        decay: Factor exp(-b h / m), dimensionless, by which viscous friction reduces the speed.
         gain: Speed gained per unit of force, h / m * decay_integral(b h / m), s/kg.
 
     Returns:
-        after: Speed after the step, m/s.
-        stopped: Mask of the lanes whose speed changes its sign within the step.
+        after: Speed after the step, m/s, one value per lane.
+        stopped: Mask: True in the lanes whose speed changes its sign within the step.
     """
     after = fma(gain, f - friction_force(v, f, coulomb), decay * v)
     return after, after * v < 0.0
@@ -169,22 +176,23 @@ def stop_or_reverse(v, f, coulomb, viscous, viscous_after, mass, per_mass, h):  
     """Return the speed after, and the distance of, a step of length h in which the coordinate comes to rest.
 
     The coordinate decelerates to rest in the time `stop`. Then it stays at rest if |f| <= F, or reverses for the
-    remaining time. Operands are SIMD registers with one machine per lane; the result is valid only in lanes where
-    `update_speed` reports a stop.
+    remaining time. Operands are SIMD registers, shape (LANES,), with one value per machine ("lane"); the result is
+    valid only in lanes where `update_speed` reports a stop.
 
     Args:
         v: Speed before the step, m/s.
-        f: Force without friction, N.
+        f: Force on the coordinate without friction, N, constant over the step.
         coulomb: Coulomb friction force F >= 0, N.
         viscous: Viscous coefficient b in the direction of the motion before the stop, Ns/m.
         viscous_after: Viscous coefficient in the opposite direction, after a reversal, Ns/m.
         mass: Mass m, kg.
-        per_mass: 1/m, 1/kg.
-        h: Length of the step, s.
+        per_mass: Reciprocal 1/m of the mass, 1/kg.
+        h: Length of the step, s, float.
 
     Returns:
-        speed: Speed after the step, m/s; zero if static friction holds the coordinate.
-        traveled: Change of the belt travel over the step, m.
+        speed: Speed after the step, m/s, one value per lane; zero if static friction holds the coordinate.
+        traveled: Change of the belt travel (position, or radius * angle of a pulley) over the step, m, one value per
+            lane.
     """
     net = f - copysign(coulomb, v)
     # stop = m/b log(1 - b v/net), by the series of atanh in s = x/(2 + x), x = -b v/net.

@@ -138,12 +138,9 @@ def _first_usable(preferred: tuple[str, ...], temporary: str) -> Path:
     else:
         path = Path(tempfile.mkdtemp(prefix="hframe_gym-"))
     if str(path) != preferred[0]:
-        warnings.warn(
-            f"{preferred[0]} cannot be written or is full; compiled code is cached in {path}. Set HFRAME_CACHE to a "
-            "folder that stays, so that later runs start quickly",
-            RuntimeWarning,
-            stacklevel=2,
-        )
+        problem = f"{preferred[0]} cannot be written or is full; compiled code is cached in {path}"
+        advice = "Set HFRAME_CACHE to a folder that stays, so that later runs start quickly"
+        warnings.warn(f"{problem}. {advice}", RuntimeWarning, stacklevel=2)
     return path
 
 
@@ -151,12 +148,13 @@ def generate(machine: Machine, *, forced: bool = False) -> tuple[str, KernelSour
     """Generate the Python source of the simulation kernel for all machines of one shape (`Machine.shape`).
 
     Args:
-        machine: Any machine of the shape; its parameter values do not matter.
+        machine: Any machine of that shape; its parameter values do not matter.
         forced: Whether the generated functions take an external force on every coordinate.
 
     Returns:
         text: Complete source text of the Python module.
-        source: `KernelSource` of its generated functions, with the layout of their arrays.
+        source: `KernelSource`: text of the machine's own equations, and the row of each parameter in the functions'
+            arrays.
     """
     source = KernelSource(machine, forced=forced)
     components = {
@@ -232,7 +230,7 @@ def kernel_for(machine: Machine, *, forced: bool = False) -> Kernel:
         forced: Whether `rollout` takes an external force on every coordinate.
 
     Returns:
-        Compiled functions, with the layout of their arrays.
+        `Kernel`: the compiled functions, and the row of each parameter and constant in their arrays.
     """
     key = (machine.shape, forced)
     if key not in _KERNELS:
@@ -301,13 +299,14 @@ def _can_be_absent(effect: AppliedEffect) -> bool:
 
 
 def share_kernel(machine: Machine, effects: Sequence[AppliedEffect]) -> None:
-    """Prepare one kernel for `rollout_kernel` that simulates a machine with any selection of some effects.
+    """Prepare one kernel (compiled simulation code) that can simulate a machine with any selection of some effects.
 
-    A search that tries many effects one at a time compiles once instead of once per effect. Simulations are the same to
-    the bit. Effects that do not merely add a term (delays, belts, structural effects) are left out.
+    `rollout_kernel` then finds it. A search that tries many effects one at a time compiles once instead of once per
+    effect. Simulations are the same to the bit. Effects that do not merely add a term (delays, belts, structural
+    effects) are left out.
 
     Args:
-        machine: Machine with the effects that it has already.
+        machine: Machine with the effects (deviations from the nominal model) that it has already.
         effects: Further effects that it may have, one each or several.
     """
     additional = [effect for effect in effects if _can_be_absent(effect)]
@@ -326,8 +325,8 @@ def rollout_kernel(
         forced: Whether an external force must be possible.
 
     Returns:
-        kernel: That of the machine's shape if it exists, else that of `share_kernel`, else a newly generated one.
-        parameters: Parameters in the order of the kernel's layout, SI, shape (B, parameters of the kernel).
+        kernel: Compiled functions for machines of this shape if they exist, else those of `share_kernel`, else new
+            ones.
     """
     if (machine.shape, forced) not in _KERNELS:
         for shared in reversed(_SHARED):
@@ -337,13 +336,14 @@ def rollout_kernel(
 
 
 def in_blocks(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Arrange the values of many machines in blocks of `LANES` machines, one machine per SIMD lane.
+    """Arrange the values of many machines in blocks of `LANES` machines, which the processor simulates side by side.
 
     Args:
         values: n values (parameters or states, any unit) of each of B machines, shape (B, n), B >= 1.
 
     Returns:
-        Blocks, shape (ceil(B / LANES), n, LANES). Spare lanes of the last block repeat the last machine.
+        Blocks, in the unit of the values, shape (ceil(B / LANES), n, LANES). Spare columns of the last block repeat the
+        last machine.
     """
     count = -(-len(values) // LANES) * LANES
     padded = np.concatenate([values, np.repeat(values[-1:], count - len(values), axis=0)])

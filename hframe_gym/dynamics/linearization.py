@@ -40,14 +40,14 @@ class StateSpace(NamedTuple):
 
 
 def stiffness_matrix(machine: Machine, position: ArrayLike | None = None) -> Array:
-    """Return the stiffness matrix of the belts without effects: the negative derivative of force by position.
+    """Return the stiffness matrix of the belts: the negative derivative of force by position.
 
     It equals G' diag(k) G with the extension G of each belt per unit of each coordinate, and the stiffness k of each
     belt at its length in the operating point. Derivatives are imaginary parts after an imaginary step, which has no
-    rounding error (Squire and Trapp 1998).
+    cancellation error (Squire and Trapp 1998).
 
     Args:
-        machine: Machine with belts; without belts the matrix is zero.
+        machine: Machine with belts; its effects (deviations from the nominal model) are left out. Zero without belts.
         position: One or several operating points with unstretched belts: position of every coordinate, m or rad, shape
             (..., coordinates). Default: one, at zeros.
 
@@ -67,16 +67,17 @@ def linearize(machine: Machine, position: ArrayLike | None = None) -> StateSpace
     """Linearize the equations of motion about rest, without Coulomb friction and effects.
 
     The back-EMF of a drive acts as viscous friction of its coordinate. Derivatives are imaginary parts after an
-    imaginary step, which has no rounding error (Squire and Trapp 1998).
+    imaginary step, which has no cancellation error (Squire and Trapp 1998).
 
     Args:
-        machine: Machine to linearize.
+        machine: Machine to linearize; its effects (deviations from the nominal model) are left out.
         position: Operating point with unstretched belts: position of every coordinate, m or rad, shape (coordinates,).
             Default: zeros.
 
     Returns:
-        State-space matrices. States: positions, then velocities, in the coordinates' units; inputs: drive voltages, V;
-        outputs: sensor readings in the channels' units.
+        Matrices A, shape (states, states), B, shape (states, drives), C, shape (sensors, states), and D, shape
+        (sensors, drives), in SI. States: positions, m or rad, then velocities; inputs: drive voltages, V; outputs:
+        sensor readings, m or rad.
 
     References:
         Sollmann, Jouaneh and Lavender (2010), eq. 20-24.
@@ -101,10 +102,10 @@ def linearize(machine: Machine, position: ArrayLike | None = None) -> StateSpace
 def mode_frequencies(machine: Machine, position: ArrayLike | None = None) -> Array:
     """Return the undamped natural frequencies: the square roots of the eigenvalues of M^-1 K over 2 pi.
 
-    M is the diagonal matrix of masses and inertias, and K the stiffness of the belts without effects.
+    M is the diagonal matrix of masses and inertias, and K the stiffness of the belts.
 
     Args:
-        machine: Machine with any number of belts.
+        machine: Machine with any number of belts; its effects (deviations from the nominal model) are left out.
         position: Operating point with unstretched belts: position of every coordinate, m or rad, shape (coordinates,).
             Default: zeros.
 

@@ -24,15 +24,16 @@ _BRISTLE_STATE_STRIDE = 5
 
 
 def belt_states(machine: Machine, positions: ArrayLike, velocities: ArrayLike | None = None) -> list[BeltState]:
-    """Return extension, stiffness and tension of each belt along a motion, with the machine's effects on belts.
+    """Return extension, stiffness and tension of each belt along a motion.
 
     Args:
-        machine: Machine.
+        machine: Machine with belts; its effects on belts (deviations from the nominal model) are included.
         positions: Positions, m or rad, shape (..., coordinates).
         velocities: Velocities, m/s or rad/s, of the same shape. Default: at rest.
 
     Returns:
-        One `BeltState` per belt (extension m, stiffness N/m, tension N, ...) with arrays of shape (...).
+        One `BeltState` per belt: extension, m, its rate, m/s, stiffness, N/m, tension beyond the pretension, N, ...;
+        arrays of shape (...).
     """
     equations = Equations(machine)
     return equations.belt_states(equations.point(positions, velocities))
@@ -42,7 +43,7 @@ def belt_forces(machine: Machine, positions: ArrayLike, velocities: ArrayLike | 
     """Return the force of the belts on each coordinate along a motion.
 
     Args:
-        machine: Machine; its effects on belts count.
+        machine: Machine with belts; its effects on belts (deviations from the nominal model) are included.
         positions: Positions, m or rad, shape (..., coordinates).
         velocities: Velocities, m/s or rad/s, of the same shape. Default: at rest.
 
@@ -67,13 +68,13 @@ def net_forces(
     At zero speed Coulomb friction counts as zero.
 
     Args:
-        machine: Machine.
+        machine: Machine with its effects (deviations from the nominal model).
         time_s: Sample times, s, strictly increasing, shape (n,).
         positions: Positions, m or rad, shape (n, coordinates).
         velocities: Velocities, m/s or rad/s, shape (n, coordinates).
         inputs: Commanded voltages, V, held from each sample until the next, shape (n, drives).
-        values: Parameter values by full name, SI, that replace the machine's: floats, or one value per variant of the
-            machine as an array of shape (variants, 1).
+        values: Parameter values by full name ("x.mass"), SI, that replace the machine's: floats, or one value per
+            variant of the machine as an array of shape (variants, 1).
 
     Returns:
         Net forces, N or Nm, shape (n, coordinates), or (variants, n, coordinates) if a parameter is an array.
@@ -93,7 +94,7 @@ def effect_forces(
     inputs: Array,
     effects: Sequence[AppliedEffect] | None = None,
 ) -> Array:
-    """Return the force that effects add along a motion.
+    """Return the force that effects (deviations from the nominal model) add along a motion.
 
     The result is the difference of the net forces with and without the effects: whatever an effect changes (a force,
     friction, a voltage, a current, a belt) counts.
@@ -124,7 +125,7 @@ def sensor_readings(machine: Machine, positions: ArrayLike) -> Array:
     """Return the readings of all sensors along a motion, without delay, noise and rounding.
 
     Args:
-        machine: Machine; its effects on sensors (scale, skew, range) apply.
+        machine: Machine; its effects on sensors (deviations from the nominal model: scale, skew, range) are included.
         positions: Positions, m or rad, shape (..., coordinates).
 
     Returns:
@@ -170,7 +171,7 @@ def effect_states(
     """Return the state of every effect with a state (bristle deflection, motor current, ...) along a motion.
 
     Args:
-        equations: Equations of the machine with its effects.
+        equations: Equations of the machine with its effects (deviations from the nominal model).
         time_s: Sample times, s, strictly increasing, shape (n,).
         positions: Positions, m or rad, shape (n, coordinates).
         velocities: Velocities, m/s or rad/s, shape (n, coordinates).
@@ -178,7 +179,7 @@ def effect_states(
             of the parameters.
 
     Returns:
-        States by index in `Equations.instances`, in the effect's unit, arrays of shape (n,), or (variants, n) for
+        States by index in `equations.instances`, in the effect's unit, arrays of shape (n,), or (variants, n) for
         several variants of the parameters. The state of an effect on a current is its mean between a sample and the
         next, because the voltage is held that long.
     """

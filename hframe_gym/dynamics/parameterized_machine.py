@@ -72,7 +72,8 @@ class ParameterizedMachine:
             name: Full name, for example "x.mass".
 
         Returns:
-            Value, SI; for a tied parameter (`Machine.ties`) the factor times the value of the other parameter.
+            Value, SI: a float, an array of any shape or a symbolic expression, as given to the constructor. For a tied
+            parameter (`Machine.ties`), the factor times the value of the other parameter.
 
         Raises:
             KeyError: If the machine has no such parameter.
@@ -98,13 +99,14 @@ class ParameterizedMachine:
         return dataclasses.replace(component, **values)
 
     def radius(self, i: int) -> Value:
-        """Return the belt travel per unit of a coordinate.
+        """Return the belt travel per unit of a coordinate: the radius of a pulley.
 
         Args:
-            i: Index of the coordinate.
+            i: Index of the coordinate in the machine, from 0.
 
         Returns:
-            Radius of the pulley, m (m of belt per rad), or 1 for a linear coordinate.
+            Radius of the pulley, m (m of belt per rad), or 1 for a linear coordinate; float, array of any shape or
+            expression.
         """
         return self._coordinates[i].travel_per_unit
 
@@ -112,44 +114,49 @@ class ParameterizedMachine:
         """Return the reciprocal of `radius`.
 
         Args:
-            i: Index of the coordinate.
+            i: Index of the coordinate in the machine, from 0.
 
         Returns:
-            1/radius, 1/m, or 1 for a linear coordinate.
+            1/radius of the pulley, 1/m, or 1 for a linear coordinate; float, array of any shape or expression.
         """
         return 1.0 / self.radius(i)
 
     def mass(self, i: int) -> Value:
-        """Return the mass of a coordinate referred to its belt travel.
+        """Return the mass of a coordinate referred to its belt travel (radius * angle of a pulley).
 
         Args:
-            i: Index of the coordinate.
+            i: Index of the coordinate in the machine, from 0.
 
         Returns:
-            Mass of a carriage, or inertia / radius^2 of a pulley, kg.
+            Mass of a carriage, or inertia / radius^2 of a pulley, kg; float, array of any shape or expression.
         """
         return self._coordinates[i].mass / (self.radius(i) * self.radius(i))
 
     def coulomb(self, i: int) -> Value:
-        """Return the Coulomb friction force of a coordinate referred to its belt travel, without effects.
+        """Return the Coulomb friction force of a coordinate referred to its belt travel (radius * angle of a pulley).
+
+        It is that of the nominal model, without effects (deviations from it).
 
         Args:
-            i: Index of the coordinate.
+            i: Index of the coordinate in the machine, from 0.
 
         Returns:
-            Coulomb friction force F, N (torque / radius for a pulley).
+            Coulomb friction force F, N (torque / radius for a pulley); float, array of any shape or expression.
         """
         return self._coordinates[i].coulomb / self.radius(i)
 
     def viscous(self, i: int, direction: Value) -> Value:
-        """Return the viscous coefficient of a coordinate referred to its belt travel, with back-EMF and effects.
+        """Return the viscous coefficient of a coordinate referred to its belt travel (radius * angle of a pulley).
+
+        The back-EMF of the drives and effects (deviations from the nominal model) are included.
 
         Args:
-            i: Index of the coordinate.
-            direction: Direction of the motion in [-1, 1]; matters only with an effect that depends on it.
+            i: Index of the coordinate in the machine, from 0.
+            direction: Direction of the motion in [-1, 1], dimensionless, float, array of any shape or expression;
+                matters only with an effect that depends on it.
 
         Returns:
-            Viscous coefficient b, Ns/m (that of a pulley divided by radius^2).
+            Viscous coefficient b, Ns/m (that of a pulley divided by radius^2), of the same kind and shape.
         """
         coefficient = self._coordinates[i].viscous
         for _, e in self.effects_on("viscous", i):
@@ -160,41 +167,42 @@ class ParameterizedMachine:
         return coefficient / (self.radius(i) * self.radius(i))
 
     def force_per_volt(self, j: int) -> Value:
-        """Return the force of a drive per volt at standstill, along the belt travel of its coordinate.
+        """Return the force of a drive per volt at standstill, along the belt travel (radius * angle) of its coordinate.
 
         Args:
-            j: Index of the drive.
+            j: Index of the drive in the machine, from 0.
 
         Returns:
-            Force per volt N Kt / (R r) with gear ratio N and pulley radius r (1 for a linear coordinate), N/V.
+            Force per volt N Kt / (R r), N/V, with gear ratio N, torque constant Kt, resistance R and pulley radius r (1
+            for a linear coordinate); float, array of any shape or expression.
         """
         return self.drives[j].gain / self.radius(self.drive_coordinates[j])
 
     # -- effects ---------------------------------------------------------------------------------------------------
 
     def effects_at(self, hook: str, component: str) -> Iterator[tuple[int, AppliedEffect]]:
-        """Iterate over the effects that have a certain hook (formula) and act on a component.
+        """Iterate over the effects (deviations from the nominal model) with a certain formula that act on a component.
 
         Args:
-            hook: Name of the hook, for example "voltage"; see `hframe_gym.machine.Effect`.
+            hook: Name of the formula, called hook, for example "voltage"; see `hframe_gym.machine.Effect`.
             component: Name of a drive, belt, coordinate or sensor channel, for example "motor1".
 
         Yields:
-            Index of the effect in `instances`, and the effect.
+            Index of the effect in `instances` (the effects, once per component on which they act), and the effect.
         """
         for k, instance in enumerate(self.instances):
             if getattr(instance.effect.definition, hook) and instance.component == component:
                 yield k, instance.effect
 
     def effects_on(self, hook: str, i: int) -> Iterator[tuple[int, AppliedEffect]]:
-        """Iterate over the effects that have a certain hook (formula) and act on a coordinate.
+        """Iterate over the effects (deviations from the nominal model) with a certain formula that act on a coordinate.
 
         Args:
-            hook: Name of the hook, for example "force"; see `hframe_gym.machine.Effect`.
-            i: Index of the coordinate.
+            hook: Name of the formula, called hook, for example "force"; see `hframe_gym.machine.Effect`.
+            i: Index of the coordinate in the machine, from 0.
 
         Yields:
-            Index of the effect in `instances`, and the effect.
+            Index of the effect in `instances` (the effects, once per component on which they act), and the effect.
         """
         for k, instance in enumerate(self.instances):
             if getattr(instance.effect.definition, hook) and instance.coordinate == i:
@@ -204,12 +212,14 @@ class ParameterizedMachine:
         """Evaluate a hook (formula) of an effect with the parameter values of this object.
 
         Args:
-            effect: Effect of the machine.
+            effect: Effect of the machine (deviation from the nominal model, such as Stribeck friction).
             hook: Name of the hook, for example "force".
-            quantities: Arguments of the hook that are not parameters of the effect, by symbol, for example q and v.
+            quantities: Arguments of the hook that are not parameters of the effect, by symbol, for example position q
+                (m or rad) and speed v (m/s or rad/s): floats, arrays of one common shape (...) or symbolic expressions.
 
         Returns:
-            Value of the hook in the unit that `hframe_gym.machine.Effect` states, for example N or Nm for "force".
+            Value of the hook, shape (...), in the unit that `hframe_gym.machine.Effect` states, for example N or Nm for
+            "force".
         """
         function = getattr(effect.definition, hook)
         return function(
@@ -223,11 +233,11 @@ class ParameterizedMachine:
         """Return the position of a coordinate.
 
         Args:
-            point: Belt travel and speed of every coordinate.
-            i: Index of the coordinate.
+            point: Belt travel (radius * angle of a pulley), m, and its rate, m/s, of every coordinate.
+            i: Index of the coordinate in the machine, from 0.
 
         Returns:
-            Position in the coordinate's unit, m or rad.
+            Position in the coordinate's unit, m or rad: a float, array of shape (...) or expression, as in the point.
         """
         return point.travel[i] * self.per_radius(i)
 
@@ -235,24 +245,29 @@ class ParameterizedMachine:
         """Return the speed of a coordinate.
 
         Args:
-            point: Belt travel and speed of every coordinate.
-            i: Index of the coordinate.
+            point: Belt travel (radius * angle of a pulley), m, and its rate, m/s, of every coordinate.
+            i: Index of the coordinate in the machine, from 0.
 
         Returns:
-            Speed in the coordinate's unit, m/s or rad/s.
+            Speed in the coordinate's unit, m/s or rad/s: a float, array of shape (...) or expression, as in the point.
         """
         return point.speed[i] * self.per_radius(i)
 
     def effect_state(self, k: int, point: MotionPoint, **arguments: Value) -> Value:
-        """Return the state of an effect at a point, advanced by `point.elapsed` if that is set.
+        """Return the state of an effect (such as a bristle deflection) at a point of a motion.
+
+        An effect is a deviation from the nominal model. If the point lies `point.elapsed` seconds after its effect
+        states, the state is advanced by that time.
 
         Args:
-            k: Index of the effect in `instances`.
-            point: Belt travel and speed of every coordinate, and states of the effects.
-            **arguments: Coulomb friction force `level`, N or Nm, and current `i`, A, if its `next_state` takes them.
+            k: Index of the effect in `instances` (the effects, once per component on which they act).
+            point: Belt travel (radius * angle of a pulley), m, and its rate, m/s, of every coordinate, and states of
+                the effects.
+            **arguments: Coulomb friction force `level`, N or Nm, and current `i`, A, if its formula `next_state` takes
+                them; floats, arrays of one common shape (...) or symbolic expressions.
 
         Returns:
-            State in the unit of the effect; 0 for an effect without state.
+            State in the unit of the effect, shape (...); 0 for an effect without state.
         """
         if k not in self.states:
             return 0.0
@@ -292,18 +307,23 @@ class ParameterizedMachine:
         speed: Sequence[Value],
         dt: Value,
     ) -> Value:
-        """Return the state of an effect after a step of the integrator.
+        """Return the state of an effect (such as a bristle deflection) after a step of the integrator.
+
+        An effect is a deviation from the nominal model. Values are floats, arrays of one common shape (...) or symbolic
+        expressions.
 
         Args:
-            k: Index of the effect in `instances`.
-            state: State before the step, in the unit of the effect.
-            arguments: Coulomb friction force `level` (N or Nm) or current `i` (A), from `ForceBalance.arguments[k]`.
-            traveled: Change of the belt travel of each coordinate over the step, m.
-            speed: Mean rate of the belt travel of each coordinate in the step, m/s.
-            dt: Length of the step, s.
+            k: Index of the effect in `instances` (the effects, once per component on which they act).
+            state: State before the step, in the unit of the effect, shape (...).
+            arguments: Coulomb friction force `level` (N or Nm) or current `i` (A), shape (...), from
+                `ForceBalance.arguments[k]`.
+            traveled: Change of the belt travel (radius * angle of a pulley) of each coordinate over the step, m, shape
+                (...) each.
+            speed: Mean rate of the belt travel of each coordinate in the step, m/s, shape (...) each.
+            dt: Length of the step, s, shape (...).
 
         Returns:
-            State after the step, in the unit of the effect.
+            State after the step, in the unit of the effect, shape (...).
         """
         quantities = {"z": state, "dt": dt, **arguments}
         if (i := self.instances[k].state_coordinate) >= 0:

@@ -51,12 +51,13 @@ def reference_step(equations: Equations, state: StepState, voltages: Sequence[fl
 
     Args:
         equations: Equations of motion of the machine, with floats as parameters.
-        state: Belt travel, speed, time and effect states before the step.
-        voltages: Commanded voltage of each drive, V, constant over the step.
+        state: Belt travel (radius * angle of a pulley), m, its rate, m/s, time, s, and states of effects (such as a
+            bristle deflection) before the step.
+        voltages: Commanded voltage of each drive, V, constant over the step, one per drive.
         h: Length of the step, s.
 
     Returns:
-        Belt travel, speed, time and effect states after the step.
+        Belt travel, m, its rate, m/s, time, s, and effect states after the step, as in `state`.
     """
     p, v = state.travel, state.speed
     coordinates = range(len(p))

@@ -21,13 +21,14 @@ class SignalEquations(ParameterizedMachine):
     def motor_voltages(self, voltages: Sequence[Value]) -> list[Value]:
         """Apply the effects of the amplifiers (offset, gain error, dead band, ...) to the commanded voltages.
 
-        Values are numbers, arrays or symbolic expressions.
+        Values are floats, arrays of one common shape (...) or symbolic expressions.
 
         Args:
-            voltages: Commanded voltage of each drive, V, after its delay, in the order of the machine's drives.
+            voltages: Commanded voltage of each drive, V, after its delay, in the order of the machine's drives, shape
+                (...) each.
 
         Returns:
-            Voltage at the terminals of each motor, V, in the same order.
+            Voltage at the terminals of each motor, V, in the same order, shape (...) each.
         """
         result = []
         for j, (drive, voltage) in enumerate(zip(self.machine.drives, voltages, strict=True)):
@@ -37,16 +38,17 @@ class SignalEquations(ParameterizedMachine):
         return result
 
     def sensor_readings(self, positions: Sequence[Value]) -> list[Value]:
-        """Compute the reading of every sensor, with the effects on it but without delay, noise and resolution.
+        """Compute the reading of every sensor, with its effects (scale, skew, ...) but without delay and noise.
 
         A reading is a sum of coordinates (or products of two) times the coefficients in the sensor's `row`. Values are
-        numbers, arrays or symbolic expressions.
+        floats, arrays of one common shape (...) or symbolic expressions.
 
         Args:
-            positions: Position of each coordinate, m or rad, in the machine's order.
+            positions: Position of each coordinate, m or rad, in the machine's order, shape (...) each.
 
         Returns:
-            Reading of every sensor with the effects on it (scale, skew, ...), m or rad, in the machine's order.
+            Reading of every sensor with the effects on it (scale, skew, ...), m or rad, in the machine's order, shape
+            (...) each.
         """
         names = self.machine.coordinate_names
         readings = []
@@ -67,18 +69,19 @@ class SignalEquations(ParameterizedMachine):
         return readings
 
     def voltage_delays(self) -> list[Value]:
-        """Return the delay from commanded to applied voltage of each drive: the sum over the effects on it.
+        """Return the delay from commanded to applied voltage of each drive: the sum of the drive's modeled delays.
 
         Returns:
-            Delay of each drive, s, in the machine's order; 0 without delay.
+            Delay of each drive, s, in the machine's order, 0 without delay: floats, arrays of any shape or expressions.
         """
         return [self._delay("delay", d.name) for d in self.machine.drives]
 
     def measurement_delays(self) -> list[Value]:
-        """Return by how much the measurement of each sensor is late: the sum of the delays of the effects on it.
+        """Return by how much the measurement of each sensor is late: the sum of the sensor's modeled delays.
 
         Returns:
-            Delay of each sensor, s, in the machine's order; 0 without delay.
+            Delay of each sensor, s, in the machine's order, 0 without delay: floats, arrays of any shape or
+            expressions.
         """
         return [self._delay("measurement_delay", s.channel) for s in self.machine.sensors]
 

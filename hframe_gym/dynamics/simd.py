@@ -88,11 +88,12 @@ def load(rows: Any, k: Any) -> Any:
     """Load a row of an array into one SIMD register; callable in Numba-compiled code only.
 
     Args:
-        rows: Contiguous array of float64, shape (n, LANES): n quantities, one machine per column.
-        k: Index of the row, 0 <= k < n (not checked).
+        rows: Contiguous array of float64, any unit, shape (n, LANES): n quantities, one machine per column; LANES is
+            the number of machines that one SIMD register holds.
+        k: Index of the row, integer, 0 <= k < n (not checked).
 
     Returns:
-        `SimdVector` of the `LANES` values of the row.
+        `SimdVector` (one SIMD register) with the `LANES` values of the row, in their unit.
 
     Raises:
         NotImplementedError: If it is called from the Python interpreter.
@@ -104,9 +105,10 @@ def store(rows: Any, k: Any, value: Any) -> None:
     """Write a SIMD register to a row of an array; callable in Numba-compiled code only.
 
     Args:
-        rows: Contiguous array of float64, shape (n, LANES): n quantities, one machine per column; changed in place.
-        k: Index of the row, 0 <= k < n (not checked).
-        value: `SimdVector` to write, or a number for all lanes.
+        rows: Contiguous array of float64, any unit, shape (n, LANES): n quantities, one machine per column; changed in
+            place. LANES is the number of machines that one SIMD register holds.
+        k: Index of the row, integer, 0 <= k < n (not checked).
+        value: `SimdVector` (one SIMD register) to write, or one number for all columns.
 
     Raises:
         NotImplementedError: If it is called from the Python interpreter.

@@ -16,6 +16,7 @@ from ..machine import Machine, Trajectory, rest_state
 from .kernel import Kernel, rollout_kernel
 from .simd import LANES
 
+MOST_STEPS = 1_000_000_000  # of one simulation; it takes minutes
 LONGEST_STEP = 0.25e-3  # s; 0.2 um median error over 0.4 s of random voltages (benchmarks/accuracy.py)
 
 _DIVERGED = 1e6  # m, rad, or per second; no machine of this kind gets anywhere near
@@ -86,7 +87,7 @@ def parameter_batch(machine: Machine, changes: dict[str, Array] | None = None) -
         SI values of the P parameters in the order of `Machine.parameters`, shape (B, P).
 
     Raises:
-        ValueError: If the machine has no parameter of a name, or the lengths differ.
+        ValueError: If the machine has no parameter of a given name, or the arrays differ in length.
     """
     values = machine.parameters
     changes = changes or {}
@@ -128,17 +129,14 @@ def simulate_batch(
 ) -> Motion:
     """Simulate B machines with the same structure (`Machine.shape`) and n samples; arrays are not validated.
 
-    Arrays without the batch axis apply to all machines.
-
     Args:
         machine: Machine that gives the structure and the default parameters.
-        time_s: Sample times, s, strictly increasing, shape (n,).
-        inputs: Voltages, V, held from each sample until the next, shape (n, drives) or (B, n, drives).
+        time_s: Sample times of n samples, s, strictly increasing, shape (n,).
+        inputs: Voltages, V, held from each sample until the next, shape (n, drives) for all machines or (B, n, drives).
         parameters: P parameters in the order of `Machine.parameters`, SI, shape (B, P). Default: those of the machine.
         start: Positions, then velocities, at the first sample, in the coordinates' units, shape (2 * coordinates,) or
             (B, 2 * coordinates). Default: at rest.
         extra_force: External force, N or Nm, held like `inputs`, shape (n, coordinates) or (B, n, coordinates).
-            Default: none.
         measured: Measurements for output injection in the channels' units, shape (n, sensors) or (B, n, sensors), NaN
             where not measured. Default: none.
         gains: Gains of the output injection (observer feedback) in the coordinates' units per unit of the channel,
@@ -149,7 +147,9 @@ def simulate_batch(
         parallel: Whether to distribute the batch over threads; not where the caller runs several batches in parallel.
 
     Returns:
-        Positions, velocities and readings with the batch axis first. Motions that diverged contain NaN or large values.
+        `Motion`: positions, shape (B, n, coordinates), velocities, of the same shape, and noise-free readings, shape
+        (B, n, sensors), in the coordinates' and channels' units; empty where not requested. Motions that diverged
+        contain NaN or large values.
     """
     parameters = parameter_batch(machine) if parameters is None else parameters
     kernel, parameters = rollout_kernel(machine, parameters, forced=extra_force is not None)
@@ -208,7 +208,7 @@ def rollout(machine: Machine, time_s: Array, inputs: Array, *, velocities: bool 
         machine: Machine that gives the structure (`Machine.shape`) and the default parameters.
         time_s: Sample times, s, strictly increasing, shape (n,).
         inputs: Voltages, V, held from each sample until the next, shape (n, drives) or (B, n, drives).
-        velocities: Whether to append the velocities, m/s or rad/s.
+        velocities: Whether to append the velocities, m/s or rad/s, to the positions.
         **options: Keyword arguments of `simulate_batch`, for example `parameters` and `start`.
 
     Returns:
@@ -237,14 +237,16 @@ def simulate(
         inputs: Drive voltages, V, shape (n, drives).
         initial: Positions (m, rad), then velocities (m/s, rad/s), at the first sample, shape (2 * coordinates,).
             Default: at rest at the origin with unstretched belts.
-        offset: Zero offset that is added to the outputs, in the channels' units, shape (sensors,) or one number.
+        offset: Zero offset that is added to the outputs, in the sensors' units, shape (sensors,) or one number.
         longest_step: Largest step of the integrator, s.
 
     Returns:
-        Positions, velocities and sensor readings at every sample.
+        Trajectory with `positions` and `velocities`, shape (n, coordinates), and sensor readings `outputs`, shape
+        (n, sensors), at every sample, in m or rad.
 
     Raises:
-        ValueError: If the shapes do not fit the machine, times do not increase, or a value is not finite.
+        ValueError: If the shapes do not fit the machine, times do not increase or span more than `MOST_STEPS` steps, or
+            a value is not finite.
         NotFiniteError: If the motion diverges; the message names time and coordinate.
 
     References:
@@ -252,6 +254,8 @@ def simulate(
     """
     grid = np.asarray(time_s, float)
     voltages = np.asarray(inputs, float)
+    if grid.ndim == 1 and len(grid) and grid[-1] - grid[0] > MOST_STEPS * longest_step:
+        raise ValueError(f"time_s spans {grid[-1] - grid[0]:g} s, which are more than {MOST_STEPS:.0e} steps")
     if grid.ndim != 1 or len(grid) == 0 or np.any(np.diff(grid) <= 0) or not np.all(np.isfinite(grid)):
         raise ValueError("time_s must be one-dimensional, finite and strictly increasing")
     if voltages.shape != (len(grid), len(machine.drives)):

@@ -40,7 +40,7 @@ class Trace:
     # -- values ----------------------------------------------------------------------------------------------------
 
     def node(self, operation: str, *operands: Any) -> Expression:
-        """Return the expression of an operation, simplified where that is exact (for example x * 1 to x).
+        """Return the expression of an operation in the traced function, simplified where that is exact (x * 1 to x).
 
         Args:
             operation: Operator such as "+" or "neg", or name of a function such as "sin".
@@ -102,7 +102,7 @@ class Trace:
             array: Name of the argument in the signature; array of shape (rows, LANES), one machine per column.
             row: Index of the row, as a number or as source text such as "step * 2 + 0".
             name: Identifier of the value in the source text; empty to write the load where the value is used.
-            invariant: Whether the row is the same in all steps of the loop.
+            invariant: Whether the row is the same in all steps of the integration loop.
 
         Returns:
             Expression of the loaded row.
@@ -113,7 +113,7 @@ class Trace:
         return value
 
     def let(self, role: str, index: int | None, value: Expression) -> Expression:
-        """Give an expression an identifier, and compute it at the present position in the function.
+        """Give an expression an identifier, and compute it at this place of the generated function.
 
         Args:
             role: First part of the identifier, for example "tension". The prefix of the section precedes it.
@@ -136,7 +136,7 @@ class Trace:
     # -- statements ------------------------------------------------------------------------------------------------
 
     def variable(self, role: str, index: int | None, value: Expression) -> Expression:
-        """Append the definition of a variable with an initial value; `assign` changes the variable.
+        """Append the definition of a variable with an initial value to the generated function; `assign` changes it.
 
         Args:
             role: First part of the variable's name, for example "speed".
@@ -151,7 +151,7 @@ class Trace:
         return variable
 
     def call(self, function: str, *arguments: Any, results: Sequence[tuple[str, int | None]]) -> list[Expression]:
-        """Append a call of a function that returns a tuple of several values.
+        """Append a call of a function that returns a tuple of several values to the generated function.
 
         Args:
             function: Name of the function in the generated module.
@@ -168,7 +168,7 @@ class Trace:
         return variables
 
     def assign(self, variable: Expression, value: Expression) -> Expression:
-        """Append an assignment of a new value to a variable.
+        """Append an assignment of a new value to a variable of the generated function.
 
         Args:
             variable: Latest version of the variable.
@@ -223,7 +223,7 @@ class Trace:
 
     @contextlib.contextmanager
     def block(self, head: str, *values: Expression, loop: bool = False) -> Iterator[None]:
-        """Append a compound statement; statements of the `with` block become its indented body.
+        """Append a compound statement to the generated function; the `with` block appends its indented body.
 
         Args:
             head: First line such as "if any_of({}):", with "{}" for each value.
@@ -244,7 +244,7 @@ class Trace:
     def update_if_any(
         self, condition: Expression, values: Sequence[Any], update: Callable[[Sequence[Any]], Sequence[Any]]
     ) -> list[Expression]:
-        """Append a block `if any_of(condition):` that updates values; it is skipped if no machine needs it.
+        """Append a block `if any_of(condition):` that updates values; it is skipped where no machine needs the update.
 
         Args:
             condition: Expression of a condition, one truth value per machine (SIMD lane).

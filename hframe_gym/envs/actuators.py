@@ -61,11 +61,11 @@ class Actuators:
         """Put these converters, current limit and dead time into a copy of a machine.
 
         Args:
-            machine: Machine whose drives get them.
+            machine: Machine whose drives get them; it is not changed.
 
         Returns:
-            Copy with the bits and voltage range of these converters at every drive, and with the effects
-            `current_limit` and `input_delay` where a limit or a delay is given.
+            Copy with the bits and voltage range of these converters at every drive, and with the effects (modeled
+            deviations) `current_limit` and `input_delay` (dead time) where a limit or a delay is given.
 
         Raises:
             InputError: If the machine has an input delay already and `delay` is not 0.
@@ -171,8 +171,9 @@ class ActuatorModel:
 
         Args:
             index: Indices of the environments, shape (k,). Indices from `count` on are unused places in the last block
-                of LANES environments.
-            values: All N parameters of these environments, SI, in the columns that `column` returns, shape (k, N).
+                of LANES environments (LANES: number of machines that the processor simulates at once).
+            values: All N parameters of these environments, SI, in the column order of the parameter table, shape
+                (k, N).
         """
         self._quantized |= _set_converters(index, values, self._columns, self._converters)
         if self._commanded is not None:  # without dead time there is no history
@@ -188,13 +189,16 @@ class ActuatorModel:
             self._history[:, 1:] = self._history[:, :-1]
 
     def command(self, actions: NDArray[Any], first: int, last: int, clipped: NDArray[np.int64]) -> None:
-        """Convert the actions for one control period and write the voltages of blocks first to last - 1 to `inputs`.
+        """Convert the actions for one control period to the motor voltages of blocks first to last - 1.
+
+        The voltages, V, are written to the attribute `inputs`. A block is LANES environments that are simulated at
+        once.
 
         Args:
-            actions: Voltages as fractions of the rated voltages, clipped to [-1, 1], shape (count, drives).
+            actions: Voltages as fractions of the rated voltages, shape (environments, drives); limited to [-1, 1] here.
             first: Index of the first block; block i holds environments i * LANES to (i + 1) * LANES - 1.
             last: Index after the last block.
-            clipped: Number of clipped action entries in each running episode, shape (count,); updated in place.
+            clipped: Number of clipped action entries in each running episode, shape (environments,); updated in place.
         """
         converters = self._rated, self._converters, self._quantized
         if self._commanded is None:

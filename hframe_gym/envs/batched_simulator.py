@@ -58,7 +58,8 @@ def units_per_travel(machine: Machine, values: Array) -> Array:
 
     Args:
         machine: Machine with its coordinates.
-        values: Parameters of k machines, SI, shape (k, N). The first columns are `machine.parameters` in their order.
+        values: Parameters of k machines, SI, shape (k, N or more). The first N columns are `machine.parameters` in
+            order.
 
     Returns:
         1 for a linear coordinate, 1 / radius in rad/m for a rotary one; shape (k, coordinates).
@@ -180,7 +181,7 @@ class BatchedSimulator:
         Args:
             index: Indices of the machines, ascending, shape (k,).
             position: Tool positions, m, shape (k, axes).
-            values: All N parameters in the order of the constructor's `space`, SI, shape (k, N).
+            values: All N parameters in the order of the parameter space (`ParameterSpace.names`), SI, shape (k, N).
         """
         if index[-1] == self.count - 1:
             # The unused lanes of the last block repeat the last machine.
@@ -214,7 +215,8 @@ class BatchedSimulator:
         """Advance all machines by one control period.
 
         Args:
-            actions: Voltages as fractions of the rated voltages, finite, clipped to [-1, 1], shape (count, drives).
+            actions: Voltages as fractions of the rated voltages, finite, shape (count, drives) for all `count`
+                machines; limited to [-1, 1] here.
             clipped: Number of clipped action entries in each episode, shape (count,); updated in place.
             finish: Function called with (first, last), in any thread, after blocks first to last - 1 (LANES machines
                 each) are advanced. It returns the index of a machine whose state is not finite, or -1.

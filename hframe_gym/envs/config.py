@@ -99,7 +99,7 @@ class EnvConfig:
 
     @property
     def chosen_reward(self) -> RewardLike:
-        """`reward`, or its default."""
+        """The option `reward`, or if it is None the default reward of the task."""
         return self.reward if self.reward is not None else "progress" if self.normalize else "dense"
 
     def __post_init__(self) -> None:

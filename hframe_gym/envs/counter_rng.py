@@ -64,15 +64,16 @@ def _mix(z: Any) -> Any:
 
 @compiled
 def uniform(key: Any, step: Any, channel: Any) -> float:
-    """Generate one uniform random number; equal arguments always give the same number.
+    """Generate one uniform random number from a key and two counters; equal arguments always give the same number.
 
     Args:
-        key: Key of the episode (its seed), uint64.
-        step: Index of the control period since the reset, from 0, or `RESET_STEP` for numbers that the reset uses.
-        channel: Index of the random number within the step, from 0.
+        key: Key of the episode, which takes the place of a seed, uint64.
+        step: Index of the control period since the reset, from 0, or `RESET_STEP` for numbers that the reset uses;
+            integer.
+        channel: Index of the random number within the step, from 0; integer.
 
     Returns:
-        Number in the open interval (0, 1), never exactly 0 or 1.
+        Number in the open interval (0, 1), dimensionless, never exactly 0 or 1.
     """
     z = _mix(np.uint64(key) + _GOLDEN)
     z = _mix(z + _GOLDEN * (np.uint64(step) + _ONE))
@@ -103,8 +104,8 @@ def cos_sin_of_turns(u: float) -> tuple[float, float]:
         u: Angle in turns (1 turn is 2 pi rad), any finite number.
 
     Returns:
-        cosine: cos(2 pi u).
-        sine: sin(2 pi u).
+        cosine: cos(2 pi u), dimensionless.
+        sine: sin(2 pi u), dimensionless.
     """
     quarter = math.floor(4.0 * u + 0.5)  # nearest multiple of a quarter turn
     r = (4.0 * u - quarter) * 1.5707963267948966  # rest of the angle, rad, -pi/4 to pi/4
@@ -126,13 +127,14 @@ def normal_pair(key: Any, step: Any, channel: Any) -> tuple[float, float]:
     """Generate two independent normal random numbers of mean 0 and variance 1 (Box and Muller 1958).
 
     Args:
-        key: Key of the episode (its seed), uint64.
-        step: Index of the control period since the reset, from 0.
-        channel: Channel of `uniform` for the first of the two uniform numbers used; `channel + 1` is the other.
+        key: Key of the episode, which takes the place of a seed, uint64.
+        step: Index of the control period since the reset, from 0; integer.
+        channel: Channel of `uniform` for the first of the two uniform numbers used; `channel + 1` is the other;
+            integer.
 
     Returns:
-        first: Normal number.
-        second: Normal number, independent of `first`.
+        first: Normal number, dimensionless.
+        second: Normal number, dimensionless, independent of `first`.
     """
     radius = math.sqrt(-2.0 * _log(uniform(key, step, channel)))
     cosine, sine = cos_sin_of_turns(uniform(key, step, channel + 1))
@@ -151,7 +153,7 @@ def reset_uniforms(keys: NDArray[np.uint64], count: int) -> NDArray[np.float64]:
     """Generate the uniform random numbers that the resets of k episodes use.
 
     Args:
-        keys: Keys of the new episodes from `episode_keys`, shape (k,).
+        keys: Keys of the new episodes from `episode_keys`, uint64, shape (k,).
         count: Random numbers per episode.
 
     Returns:
@@ -168,11 +170,11 @@ def episode_keys(keys: NDArray[np.uint64], episodes: NDArray[np.int64]) -> NDArr
     Keys differ by a constant from episode to episode, as the states of SplitMix64 (Steele, Lea and Flood 2014).
 
     Args:
-        keys: Keys of the environments, one 64-bit random number each, shape (k,).
+        keys: Keys of the environments, one 64-bit random number each, uint64, shape (k,).
         episodes: Number of episodes that each environment began since it was seeded, or -1 for the parameters that
             are sampled once per seed, shape (k,).
 
     Returns:
-        Keys of the episodes for `uniform` and `normal_pair`, shape (k,).
+        Keys of the episodes for `uniform` and `normal_pair`, uint64, shape (k,).
     """
     return keys + _GOLDEN * episodes.astype(np.uint64)

@@ -53,7 +53,8 @@ class Distribution(Protocol):
             u: Probabilities in (0, 1), shape (k,).
 
         Returns:
-            Quantiles, shape (k,). Entry i must depend on u[i] alone, to the bit, so that results do not depend on k.
+            Quantiles, in the unit of the distribution's bounds, shape (k,). Entry i must depend on u[i] alone, to the
+            bit, so that results do not depend on k.
         """
 
 
@@ -87,7 +88,7 @@ class Uniform(Distribution):
             u: Probabilities in (0, 1), shape (k,).
 
         Returns:
-            Values of the distribution, shape (k,).
+            Values of the distribution, in the unit of `low` and `high`, shape (k,).
         """
         return self.low + (self.high - self.low) * u
 
@@ -119,7 +120,7 @@ class LogUniform(Distribution):
             u: Probabilities in (0, 1), shape (k,).
 
         Returns:
-            Values of the distribution, shape (k,).
+            Values of the distribution, in the unit of `low` and `high`, shape (k,).
         """
         # SciPy's exponential: that of NumPy may round differently for arrays of another size.
         values: Array = self.low * exp10(math.log10(self.high / self.low) * u)
@@ -153,7 +154,7 @@ class Normal(Distribution):
             u: Probabilities in (0, 1), shape (k,).
 
         Returns:
-            Values of the distribution, shape (k,).
+            Values of the distribution, in the unit of `mean` and `std`, shape (k,).
         """
         return self.mean + self.std * np.asarray(ndtri(u))
 
@@ -209,7 +210,7 @@ class RandomizeParameter:
             u: Probabilities in (0, 1), shape (k,).
 
         Returns:
-            Samples for `apply`, shape (k,).
+            Samples for `apply`, shape (k,); dimensionless where `how` is "scale", else in the parameter's unit, SI.
         """
         assert isinstance(self.distribution, Distribution)
         return self.distribution.quantile(u)

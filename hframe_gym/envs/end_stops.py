@@ -54,7 +54,7 @@ def with_end_stops(machine: Machine) -> Machine:
         machine: Machine with a workspace.
 
     Returns:
-        Copy with one more effect `end_stop` per axis. Their parameters follow those of the machine.
+        Copy with one more effect (modeled deviation) `end_stop` per axis. Their parameters follow those of the machine.
 
     Raises:
         InputError: If the machine has no workspace; see `workspace_of`.

@@ -133,7 +133,7 @@ class EnvironmentBatch:
 
     @property
     def elapsed(self) -> NDArray[np.int64]:
-        """Control periods since the reset of each environment, shape (count,)."""
+        """Control periods since the reset of each of the `count` environments, dimensionless, shape (count,)."""
         return self.references.elapsed
 
     # -- reset -----------------------------------------------------------------------------------------------------
@@ -190,7 +190,8 @@ class EnvironmentBatch:
         """Check the shape of actions and that they are finite, and convert them to a contiguous float array.
 
         Args:
-            actions: Voltages as fractions of the rated voltages, shape (count, drives). `step` clips them to [-1, 1].
+            actions: Voltages as fractions of the rated voltages, shape (count, drives) for `count` environments. `step`
+                limits them to [-1, 1].
 
         Returns:
             Actions, float32 if they were float32, else float64, shape (count, drives).
@@ -203,6 +204,8 @@ class EnvironmentBatch:
             raise error.ResetNeeded("call reset before step")
         values = np.ascontiguousarray(actions)
         if values.dtype != _FLOAT32:
+            if values.dtype.kind not in "fiub":
+                raise ValueError(f"actions have the type {values.dtype}, they must be numbers")
             values = values.astype(np.float64, copy=False)
         if values.shape != self._expected_shape:
             raise ValueError(f"actions have shape {values.shape}, they must have {self._expected_shape}")
@@ -216,11 +219,13 @@ class EnvironmentBatch:
         """Advance all environments by one control period.
 
         Args:
-            actions: Result of `check_actions`: voltages as fractions of the rated voltages, shape (count, drives).
+            actions: Result of `check_actions`: voltages as fractions of the rated voltages, shape (count, drives) for
+                `count` environments; limited to [-1, 1].
 
         Returns:
-            New arrays with first axis count: observations, rewards, whether episodes end at the workspace's edge, and
-            errors of the tool position, m.
+            `StepResult` of new arrays for all environments: observations by key, shape (count, entries), rewards,
+            dimensionless, and flags of episodes that end at the workspace's edge, shape (count,), and errors of the
+            tool position, m, shape (count,).
 
         Raises:
             NotFiniteError: If a position or velocity is not finite; the message names the environment.
@@ -282,7 +287,8 @@ class EnvironmentBatch:
         """Compute the observations of all environments from the present states or the last measurements.
 
         Returns:
-            New float32 arrays by key of the observation space, first axis count.
+            New float32 arrays by key of the observation space, in the units of its entries, shape (count, entries of
+            the key) for `count` environments.
         """
         observation, tool = self._blank()
         self.references.write(slice(None), observation)

@@ -129,7 +129,7 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     @property
     def privileged_entries(self) -> tuple[SignalSpec, ...]:
-        """Name, unit and bounds of every entry of `privileged`, in order; empty without `privileged=True`."""
+        """Name, unit and bounds of every entry of the key `privileged` (true state and parameters); else empty."""
         return self.batch.observations.privileged
 
     def reset(
@@ -139,11 +139,12 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
 
         Args:
             seed: Seed of the environment's random generator; None continues the present sequence.
-            options: Optional keys `start` and `target`: tool and goal positions (x, y), m, in place of random ones.
+            options: Optional keys `start` and `target`: tool and goal positions, m, shape (axes,), in place of random
+                ones.
 
         Returns:
-            observation: Arrays by key, see Observation Space.
-            info: Distance to the goal and further values, see Episode End.
+            observation: Arrays by key, shape (entries of the key,), see Observation Space of the class.
+            info: Distance to the goal, m, and further values, see Episode End of the class.
 
         Raises:
             InputError: If an option is unknown, a position is outside the workspace, or `target` is given for a task
@@ -164,14 +165,14 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
         """Apply constant motor voltages for one control period.
 
         Args:
-            action: Voltages as fractions of the rated voltages, shape (2,); clipped to [-1, 1].
+            action: Voltages as fractions of the rated voltages, shape (drives,); limited to [-1, 1].
 
         Returns:
-            observation: Arrays by key, see Observation Space.
-            reward: Reward, see Rewards.
+            observation: Arrays by key, shape (entries of the key,), see Observation Space of the class.
+            reward: Reward, dimensionless, see Rewards of the class.
             terminated: Whether the tool left the workspace; always False unless `ends` is "terminate".
             truncated: Always False; `gym.make` adds the limit of 150 steps.
-            info: Distance to the goal and further values, see Episode End.
+            info: Distance to the goal, m, and further values, see Episode End of the class.
 
         Raises:
             ValueError: If the action has another shape or an entry is not finite.
@@ -198,8 +199,8 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
     def compute_reward(self) -> Callable[[Any, Any, Any], Any]:
         """Function (achieved_goal, desired_goal, info) -> reward, for example to relabel goals (hindsight replay).
 
-        It takes goals as observed (m, or normalized), shape (2,) or (n, 2), ignores `info`, and returns a float, or n
-        rewards, shape (n,): the same bits as the rewards of `step`.
+        It takes goals as observed (m, or normalized), shape (axes,) or (n, axes), ignores `info`, and returns a float,
+        or n rewards, dimensionless, shape (n,): the same bits as the rewards of `step`.
 
         Raises:
             AttributeError: With `flat=True`, because the observation then has no goals.

@@ -51,7 +51,7 @@ class ParameterSpace:
 
     @classmethod
     def of(cls, machine: Machine, task_parameters: Mapping[str, float] | None = None) -> ParameterSpace:
-        """Collect the parameters of a machine and a task, with the limits of their random values.
+        """Collect the randomizable parameters of a machine and a task, with the limits of their random values.
 
         Friction, noise and converter resolution may be 0. The rest length of a belt is at least `SMALLEST_FRACTION` of
         its nominal value at every position in the workspace. Parameters of effects have the bounds of their
@@ -62,7 +62,7 @@ class ParameterSpace:
             task_parameters: Nominal values of the task's parameters, SI, by name without "task.", e.g. "speed".
 
         Returns:
-            Names, nominal values and limits of all N parameters.
+            Names, nominal values and limits (SI, shape (N,) each) of all N parameters.
         """
         task = {f"task.{name}": value for name, value in (task_parameters or {}).items()}
         values = {**machine.parameters, **machine.device_parameters, **task}
@@ -204,7 +204,8 @@ class RuleSampler:
 
         Args:
             base: All N parameters before sampling, SI, shape (k, N), or (1, N) if all environments have the same.
-            uniforms: Uniform random numbers in (0, 1), shape (k, draws).
+            uniforms: Uniform random numbers in (0, 1), shape (k, draws), where `draws` is the number that the rules
+                need.
 
         Returns:
             All parameters after sampling, SI, shape (k, N). Negative samples of friction and noise are set to zero.
@@ -302,7 +303,7 @@ class MachineSampler:
         """Compute the bounds of the randomized parameters divided by their nominal values.
 
         Returns:
-            (Smallest, largest) result of `normalized`, by full name of the parameter.
+            (Smallest, largest) result of `normalized`, dimensionless, by full name of the parameter.
         """
         edges = np.sort(self.normalized(np.stack([self.low, self.high])), axis=0)
         return {name: (low, high) for name, (low, high) in zip(self.names, edges.T.tolist(), strict=True)}

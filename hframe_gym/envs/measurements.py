@@ -65,8 +65,9 @@ class SensorArray:
 
         Args:
             index: Indices of the environments, shape (k,).
-            keys: Keys of the episodes, from which their random numbers follow, shape (k,).
-            values: All N parameters of these environments, SI, in the columns that `column` returns, shape (k, N).
+            keys: Keys (seeds) of the episodes, from which their random numbers follow, uint64, shape (k,).
+            values: All N parameters of these environments, SI, in the column order of the parameter table, shape
+                (k, N).
         """
         self._keys[index] = keys
         for j, (noise, resolution) in enumerate(self._device_columns):
@@ -79,10 +80,10 @@ class SensorArray:
         """Write the new measurements of k environments to row 0 of `measurements`; the previous ones move to row 1.
 
         Args:
-            readings: Ideal (noise-free) readings of all sensors of the machine, delays included, in the channels'
-                units, shape (blocks, sensors, LANES).
+            readings: Ideal (noise-free) readings of all sensors of the machine, delays included, m or rad, shape
+                (blocks, sensors, LANES): machine b is in block b // LANES and column b % LANES.
             index: Indices of the environments, shape (k,).
-            elapsed: Control periods since the reset of every environment, shape (count,).
+            elapsed: Control periods since the reset of each of the `count` environments, shape (count,).
             fresh: Whether this is the first measurement of an episode; both rows then hold it.
         """
         # Sensor kinds with a formula of their class replace what the compiled default wrote.
@@ -176,8 +177,8 @@ class DelayLine:
 
         Args:
             index: Indices of the environments, ascending, shape (k,).
-            readings: Ideal readings at the start of the episode, without delay, in the channels' units, shape (blocks,
-                sensors, LANES).
+            readings: Ideal (noise-free) readings at the start of the episode, without delay, m or rad, shape
+                (blocks, sensors, LANES): machine b is in block b // LANES and column b % LANES.
         """
         block, lane = np.divmod(index, LANES)
         self._history[block, :, :, lane] = readings[block, :, lane][:, None]
@@ -186,7 +187,7 @@ class DelayLine:
         """Store the readings of blocks first to last - 1 after one integration step; they replace the oldest.
 
         Args:
-            readings: Ideal readings without delay, in the channels' units, shape (blocks, sensors, LANES).
+            readings: Ideal (noise-free) readings without delay, m or rad, shape (blocks, sensors, LANES).
             step: Number of integration steps since the environments were created, the same for all environments.
             first: Index of the first block of LANES environments.
             last: Index after the last block.
@@ -200,7 +201,7 @@ class DelayLine:
             step: Number of the integration step that was recorded last.
             first: Index of the first block of LANES environments.
             last: Index after the last block.
-            out: Output, delayed ideal readings in the channels' units, shape (blocks, sensors, LANES).
+            out: Output, delayed noise-free readings, m or rad, shape (blocks, sensors, LANES).
         """
         _interpolate(self._history, self.delays, self._h, step, first, last, out)
 

@@ -51,13 +51,14 @@ class ObservationFormat:
         return (values - self._center[key]) / self._scale[key]
 
     def apply(self, observation: dict[str, NDArray[np.float32]]) -> Any:
-        """Convert observations.
+        """Convert observations to the format that the environment's options `normalize` and `flat` select.
 
         Args:
             observation: Arrays by key, SI, float32, shape (n, entries of the key).
 
         Returns:
-            Arrays by key of the same shapes, or one array of shape (n, all entries), float32.
+            Arrays by key of the same shapes, or one array of shape (n, all entries), float32; dimensionless if
+            normalized, else SI.
         """
         if not self.active:
             return observation
@@ -68,7 +69,7 @@ class ObservationFormat:
         """Convert goals of observations to positions.
 
         Args:
-            goal: Achieved or desired goals as observed, shape (axes,) or (n, axes).
+            goal: Achieved or desired goals as observed (m, or dimensionless if normalized), shape (axes,) or (n, axes).
 
         Returns:
             Positions, m, float32, the same shape.
@@ -83,6 +84,6 @@ class ObservationFormat:
             goal: Positions, m, float32, shape (n, axes).
 
         Returns:
-            Goals, normalized if observations are, float32, shape (n, axes).
+            Goals, m, or dimensionless if observations are normalized, float32, shape (n, axes).
         """
         return self._normalized("desired_goal", goal) if self.normalize else goal

@@ -50,7 +50,7 @@ class StateView(NamedTuple):
             signals: Specifications of n positions and velocities; those of the tool's axes come first.
 
         Returns:
-            Rows and bounds of the n entries.
+            Rows of the state array, and bounds, in the signals' units, of the n entries, shape (n,) each.
         """
         names = simulator.machine.coordinate_names
         rows = np.full((len(signals), 4), -1)
@@ -126,10 +126,10 @@ class ObservationBuilder:
 
         Args:
             index: Indices of the environments, shape (k,).
-            keys: Keys of the episodes, from which their random numbers follow, shape (k,).
+            keys: Keys (seeds) of the episodes, from which their random numbers follow, uint64, shape (k,).
             values: All N parameters, SI, in the order of `sampler.space.names`, shape (k, N).
             sampler: Sampler that returned `keys` and `values`.
-            elapsed: Control periods since the reset of every environment, shape (count,).
+            elapsed: Control periods since the reset of each of the `count` environments, shape (count,).
         """
         if self.privileged:
             self._parameters[index] = sampler.normalized(values)
@@ -143,7 +143,7 @@ class ObservationBuilder:
         Args:
             first: Index of the first block; block i holds environments i * LANES to (i + 1) * LANES - 1.
             last: Index after the last block.
-            elapsed: Control periods since the reset of every environment, shape (count,).
+            elapsed: Control periods since the reset of each of the `count` environments, shape (count,).
         """
         if self._sensors is not None:
             self._sensors.measure(self._simulator.readings, self._rows(first, last), elapsed, fresh=False)
@@ -156,8 +156,9 @@ class ObservationBuilder:
         """Allocate arrays for the outputs of `write`, without initial values.
 
         Returns:
-            observation: `observation`, `achieved_goal` and, if enabled, `privileged`; float32, first axis count.
-            tool: Array for true tool positions, shape (count, axes); see `tool_array`.
+            observation: Arrays `observation`, `achieved_goal` and, if enabled, `privileged`; float32, shape (count,
+                entries of the key) for `count` environments.
+            tool: Array for true tool positions, m, shape (count, axes); see `tool_array`.
         """
         observation = {key: np.empty(shape, np.float32) for key, shape in self._shapes.items()}
         return observation, self.tool_array(observation)
@@ -169,7 +170,8 @@ class ObservationBuilder:
             observation: Observation arrays from `blank`.
 
         Returns:
-            The array `achieved_goal` itself if the state is observed, else a new float32 array, shape (count, axes).
+            Array for positions, m, shape (count, axes): `achieved_goal` itself if the state is observed, else a new
+            float32 array.
         """
         achieved = observation["achieved_goal"]
         return np.empty_like(achieved) if self.measured else achieved
@@ -180,7 +182,7 @@ class ObservationBuilder:
         Args:
             first: Index of the first block; block i holds environments i * LANES to (i + 1) * LANES - 1.
             last: Index after the last block.
-            observation: Output, arrays from `blank`; other rows are not changed.
+            observation: Output, arrays from `blank`, shape (count, entries of the key); other rows are not changed.
             tool: Output, true tool positions, m, shape (count, axes), from `tool_array`.
 
         Returns:

@@ -55,7 +55,8 @@ class Scene:
             trail: Past tool positions (x, y), m, oldest first.
 
         Returns:
-            Present position, angles, tensions and goal of this environment.
+            Tool position and goal, m, angles of the first two motors, rad, belt tensions, N, past and coming path, m,
+            of this environment.
         """
         index = np.array([b])
         position = batch.simulator.positions(b)

@@ -35,12 +35,12 @@ _DENSE, _SPARSE = 0, 1
 
 @compiled
 def row_distance(first: Any, second: Any, b: int) -> float:
-    """Compute the distance of one row of two arrays of positions.
+    """Compute the Euclidean distance between row b of two arrays of positions.
 
     Args:
-        first: Positions, m, shape (n, 2) or (n, 1).
-        second: Positions, m, the same shape.
-        b: Index of the row.
+        first: Positions, m, shape (n, axes).
+        second: Positions, m, shape (n, axes).
+        b: Index of the row, from 0.
 
     Returns:
         Distance, m.
@@ -77,7 +77,7 @@ def evaluate_rows(
         first: Index of the first row.
         last: Index after the last row.
         distance: Output, distance from `tool` to `desired`, m, shape (n,); other rows are not changed.
-        reward: Output, rewards of `achieved` and `desired`, shape (n,); other rows are not changed.
+        reward: Output, rewards, dimensionless, of `achieved` and `desired`, shape (n,); other rows are not changed.
     """
     # One loop for each operation, which the compiler vectorizes.
     for b in range(first, last):
@@ -202,7 +202,7 @@ def outside_workspace(positions: Positions, workspace: NDArray[Any]) -> NDArray[
     """Test which positions lie outside the workspace; its edge counts as inside.
 
     Args:
-        positions: Positions x, y, m, shape (n, axes).
+        positions: Positions of the tool's axes, m, shape (n, axes).
         workspace: One row per axis of the tool, columns low and high, m, shape (axes, 2).
 
     Returns:
@@ -217,12 +217,13 @@ def as_reward(reward: RewardLike, band: float, axes: int = 2) -> Reward:
 
     Args:
         reward: Registered name ("dense", "sparse"), `package.module:name`, or a function of achieved and desired
-            positions, m, float32, shape (n, axes) each, that returns n rewards.
+            positions, m, float32, shape (n, axes) each, that returns rewards, shape (n,).
         band: Distance to the goal that counts as a success, m; an argument of registered rewards.
         axes: Number of axes of the tool.
 
     Returns:
-        Function of achieved and desired positions, m, shape (n, axes) each, that returns rewards, shape (n,).
+        Function of achieved and desired positions, m, shape (n, axes) each, that returns rewards, dimensionless, shape
+        (n,).
 
     Raises:
         InputError: If the name is unknown, or the reward does not return one finite number per row.

@@ -86,7 +86,8 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
         """Begin episodes in all environments, with the seeds and options that `seed` and `set_options` stored.
 
         Returns:
-            Observation arrays by key, float32, first axis num_envs; one array for a flat id.
+            Observation arrays by key, float32, shape (num_envs, entries of the key), in the units of the observation
+            space; one array of shape (num_envs, entries) for a flat environment id.
 
         Raises:
             ValueError: If only some environments have an option.
@@ -110,7 +111,7 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
         """Store actions; `step_wait` applies them.
 
         Args:
-            actions: Voltages as fractions of the rated voltages, clipped to [-1, 1], shape (num_envs, 2).
+            actions: Voltages as fractions of the rated voltages, limited to [-1, 1], shape (num_envs, drives).
         """
         self._actions = actions
 
@@ -120,8 +121,8 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
         """Advance by one control period with the actions of `step_async`.
 
         Returns:
-            observation: Arrays by key, first axis num_envs; after the reset where an episode ended.
-            reward: Rewards, shape (num_envs,).
+            observation: Arrays by key, shape (num_envs, entries of the key); after the reset where an episode ended.
+            reward: Rewards, dimensionless, shape (num_envs,).
             done: Whether the episode ended, by termination or truncation, shape (num_envs,).
             infos: One dict per environment, empty unless its episode ended; see the class.
 

@@ -44,7 +44,7 @@ class Encoders:
         """Compute the resolution of the encoder as an angle of the pulley.
 
         Args:
-            gear_ratio: Motor speed / pulley speed, positive.
+            gear_ratio: Motor speed / pulley speed, dimensionless, positive.
 
         Returns:
             Rotation of the pulley (output side of the gear) per encoder count, rad.
@@ -92,7 +92,7 @@ class SensorSuite(ABC):
             machine: Machine whose sensors are replaced or kept.
 
         Returns:
-            Copy of the machine that declares the sensors, with ranges as effects `sensor_range`.
+            Copy of the machine that declares the sensors, with their measuring ranges as effects `sensor_range`.
         """
 
     @abstractmethod
@@ -313,7 +313,8 @@ class PositionFromSensors:
             sensors: The n observed sensors.
 
         Returns:
-            Map from the n measurements, in the units of the sensors' channels, to the tool position, m.
+            Linear map from the n measurements, in the sensors' units (m or rad), to the tool position, m; matrix of
+            shape (axes, n).
 
         Raises:
             InputError: If the sensors do not determine every axis.

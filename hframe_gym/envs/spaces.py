@@ -170,7 +170,8 @@ def privileged_signals(machine: Machine, bounds: Mapping[str, tuple[float, float
 
     Args:
         machine: Machine with its coordinates.
-        bounds: (Smallest, largest) value of each randomized parameter divided by its nominal value, by full name.
+        bounds: (Smallest, largest) value, dimensionless, of each randomized parameter divided by its nominal value, by
+            full name ("x.mass").
 
     Returns:
         Specifications of all positions, all velocities, then all parameters.
@@ -245,8 +246,8 @@ def observation_space(
         privileged: Entries of `privileged`; empty: the observation does not have this key.
 
     Returns:
-        Bounded float32 boxes by key: `observation`, `achieved_goal` (axes,), `desired_goal` (axes,), and if requested
-        `preview` (axes * previews,) and `privileged`.
+        Bounded float32 boxes by key: `observation`, shape (entries,), `achieved_goal` and `desired_goal`, shape
+        (axes,), and if requested `preview`, shape (axes * previews,), and `privileged`, shape (entries,).
 
     Raises:
         InputError: If the machine has no workspace; see `workspace_of`.
@@ -256,14 +257,14 @@ def observation_space(
 
 
 def box(low: NDArray[np.floating[Any]], high: NDArray[np.floating[Any]]) -> spaces.Box:
-    """Create a float32 box.
+    """Create a bounded space of Gymnasium with float32 entries.
 
     Args:
-        low: Lower bounds, shape (n,).
-        high: Upper bounds, shape (n,).
+        low: Lower bounds, in the units of the entries, shape (n,).
+        high: Upper bounds, in the units of the entries, shape (n,).
 
     Returns:
-        Box of shape (n,).
+        `gymnasium.spaces.Box` of shape (n,).
     """
     return spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
 

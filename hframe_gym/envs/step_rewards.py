@@ -60,14 +60,14 @@ class ProgressReward:
 
     @staticmethod
     def bonus(achieved: Positions, desired: Positions) -> Array:
-        """Compute the second term, the pay for being close to the goal.
+        """Compute the second term of the reward, a bonus for being close to the goal.
 
         Args:
             achieved: Achieved tool positions, m, float32, shape (n, axes).
             desired: Goal positions, m, float32, shape (n, axes).
 
         Returns:
-            PRECISION_BONUS / (1 + d / BONUS_SCALE), shape (n,).
+            Bonus PRECISION_BONUS / (1 + d / BONUS_SCALE) with the distance d, dimensionless, shape (n,).
         """
         return PRECISION_BONUS / (1.0 + distances(achieved, desired) / BONUS_SCALE)
 
@@ -105,11 +105,12 @@ class StepRewards:
         self._after: dict[str, Positions] = {}
 
     def begin(self, index: NDArray[np.intp], observation: Mapping[str, Positions]) -> None:
-        """Store the goals of episodes that begin.
+        """Store the goals with which episodes begin, for rewards that compare a step with the one before.
 
         Args:
             index: Indices of their environments, shape (k,).
-            observation: Arrays by key, m, of which the rows `index` are used, shape (count, axes).
+            observation: Arrays by key, of which the rows `index` of `achieved_goal` and `desired_goal` are used, m,
+                shape (count, axes) for `count` environments.
         """
         for key in self._keys:
             for goals in (self._before, self._after):
@@ -119,10 +120,11 @@ class StepRewards:
         """Compute the rewards of the step that led to an observation.
 
         Args:
-            observation: Arrays by key, m, shape (count, axes).
+            observation: Arrays by key, of which `achieved_goal` and `desired_goal` are used, m, shape (count, axes) for
+                `count` environments.
 
         Returns:
-            Rewards, shape (count,).
+            Rewards, dimensionless, shape (count,).
         """
         self._before, self._after = self._after, {key: observation[key].copy() for key in self._keys}
         achieved, desired = (
@@ -132,10 +134,11 @@ class StepRewards:
         return rewards
 
     def info(self) -> dict[str, Positions]:
-        """Return what an info says about the goals before the last step; nothing unless the reward needs them.
+        """Return the goals before the last step, for the environment's info; nothing unless the reward needs them.
 
         Returns:
-            `previous_achieved_goal` and, where goals move, `previous_desired_goal`, as observed, shape (count, axes).
+            `previous_achieved_goal` and, where goals move, `previous_desired_goal`, as observed (m, or normalized),
+            shape (count, axes) for `count` environments.
         """
         return {f"previous_{key}": np.array(self._format.goal_as_observed(g)) for key, g in self._before.items()}
 
@@ -149,7 +152,7 @@ class StepRewards:
                 "progress", use it: its entry `previous_achieved_goal`, and `previous_desired_goal` where goals move.
 
         Returns:
-            Reward as a float for shape (axes,), or n rewards, shape (n,).
+            Reward, dimensionless: a float for goals of shape (axes,), or n rewards, shape (n,).
 
         Raises:
             InputError: If the reward compares two steps and an info lacks the goals of the step before.

@@ -99,7 +99,7 @@ class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]])
 
     @property
     def privileged_entries(self) -> tuple[SignalSpec, ...]:
-        """Name, unit and bounds of every entry of `privileged`, in order; empty without `privileged=True`."""
+        """Name, unit and bounds of every entry of the key `privileged` (true state and parameters); else empty."""
         return self.batch.observations.privileged
 
     @property
@@ -125,12 +125,12 @@ class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]])
 
         Args:
             seed: Seed s, which gives environment i the seed s + i, or one seed per environment. None: not seeded again.
-            options: Optional keys: `start` and `target`, tool and goal positions, m, shape (2,) or one row for each
+            options: Optional keys: `start` and `target`, tool and goal positions, m, shape (axes,) or one row for each
                 environment that is reset; `reset_mask`, the environments to reset, bool, shape (num_envs,).
 
         Returns:
-            observation: Arrays by key, first axis num_envs, of all environments.
-            info: Arrays (num_envs,) by key, zero for environments that are not reset, and their masks "_key".
+            observation: Arrays by key of all environments, shape (num_envs, entries of the key).
+            info: Arrays by key, shape (num_envs,), zero for environments that are not reset, and their masks "_key".
 
         Raises:
             InputError: If an option is unknown, a position is outside the workspace, or the task has no target.
@@ -167,14 +167,14 @@ class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]])
         """Advance all environments by one control period.
 
         Args:
-            actions: Fractions of the rated voltages, clipped to [-1, 1], shape (num_envs, 2).
+            actions: Voltages as fractions of the rated voltages, limited to [-1, 1], shape (num_envs, drives).
 
         Returns:
-            observation: Arrays by key, first axis num_envs.
-            reward: Rewards, shape (num_envs,).
+            observation: Arrays by key, shape (num_envs, entries of the key), in the units of the observation space.
+            reward: Rewards, dimensionless, shape (num_envs,).
             terminated: Whether the tool left the workspace, with `ends="terminate"`, shape (num_envs,).
             truncated: Whether the episode reached `max_episode_steps`, shape (num_envs,).
-            info: Arrays (num_envs,) by key, and their masks "_key".
+            info: Arrays by key, shape (num_envs,), and their masks "_key".
 
         Raises:
             ValueError: If the actions have another shape or an entry is not finite.
@@ -218,8 +218,8 @@ class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]])
     def compute_reward(self) -> Callable[[Any, Any, Any], Any]:
         """Function (achieved_goal, desired_goal, info) -> reward, for example to relabel goals (hindsight replay).
 
-        It takes goals as observed (m, or normalized), shape (2,) or (n, 2), ignores `info`, and returns a float, or n
-        rewards, shape (n,): the same bits as the rewards of `step`.
+        It takes goals as observed (m, or normalized), shape (axes,) or (n, axes), ignores `info`, and returns a float,
+        or n rewards, dimensionless, shape (n,): the same bits as the rewards of `step`.
 
         Raises:
             AttributeError: With `flat=True`, because the observation then has no goals.

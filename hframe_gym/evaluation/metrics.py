@@ -51,7 +51,7 @@ def score_episodes(
     """Compute the scores of one controller from its B recorded episodes.
 
     Args:
-        episodes: Recorded episodes.
+        episodes: B recorded episodes: positions and goals, m, voltages, V, energy, J, belt forces, N.
         bound_s: Shortest possible settling time of each episode, s, shape (B,), NaN where unknown, or None for all.
         seed: Seed of the bootstrap resampling that gives confidence intervals.
         metrics: Name of a set of metrics (see `METRICS`). Default: "track" if the episodes have a path, else "reach".
@@ -129,7 +129,7 @@ def track_metrics(episodes: Episodes, bound_s: Array | None, seed: int) -> dict[
 
     Args:
         episodes: Recorded episodes of a task with a path.
-        bound_s: Not used, because there are no time-optimal bounds for paths.
+        bound_s: Not used, because there are no time-optimal bounds for paths; s, shape (B,).
         seed: Seed of the bootstrap resampling that gives confidence intervals.
 
     Returns:
@@ -180,8 +180,8 @@ def overshoot(position: Array, goal: Array) -> Array:
     """Compute the largest distance by which the tool passes its goal, along the line from start to goal.
 
     Args:
-        position: Tool positions at n samples of B episodes, m, shape (B, n, 2).
-        goal: Fixed tool goals, m, shape (B, 2).
+        position: Tool positions at n samples of B episodes, m, shape (B, n, axes).
+        goal: Fixed tool goals, m, shape (B, axes).
 
     Returns:
         Overshoot, m, shape (B,); at least zero. Where start and goal coincide, the largest distance from them.
@@ -270,7 +270,7 @@ def ratio_of_means(times: Array, bound: Array, seed: int) -> dict[str, Any]:
         seed: Seed of the bootstrap resampling.
 
     Returns:
-        `mean`: the ratio; `ci95`: [lower limit, upper limit] of its 95 % interval (percentile bootstrap over episodes).
+        `mean`: the ratio, dimensionless; `ci95`: [lower, upper limit] of its 95 % interval (bootstrap over episodes).
     """
     index = np.random.default_rng(seed).integers(len(times), size=(BOOTSTRAP_RESAMPLES, len(times)))
     ratios = times[index].mean(axis=1) / bound[index].mean(axis=1)
@@ -296,7 +296,8 @@ def condition_digests(conditions: EpisodeConditions) -> list[str]:
     It covers the machine's structure and parameters, start and goal, but not seed, control period and sensors.
 
     Args:
-        conditions: Conditions of B episodes; values enter with nine significant digits.
+        conditions: Machine, sampled parameters, start and goal of B episodes; values enter with nine significant
+            digits.
 
     Returns:
         B digests of 16 hexadecimal digits (the start of SHA-256).

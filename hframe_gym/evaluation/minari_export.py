@@ -79,7 +79,7 @@ def export_dataset(
         author: Author in the metadata. Default: none.
 
     Returns:
-        Id, folder, size, mean return and success rate of the data set.
+        Id, folder, number of episodes and steps, mean return (dimensionless) and success rate (0 to 1) of the data set.
 
     Raises:
         InputError: If the controller is unknown or cannot run in this scenario, an option of the scenario is not the

@@ -114,7 +114,8 @@ class PlayedStage:
         """Simulate one control period.
 
         Args:
-            action: Voltages over rated voltages that the user applies, shape (drives,); a controller ignores them.
+            action: Voltages as fractions of the rated voltages that the user applies, shape (drives,); a controller
+                ignores them.
         """
         if self.controller:
             batch = {key: value[None] for key, value in self.observation.items()}
@@ -205,7 +206,7 @@ class Game:
         self._due = 0.0
 
     def handle(self, event: Any) -> None:
-        """React to a pygame event.
+        """React to a pygame event: keys and mouse set voltages and targets, pause or end the game.
 
         Args:
             event: Event of keyboard, mouse or window.
@@ -253,7 +254,7 @@ class Game:
 
     @property
     def action(self) -> Array:
-        """Voltages over rated voltages that keys and mouse apply to the first stage, shape (drives,)."""
+        """Voltages, as fractions of the rated ones, that keys and mouse apply to the first stage, shape (drives,)."""
         pygame, keys = self._pygame, self._keys
         if self._pointer is not None:
             push = (np.array(self._pointer) - self.stages[0].position) / FULL_VOLTAGE_DISTANCE

@@ -128,8 +128,8 @@ def rollout(controller: Controller, scenario: Scenario) -> Episodes:
         scenario: Machine, task, randomization, sensors and number of episodes.
 
     Returns:
-        Positions, goals, voltages, energy and belt forces of the episodes. Positions and goals have ten samples per
-        control period.
+        `Episodes`: tool positions and goals, m, shape (B, n, axes), voltages, V, shape (B, m, drives), energy, J, and
+        largest belt force, N, shape (B,), of B episodes with m control periods and n = 10 m + 1 samples.
 
     Raises:
         InputError: If the environment rejects the scenario's options, or the simulated motion diverges.

@@ -81,7 +81,7 @@ class Scenario:
 
     @property
     def periods(self) -> int:
-        """Number of control periods in an episode: duration_s / period, rounded."""
+        """Number of control periods in an episode, dimensionless: duration_s / period, rounded."""
         return round(self.duration_s / self.period)
 
     @cached_property
@@ -147,9 +147,9 @@ class EpisodeConditions(NamedTuple):
 
     Attributes:
         machine: Simulated machine with its nominal parameters.
-        parameters: Sampled values of the P parameters in the order of `Machine.parameters`, shape (B, P).
-        start: Tool position (x, y) at the start, m, shape (B, 2).
-        goal: Tool goal (x, y) at the start, m, shape (B, 2).
+        parameters: Sampled values of the P parameters in the order of `Machine.parameters`, SI, shape (B, P).
+        start: Tool position at the start, m, shape (B, axes).
+        goal: Tool goal at the start, m, shape (B, axes).
     """
 
     machine: Machine
@@ -165,7 +165,8 @@ def episode_conditions(scenario: Scenario) -> EpisodeConditions:
         scenario: Machine, task, randomization, number of episodes and seed.
 
     Returns:
-        Machine, sampled parameters, tool positions at the start and goals of the B episodes.
+        Machine; sampled parameters, SI, shape (B, parameters); tool positions at the start and goals of the B episodes,
+        m, shape (B, axes).
 
     Raises:
         ValueError: If the environment rejects the scenario's options, for example an unknown task.

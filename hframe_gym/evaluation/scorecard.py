@@ -34,7 +34,7 @@ def write_scorecard(
 
     Args:
         folder: Folder, which is created if necessary.
-        scores: Contents of scores.json.
+        scores: Contents of scores.json, as `evaluate` returns them.
         recorded: Recorded episodes by name of the controller, for the plots of the first episode. Default: no plots.
         warnings: Sentences about results that cannot be trusted.
 

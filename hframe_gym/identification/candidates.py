@@ -56,16 +56,16 @@ class Candidate:
 
     @property
     def label(self) -> str:
-        """Name of the effect and its site, joined by @."""
+        """Name of the effect (deviation from the nominal model) and of the component it acts on, joined by @."""
         return f"{self.effect.name}@{self.site}"
 
     @property
     def fixed(self) -> bool:
-        """Whether the effect has no amplitude parameter, so that no parameter value switches it off."""
+        """Whether the effect (deviation from the model) has no amplitude, so that no parameter switches it off."""
         return not self.effect.amplitudes
 
     def applied(self, amounts: Sequence[float]) -> AppliedEffect:
-        """Return the effect that is the weighted sum of the candidate's basis functions, with parameter values.
+        """Return the effect (deviation from the model) that is the weighted sum of the candidate's basis functions.
 
         For an effect with a phase the two weights, of the sine and of the cosine, become amplitude and phase. An effect
         without amplitudes ignores the weights.
@@ -97,11 +97,11 @@ def candidates(
     *,
     slow_friction: bool = False,
 ) -> list[Candidate]:
-    """List the library's effects that the machine lacks, at every site and with several starting values.
+    """List effects (deviations from the model) that the machine lacks, at every site and with several start values.
 
     Args:
         machine: Machine with the effects that have been selected so far.
-        data: Prepared recordings.
+        data: Prepared recordings (times, voltages, measurements).
         scales: Typical sizes of force, speed and so on, by which relative starting values are multiplied.
         missing_force: By coordinate name, an array of shape (n, 3) over all rows of all runs: position, velocity and
             the force that the model lacks, in the coordinate's units, see `residual.missing_force`. The periods of
@@ -204,7 +204,7 @@ def effect_parameters(effect: AppliedEffect, machine: Machine, scales: TypicalSc
     start at zero.
 
     Args:
-        effect: Effect with its starting values.
+        effect: Effect (deviation from the nominal model) with its starting values.
         machine: Machine that it acts on.
         scales: Typical sizes on this machine, which set the change of such a parameter per unit of theta.
 

@@ -80,8 +80,8 @@ class SelectionCriteria:
             where the initial value is large.
         max_table_cost_fraction: Cost relative to the best model of known effects below which a table is accepted
             although the residual is not yet noise.
-        max_partial_cost_fraction: Cost relative to the refitted model below which known effects are reported although
-            they leave more than noise.
+        max_partial_excess: Excess of chi-squared per sample over `one_step_floor`, relative to that of the refitted
+            model, below which known effects are reported although they leave more than noise.
         min_saturated_fraction: Smallest fraction of all rows at the outermost measurement that indicates the end of a
             sensor's range.
         second_end_factor: Factor on the two saturation thresholds for the other end of a sensor that saturates at one
@@ -126,7 +126,7 @@ class SelectionCriteria:
     explained_chi2: float = 1.5
     explained_fraction: float = 1e-4
     max_table_cost_fraction: float = 0.1
-    max_partial_cost_fraction: float = 0.25
+    max_partial_excess: float = 0.25
     min_saturated_fraction: float = 0.01
     second_end_factor: float = 0.2
     saturation_band: float = 8.0
@@ -148,9 +148,9 @@ class SelectionCriteria:
         return "\n".join(f"{name} = {value:g}" for name, value in self.as_json().items())
 
     def as_json(self) -> dict[str, float]:
-        """Convert the thresholds to the entry `criteria` of report.json.
+        """Convert the thresholds of the search for effects to the entry `criteria` of report.json.
 
         Returns:
-            Value of each threshold by its attribute name; the units are those of the class docstring.
+            Value of each threshold by its attribute name, dimensionless or in the unit that the class docstring states.
         """
         return dataclasses.asdict(self)

@@ -59,7 +59,7 @@ class PreparedRecording:
         measure, and forces at rest stretch the belts.
 
         Args:
-            machine: Machine with its effects, which may add coordinates.
+            machine: Machine with its effects (deviations from the nominal model), which may add coordinates.
 
         Returns:
             Positions, then velocities (zero, at rest), in the coordinates' units, shape (2 * coordinates,).
@@ -96,13 +96,13 @@ class Dataset:
         return float(np.median(np.concatenate([np.diff(run.time_s) for run in self.runs])))
 
     def with_runs(self, names: Sequence[str]) -> Dataset:
-        """Return a copy with some of the runs; noise and quantization steps are not estimated again.
+        """Return a copy with some of the runs; the sensors' noise and quantization steps are not estimated again.
 
         Args:
             names: Names of the runs to keep; names of other runs are ignored.
 
         Returns:
-            Copy with these runs, in the order of this data set.
+            Copy with these runs (measurements of shape (n, sensors) each), in the order of this data set.
         """
         return dataclasses.replace(self, runs=tuple(run for run in self.runs if run.name in names))
 
@@ -113,7 +113,7 @@ class Dataset:
             rows: One mask per run in the order of `runs`, True for a row that enters the residual, shape (n,) each.
 
         Returns:
-            Copy with these masks.
+            Copy with these masks of shape (n,); times, voltages and measurements are unchanged.
 
         Raises:
             ValueError: If the number of masks is not the number of runs.
@@ -128,11 +128,12 @@ def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:
     These properties are the zeros (measurements at position 0), quantization steps (quanta) and noise.
 
     Args:
-        recordings: Runs of one rig, at least one.
+        recordings: Runs of one rig (times, s; voltages, V; measurements, m or rad), at least one.
         machine: Machine with the rig's coordinates, belts and sensors.
 
     Returns:
-        Data set with one prepared recording per run.
+        Data set with one prepared recording per run (measurements of shape (n, sensors), m or rad), and noise and
+        quantization step of each sensor, m or rad, shape (sensors,).
     """
     recordings = [fill_gaps(recording) for recording in recordings]
     channels = [[recording.outputs[:, j] for recording in recordings] for j in range(len(machine.sensors))]
@@ -160,10 +161,10 @@ def with_known_positions(data: Dataset) -> tuple[Dataset, tuple[str, ...]]:
     """Leave out the runs whose initial position cannot be determined.
 
     Args:
-        data: Data set.
+        data: Data set of prepared runs (times, voltages, measurements, SI).
 
     Returns:
-        data: Copy without these runs; the given one if no run would remain.
+        data: Copy without these runs (measurements of shape (n, sensors) each); the given one if no run would remain.
         warnings: One sentence for each run that was left out.
     """
     located = [run.name for run in data.runs if run.initial.position_known]
@@ -212,7 +213,7 @@ def with_all_measurements(data: Dataset, recordings: Sequence[Recording]) -> Dat
             recordings are ignored.
 
     Returns:
-        Copy with the original measurements minus the estimated zeros of the sensors.
+        Copy with the original measurements minus the estimated zeros of the sensors, m or rad, shape (n, sensors).
 
     Raises:
         KeyError: If the recording of a run is missing.
@@ -229,14 +230,14 @@ def refine_encoder_offsets(data: Dataset, machine: Machine, reference: Dataset |
     them, see `encoder_zero_errors`.
 
     Args:
-        data: Data set to correct.
-        machine: Fitted machine.
+        data: Data set to correct (times, voltages, measurements, SI).
+        machine: Fitted machine with its effects (deviations from the nominal model).
         reference: Data set from which the errors of the zeros are estimated: the one that the machine was fitted to.
             Default: `data`.
 
     Returns:
-        Copy with corrected initial states and measurements; `data` itself if no encoder kept its zero in all runs or
-        the machine has no effects.
+        Copy with corrected initial states and measurements, m or rad, shape (n, sensors) for each run; `data` itself if
+        no encoder kept its zero in all runs or the machine has no effects.
     """
     runs = (data if reference is None else reference).runs
     if not machine.effects or not any(np.any(run.initial.offset_known) for run in data.runs):
@@ -257,8 +258,8 @@ def with_encoder_zeros(machine: Machine, data: Dataset) -> Machine:
     `recording_simulation.simulate_recording` determines the same initial state from a single run.
 
     Args:
-        machine: Machine that was fitted to the runs; its effects refine the zeros.
-        data: Data set with the runs.
+        machine: Machine that was fitted to the runs; its effects (deviations from the nominal model) refine the zeros.
+        data: Data set with the runs (times, voltages, measurements, SI).
 
     Returns:
         Copy with the zeros; the machine itself if none are known.
@@ -289,7 +290,8 @@ class TypicalScales:
             coordinate: Name of the coordinate; any other text, such as "", gives the general sizes only.
 
         Returns:
-            Size by key (such as "force" or "A", see the class), in the coordinate's units or SI.
+            Size by key (such as "force" or "A", see the class), in the coordinate's units (N, m/s, m or Nm, rad/s, rad)
+            or SI.
         """
         return {**self.general, **self.by_coordinate.get(coordinate, {})}
 
@@ -304,7 +306,7 @@ def scales_of_motion(machine: Machine, positions: Array, velocities: Array, inpu
         inputs: Drive voltages by run, V, shape (rows of the run, drives) each; n rows in total.
 
     Returns:
-        Typical sizes, all positive.
+        Typical sizes by coordinate and in general, SI, all positive.
     """
     force = typical_force(machine)
     top_speed = np.maximum(np.percentile(np.abs(velocities), 99, axis=0), 1e-9)

@@ -31,8 +31,8 @@ def effect_force(machine: Machine, effect: AppliedEffect, data: Dataset) -> floa
 
     Args:
         machine: Machine with or without the effect; the motion is predicted without it.
-        effect: The effect.
-        data: Runs over which the machine is predicted.
+        effect: Effect (deviation from the nominal model) whose force is evaluated.
+        data: Runs (times, voltages, measurements) over which the machine is predicted.
 
     Returns:
         Root mean square over all rows of the root sum of squares over the coordinates, as a force at the belt (torque /
@@ -50,9 +50,10 @@ def force_difference(first: Machine, second: Machine, data: Dataset) -> float:
 
     Args:
         first: Machine whose predicted motion is used.
-        second: Machine with the same coordinates, for example with an effect, fitted to the same data. What parameters
-            of the first machine can represent of that effect is then not a part of the difference.
-        data: Runs over which the motion is predicted.
+        second: Machine with the same coordinates, for example with an effect (deviation from the nominal model), fitted
+            to the same data. What parameters of the first machine can represent of that effect is then not a part of
+            the difference.
+        data: Runs over which the motion is predicted (times, voltages, measurements, SI).
 
     Returns:
         Root mean square over all rows of the root sum of squares over the coordinates, as a force at the belt (torque /
@@ -71,11 +72,11 @@ def force_difference(first: Machine, second: Machine, data: Dataset) -> float:
 def depend_on_same_variable(first: AppliedEffect, second: AppliedEffect, machine: Machine) -> bool:
     """Check whether two effects act on the same component and depend on the same variable of it.
 
-    A small effect can then be an error in the form of a large one: a formula that describes friction as a function of
-    the speed to 10 % leaves a force that is a function of the speed as well.
+    If so, a small effect may only correct the formula of a large one: where a formula describes friction as a function
+    of the speed to within 10 %, the remaining force is a function of the speed as well.
 
     Args:
-        first: One effect.
+        first: One effect (deviation from the nominal model) at its component.
         second: Another effect.
         machine: Machine on which both act.
 

@@ -40,7 +40,7 @@ class EncoderZeros(NamedTuple):
 
     @property
     def known(self) -> NDArray[np.bool_]:
-        """Mask of the sensors whose zero is known, shape (sensors,)."""
+        """Mask of the sensors whose zero (measurement at position 0) is known, shape (sensors,)."""
         return np.isfinite(self.offset)
 
     @property
@@ -57,7 +57,7 @@ class EncoderZeros(NamedTuple):
             machine: Machine; the sensors of an identified one may have a zero, see `machine.Sensor`.
 
         Returns:
-            Zeros of all sensors; NaN, unknown, where the machine has none.
+            Zeros of all sensors, m or rad, shape (sensors,); NaN, unknown, where the machine has none.
         """
         return cls(
             np.array([np.nan if s.zero is None else s.zero for s in machine.sensors], float),
@@ -65,7 +65,7 @@ class EncoderZeros(NamedTuple):
         )
 
     def in_machine(self, machine: Machine) -> Machine:
-        """Write the zeros to the sensors of a machine.
+        """Write the zeros (measurements at position 0) to the sensors of a machine.
 
         Args:
             machine: Machine with these sensors.
@@ -85,13 +85,13 @@ class EncoderZeros(NamedTuple):
         )
 
     def without(self, sensors: NDArray[np.bool_]) -> EncoderZeros:
-        """Forget the zeros of some sensors.
+        """Mark the zeros (measurements at position 0) of some sensors as unknown.
 
         Args:
             sensors: Mask of the sensors, shape (sensors,).
 
         Returns:
-            Copy in which the zeros of these sensors are unknown.
+            Copy in which the zeros (m or rad, shape (sensors,)) of these sensors are unknown (NaN).
         """
         return EncoderZeros(np.where(sensors, np.nan, self.offset), np.where(sensors, 0.0, self.spread))
 
@@ -108,8 +108,8 @@ def common_encoder_zeros(initial: Sequence[InitialState], machine: Machine, quan
         quanta: Quantization steps of the sensors, in their units, shape (sensors,).
 
     Returns:
-        Median zeros of the encoders that kept them, NaN for all other sensors. Without belts or with fewer than three
-        runs, they are those that the machine declares.
+        Median zeros of the encoders that kept them, m or rad, shape (sensors,), NaN for all other sensors. Without
+        belts or with fewer than three runs, they are those that the machine declares.
     """
     zeros = EncoderZeros.of_machine(machine)
     if not machine.belts or len(initial) < _MIN_RUNS_FOR_ZERO:

@@ -21,7 +21,8 @@ from ..machine import Machine, Uncertainty
 from .dataset import Dataset, PreparedRecording
 from .free_parameters import FreeParameter, parameter_table, prior_precision, values_at
 from .linearization import ResidualModel
-from .prediction import POLISH_STEP, SEARCH_STEP, initial_state_projection, map_runs, predict, residuals
+from .prediction import POLISH_STEP, SEARCH_STEP, map_runs, predict, residuals
+from .start_uncertainty import initial_state_projection
 
 Array = NDArray[np.float64]
 
@@ -55,7 +56,7 @@ class Fit:
 
     @property
     def chi2(self) -> float:
-        """Chi-squared per sample: cost per measured value, 1 if only the sensors' noise remains."""
+        """Chi-squared per sample, dimensionless: cost per measured value, 1 if only the sensors' noise remains."""
         return self.cost / self.count
 
     @property
@@ -88,7 +89,7 @@ def fit(
     Args:
         machine: Machine that supplies the model and the values of all other parameters.
         free: The k free parameters with their priors.
-        data: Runs to fit.
+        data: Runs to fit (times, voltages, measurements).
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
         theta: Initial guess of theta, shape (k,). Default: zero, the central values of the priors.
         iterations: Maximum number of iterations.
@@ -96,7 +97,8 @@ def fit(
         longest_step: Maximum integration step, s.
 
     Returns:
-        Fit at the lowest cost that was found. Theta stays within four prior standard deviations.
+        Fit at the lowest cost that was found: machine, theta, shape (k,), and cost, dimensionless. Theta stays within
+        four prior standard deviations.
     """
     model = ResidualModel(machine, tuple(free), data, bandwidth, longest_step)
     theta = np.zeros(len(free)) if theta is None else np.array(theta, float)
@@ -136,7 +138,7 @@ def prediction_cost(machine: Machine, data: Dataset, bandwidth: float, *, longes
 
     Args:
         machine: Machine that predicts.
-        data: Runs to predict.
+        data: Runs to predict (times, voltages, measurements).
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
         longest_step: Maximum integration step, s.
 
@@ -200,8 +202,8 @@ def with_uncertainty(fitted: Fit, data: Dataset) -> Machine:
     information.
 
     Args:
-        fitted: Fit of k parameters.
-        data: Runs that were fitted.
+        fitted: Fit of k parameters: machine, parameter values and cost.
+        data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
         The fitted machine; its `uncertainty` holds the covariance of the free parameters' values, SI.

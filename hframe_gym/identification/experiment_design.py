@@ -104,19 +104,19 @@ class ExperimentDesign:
 def design_discriminating_experiment(
     current: Fit, corrected: Machine, label: str, rivals: Sequence[AppliedEffect], data: Dataset
 ) -> ExperimentDesign | None:
-    """Design the run that decides between an identified effect and its best rival.
+    """Design the run that decides between an identified effect (deviation from the nominal model) and its best rival.
 
     Args:
         current: Fit of the machine with all selected effects, among them the identified one.
         corrected: The same machine with the covariance of its parameters.
         label: Label (name@site) of the identified effect.
         rivals: Other effects that explain the data equally well, with fitted parameters, best first.
-        data: Runs that were fitted.
+        data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
-        Design of the run. None if the identified effect or every rival is structural (adds coordinates), if there is
-        no rival, or if the two models' predictions of no simulated run differ by `MINIMUM_SIGMA` (10) standard
-        deviations of the noise.
+        Design of the run with its voltages, V, shape (n, drives). None if the identified effect or every rival is
+        structural (adds coordinates), if there is no rival, or if the two models' predictions of no simulated run
+        differ by `MINIMUM_SIGMA` (10) standard deviations of the noise.
     """
     present = {e.label: e for e in current.machine.effects}
     alternatives = [r for r in rivals if r.label not in present and not r.definition.structure]
@@ -127,13 +127,13 @@ def design_discriminating_experiment(
 
 
 def fit_rival(current: Fit, label: str, rival: AppliedEffect, data: Dataset, scale: TypicalScales) -> Machine:
-    """Fit the machine again with a rival effect in place of an identified one.
+    """Fit the machine again with a rival effect (deviation from the nominal model) in place of an identified one.
 
     Args:
         current: Fit of the machine with all selected effects, among them the one to replace.
         label: Label (name@site) of the effect to replace.
         rival: Effect that replaces it, with its starting values.
-        data: Runs to fit.
+        data: Runs to fit (times, voltages, measurements, SI).
         scale: Typical sizes on this machine, which set the scales and priors of the rival's parameters.
 
     Returns:
@@ -160,14 +160,15 @@ def separate_machines(
     Args:
         first: One machine.
         second: The other, whose parameters adapt to the new run within their uncertainty. The machines may differ in
-            their effects, but not in their sensors and drives.
+            their effects (deviations from the nominal model), but not in their sensors and drives.
         labels: Labels (name@site) of the effects that distinguish the first and the second machine.
-        data: Recordings that both were fitted to. They supply the sensors' noise, the sampling period and, for a
-            coordinate without a declared range, the permitted travel.
+        data: Recordings that both were fitted to (times, voltages, measurements, SI). They supply the sensors' noise,
+            the sampling period and, for a coordinate without a declared range, the permitted travel.
 
     Returns:
-        Design of the run with the largest difference, or None if the predictions of no simulated run differ by at
-        least `MINIMUM_SIGMA` (10) standard deviations of the noise in total.
+        Design of the run with the largest difference, with its voltages, V, shape (n, drives), or None if the
+        predictions of no simulated run differ by at least `MINIMUM_SIGMA` (10) standard deviations of the noise in
+        total.
     """
     rows = round(_DURATION_S / data.period)
     time_s: Array = np.arange(rows, dtype=np.float64) * data.period

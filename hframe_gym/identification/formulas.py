@@ -60,7 +60,7 @@ class ProposedFormula:
 
     @property
     def noise_ratio(self) -> float:
-        """Mean error over the channels of the held-out runs, in units of the noise; NaN if it is unknown."""
+        """Mean error over the channels of the held-out (not fitted) runs / sensor noise, dimensionless; or NaN."""
         return float(np.mean(list(self.held_out.values()))) if self.held_out else math.nan
 
     def as_json(self) -> dict[str, Any]:
@@ -87,7 +87,7 @@ def tables_of(machine: Machine) -> tuple[AppliedEffect, ...]:
     """Return the tables (forces or friction levels interpolated over one variable) among a machine's effects.
 
     Args:
-        machine: Identified machine.
+        machine: Identified machine with its effects (deviations from the nominal model).
 
     Returns:
         Tables with their site and values, in the order of the machine's effects.
@@ -139,18 +139,18 @@ def _absorbed(table: AppliedEffect, knots: Array) -> Array:
 
 
 def formulas_of_folder(folder: Path, name: str, table: str = "") -> tuple[ProposedFormula, ...]:
-    """Return the formulas for a table of a saved identification, as effects with a name.
+    """Return formulas that can replace a table (force interpolated over one variable) of a saved identification.
 
-    They are those that `hframe identify` compared on held-out runs. Otherwise, formulas are fitted to the table (force
-    interpolated over one variable) alone and have no errors on runs.
+    They are the ones that `hframe identify` compared on held-out runs (not fitted). If it compared none, formulas are
+    fitted to the table alone and have no errors on runs.
 
     Args:
         folder: Folder that `write_result` wrote.
-        name: Name of the new effect, a Python identifier in lower case that no effect has.
+        name: Name to give to the formulas as effects, a Python identifier in lower case that no effect has.
         table: Label of the table, for example "smooth_force[position of x]@x". Default: the first one.
 
     Returns:
-        Formulas by increasing complexity; exactly one is recommended.
+        Formulas with parameters and errors by increasing complexity; exactly one is recommended.
 
     Raises:
         InputError: If the folder has no result or no such table, or the name cannot be used.
@@ -223,7 +223,7 @@ class TableComparison:
 
     @property
     def noise_ratio(self) -> float:
-        """Mean error of the table over the channels of the held-out runs, in units of the noise."""
+        """Mean error of the table over the channels of the held-out (not fitted) runs / sensor noise, dimensionless."""
         return float(np.mean(list(self.held_out.values())))
 
     def as_json(self) -> dict[str, Any]:

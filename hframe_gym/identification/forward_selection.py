@@ -55,7 +55,7 @@ class SelectedEffect:
         """Return a copy in which the effect has the parameter values of a machine that was fitted later.
 
         Args:
-            machine: Machine that contains the effect.
+            machine: Machine that contains the effect (deviation from the nominal model).
 
         Returns:
             Copy with the updated effect.
@@ -102,10 +102,11 @@ class EffectSearch:
         self.considered: dict[str, ConsideredEffect] = {}
 
     def with_data(self, data: Dataset) -> EffectSearch:
-        """Return a search in other data that remembers the effects considered so far.
+        """Return a search in other data that remembers the effects (deviations from the model) considered so far.
 
         Args:
-            data: Prepared recordings to fit, for example with corrected zeros of the encoders.
+            data: Prepared recordings to fit (times, voltages, measurements, SI), for example with corrected zeros of
+                the encoders.
 
         Returns:
             New search.
@@ -115,18 +116,18 @@ class EffectSearch:
         return search
 
     def run(self, current: Fit, selected: tuple[SelectedEffect, ...] = ()) -> Selection:
-        """Add one effect after another while one reduces the error by enough and passes all tests.
+        """Add effects (deviations from the model) one by one while one reduces the error enough and passes all tests.
 
-        The tests are those of `_doubt`: other runs confirm the effect, the machine stays stable, chance does not
-        explain the reduction, and the effect's force exceeds the unexplained one.
+        Other runs must confirm the effect, the machine must stay stable, chance must not explain the reduction, and the
+        effect's force must exceed the unexplained one (`_doubt`). An observer corrects predictions by the measurements.
 
         Args:
             current: Fit of the machine with the effects selected so far.
             selected: Effects selected so far.
 
         Returns:
-            Fit of the machine with all effects, at the observer bandwidth with the largest likelihood.
-            All selected effects with their fitted parameters.
+            Fit of the machine with all effects, at the observer bandwidth (rad/s; 0: none) that makes the data most
+            likely, and all selected effects with their fitted parameters.
         """
         data, criteria = self._data, self._criteria
         last_bandwidth, last_excess = math.nan, math.inf  # where structural effects were last tried
@@ -202,7 +203,7 @@ class EffectSearch:
         return None
 
     def prune(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection:
-        """Remove effects that fail a test in the machine with all other effects, weakest first (recursively).
+        """Remove effects (deviations from the model) that fail a test in the machine with all others, weakest first.
 
         Later effects may make earlier ones superfluous. A structural effect is kept if another effect acts on a
         coordinate that it adds.
@@ -212,8 +213,8 @@ class EffectSearch:
             selected: All selected effects.
 
         Returns:
-            Fit of the machine with the remaining effects, with the shortest integration step.
-            The remaining effects with their fitted parameters.
+            `Selection` of the fit of the machine with the remaining effects, with the shortest integration step, and
+            the remaining effects with their fitted parameters.
         """
         for candidate in sorted(selected, key=lambda s: s.gain):
             reduced = without_effect(current, candidate.effect.label, self._data, self._plain)
@@ -297,7 +298,8 @@ def describe_gain(before: Fit, after: Fit) -> str:
     """Describe the benefit of an effect: "reduces chi-squared per sample from 98.99 to 0.79 (simulation)".
 
     Args:
-        before: Fit without the effect; its observer bandwidth, rad/s, is stated, or "simulation" if it is 0.
+        before: Fit without the effect; the bandwidth, rad/s, of the observer that corrects its predictions is stated,
+            or "simulation" if it is 0.
         after: Fit with the effect, at the same bandwidth.
 
     Returns:
@@ -333,12 +335,12 @@ def minimum_gain(current: Fit, criteria: SelectionCriteria) -> float:
     """Return the smallest reduction of chi-squared per sample for which an effect is selected.
 
     Args:
-        current: Fit without the effect. Its observer bandwidth decides between the limits of one-step prediction (60
-            rad/s) and of simulation or slower observers.
+        current: Fit without the effect. The bandwidth of the observer that corrects its predictions decides between the
+            limits of one-step prediction (60 rad/s) and of simulation or slower observers.
         criteria: Decision thresholds, which raise the result for short recordings and large residuals.
 
     Returns:
-        Required reduction of chi-squared per sample.
+        Required reduction of chi-squared per sample, dimensionless.
     """
     # Three limits: for the kind of prediction, for the total of few samples, for a fraction of the error beyond noise.
     wide = current.bandwidth >= SEARCH_BANDWIDTH

@@ -57,7 +57,7 @@ class FreeParameter:
             theta: Dimensionless optimizer variable, any shape.
 
         Returns:
-            Values of the same shape, SI.
+            Values of the same shape, SI, within the bounds.
         """
         raw = self.center * np.exp(theta) if self.scale is None else self.center + self.scale * theta
         return np.clip(raw, self.lower, self.upper)
@@ -96,7 +96,7 @@ def values_at(free: Sequence[FreeParameter], theta: Array) -> dict[str, float]:
         theta: Dimensionless variable of each free parameter, shape (k,).
 
     Returns:
-        Value, SI, by full parameter name.
+        Value, SI, by full parameter name such as "x.coulomb".
     """
     return {f.name: float(f.value(t)) for f, t in zip(free, theta, strict=True)}
 
@@ -130,7 +130,7 @@ def second_difference_penalty(count: int) -> Array:
         count: Number of ordinates.
 
     Returns:
-        P = D^T D with the second-difference operator D, shape (count, count).
+        P = D^T D with the second-difference operator D, dimensionless, shape (count, count).
     """
     second_difference = np.diff(np.eye(count), n=2, axis=0)
     penalty: Array = second_difference.T @ second_difference
@@ -147,7 +147,7 @@ def prior_precision(free: Sequence[FreeParameter]) -> Array:
         free: Free parameters, k of them.
 
     Returns:
-        Precision, shape (k, k).
+        Inverse covariance, dimensionless, shape (k, k).
     """
     precision = np.diag([1.0 / f.prior**2 for f in free])
     for curve in dict.fromkeys(f.along for f in free if f.along):
@@ -182,10 +182,11 @@ def default_free_parameters(machine: Machine, *, effects: bool = True) -> tuple[
 
     Args:
         machine: Declared machine.
-        effects: Whether the nonzero parameters of the declared effects are included.
+        effects: Whether the nonzero parameters of the declared effects (deviations from the nominal model) are
+            included.
 
     Returns:
-        Free parameters centered on the declared values.
+        Free parameters with their priors, centered on the declared values.
     """
     free = [*_coordinate_parameters(machine)]
     for belt in machine.belts:

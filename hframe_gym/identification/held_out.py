@@ -9,8 +9,9 @@ from ..machine import AppliedEffect, Machine
 from ..recordings import Recording
 from .dataset import Dataset
 from .effect_size import effect_force
-from .estimation import prediction_cost
+from .estimation import Fit, prediction_cost
 from .forward_selection import SelectedEffect
+from .model_error import CONTRADICTION
 from .prediction import POLISH_STEP
 from .residual import force_error
 
@@ -22,7 +23,7 @@ def hold_out(recordings: Sequence[Recording], chosen: Sequence[str] = ()) -> tup
     """Choose the runs that are held out: excluded from the fit and used to evaluate it.
 
     Args:
-        recordings: All runs.
+        recordings: All runs (times, s; voltages, V; measurements, m or rad).
         chosen: Names of the runs to hold out. Default: every fourth, the last one if there are fewer than four.
 
     Returns:
@@ -48,13 +49,13 @@ def held_out_gain(selected: SelectedEffect, machine: Machine, validation: Datase
     """Return the fraction of the squared error of the held-out runs that one effect alone removes.
 
     Args:
-        selected: The effect.
+        selected: Effect (deviation from the nominal model) that the search selected.
         machine: Machine with all effects.
-        validation: Held-out runs.
+        validation: Held-out runs (times, voltages, measurements), which were not fitted.
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
 
     Returns:
-        Fraction; negative if the effect increases the error.
+        Fraction, dimensionless, at most 1; negative if the effect increases the error.
     """
     others = tuple(e for e in machine.effects if e.label != selected.effect.label)
     structural = selected.effect.definition.structure
@@ -66,14 +67,14 @@ def error_reduction(without: Machine, machine: Machine, validation: Dataset, ban
     """Return the fraction by which the squared prediction error of a machine is smaller than that of another one.
 
     Args:
-        without: Machine to compare with, for example without an effect.
-        machine: The machine.
-        validation: Runs to predict.
+        without: Machine to compare with, for example without an effect (deviation from the nominal model).
+        machine: Machine to evaluate.
+        validation: Runs to predict (times, voltages, measurements, SI).
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
 
     Returns:
-        Fraction; negative if the error is larger. With an observer, it is the error of the drives' force if the
-        machines allow inverse dynamics.
+        Fraction, dimensionless, at most 1; negative if the error is larger. With an observer, it is the error of the
+        drives' force if the machines allow inverse dynamics.
     """
     forces = [force_error(m, validation) if bandwidth else None for m in (without, machine)]
     if forces[0] is not None and forces[1] is not None:
@@ -83,12 +84,12 @@ def error_reduction(without: Machine, machine: Machine, validation: Dataset, ban
 
 
 def is_excited(effect: AppliedEffect, machine: Machine, validation: Dataset, data: Dataset) -> bool:
-    """Check whether the held-out runs can show an effect at all.
+    """Check whether the held-out runs (not fitted) can show an effect (deviation from the nominal model) at all.
 
     Args:
-        effect: The effect.
+        effect: Effect to check.
         machine: Machine with the effect.
-        validation: Held-out runs.
+        validation: Held-out runs (times, voltages, measurements, SI).
         data: Fitted runs.
 
     Returns:
@@ -100,3 +101,26 @@ def is_excited(effect: AppliedEffect, machine: Machine, validation: Dataset, dat
         return True
     held_out, fitted = (effect_force(machine, effect, runs) for runs in (validation, data))
     return held_out >= _MIN_EXCITATION * fitted
+
+
+def contradicting_held_out_runs(fitted: Fit, validation: Dataset) -> tuple[str, ...]:
+    """Find the held-out runs that a fitted machine explains far worse than the runs that it was fitted to.
+
+    Either something was wrong with such a run (a loose connector, a slipped belt, another amplifier setting), or it
+    excites what the fitted runs do not show.
+
+    Args:
+        fitted: Fit of the machine.
+        validation: Held-out runs.
+
+    Returns:
+        Names of the runs whose chi-squared per sample is more than ten times that of the fit, at its observer
+        bandwidth.
+    """
+    limit = CONTRADICTION * max(1.0, fitted.chi2)
+    runs = [validation.with_runs([run.name]) for run in validation.runs]
+    return tuple(
+        run.runs[0].name
+        for run in runs
+        if prediction_cost(fitted.machine, run, fitted.bandwidth, longest_step=POLISH_STEP) > limit * run.count
+    )

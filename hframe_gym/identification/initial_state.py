@@ -35,13 +35,15 @@ def measured_initial_state(recording: Recording, machine: Machine, zeros: Encode
     was switched on anew.
 
     Args:
-        recording: The run; saturated measurements are NaN.
-        machine: Machine with the rig's coordinates, belts and sensors, and its effects.
+        recording: The run (times, voltages, measurements); saturated measurements are NaN.
+        machine: Machine with the rig's coordinates, belts and sensors, and its effects (deviations from the nominal
+            model).
         zeros: Zeros of the encoders in the session.
         quanta: Quantization steps of the sensors, in their units, shape (sensors,).
 
     Returns:
-        Initial state; `warnings` names the encoders whose zero was not used.
+        Initial state (positions at rest, m or rad, shape (coordinates,), zeros of the sensors, shape (sensors,));
+        `warnings` names the encoders whose zero was not used.
     """
     alone = estimate_initial_state(recording, machine)
     if not zeros.known.any() or not machine.belts:
@@ -99,12 +101,12 @@ def static_equilibrium(machine: Machine, position: Array) -> Array:
     force.
 
     Args:
-        machine: Machine with its effects.
-        position: Positions of the first coordinates, in their units, shape (at most coordinates,); only those of the
-            linear coordinates are used.
+        machine: Machine with its effects (deviations from the nominal model).
+        position: Positions of the first coordinates, m or rad, shape (at most coordinates,); only those of the linear
+            coordinates are used.
 
     Returns:
-        Positions in the coordinates' units, shape (coordinates,).
+        Positions, m or rad, shape (coordinates,).
     """
     names = machine.coordinate_names
     linear = np.array([c.kind == "linear" for c in machine.coordinates])
@@ -141,8 +143,9 @@ def model_initial_state(machine: Machine, initial: InitialState) -> Array:
     changes a laser's measurement at rest: the uncorrected zeros would attribute the effect to a stretch of the belts.
 
     Args:
-        machine: Machine with its effects; structural effects may have added coordinates.
-        initial: Measured initial state.
+        machine: Machine with its effects (deviations from the nominal model); structural ones may have added
+            coordinates.
+        initial: Measured initial state (positions at rest, zeros of the sensors).
 
     Returns:
         Positions, then velocities (zero), in the coordinates' units, shape (2 * coordinates,).
@@ -168,7 +171,7 @@ def encoder_angles(machine: Machine, initial: InitialState) -> dict[int, float]:
     belt travel (radius * angle).
 
     Args:
-        machine: Machine with its effects.
+        machine: Machine with its effects (deviations from the nominal model).
         initial: Measured initial state.
 
     Returns:
@@ -185,7 +188,7 @@ def concentric_angle(machine: Machine, index: int, angle: float) -> float:
     """Convert the angle of an eccentric pulley at rest to that of a concentric one with the same belt travel.
 
     Args:
-        machine: Machine with its effects.
+        machine: Machine with its effects (deviations from the nominal model), such as eccentric pulleys.
         index: Index of the pulley in `Machine.coordinates`.
         angle: Measured angle of the pulley, rad.
 
@@ -208,7 +211,7 @@ def position_from_measurements(machine: Machine, initial: InitialState) -> Array
     laser, their angles are corrected for eccentric pulleys and for belts that forces stretch at rest.
 
     Args:
-        machine: Machine with its effects.
+        machine: Machine with its effects (deviations from the nominal model).
         initial: Measured initial state.
 
     Returns:
@@ -301,7 +304,7 @@ def refine_offsets(initial: InitialState, machine: Machine, errors: Array) -> In
         errors: Values to add to the zeros, in the sensors' units, shape (sensors,), see `encoder_zero_errors`.
 
     Returns:
-        Corrected copy, marked by `offsets_refined=True`.
+        Corrected copy (zeros, m or rad, shape (sensors,); angles, rad), marked by `offsets_refined=True`.
     """
     state, reading = initial.state.copy(), initial.reading
     if len(reading):

@@ -23,14 +23,8 @@ from ..dynamics.simulation import Motion
 from ..machine import Machine
 from .dataset import Dataset, PreparedRecording
 from .free_parameters import FreeParameter, parameter_table, values_at
-from .prediction import (
-    SEARCH_STEP,
-    InitialStateProjection,
-    initial_state_projection,
-    map_runs,
-    predict,
-    residuals,
-)
+from .prediction import SEARCH_STEP, map_runs, predict, residuals
+from .start_uncertainty import InitialStateProjection, initial_state_projection
 
 Array = NDArray[np.float64]
 
@@ -42,11 +36,11 @@ def forward_differences(values: Array, step: float = DIFFERENCE_STEP) -> Array:
     """Approximate the derivatives of values with respect to k variables by forward differences.
 
     Args:
-        values: Values at the expansion point, then with each variable increased by `step`, shape (k + 1, ...).
+        values: Values, any unit: at the expansion point, then with a variable increased by `step`, shape (k + 1, ...).
         step: Increment of each variable, in its unit.
 
     Returns:
-        Derivatives with respect to each variable, shape (k, ...).
+        Derivatives, in the unit of the values per unit of the variable, shape (k, ...).
     """
     differences: Array = (values[1:] - values[0]) / step
     return differences
@@ -84,14 +78,14 @@ class NormalEquations:
 
         Args:
             jacobian: J transposed, derivatives of the residual with respect to k parameters, shape (k, rows).
-            residual: r, residual in units of the noise, shape (rows,).
+            residual: Residual r in units of the noise (dimensionless), shape (rows,).
             responses: E transposed: change of the residual that each of m perturbations causes, for example the force
-                of a candidate effect, shape (m, rows). Default: none.
+                of a candidate effect, in units of the noise, shape (m, rows). Default: none.
             count: Number of measured values; it is above the number of rows where rows are averages. Default: the
                 number of rows.
 
         Returns:
-            Inner products of all pairs of J, E and r, in units of the noise squared.
+            Inner products of J, E and r, dimensionless: J^T J, shape (k, k), J^T E, shape (k, m), r^T r, and so on.
         """
         parts = [jacobian, residual[None]] if responses is None else [jacobian, responses, residual[None]]
         stacked = np.vstack(parts)
@@ -109,32 +103,32 @@ class NormalEquations:
 
     @classmethod
     def total(cls, parts: Iterable[NormalEquations]) -> NormalEquations:
-        """Sum the normal equations of several runs.
+        """Sum the normal equations (inner products of Jacobian and residual) of several runs.
 
         Args:
             parts: Normal equations of at least one run.
 
         Returns:
-            Sums of all products and counts.
+            Sums of all products, of the same shapes, and of the counts.
         """
         fields = [list(values) for values in zip(*(vars(part).values() for part in parts), strict=True)]
         return cls(*(sum(values[1:], start=values[0]) for values in fields))
 
     @property
     def chi2(self) -> float:
-        """Chi-squared per sample: cost per measured value, 1 if only the sensors' noise remains."""
+        """Chi-squared per sample, dimensionless: cost per measured value, 1 if only the sensors' noise remains."""
         return self.cost / self.count
 
     def eliminate_parameters(self, precision: Array) -> NormalEquations:
         """Eliminate the k parameters by the Schur complement, so that only the amounts of the m perturbations remain.
 
-        The products of the perturbations lose the part that a change of the parameters theta can reproduce.
+        The products of the perturbations lose the part that a change of the parameters can reproduce.
 
         Args:
-            precision: Inverse covariance of the parameters' prior, shape (k, k).
+            precision: Inverse covariance of the parameters' prior, dimensionless, shape (k, k).
 
         Returns:
-            Normal equations with k = 0, for m amounts. `cost` and `count` do not change.
+            Normal equations with k = 0, matrix of shape (m, m), for m amounts. `cost` and `count` do not change.
         """
         hessian = self.information + precision
         right_side = np.column_stack([self.cross_products, self.gradient])
@@ -213,7 +207,7 @@ class ResidualModel:
             theta: Dimensionless variables of the k free parameters, see `FreeParameter`, shape (k,).
 
         Returns:
-            Copy of the machine with these values.
+            Copy of the machine with these parameter values.
         """
         return self.machine.replace(values_at(self.free, theta))
 
@@ -225,7 +219,7 @@ class ResidualModel:
             predicted: Values of a batch of predictions, in the sensors' units, shape (batch, n, sensors).
 
         Returns:
-            (measured - predicted) / noise, the values of all sensors one after another, shape (batch, rows). Where
+            (measured - predicted) / noise, dimensionless, shape (batch, rows), one sensor after another. Where
             `rows_per_block` is above one, that many samples are averaged into one row, and noise keeps its size.
         """
         return residuals(run, self.data, predicted, self.rows_per_block)
@@ -242,7 +236,7 @@ class ResidualModel:
                 run and its predicted motion. Default: none.
 
         Returns:
-            Jacobian, responses and residual, each without the part that an unknown initial belt stretch explains.
+            Jacobian, shape (k, rows), residual, (rows,), and responses, without what the initial belt stretch explains.
         """
         machine = self.machine_at(theta)
         thetas = np.vstack([theta, theta + DIFFERENCE_STEP * np.eye(len(self.free))])
@@ -266,15 +260,15 @@ class ResidualModel:
         return RunLinearization(forward_differences(residual), extra, residual[0], initial_state, projection)
 
     def linearize(self, theta: Array, responses: Responses | None = None) -> Linearization:
-        """Linearize the residual of all runs.
+        """Linearize the residual (prediction error / noise) of all runs as a function of the fitted parameters.
 
         Args:
             theta: Dimensionless variables of the k free parameters at the expansion point, shape (k,).
-            responses: Function that returns the residual's changes by m perturbations, shape (m, rows), from a run and
-                its predicted motion. Default: none.
+            responses: Function from a run and its predicted motion to the residual's changes by m perturbations, such
+                as candidate forces, shape (m, rows). Default: none.
 
         Returns:
-            Linearization with the normal equations and the initial state of each run.
+            Linearization: normal equations J^T J, shape (k, k), J^T r, ... and initial state of each run.
         """
 
         def of_run(run: PreparedRecording) -> tuple[NormalEquations, Start]:
@@ -322,7 +316,7 @@ class Linearization:
 
     @property
     def normal_equations(self) -> NormalEquations:
-        """Inner products of Jacobian, responses and residual, summed over all runs."""
+        """Inner products of Jacobian (k parameters) and residual, J^T J, shape (k, k), ..., summed over all runs."""
         return NormalEquations.total(self.by_run)
 
     def costs(self, thetas: Array) -> Array:
@@ -334,8 +328,8 @@ class Linearization:
             thetas: Dimensionless variables of the k free parameters for each trial of a batch, shape (batch, k).
 
         Returns:
-            Sums of squared residuals in units of the noise, without the prior, shape (batch,); infinite where a
-            prediction diverges.
+            Sums of squared residuals in units of the noise, dimensionless, without the prior, shape (batch,); infinite
+            where a prediction diverges.
         """
 
         def of_run(run: PreparedRecording) -> Array:

@@ -32,7 +32,7 @@ def monotonic_belts(machine: Machine) -> bool:
     and the negative rated voltage, with a margin of 50 %. A tension that is constant (play, slack) is allowed.
 
     Args:
-        machine: Machine with its effects.
+        machine: Machine with its effects (deviations from the nominal model).
 
     Returns:
         True if all belts are monotonic, and for a machine without effects on belts.
@@ -54,7 +54,7 @@ def stable_under_rated_voltage(machine: Machine) -> bool:
     The speeds must remain below five times those of the same machine without its effects.
 
     Args:
-        machine: Machine with its effects.
+        machine: Machine with its effects (deviations from the nominal model).
 
     Returns:
         False if the simulated motion diverges or is faster than that.
@@ -72,7 +72,7 @@ def validation_fault(machine: Machine) -> str:
     """Return why a machine must not be written to a file.
 
     Args:
-        machine: Machine with its effects.
+        machine: Machine with its effects (deviations from the nominal model).
 
     Returns:
         Clause that follows "it", for example "makes the machine diverge under random rated voltage"; empty if the

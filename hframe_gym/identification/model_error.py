@@ -43,12 +43,13 @@ Array = NDArray[np.float64]
 # Bandwidths that are compared, rad/s. The likelihood changes little between neighbors.
 BANDWIDTHS = (SEARCH_BANDWIDTH, 30.0, 15.0, 7.0, 3.0, SIMULATION)
 _MIN_RUNS, _PIECES = 4, 8  # fewer runs are divided into that many pieces for cross-validation
+CONTRADICTION = 10.0  # times the chi-squared of the other runs; effects that single runs excite reach 30
 _CORRELATION_S = 0.05  # s; longer than the correlation of a sensor's noise
 _SEARCH_STEP_NARROW = 0.25e-3  # s; a narrow observer does not forgive the error of longer integration steps
 
 
 def search_step(bandwidth: float) -> float:
-    """Return the integration step of the search for effects.
+    """Return the integration step that suffices in the search for effects (deviations from the nominal model).
 
     Args:
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
@@ -68,7 +69,7 @@ def information_loss(fitted: Fit, data: Dataset) -> float:
 
     Args:
         fitted: Fit at any observer bandwidth.
-        data: Runs that were fitted.
+        data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
         Loss, dimensionless; 1 for an exact model in simulation with white noise of the assumed size. Differences times
@@ -94,11 +95,11 @@ def fit_with_model_error(fitted: Fit, data: Dataset) -> Fit:
     which friction holds the machine at rest, a simulation does not.
 
     Args:
-        fitted: Fit at one of the bandwidths `BANDWIDTHS`.
-        data: Runs that were fitted.
+        fitted: Fit (machine, parameters, cost) at one of the bandwidths `BANDWIDTHS`.
+        data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
-        Fit with the smallest loss, see `information_loss`.
+        Fit with the smallest loss, see `information_loss`: machine, theta, shape (k,), cost and bandwidth, rad/s.
     """
     if fitted.bandwidth == SIMULATION:
         return fitted
@@ -114,14 +115,15 @@ def fit_with_model_error(fitted: Fit, data: Dataset) -> Fit:
 
 
 def polish(fitted: Fit, data: Dataset) -> Fit:
-    """Fit again with the shortest integration step, at the same observer bandwidth.
+    """Fit again with the shortest integration step, at the same bandwidth of the observer that corrects predictions.
 
     Args:
         fitted: Fit to refine.
-        data: Runs that were fitted.
+        data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
-        Fit from the parameters of the given one, without the integration error of the search.
+        Fit (machine, parameters theta, shape (k,), cost) from the parameters of the given one, without the integration
+        error of the search.
     """
     return fit(fitted.machine, fitted.free, data, fitted.bandwidth, theta=fitted.theta, longest_step=POLISH_STEP)
 
@@ -134,7 +136,7 @@ def residue_force(fitted: Fit, data: Dataset) -> float:
 
     Args:
         fitted: Fitted machine with its observer bandwidth.
-        data: Runs that were fitted.
+        data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
         Root mean square over all rows of the root sum of squares over the coordinates, as a force at the belt (torque /
@@ -163,8 +165,8 @@ def long_run_variance(fitted: Fit, data: Dataset) -> float:
     independent values, so that adding an effect without cause reduces the cost by that many times more.
 
     Args:
-        fitted: Fitted machine with its observer bandwidth.
-        data: Runs that were fitted.
+        fitted: Fitted machine with the bandwidth of the observer that corrects its predictions by the measurements.
+        data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
         Largest ratio of all sensors, dimensionless, at least 1.
@@ -191,21 +193,59 @@ def leave_one_out_gain(without: Fit, with_effect: Fit, data: Dataset) -> float:
     all, which are left out instead: the other runs alone might not determine the parameters.
 
     Args:
-        without: Fit without the effect.
-        with_effect: Fit with it, at the same observer bandwidth.
-        data: Runs that were fitted.
+        without: Fit without the effect (deviation from the nominal model).
+        with_effect: Fit with it, with the same observer to correct predictions by the measurements.
+        data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
-        Reduction of chi-squared, summed over all runs. It is at most about the reduction on the fitted runs; it is
-        negative if the effect describes single runs rather than the machine.
+        Reduction of chi-squared, dimensionless, summed over all runs. It is at most about the reduction on the fitted
+        runs; it is negative if the effect describes single runs rather than the machine.
     """
     return _leave_one_out_cost(without, data) - _leave_one_out_cost(with_effect, data)
 
 
 def _leave_one_out_cost(fitted: Fit, data: Dataset) -> float:
     """Return the sum of the costs of all runs, each with the parameters that the other runs determine."""
-    model = ResidualModel(fitted.machine, fitted.free, data, fitted.bandwidth, search_step(fitted.bandwidth))
     pieces = 1 if len(data.runs) >= _MIN_RUNS else -(-_PIECES // len(data.runs))  # of each run
+    return sum(cost for cost, _ in _left_out_costs(fitted, data, pieces))
+
+
+def contradicting_run(fitted: Fit, data: Dataset) -> str | None:
+    """Find a run that does not agree with a machine on which the other runs agree.
+
+    A loose connector, a slipped belt or another amplifier setting in one run is such a contradiction; so is an effect
+    that only one run excites, and only a search for effects can tell one from the other.
+
+    Args:
+        fitted: Fitted machine with its observer bandwidth.
+        data: Runs that were fitted.
+
+    Returns:
+        Name of the run whose chi-squared per sample, with the parameters that the other runs determine, is more than
+        ten times theirs, and most; None if there is no such run, or fewer than four runs.
+    """
+    if len(data.runs) < _MIN_RUNS:
+        return None
+    costs = _left_out_costs(fitted, data, 1)
+    counts = [run.count for run in data.runs]
+    ratios = [
+        (cost / count) / (others / (sum(counts) - count)) for (cost, others), count in zip(costs, counts, strict=True)
+    ]
+    worst = int(np.argmax(ratios))
+    return data.runs[worst].name if ratios[worst] > CONTRADICTION else None
+
+
+def _left_out_costs(fitted: Fit, data: Dataset, pieces: int) -> list[tuple[float, float]]:
+    """Return for each piece of the runs the cost of that piece, and of all others, with parameters from the others.
+
+    The model is linearized around the fit, where leaving out a piece moves the parameters by one Newton step.
+
+    Args:
+        fitted: Fitted machine with its observer bandwidth.
+        data: Runs that were fitted.
+        pieces: Number of pieces into which each run is divided.
+    """
+    model = ResidualModel(fitted.machine, fitted.free, data, fitted.bandwidth, search_step(fitted.bandwidth))
 
     def of_run(run: PreparedRecording) -> list[NormalEquations]:
         rows = model.linearize_run(run, fitted.theta)
@@ -215,21 +255,26 @@ def _leave_one_out_cost(fitted: Fit, data: Dataset) -> float:
     equations = [piece for of_pieces in map_runs(of_run, data) for piece in of_pieces]
     total = NormalEquations.total(equations)
     precision = prior_precision(fitted.free) * max(1.0, total.chi2)
-    cost = 0.0
+    costs = []
     for left_out in equations:
-        hessian = total.information - left_out.information + precision
-        gradient = total.gradient - left_out.gradient + precision @ fitted.theta
-        step = -np.linalg.solve(hessian, gradient)
-        cost += left_out.cost + float(2.0 * left_out.gradient @ step + step @ left_out.information @ step)
-    return cost
+        information, gradient = total.information - left_out.information, total.gradient - left_out.gradient
+        step = -np.linalg.solve(information + precision, gradient + precision @ fitted.theta)
+        costs.append(
+            (
+                left_out.cost + float(2.0 * left_out.gradient @ step + step @ left_out.information @ step),
+                total.cost - left_out.cost + float(2.0 * gradient @ step + step @ information @ step),
+            )
+        )
+    return costs
 
 
 def explains(fitted: Fit, initial_chi2: float, criteria: SelectionCriteria) -> bool:
     """Return whether a fit leaves only the sensors' noise, or a negligible part of the initial residual.
 
     Args:
-        fitted: Fit at the bandwidth of the observer that its remaining error requires.
-        initial_chi2: Chi-squared per sample of the first fit, without effects.
+        fitted: Fit whose predictions an observer corrects by the measurements, with the bandwidth that its error
+            requires.
+        initial_chi2: Chi-squared per sample, dimensionless, of the first fit, without effects.
         criteria: Decision thresholds `explained_chi2` and `explained_fraction`.
 
     Returns:
@@ -244,10 +289,11 @@ def at_bandwidth(fitted: Fit, bandwidth: float, data: Dataset) -> Fit:
     Args:
         fitted: Earlier fit.
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
-        data: Runs that were fitted.
+        data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
-        Fit at this bandwidth; the given one if it has that bandwidth already.
+        Fit (machine, parameters theta, shape (k,), cost) at this bandwidth; the given one if it has that bandwidth
+        already.
     """
     if fitted.bandwidth == bandwidth:
         return fitted

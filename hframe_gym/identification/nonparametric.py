@@ -55,14 +55,14 @@ def table_candidates(
     coordinate because refitted friction can hide a force along the way in the missing force.
 
     Args:
-        machine: Machine with the effects that have been selected so far.
-        data: Prepared recordings.
+        machine: Machine with the effects (deviations from the nominal model) that have been selected so far.
+        data: Prepared recordings (times, voltages, measurements, SI).
         scales: Typical sizes on this machine; that of the force is the unit of the ordinates.
         criteria: Decision thresholds; `max_tables_per_coordinate` limits the number.
 
     Returns:
-        For each coordinate the best tables, one against time and one against its position; each has one basis function
-        per knot.
+        Candidates: for each coordinate the best tables, one against time and one against its position; each has one
+        basis function per knot.
     """
     motion_and_force = missing_force(machine, data)
     variables = table_variables(machine, data)
@@ -98,7 +98,7 @@ def table_variables(machine: Machine, data: Dataset) -> dict[str, Array]:
 
     Args:
         machine: Machine that predicts the motion.
-        data: Prepared recordings with n rows in total.
+        data: Prepared recordings with n rows in total (times, voltages, measurements, SI).
 
     Returns:
         By name, shape (n,) each: "position of C" (m or rad), "velocity of C" (m/s or rad/s) and "path of C" (distance
@@ -178,9 +178,10 @@ def add_tables(
     A table is added only if it also predicts the half of the data that it was not fitted to (cross-validation).
 
     Args:
-        current: Fit of the machine with the effects selected so far; its observer bandwidth is used throughout.
-        selected: Effects selected so far.
-        data: Prepared recordings to fit.
+        current: Fit of the machine with the effects selected so far; the observer that corrects its predictions by the
+            measurements is used throughout.
+        selected: Effects (deviations from the nominal model) selected so far.
+        data: Prepared recordings to fit (times, voltages, measurements, SI).
         criteria: Decision thresholds, among them the smallest reduction of chi-squared per sample by a table.
         max_tables: Largest number of tables to add.
         log: Called with a line of text for every table that is fitted to all data.

@@ -74,7 +74,8 @@ def sum_text(weights: Mapping[str, float]) -> str:
     """Format a weighted sum of parameters, for example "phi1.viscous + 1.13 motor1.Ke".
 
     Args:
-        weights: Weight by full parameter name; a weight of 1 is not written.
+        weights: Weight, in the unit of the first parameter per unit of this one, by full parameter name; 1 is not
+            written.
 
     Returns:
         Text with weights to three digits.
@@ -96,7 +97,7 @@ def _value_and_std(machine: Machine, weights: dict[str, float]) -> tuple[float, 
 
 
 def inseparable_parameters(machine: Machine, declared: Machine) -> tuple[InseparableParameters, ...]:
-    """Find the parameters that the data do not separate.
+    """Find the sets of parameters that the data do not separate, because only some combinations have an influence.
 
     The spectrum of the covariance, scaled by the standard deviations of the priors, shows the directions along which
     the data did not reduce the prior's variance much. Each direction that involves several parameters leaves one
@@ -107,8 +108,8 @@ def inseparable_parameters(machine: Machine, declared: Machine) -> tuple[Insepar
         declared: Machine as it was declared, whose parameters are the centers of the priors.
 
     Returns:
-        Disjoint sets of at least two parameters each; ordinates of tables are left out. Empty if the machine has no
-        uncertainty.
+        Disjoint sets of at least two parameters each, with the combinations that the data determine; ordinates of
+        tables are left out. Empty if the machine has no uncertainty.
     """
     if machine.uncertainty is None:
         return ()

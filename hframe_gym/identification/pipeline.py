@@ -6,7 +6,6 @@ import dataclasses
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -17,26 +16,30 @@ from ..registry import load_plugins
 from .criteria import SelectionCriteria
 from .dataset import MIN_ROWS, Dataset, prepare, refine_encoder_offsets, with_all_measurements, with_known_positions
 from .effect_size import drive_force, effect_force
-from .estimation import Fit, fit, prediction_cost, with_uncertainty
+from .estimation import Fit, with_uncertainty
 from .experiment_design import design_discriminating_experiment
 from .forward_selection import (
     ConsideredEffect,
-    EffectSearch,
     Log,
     SelectedEffect,
-    Selection,
 )
-from .free_parameters import default_free_parameters
-from .held_out import error_reduction, held_out_gain, hold_out, is_excited
-from .model_error import explains, fit_with_model_error, polish
-from .nonparametric import add_tables
-from .prediction import SEARCH_BANDWIDTH
+from .held_out import contradicting_held_out_runs, error_reduction, held_out_gain, hold_out, is_excited
 from .recording_simulation import evaluate_held_out
 from .residual import is_white, rank_dependences
-from .result import IdentificationResult, RejectedEffect, Verdict
+from .result import IdentificationResult, RejectedEffect
+from .search import SearchOutcome, search_effects
 from .sensor_properties import Range, blank_saturated, range_effects, saturation_ranges
 from .trial_fits import without_effect
 
+_CONTRADICTION = (
+    "{} is not used: the other runs agree with one machine to within their noise, and no effect explains why this run "
+    "differs. Check its voltages, gains and sensors."
+)
+_HELD_OUT_CONTRADICTION = (
+    "{} was held out and contradicts the fitted runs: either something was wrong with it (check its voltages, gains "
+    "and sensors), or it shows what the fitted runs do not excite (hold out another run with --hold-out). The "
+    "errors on held-out runs include it."
+)
 _MAX_DEPENDENCES = 6  # Variables that the report lists for the residual force.
 
 
@@ -48,14 +51,14 @@ def identify(
     criteria: SelectionCriteria | None = None,
     log: Log | None = None,
 ) -> IdentificationResult:
-    """Identify the effects that a machine's model lacks.
+    """Identify the effects (deviations such as friction curves or backlash) that a machine's model lacks.
 
     The machine's parameters are fitted to the recordings. Effects are selected that reduce the remaining error. The
     declared machine, the refitted one, and that with effects are simulated over the held-out runs, to which nothing was
     fitted.
 
     Args:
-        recordings: Runs of one rig, at least two.
+        recordings: Runs of one rig (times, s; voltages, V; measurements, m or rad), at least two.
         machine: Machine as declared.
         held_out: Names of the runs to evaluate on. Default: every fourth, see `hold_out`.
         criteria: Decision thresholds. Default: `SelectionCriteria()`.
@@ -79,19 +82,18 @@ def identify(
     as_measured = recordings
     recordings = [_cleaned(recording, machine, log) for recording in recordings]
     all_runs, ranges = _prepare(recordings, machine, criteria, log)
-    validation, excluded = with_known_positions(all_runs.with_runs(held_names))
-    validation = with_all_measurements(validation, recordings)
+    held_out_runs, excluded = with_known_positions(all_runs.with_runs(held_names))
+    validation = with_all_measurements(held_out_runs, recordings)
     data, unused = with_known_positions(all_runs.with_runs([r.name for r in recordings if r.name not in held_names]))
     log(f"fitting {machine.name} to {len(data.runs)} runs, {len(validation.runs)} held out")
-    # With the widest observer bandwidth first: it tolerates a model that is still wrong.
-    base = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
-    log(f"refitted machine: {_describe(base)}")
-    before = polish(fit_with_model_error(base, data), data)
-    log(f"refitted machine: {_describe(before)}")
-    log("searching for effects")
-    outcome = _Search(base, before, data, criteria, log).run()
-    outcome = _without_unconfirmed(outcome, before, explains(before, base.chi2, criteria), data, validation, log)
-    result = _result(outcome, machine, before, ranges, data, validation, as_measured, criteria)
+    outcome = search_effects(machine, data, criteria, log)
+    after = outcome.after
+    differing = contradicting_held_out_runs(after, refine_encoder_offsets(held_out_runs, after.machine, outcome.data))
+    agreeing = held_out_runs.with_runs([run.name for run in held_out_runs.runs if run.name not in differing])
+    outcome = _without_unconfirmed(outcome, agreeing, log)
+    unused += (_CONTRADICTION.format(outcome.contradiction),) if outcome.contradiction else ()
+    unused += tuple(map(_HELD_OUT_CONTRADICTION.format, differing))
+    result = _result(outcome, machine, ranges, validation, as_measured, criteria)
     log(f"verdict: {result.verdict}")
     return dataclasses.replace(result, seconds=time.perf_counter() - began, excluded=(*unused, *excluded))
 
@@ -134,32 +136,14 @@ def _prepare(
     return everything, ranges
 
 
-class _Outcome(NamedTuple):
-    """Outcome of a search.
-
-    Attributes:
-        verdict: "effect_found", "no_effect" or "unexplained".
-        after: Fit of the machine with the effects.
-        selected: The selected effects.
-        considered: Effects that reduced the error of the fitted runs but failed a test.
-    """
-
-    verdict: Verdict
-    after: Fit
-    selected: tuple[SelectedEffect, ...]
-    considered: tuple[ConsideredEffect, ...]
-
-
-def _without_unconfirmed(
-    outcome: _Outcome, before: Fit, before_explains: bool, data: Dataset, validation: Dataset, log: Log
-) -> _Outcome:
-    """Remove effects that do not reduce the error of the held-out runs, weakest first.
+def _without_unconfirmed(outcome: SearchOutcome, validation: Dataset, log: Log) -> SearchOutcome:
+    """Remove effects that do not reduce the error of some held-out runs, weakest first.
 
     The held-out runs can only remove an effect here, never add or change one. They say nothing about an effect that
     they do not excite; then the runs that were left out in turn (`leave_one_out_gain`) must suffice.
     """
-    verdict, after, selected, considered = outcome
-    while selected:
+    before, before_explains, verdict, after, selected, considered, data, _ = outcome
+    while selected and validation.runs:
         runs = refine_encoder_offsets(validation, after.machine, data)
         gains = {s.effect.label: held_out_gain(s, after.machine, runs, after.bandwidth) for s in selected}
         refuted = [
@@ -179,21 +163,19 @@ def _without_unconfirmed(
         after, considered = reduced if selected else before, (*considered, entry)
         selected = tuple(s.with_values(after.machine) for s in selected)
         verdict = verdict if selected else "no_effect" if before_explains else "unexplained"
-    return _Outcome(verdict, after, selected, considered)
+    return outcome._replace(verdict=verdict, after=after, selected=selected, considered=considered)
 
 
 def _result(
-    outcome: _Outcome,
+    outcome: SearchOutcome,
     machine: Machine,
-    before: Fit,
     ranges: dict[str, Range],
-    data: Dataset,
     validation: Dataset,
     recordings: Sequence[Recording],
     criteria: SelectionCriteria,
 ) -> IdentificationResult:
     """Evaluate declared, refitted and corrected machine on the held-out runs, and propose an experiment."""
-    verdict, after, selected, considered = outcome
+    before, _, verdict, after, selected, considered, data, _ = outcome
     refined = refine_encoder_offsets(data, after.machine)
     corrected, selected = _corrected(after, selected, ranges, refined, f"{machine.name}-identified")
     refitted = before.machine.replace(name=f"{machine.name}-refitted")
@@ -236,81 +218,6 @@ def _corrected(
     selected = tuple(s for s in selected if s.effect.label not in labels)
     selected += tuple(SelectedEffect(e, (), 0.0, fitted) for e in limits)
     return fitted.with_effects(*limits), selected
-
-
-def _describe(fitted: Fit) -> str:
-    """Return chi-squared and observer bandwidth of a fit, for the log."""
-    return f"chi-squared per sample {fitted.chi2:.4g} ({fitted.mode})"
-
-
-class _Search:
-    """The search for effects that explain the residual of the refitted machine.
-
-    Args:
-        base: Machine refitted at `SEARCH_BANDWIDTH`.
-        before: Machine refitted at the bandwidth that its remaining error requires.
-        data: Prepared recordings to fit.
-        criteria: Decision thresholds.
-        log: Called with a line of text at each stage.
-    """
-
-    def __init__(self, base: Fit, before: Fit, data: Dataset, criteria: SelectionCriteria, log: Log) -> None:
-        self._base, self._before, self._data = base, before, data
-        self._criteria, self._log = criteria, log
-
-    def run(self) -> _Outcome:
-        """Search for effects, then for tables if no known effects explain the residual."""
-        after, effects, considered = self._known_effects()
-        if self._explains(after):
-            verdict: Verdict = "effect_found" if effects else "no_effect"
-            return _Outcome(verdict, after if effects else self._before, effects, considered)
-        tabled = self._with_tables((after, effects))
-        if tabled is not None:
-            return _Outcome("effect_found", *tabled, considered)
-        if effects and self._wide_cost(after) < self._criteria.max_partial_cost_fraction * self._base.cost:
-            return _Outcome("effect_found", after, effects, considered)
-        return _Outcome("unexplained", self._before, (), considered)
-
-    def _known_effects(self) -> tuple[Fit, tuple[SelectedEffect, ...], tuple[ConsideredEffect, ...]]:
-        """Return the fit with effects of the library, the effects, and those that failed a test."""
-        criteria, data, log = self._criteria, self._data, self._log
-        search = EffectSearch(data, self._before.machine, criteria, log)
-        current, effects = search.run(self._before)
-        refined = refine_encoder_offsets(data, current.machine)
-        if refined is not data:
-            # The encoders' zeros are known better with the effects, which may reveal further ones.
-            data, search = refined, search.with_data(refined)
-            current = polish(current, data)
-            current, effects = search.run(fit_with_model_error(current, data), effects)
-        if effects:
-            current = polish(current, data)
-            current, effects = search.prune(current, effects)
-        return current, effects, tuple(search.considered.values())
-
-    def _with_tables(self, selected: Selection) -> Selection | None:
-        """Return a model with tables, alone or beside the selected effects, if it explains the residual."""
-        criteria, data, log = self._criteria, self._data, self._log
-        log("no known effect explains the residual; searching for a table of force or friction")
-        after, effects = selected
-        wide = self._base if not effects else fit(after.machine, after.free, data, SEARCH_BANDWIDTH, theta=after.theta)
-        for start, known, count in ((self._base, (), 1), (wide, effects, 2)):
-            fitted, more = add_tables(start, known, data, criteria=criteria, max_tables=count, log=log)
-            if len(more) > len(known):
-                # No further search beside a table: what its straight pieces leave looks like many a small effect.
-                refined = polish(fit_with_model_error(fitted, data), data)
-                candidate, kept = EffectSearch(data, self._before.machine, criteria, log).prune(refined, more)
-                limit = criteria.max_table_cost_fraction * min(self._base.cost, wide.cost)
-                if kept and (self._explains(candidate) or self._wide_cost(candidate) < limit):
-                    return candidate, kept
-        return None
-
-    def _wide_cost(self, fitted: Fit) -> float:
-        """Return the cost of a machine at the bandwidth of the search, at which all machines can be compared."""
-        return prediction_cost(fitted.machine, self._data, SEARCH_BANDWIDTH)
-
-    def _explains(self, after: Fit) -> bool:
-        """Return whether a fit leaves only the sensors' noise, or a negligible part of the initial residual."""
-        return explains(after, self._base.chi2, self._criteria)
 
 
 def _rejected(entry: ConsideredEffect, data: Dataset, validation: Dataset, bandwidth: float) -> RejectedEffect:

@@ -35,7 +35,7 @@ def report_panels(report: Mapping[str, Any], curves: Mapping[str, Array], machin
     Args:
         report: Content of report.json.
         curves: Curves by name, see `result.plot_data` for names, shapes and units.
-        machine: Identified machine with the selected effects.
+        machine: Identified machine with the selected effects (deviations from the nominal model).
 
     Returns:
         Panels by name of the plot: error_by_channel, error_over_time (for each run one panel per channel),
@@ -246,7 +246,7 @@ def slow_fractions(curves: Mapping[str, Array]) -> dict[str, str]:
     """Compute the fraction of the moving time that each coordinate spent below a twentieth of its top speed.
 
     Args:
-        curves: Curves by name, see `result.plot_data`.
+        curves: Curves by name, SI, shape (m,) each, see `result.plot_data`.
 
     Returns:
         Fractions as text, such as "23 %", by name of the coordinate; without coordinates that never move.

@@ -7,14 +7,13 @@ sample, so that the error of a wrong model remains local in time. Its bandwidth 
 - `SIMULATION` (0) means no feedback: the machine runs from its initial state;
 - between them, `model_error` chooses the bandwidth that the model's remaining error requires.
 
-At the start, static friction holds the belts at an unknown stretch; its effect is projected out of the residual.
+`start_uncertainty` removes from the residual what the measurements at rest leave open about the initial state.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import TypeVar
 
@@ -26,7 +25,7 @@ from ..dynamics import simulate_batch
 from ..dynamics.simulation import Motion, threads
 from ..machine import Machine
 from .dataset import Dataset, PreparedRecording
-from .rest_measurement import rigid_basis, sensor_zero_error
+from .rest_measurement import sensor_zero_error
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
@@ -39,19 +38,15 @@ POLISH_STEP = 0.125e-3  # s; an input that changes inside a step costs a microme
 # Bandwidth of lasers relative to that of encoders beside them, whose noise is smaller.
 _LASER_BANDWIDTH_RATIO = 25.0 / 60.0
 _LONGEST_OBSERVER_PERIOD = 5e-3  # s; limits the observer gains of slowly sampled recordings
-# Fraction of the motors' Coulomb friction that typically remains as belt tension when the stage has come to rest.
-_HELD_FRICTION = 0.1
-_SMALLEST_HELD_ANGLE = 1e-6  # rad; keeps the column of a motor without friction away from zero
-_UNMEASURED_POSITION = 2e-4  # m; error of a position that follows from later measurements
 _BLOCK_S = 4e-3  # s; measurements respond more slowly than this to mechanical effects
 
 
 def map_runs(function: Callable[[PreparedRecording], T], data: Dataset) -> Iterator[T]:
-    """Apply a function to every run of a data set, in parallel threads.
+    """Apply a function to every run (one recording) of a data set, in parallel threads.
 
     Args:
         function: Function of one run; it is called from several threads.
-        data: Data set with the runs.
+        data: Data set with the runs (times, voltages, measurements, SI).
 
     Yields:
         Result of the function for each run, in the order of the runs.
@@ -131,7 +126,7 @@ def predict(
     """Predict the measurements of a run for a batch of parameters or perturbations.
 
     Args:
-        machine: Machine that predicts; its effects also determine the initial state.
+        machine: Machine that predicts; its effects (deviations from the model) also determine the initial state.
         run: Run to predict, n samples.
         bandwidth: Bandwidth of the observer that corrects the prediction by the measurements, rad/s; 0 for none.
         period: Sampling period, s.
@@ -198,7 +193,7 @@ def prediction_error(run: PreparedRecording, data: Dataset, measurements: Array)
     Args:
         run: Measured run, n samples.
         data: Data set of the run, for the sensors' quantization steps.
-        measurements: Values of a batch of predictions, in the sensors' units, shape (batch, n, sensors).
+        measurements: Predicted measurements of a batch of predictions, m or rad, shape (batch, n, sensors).
 
     Returns:
         Errors in the sensors' units, shape (batch, n, sensors); arbitrary where a value was not measured.
@@ -220,7 +215,7 @@ def residuals(run: PreparedRecording, data: Dataset, measurements: Array, rows_p
     Args:
         run: Measured run, n samples, with the standard deviation of each value's noise.
         data: Data set of the run, for the sensors' quantization steps.
-        measurements: Values of a batch of predictions, in the sensors' units, shape (batch, n, sensors).
+        measurements: Predicted measurements of a batch of predictions, m or rad, shape (batch, n, sensors).
         rows_per_block: How many consecutive rows are summed into one and divided by the root of that number. White
             noise keeps its size, and so do inner products of residuals that change more slowly, with fewer rows.
 
@@ -239,112 +234,3 @@ def residuals(run: PreparedRecording, data: Dataset, measurements: Array, rows_p
         error = error[:, : blocks * rows_per_block].reshape(batch, blocks, rows_per_block, sensors)
         error = error.sum(axis=2) / np.sqrt(rows_per_block)
     return error.reshape(batch, -1)
-
-
-@dataclass(frozen=True)
-class InitialStateProjection:
-    """Projection that removes the unknown initial stretch of the belts from residuals.
-
-    Attributes:
-        directions: Orthonormal responses of the residual to s independent initial belt stretches, shape (rows, s).
-        weights: Fraction of the residual along each that is removed, 0 (stretch known by the prior) to 1, shape (s,).
-    """
-
-    directions: Array
-    weights: Array
-
-    def __call__(self, residual: Array) -> Array:
-        """Remove the part of residuals that an optimal initial stretch explains, weighted by its prior.
-
-        Args:
-            residual: Residuals of a batch of predictions, in units of the noise, shape (batch, rows).
-
-        Returns:
-            Projected residuals, same shape; their sum of squares is the cost at the optimal initial stretch.
-        """
-        return residual - (residual @ self.directions) * self.weights @ self.directions.T
-
-
-def held_belt_angles(machine: Machine) -> dict[str, float]:
-    """Return by which motor angles static friction typically keeps the belts stretched at rest.
-
-    Args:
-        machine: Machine with or without belts.
-
-    Returns:
-        Angle, rad, by name of each rotary coordinate with a sensor and without a spring; empty without belts.
-    """
-    if not machine.belts:
-        return {}
-    stiffness = float(np.mean([b.EA / b.rest_length for b in machine.belts]))
-    measured = {s.coordinate for s in machine.sensors}
-    return {
-        c.name: max(_HELD_FRICTION * c.coulomb / c.radius**2 / stiffness, _SMALLEST_HELD_ANGLE)
-        for c in machine.coordinates
-        if c.kind == "rotary" and c.name in measured and c.name not in machine.spring_loaded
-    }
-
-
-def initial_state_projection(
-    machine: Machine,
-    run: PreparedRecording,
-    data: Dataset,
-    bandwidth: float,
-    *,
-    initial_state: Array | None = None,
-    longest_step: float = SEARCH_STEP,
-    rows_per_block: int = 1,
-) -> InitialStateProjection | None:
-    """Return the projection that removes from residuals what the unknown initial belt stretch of a run explains.
-
-    Static friction maintains an unknown stretch of the belts when a run begins, which encoders behind belts do not
-    resolve. The response of the residual to it, one vector per motor, is removed from residual and Jacobian alike
-    (variable projection), with a Gaussian prior of the size that friction can maintain. A run whose position no laser
-    measures at rest has further such vectors, one per motion that stretches no belt.
-
-    Args:
-        machine: Machine that predicts.
-        run: Run to predict.
-        data: Data set of the run.
-        bandwidth: Bandwidth of the observer that corrects the prediction by the measurements, rad/s; 0 for none.
-        initial_state: Positions, then velocities, in the coordinates' units, shape (2 * coordinates,). Default:
-            `run.initial_state(machine)`.
-        longest_step: Maximum integration step, s.
-        rows_per_block: Number of consecutive rows summed into one, as in `residuals`.
-
-    Returns:
-        The projection. None without belts or if the simulation diverges.
-
-    References:
-        Golub and Pereyra (1973), variable projection.
-    """
-    held_angles = held_belt_angles(machine)
-    if not held_angles:
-        return None
-    state = run.initial_state(machine) if initial_state is None else initial_state
-    displacements = np.zeros((len(held_angles), len(machine.coordinates)))  # of the initial positions, one per row
-    for k, (name, angle) in enumerate(held_angles.items()):
-        displacements[k, machine.coordinate_names.index(name)] = angle
-    if not run.initial.lasers_measured:
-        displacements = np.vstack([displacements, _rigid_displacements(machine, run, held_angles)])
-    initial_states = np.tile(state, (len(displacements) + 1, 1))
-    initial_states[1:, : displacements.shape[1]] += displacements
-    motion = predict(
-        machine, run, bandwidth, period=data.period, initial_state=initial_states, longest_step=longest_step
-    )
-    residual = residuals(run, data, motion.readings, rows_per_block)
-    columns = (residual[1:] - residual[0]).T  # (rows, displacements), in units of the prior's standard deviation
-    if not np.all(np.isfinite(columns)):
-        return None
-    # The minimum of |residual - columns w|^2 + |w|^2 over w is the squared norm of the residual projected like this.
-    directions, sizes, _ = np.linalg.svd(columns, full_matrices=False)
-    return InitialStateProjection(directions, 1.0 - 1.0 / np.sqrt(1.0 + sizes**2))
-
-
-def _rigid_displacements(machine: Machine, run: PreparedRecording, held_angles: dict[str, float]) -> Array:
-    """Return rigid motions of the size by which a position that no laser measures may be wrong, (k, coordinates)."""
-    travel = [angle * machine.coordinate(name).travel_per_unit for name, angle in held_angles.items()]
-    size = max(travel) if run.initial.position_measured else _UNMEASURED_POSITION
-    rigid = rigid_basis(machine)
-    linear = [c.kind == "linear" for c in machine.coordinates]
-    return np.asarray(size * (rigid / np.linalg.norm(rigid[linear], axis=0)).T)

@@ -7,7 +7,7 @@ function with the machine that identification wrote, so both have the same error
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +18,7 @@ from ..machine import Machine, Trajectory
 from ..recordings import Recording, fill_gaps, without_outliers
 from .criteria import SelectionCriteria
 from .dataset import Dataset, PreparedRecording, refine_encoder_offsets, with_encoder_zeros
-from .encoder_zeros import EncoderZeros, max_held_angle
+from .encoder_zeros import EncoderZeros
 from .initial_state import measured_initial_state, model_initial_state
 from .prediction import POLISH_STEP, map_runs
 from .residual import errors_by_channel, force_error, simulation_error
@@ -26,15 +26,13 @@ from .rest_measurement import (
     InitialState,
     count_resting_rows,
     max_zero_means,
-    rigid_basis,
     sensor_zero_error,
-    settled_rows,
 )
 from .result import ModelEvaluation, PredictionErrors
 from .sensor_properties import Range, blank_saturated, saturation_ranges, sensor_noise, sensor_quantum
+from .start_uncertainty import most_probable_start
 
 Array = NDArray[np.float64]
-_POSITION_CORRECTIONS = 3  # Simulations that refine a position which no laser measures at rest.
 
 
 class SimulatedRecording(NamedTuple):
@@ -66,10 +64,10 @@ def simulate_recording(machine: Machine, recording: Recording) -> SimulatedRecor
 
     Args:
         machine: Machine, declared or identified.
-        recording: The run; outputs may be missing.
+        recording: The run (times, voltages, measurements); outputs may be missing.
 
     Returns:
-        Trajectory, errors and initial state.
+        Trajectory, errors, m or rad, shape (n, sensors), and initial state.
 
     Raises:
         NotFiniteError: If the motion diverges.
@@ -101,11 +99,12 @@ def initial_state_of_recording(machine: Machine, recording: Recording) -> Initia
 
     Args:
         machine: Machine, declared or identified.
-        recording: The run; outputs may be missing.
+        recording: The run (times, voltages, measurements); outputs may be missing.
 
     Returns:
-        Initial state of the machine and the sensors' offsets; `warnings` lists what could not be determined. If the
-        simulation diverges, the offsets are those of the measurements at rest.
+        Initial state of the machine (positions, velocities, shape (2 * coordinates,)) and the sensors' offsets, m or
+        rad, shape (sensors,); `warnings` lists what could not be determined. If the simulation diverges, the offsets
+        are those of the measurements at rest.
     """
     return _initial_state(machine, fill_gaps(without_outliers(recording, machine)))
 
@@ -113,40 +112,46 @@ def initial_state_of_recording(machine: Machine, recording: Recording) -> Initia
 def _initial_state(machine: Machine, recording: Recording) -> InitialState:
     """Return the initial state of a recording without gaps and outliers."""
     rows = count_resting_rows(recording)
-    channels = [[recording.outputs[:, j]] for j in range(len(machine.sensors))]
-    quanta = np.array([sensor_quantum(c, s.resolution) for c, s in zip(channels, machine.sensors, strict=True)])
-    usable = _without_saturated(machine, recording, rows, quanta)
-    zeros = EncoderZeros.of_machine(machine)
-    initial = measured_initial_state(usable, machine, zeros, quanta)
+    channels = recording.outputs.T
+    quanta = np.array([sensor_quantum([c], s.resolution) for c, s in zip(channels, machine.sensors, strict=True)])
+    noise = np.array(
+        [sensor_noise([c], [rows], q, s.noise) for c, q, s in zip(channels, quanta, machine.sensors, strict=True)]
+    )
+    usable = _without_saturated(machine, recording, noise)
+    initial = measured_initial_state(usable, machine, EncoderZeros.of_machine(machine), quanta)
     refined = bool(machine.effects) and bool(initial.offset_known.any())
     initial = dataclasses.replace(initial, offsets_refined=refined)
     state = model_initial_state(machine, initial)
-    measured = np.isfinite(recording.outputs)
+    max_means = max_zero_means(machine, quanta)
 
-    def readings(state: Array) -> Array:
-        return simulate_batch(
-            machine, recording.time_s, recording.inputs, start=state, states=False, longest_step=POLISH_STEP
+    def errors(states: Array, outputs: Array) -> Array:
+        """Return measured minus simulated values, 0 where not measured, shape (B, n, sensors)."""
+        readings = simulate_batch(
+            machine, recording.time_s, recording.inputs, start=states, states=False, longest_step=POLISH_STEP
         ).readings
+        return np.where(np.isfinite(outputs), outputs - readings, 0.0)
 
-    if not initial.lasers_measured:
-        state = _corrected_position(machine, initial, state, usable, readings)
-    error = np.where(measured, recording.outputs - readings(state), 0.0)
+    def weighted_errors(states: Array) -> Array:
+        """Return errors without those of the zeros, in units of the noise, shape (B, n * sensors)."""
+        error = errors(states, usable.outputs)
+        measured = np.isfinite(usable.outputs)
+        error = np.where(measured, error - sensor_zero_error(error, measured, rows, max_means), 0.0)
+        return np.asarray((error / np.where(noise > 0.0, noise, np.inf)).reshape(len(states), -1))
+
+    state = most_probable_start(machine, initial, state, weighted_errors)
+    error = errors(state, recording.outputs)
     if not np.isfinite(error).all():
         return dataclasses.replace(initial, state=state)
-    offset = sensor_zero_error(error, measured, rows, max_zero_means(machine, quanta))[0, 0]
+    offset = sensor_zero_error(error, np.isfinite(recording.outputs), rows, max_means)[0, 0]
     return dataclasses.replace(initial, state=state, offset=offset)
 
 
-def _without_saturated(machine: Machine, recording: Recording, rows: int, quanta: Array) -> Recording:
+def _without_saturated(machine: Machine, recording: Recording, noise: Array) -> Recording:
     """Return a recording without saturated measurements.
 
     The machine's effects ``sensor_range`` say where a sensor saturates; others are examined as in identification.
     """
     criteria = SelectionCriteria()
-    channels = recording.outputs.T
-    noise = np.array(
-        [sensor_noise([c], [rows], q, s.noise) for c, q, s in zip(channels, quanta, machine.sensors, strict=True)]
-    )
     ends: dict[str, Range] = saturation_ranges([recording], machine, noise, criteria)
     for e in machine.effects:
         if e.name == "sensor_range":
@@ -154,70 +159,23 @@ def _without_saturated(machine: Machine, recording: Recording, rows: int, quanta
     return blank_saturated(recording, ends, machine, noise, criteria)
 
 
-def _corrected_position(
-    machine: Machine,
-    initial: InitialState,
-    state: Array,
-    recording: Recording,
-    readings: Callable[[Array], Array],
-) -> Array:
-    """Return the state moved rigidly until the lasers that measure nothing at rest have no error in the median.
-
-    Where encoders with a known zero determine the position, it moves by no more than the stretch that friction can
-    hold in the belts.
-
-    Args:
-        machine: Machine to simulate.
-        initial: Measured initial state.
-        state: State to correct, shape (2 * coordinates,).
-        recording: The run without saturated measurements.
-        readings: Function that simulates the readings (1, n, sensors) from a state.
-    """
-    rest = settled_rows(initial.resting_rows)
-    fixed = np.array([not s.incremental for s in machine.sensors])
-    at_rest = np.isfinite(recording.outputs[rest]).any(axis=0)
-    usable = fixed & np.isfinite(recording.outputs).any(axis=0)
-    if not usable.any():
-        return state
-    rigid = rigid_basis(machine)
-    limit = np.inf
-    if initial.position_measured:
-        limit = float(np.max(max_held_angle(machine)[~fixed] * _travel_per_unit(machine)[~fixed], initial=0.0))
-    moved = np.zeros(len(machine.sensors))  # by the lasers' readings, m
-    corrected = state
-    for _ in range(_POSITION_CORRECTIONS):
-        error = recording.outputs - readings(corrected)[0]
-        if not np.isfinite(error[np.isfinite(recording.outputs)]).all():
-            return state
-        for j in np.flatnonzero(usable & ~at_rest):
-            moved[j] = np.clip(moved[j] + np.nanmedian(error[:, j]), -limit, limit)
-        corrected = state.copy()
-        shift = np.linalg.lstsq(machine.sensor_matrix[usable] @ rigid, moved[usable], rcond=1e-9)[0]
-        corrected[: len(rigid)] += rigid @ shift
-    return corrected
-
-
-def _travel_per_unit(machine: Machine) -> Array:
-    """Return the travel of the belts per unit of each sensor's coordinate, m or m/rad, shape (sensors,)."""
-    return np.array([machine.coordinate(s.coordinate).travel_per_unit for s in machine.sensors])
-
-
 def evaluate_held_out(
     machine: Machine, fitted: Dataset, held_out: Dataset, recordings: Sequence[Recording]
 ) -> ModelEvaluation:
-    """Simulate a machine over the held-out runs as ``hframe simulate`` does, and compare it with the measurements.
+    """Simulate a machine over the held-out runs (not fitted) as ``hframe simulate`` does, and compare with the data.
 
     The zeros of the encoders (measurements at position 0), which all fitted runs determine together, are written to the
     machine. Everything else about the initial states follows from each recording alone.
 
     Args:
         machine: Machine to evaluate.
-        fitted: Runs that the machine was fitted to.
+        fitted: Runs that the machine was fitted to (times, voltages, measurements, SI).
         held_out: Runs to evaluate on, as prepared for identification.
         recordings: The recordings of these runs as they were measured; others are ignored.
 
     Returns:
-        The machine with these zeros and its simulation errors. Where its motion diverges, only the rows before count.
+        The machine with these zeros and its simulation errors, m or rad, shape (n, sensors) for each run. Where its
+        motion diverges, only the rows before count.
 
     Raises:
         KeyError: If the recording of a run is missing.

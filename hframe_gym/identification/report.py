@@ -76,7 +76,7 @@ def build_report(folder: Path) -> Path:
 
 
 def verdict_sentence(report: Mapping[str, Any], channels: Sequence[str]) -> str:
-    """Describe the verdict and the error on the held-out runs in words.
+    """Describe in words the verdict and the error on the held-out runs, which were not fitted.
 
     The error is the mean simulation error in units of the noise, or the relative force error if the simulation drifts.
 

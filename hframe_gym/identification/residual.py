@@ -18,6 +18,7 @@ from ..dynamics import Equations, net_forces
 from ..machine import Machine
 from .dataset import Dataset, PreparedRecording
 from .prediction import POLISH_STEP, SEARCH_BANDWIDTH, SIMULATION, map_runs, observer_gains, predict, prediction_error
+from .start_uncertainty import most_probable_initial_state
 
 Array = NDArray[np.float64]
 
@@ -64,14 +65,15 @@ def simulation_error(machine: Machine, run: PreparedRecording, data: Dataset) ->
     """Simulate a run; return measured minus simulated values, corrected for the uncertain zeros of the sensors.
 
     Args:
-        machine: Machine, simulated without feedback from its initial state in this run.
+        machine: Machine, simulated without feedback from its most probable initial state in this run.
         run: Measured run, n samples.
         data: Data set of the run, for the sampling period and the sensors' quantization steps.
 
     Returns:
         Errors in the sensors' units, NaN where not measured, shape (n, sensors).
     """
-    motion = predict(machine, run, SIMULATION, period=data.period, longest_step=POLISH_STEP)
+    start = most_probable_initial_state(machine, run, data)
+    motion = predict(machine, run, SIMULATION, period=data.period, initial_state=start, longest_step=POLISH_STEP)
     error = prediction_error(run, data, motion.readings)[0]
     return np.where(np.isfinite(run.outputs), error, np.nan)
 
@@ -81,10 +83,11 @@ def channel_errors(machine: Machine, data: Dataset) -> dict[str, ChannelError]:
 
     Args:
         machine: Machine to simulate; only the sensors' zeros are adjusted to the runs.
-        data: Measured runs.
+        data: Measured runs (times, voltages, measurements, SI).
 
     Returns:
-        Error by name of the output channel.
+        By name of the output channel: root mean square error `rmse`, m or rad, and `noise_ratio`, dimensionless, the
+        same divided by the sensor's noise.
     """
     return errors_by_channel(
         list(map_runs(lambda run: simulation_error(machine, run, data), data)), machine, data.noise
@@ -100,7 +103,8 @@ def errors_by_channel(by_run: Sequence[Array], machine: Machine, noise: Array) -
         noise: Standard deviations of the sensors' noise, in their units, shape (sensors,).
 
     Returns:
-        Error by name of the output channel.
+        By name of the output channel: root mean square error `rmse`, m or rad, and `noise_ratio`, dimensionless, the
+        same divided by the sensor's noise.
     """
     error = np.concatenate(by_run)
     errors = {}
@@ -158,7 +162,7 @@ def missing_force(machine: Machine, data: Dataset) -> dict[str, Array]:
 
     Args:
         machine: Machine that predicts.
-        data: Measured runs with n rows in total.
+        data: Measured runs with n rows in total (times, voltages, measurements, SI).
 
     Returns:
         By coordinate name, an array of shape (n, 3): position, velocity and missing force, in m, m/s, N or rad, rad/s,
@@ -189,7 +193,7 @@ def _low_pass(values: Array, cutoff: float, period: float) -> Array:
 
 
 def dependence_variables(machine: Machine, run: PreparedRecording, data: Dataset) -> dict[str, Array]:
-    """Return the variables of a run on which a missing effect may depend.
+    """Return the variables of a run on which a missing effect (deviation from the model) may depend.
 
     Args:
         machine: Machine that predicts positions and velocities, corrected by an observer at every sample.
@@ -213,11 +217,12 @@ def rank_dependences(machine: Machine, data: Dataset) -> list[Dependence]:
 
     Args:
         machine: Machine that predicts.
-        data: Measured runs.
+        data: Measured runs (times, voltages, measurements, SI).
 
     Returns:
-        Pairs of coordinate and variable that explain more than 5 % of the variance of the force residual (the force
-        that the model lacks), sorted by the explained variance of the force at the belt, largest first.
+        Pairs of coordinate and variable (position, velocity, voltage, time) that explain more than 5 % of the variance
+        of the force residual (the force that the model lacks), sorted by the explained variance of the force at the
+        belt, largest first.
     """
     force = np.concatenate([smooth_force_residual(machine, run, data) for run in data.runs])
     by_run = [dependence_variables(machine, run, data) for run in data.runs]
@@ -253,7 +258,7 @@ def is_white(machine: Machine, data: Dataset) -> bool:
 
     Args:
         machine: Machine to simulate.
-        data: Measured runs.
+        data: Measured runs (times, voltages, measurements, SI).
 
     Returns:
         True if the block means of every channel scatter by less than 0.6 standard deviations of its noise.
@@ -280,7 +285,7 @@ def force_error(machine: Machine, data: Dataset) -> float | None:
 
     Args:
         machine: Machine to evaluate.
-        data: Measured runs; those with missing measurements are left out.
+        data: Measured runs (times, voltages, measurements, SI); those with missing measurements are left out.
 
     Returns:
         Error over all runs, dimensionless. None if the machine has belts, if a coordinate lacks a drive or a sensor

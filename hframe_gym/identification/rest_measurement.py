@@ -41,6 +41,7 @@ class InitialState:
         position_known: Whether these sensors determine the position at rest, if necessary by later measurements.
         reading: Measurements at rest minus the known zeros, in the sensors' units, NaN where there is none, shape
             (sensors,).
+        measured_at_rest: Whether each sensor measured something at rest, shape (sensors,).
         position_from_reading: Matrix that computes the positions of unstretched belts from `reading` (with 0 instead
             of NaN), shape (coordinates, sensors).
         warnings: What could not be measured and what is assumed instead, one sentence each.
@@ -55,6 +56,7 @@ class InitialState:
     lasers_measured: bool = True
     position_known: bool = True
     reading: Array = field(default_factory=lambda: np.zeros(0))
+    measured_at_rest: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, np.bool_))
     position_from_reading: Array = field(default_factory=lambda: np.zeros((0, 0)))
     warnings: tuple[str, ...] = field(default=())
 
@@ -70,7 +72,7 @@ def count_resting_rows(recording: Recording) -> int:
     These are the rows up to the first change of an input, included: its measurement still precedes the motion.
 
     Args:
-        recording: The run.
+        recording: The run (times, s; voltages, V; measurements, m or rad).
 
     Returns:
         Number of rows, at least 1; 1 if an input is not zero in the first row.
@@ -96,18 +98,17 @@ def settled_rows(resting_rows: int) -> slice:
 def estimate_initial_state(recording: Recording, machine: Machine, zeros: EncoderZeros | None = None) -> InitialState:
     """Estimate the state at rest and the sensors' zeros (measurements at position 0) from one run.
 
-    Sensors with a fixed zero determine the position where they can, encoders where their zero is known or where nothing
-    else measures. The belts are unstretched unless encoders with a known zero measure their stretch. A sensor with a
-    fixed zero that measures nothing at rest, for example because it saturates, is replaced by its later measurements
-    minus the displacement that the encoders measure.
+    Sensors with a fixed zero (lasers) determine the position where they can, encoders where their zero is known or
+    where nothing else measures. Only encoders with a known zero measure a stretch of the belts. A laser that measures
+    nothing at rest, such as a saturated one, is replaced by its later measurements minus the encoders' displacement.
 
     Args:
-        recording: The run; saturated measurements are NaN.
+        recording: The run (times, voltages, measurements); saturated measurements are NaN.
         machine: Machine with the rig's coordinates, belts and sensors.
         zeros: Zeros of the encoders, from all runs together. Default: unknown.
 
     Returns:
-        Initial state, with warnings where the position is not measured at rest.
+        Positions at rest, m or rad, zeros of the sensors, shape (sensors,), and warnings where no sensor measures them.
     """
     rows = count_resting_rows(recording)
     zeros = zeros or EncoderZeros.of_machine(machine).without(np.ones(len(machine.sensors), np.bool_))
@@ -150,6 +151,7 @@ def estimate_initial_state(recording: Recording, machine: Machine, zeros: Encode
         lasers_measured=lasers_measured,
         position_known=position_measured or _rank(seen[(fixed | known) & usable]) == _rank(seen),
         reading=reading,
+        measured_at_rest=measured,
         position_from_reading=position_from_reading,
         warnings=warnings,
     )

@@ -50,7 +50,7 @@ class PredictionErrors:
 
     @property
     def noise_ratio(self) -> float:
-        """Root mean square over the channels of the simulation error in multiples of the sensors' noise."""
+        """Root mean square over the channels of simulation error / sensor noise, dimensionless."""
         ratios = [error.noise_ratio for error in self.channels.values() if error.noise_ratio is not None]
         return float(np.sqrt(np.mean(np.square(ratios)))) if ratios else float("nan")
 
@@ -103,10 +103,12 @@ class RejectedEffect:
     reason: str
 
     def as_json(self) -> dict[str, Any]:
-        """Convert the rejected effect to an entry of `considered` in report.json.
+        """Convert an effect (deviation from the model) that was not selected to an entry of `considered`, report.json.
 
         Returns:
-            name, site, parameters, size (None if no force describes the effect), held_out_gain and reason.
+            name, site (component), parameters (SI), size (force relative to that of the drives; None if no force
+            describes the effect), held_out_gain (fraction of the error of the held-out runs that it removes) and
+            reason.
         """
         return {
             "name": self.effect.name,
@@ -145,7 +147,7 @@ class IdentificationResult:
         seconds: Duration of the identification, s.
         experiment: Run that would distinguish the leading effect from its rival, where there is one.
         criteria: Decision thresholds that were used.
-        excluded: One sentence for each run that was neither fitted nor held out.
+        excluded: One sentence for each run that was not used, or that was held out and contradicts the fitted ones.
     """
 
     verdict: Verdict
@@ -167,13 +169,13 @@ class IdentificationResult:
 
     @property
     def explained(self) -> float:
-        """Fraction of the squared error beyond the sensors' noise on the held-out runs that the effects removed."""
+        """Fraction, at most 1, of the squared error beyond the sensors' noise on held-out runs that effects removed."""
         before, after = (max(e.held_out.noise_ratio**2 - 1.0, 0.0) for e in (self.before, self.after))
         return 1.0 - after / before if self.effects and before > 0.0 else 0.0
 
     @property
     def left(self) -> float:
-        """Root mean square simulation error of the machine with the selected effects, in multiples of the noise."""
+        """Root mean square simulation error of the machine with the selected effects / sensor noise, dimensionless."""
         return self.after.held_out.noise_ratio
 
     @property
@@ -281,7 +283,7 @@ def plot_data(result: IdentificationResult) -> dict[str, Array]:
         result: Result of `identify`.
 
     Returns:
-        Arrays by name, where RUN is the name of a held-out run with n samples.
+        Arrays by name, where RUN is the name of a held-out run (not fitted) with n samples.
 
         - ``RUN/time_s``: sample times of each held-out run, s, shape (n,).
         - ``RUN/measured``: its measurements, in the sensors' units, shape (n, sensors).

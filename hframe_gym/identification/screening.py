@@ -81,13 +81,14 @@ def screen(fit: Fit, candidates: Sequence[Candidate], data: Dataset) -> list[Sco
     optimized together with the machine's free parameters, without any new fit.
 
     Args:
-        fit: Fit of the machine without the candidates; its observer bandwidth is used.
-        candidates: Effects, sites and starting values to compare.
-        data: Runs that were fitted.
+        fit: Fit of the machine without the candidates; the observer that corrects its predictions by the measurements
+            is used.
+        candidates: Effects (deviations from the nominal model), sites (components) and starting values to compare.
+        data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
-        Scored candidates, largest reduction first. It is 0 for a candidate whose amplitude would have an inadmissible
-        sign or that the machine's free parameters can reproduce.
+        Scored candidates, largest reduction of chi-squared (dimensionless) first. It is 0 for a candidate whose
+        amplitude would have an inadmissible sign or that the machine's free parameters can reproduce.
     """
     if not candidates:
         return []
@@ -121,12 +122,14 @@ def candidate_perturbations(
 
     Args:
         machine: Machine that moves.
-        candidates: Candidates; neighbors of the same effect and site are evaluated together.
+        candidates: Candidate effects (deviations from the nominal model); neighbors of the same effect and site are
+            evaluated together.
         run: Run with the sample times and voltages of the motion.
         motion: Motion of the machine with positions and velocities, a batch of one, n samples.
 
     Returns:
-        Forces and changes of measurements by basis function, in the order of the candidates and of their `columns`.
+        Forces, N or Nm, shape (columns, n, coordinates), and changes of measurements, m or rad, shape
+        (columns, n, sensors), by basis function, in the order of the candidates and of their `columns`.
     """
     # Ties refer to the parameters of effects; the machine's parameters already have their values.
     bare = dataclasses.replace(machine, effects=(), ties={})
@@ -238,7 +241,7 @@ def has_no_small_version(effect: Effect) -> bool:
     """Check whether an effect replaces a part of the model, so that no small amplitude of it can be linearized.
 
     Args:
-        effect: Definition of the effect.
+        effect: Definition of the effect (deviation from the nominal model).
 
     Returns:
         True for structural effects (they add coordinates) and those that replace dry friction.
@@ -247,17 +250,17 @@ def has_no_small_version(effect: Effect) -> bool:
 
 
 def screen_structures(current: Fit, data: Dataset, scale: TypicalScales, minimum_gain: float) -> list[Machine]:
-    """Build machines with the most promising effects that replace a part of the model, one effect each.
+    """Build machines with the most promising effects that replace a part of the nominal model, one effect each.
 
     These are structural effects, which add coordinates, and effects that replace dry friction. For them the
     linearization predicts a smaller benefit than a fit achieves. Therefore the three best are returned, structural
     effects with their two best starting values.
 
     Args:
-        current: Fit of the machine without such an effect; its observer bandwidth is used.
-        data: Runs that were fitted.
+        current: Fit of the machine without such an effect; the observer that corrects its predictions is used.
+        data: Runs that were fitted (times, voltages, measurements, SI).
         scale: Typical sizes on this machine, to which the starting values are relative.
-        minimum_gain: Smallest linearized reduction of chi-squared per sample of a promising effect.
+        minimum_gain: Smallest linearized reduction of chi-squared per sample, dimensionless, of a promising effect.
 
     Returns:
         Copies of the present machine with one more effect, the last in its list; best first.

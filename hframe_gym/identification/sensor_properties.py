@@ -34,7 +34,7 @@ def quantum_of(values: Array) -> float:
     The quantum is the smallest change of which nearly all changes are multiples.
 
     Args:
-        values: Measurements, shape (n,), NaN where not measured.
+        values: Measurements, m or rad, shape (n,), NaN where not measured.
 
     Returns:
         Quantum in the unit of the values; 0 where the channel shows none.
@@ -54,7 +54,7 @@ def sensor_quantum(channel: Sequence[Array], resolution: float) -> float:
     It cannot be determined in a run in which the sensor hardly moves.
 
     Args:
-        channel: Measurements of the sensor by run, each of shape (n,), NaN where not measured.
+        channel: Measurements of the sensor by run, in its unit, each of shape (n,), NaN where not measured.
         resolution: Declared resolution, in the sensor's unit, returned if no run determines the quantum.
 
     Returns:
@@ -72,7 +72,7 @@ def sensor_noise(channel: Sequence[Array], resting_rows: Sequence[int], quantum:
     the rounding error, quantum / sqrt(12).
 
     Args:
-        channel: Measurements of the sensor by run, each of shape (n,), NaN where not measured.
+        channel: Measurements of the sensor by run, in its unit, each of shape (n,), NaN where not measured.
         resting_rows: Number of rows at rest at the beginning of each run.
         quantum: Quantization step of the sensor, in its unit.
         declared: Declared standard deviation, in the sensor's unit; 0 where none is declared.
@@ -171,7 +171,7 @@ def saturation_ranges(
     Encoders do not saturate; they show whether the machine moves.
 
     Args:
-        recordings: All runs of the rig.
+        recordings: All runs of the rig (times, s; voltages, V; measurements, m or rad).
         machine: Machine as declared.
         noise: Standard deviations of the sensors' noise, in their units, shape (sensors,).
         criteria: Decision thresholds.
@@ -253,14 +253,14 @@ def blank_saturated(
     """Set the saturated measurements of a recording to NaN: those at or beyond the ends of a sensor's range.
 
     Args:
-        recording: One run.
+        recording: One run (times, s; voltages, V; measurements, m or rad).
         ranges: Lower and upper end by channel name, in the sensor's unit.
         machine: Machine that was recorded.
         noise: Standard deviations of the sensors' noise, in their units, shape (sensors,).
         criteria: Decision thresholds.
 
     Returns:
-        A copy; the recording itself is not changed.
+        Copy with measurements of shape (n, sensors), m or rad; the recording itself is not changed.
     """
     outputs = recording.outputs.copy()
     for channel, (low, high) in ranges.items():
@@ -271,14 +271,14 @@ def blank_saturated(
 
 
 def range_effects(ranges: Mapping[str, Range], selected: Sequence[AppliedEffect] = ()) -> tuple[AppliedEffect, ...]:
-    """Convert the ranges of saturated sensors to effects ``sensor_range``.
+    """Convert the ranges of saturated sensors to effects ``sensor_range`` (modeled deviations) of the machine.
 
     Args:
-        ranges: Lower and upper end by channel name, in the sensor's unit.
+        ranges: Lower and upper end of the measuring range by channel name, m or rad.
         selected: Effects that the fit selected. Where one of them limits the same sensor, the nearer ends are used.
 
     Returns:
-        One effect per channel in `ranges`.
+        One effect per channel in `ranges`, with the parameters `low` and `high`, m or rad.
     """
     effects = []
     for channel, (low, high) in ranges.items():

@@ -23,18 +23,18 @@ _TRIAL_ITERATIONS, _TRIAL_TOLERANCE = 8, 1e-3  # A trial need not converge fully
 
 
 def trial_fits(current: Fit, data: Dataset, enough: float, criteria: SelectionCriteria) -> list[Fit]:
-    """Fit the machine with each of the most promising candidate effects, one at a time.
+    """Fit the machine with each of the most promising effects (deviations from the model), one at a time.
 
     The candidates are ranked before by the reduction of chi-squared that linearization predicts.
 
     Args:
-        current: Fit without the candidates; its observer bandwidth is used.
-        data: Prepared recordings to fit.
-        enough: Smallest useful reduction of chi-squared per sample.
+        current: Fit without the candidates; the observer that corrects its predictions by the measurements is used.
+        data: Prepared recordings to fit (times, voltages, measurements).
+        enough: Smallest useful reduction of chi-squared per sample, dimensionless.
         criteria: Decision thresholds.
 
     Returns:
-        One fit per candidate with few iterations, in no particular order.
+        One fit (machine, parameters theta, shape (k,), cost) per candidate with few iterations, in no particular order.
     """
     scales, ranked = _ranked_candidates(current, data)
     trials: list[Fit] = []
@@ -55,17 +55,18 @@ def structural_trial_fits(
 ) -> list[Fit]:
     """Fit the machine with each of the most promising effects that replace a part of the model, one at a time.
 
-    These are structural effects and those that replace dry friction. Each needs a compiled kernel.
+    These are structural effects (which add coordinates) and those that replace dry friction. Each needs compiled
+    simulation code of its structure.
 
     Args:
-        current: Fit without the candidates; its observer bandwidth is used.
+        current: Fit without the candidates; the observer that corrects its predictions by the measurements is used.
         trials: Fits of the other candidates, which they have to surpass.
-        data: Prepared recordings to fit.
-        enough: Smallest useful reduction of chi-squared per sample.
+        data: Prepared recordings to fit (times, voltages, measurements, SI).
+        enough: Smallest useful reduction of chi-squared per sample, dimensionless.
         criteria: Decision thresholds.
 
     Returns:
-        One fit per candidate with few iterations, in no particular order.
+        One fit (machine, parameters theta, shape (k,), cost) per candidate with few iterations, in no particular order.
     """
     scales = typical_scales(current, data)
     useful = max((current.cost - t.cost for t in trials), default=0.0) / data.count
@@ -75,16 +76,16 @@ def structural_trial_fits(
 
 
 def unexplained_fraction(current: Fit, trials: list[Fit], criteria: SelectionCriteria) -> float:
-    """Return the fraction of the excess of chi-squared that the best trial leaves.
+    """Return the fraction of the excess of chi-squared (squared error / noise variance) that the best trial leaves.
 
     Args:
         current: Fit without candidates.
-        trials: Fits with one candidate each, at the same observer bandwidth.
+        trials: Fits with one candidate effect each, with the same observer to correct predictions.
         criteria: Decision thresholds.
 
     Returns:
-        Fraction; 1 without trials. The excess is counted from chi-squared of a correct model: 1, and in one-step
-        prediction `one_step_floor`, because quantization keeps it above 1.
+        Fraction, dimensionless; 1 without trials. The excess is counted from chi-squared of a correct model: 1, and in
+        one-step prediction `one_step_floor`, because quantization keeps it above 1.
     """
     floor = criteria.one_step_floor if current.bandwidth >= SEARCH_BANDWIDTH else 1.0
     least = min((t.chi2 for t in trials), default=current.chi2)
@@ -112,14 +113,15 @@ def replacement_fit(
     Effects that were selected while others were missing may stand for a mixture of several causes.
 
     Args:
-        current: Fit with all selected effects.
-        reduced: Fit without one of them, at the same observer bandwidth.
+        current: Fit with all selected effects (deviations from the nominal model).
+        reduced: Fit without one of them, with the same observer to correct predictions by the measurements.
         replaced: Label of that effect, name@site.
-        data: Prepared recordings to fit.
+        data: Prepared recordings to fit (times, voltages, measurements, SI).
         criteria: Decision thresholds.
 
     Returns:
-        Converged fit; None if no other effect promises as much as the one that it replaces.
+        Converged fit (machine, parameters theta, shape (k,), cost); None if no other effect promises as much as the
+        replaced one.
     """
     scales, ranked = _ranked_candidates(reduced, data)
     best = next((scored for scored in ranked if scored.candidate.label != replaced), None)
@@ -154,16 +156,18 @@ def _promising(
 
 
 def fit_with_candidate(current: Fit, scored: ScoredCandidate, scales: TypicalScales, data: Dataset) -> Fit:
-    """Add a candidate effect to the machine and fit the parameters of both together, with few iterations.
+    """Add a candidate effect (deviation from the model) to the machine and fit the parameters of both together.
+
+    The fit has few iterations.
 
     Args:
-        current: Fit without the effect; its observer bandwidth is used.
+        current: Fit without the effect; the observer that corrects its predictions by the measurements is used.
         scored: Screened candidate with the amounts (weights) of its basis functions.
         scales: Typical forces, speeds and travels on this machine, which scale the new parameters.
-        data: Prepared recordings to fit.
+        data: Prepared recordings to fit (times, voltages, measurements, SI).
 
     Returns:
-        Fit that suffices to rank the candidate, not fully converged.
+        Fit (machine, parameters theta, shape (k,), cost) that suffices to rank the candidate, not fully converged.
     """
     machine = current.machine.with_effects(scored.candidate.applied(scored.amounts))
     added = effect_parameters(machine.effects[-1], machine, scales)
@@ -204,16 +208,16 @@ def _trial_fit(machine: Machine, free: tuple[FreeParameter, ...], theta: Array, 
 
 
 def converge(trial: Fit, data: Dataset, *, thorough: bool) -> Fit:
-    """Continue the fit of a machine with a candidate effect until it converges.
+    """Continue the fit of a machine with a candidate effect (deviation from the model) until it converges.
 
     Args:
         trial: Fit with a candidate effect, not fully converged.
-        data: Prepared recordings to fit.
+        data: Prepared recordings to fit (times, voltages, measurements, SI).
         thorough: Whether to fit from the declared parameters too and to return the better fit. Without the effect, the
             machine's parameters had compensated for it, sometimes in a local minimum.
 
     Returns:
-        Converged fit.
+        Converged fit (machine, parameters theta, shape (k,), cost).
     """
     # The second start keeps the parameters of effects (label name@site) and resets all others to theta = 0.
     of_effects = np.array(["@" in f.name for f in trial.free])
@@ -224,17 +228,18 @@ def converge(trial: Fit, data: Dataset, *, thorough: bool) -> Fit:
 
 
 def without_effect(current: Fit, label: str, data: Dataset, plain: Machine, *, thorough: bool = True) -> Fit | None:
-    """Remove one effect from the machine and fit the remaining free parameters again.
+    """Remove one effect (deviation from the model) from the machine and fit the remaining free parameters again.
 
     Args:
-        current: Fit of the machine with the effect; its observer bandwidth is used.
+        current: Fit of the machine with the effect; the observer that corrects its predictions is used.
         label: Label of the effect, name@site.
-        data: Prepared recordings to fit.
+        data: Prepared recordings to fit (times, voltages, measurements, SI).
         plain: Machine before effects were added, from which a machine without a structural effect is built.
         thorough: Whether to fit until convergence with the shortest integration step, rather than with few iterations.
 
     Returns:
-        Fit without the effect; None if another effect acts on a coordinate that this one adds.
+        Fit (machine, parameters theta, shape (k,), cost) without the effect; None if another effect acts on a
+        coordinate that it adds.
     """
     others = tuple(e for e in current.machine.effects if e.label != label)
     machine = current.machine.replace(effects=others)
@@ -257,10 +262,10 @@ def typical_scales(current: Fit, data: Dataset) -> TypicalScales:
 
     Args:
         current: Fit of the machine.
-        data: Prepared recordings.
+        data: Prepared recordings (times, voltages, measurements, SI).
 
     Returns:
-        Typical sizes, see `TypicalScales`.
+        Typical sizes by coordinate and in general, SI, see `TypicalScales`.
     """
     motions = list(
         map_runs(lambda run: predict(current.machine, run, current.bandwidth, period=data.period, states=True), data)

@@ -179,7 +179,7 @@ class Drive:
 
     @property
     def device_parameters(self) -> dict[str, float]:
-        """Data of the converter by name: `converter_bits` and `voltage_range` (V; default: the rated voltage)."""
+        """Data of the converter by name: `converter_bits` (bits), `voltage_range` (V; default: the rated voltage)."""
         limit = self.rated_voltage if self.voltage_range is None else self.voltage_range
         return {"converter_bits": self.converter_bits, "voltage_range": limit}
 
@@ -200,13 +200,13 @@ class SensorKind:
     def measure(reading: Array, noise: ArrayLike, resolution: ArrayLike, normal: ArrayLike) -> Array:
         """Add noise to ideal readings and round them to the resolution.
 
-        All arguments broadcast against each other; the unit is the channel's.
+        All arguments broadcast against each other; the unit is that of the sensor, m or rad.
 
         Args:
             reading: Ideal (noise-free, continuous) readings, m or rad, any shape.
-            noise: Standard deviation of the noise, m or rad.
-            resolution: Quantum of the sensor, m or rad; 0 for a continuous sensor.
-            normal: Samples of the standard normal distribution, without unit.
+            noise: Standard deviation of the noise, m or rad, of a shape that broadcasts.
+            resolution: Quantum of the sensor, m or rad, of a shape that broadcasts; 0 for a continuous sensor.
+            normal: Samples of the standard normal distribution, dimensionless, of a shape that broadcasts.
 
         Returns:
             Measured values, m or rad, in the broadcast shape of the four arguments.

@@ -69,7 +69,7 @@ class EffectParameter:
 
     @property
     def amplitude(self) -> bool:
-        """Whether the value zero of this parameter means that the effect is absent."""
+        """Whether the value zero of this parameter means that the effect (deviation from the model) is absent."""
         return self.role == "amplitude"
 
 
@@ -161,7 +161,7 @@ class Effect:
     coordinate: str = ""
 
     def parameter(self, name: str) -> EffectParameter:
-        """Return the declaration (unit, bounds, role) of one parameter of the effect.
+        """Return the declaration (unit, bounds, role) of one parameter of the effect (deviation from the model).
 
         Args:
             name: Name of the parameter, for example "A".
@@ -177,8 +177,10 @@ class Effect:
     def possible_sites(self, machine: Machine) -> tuple[str, ...]:
         """Return the sites of this effect's kind on a machine, without a check that the effect fits there.
 
+        A site is the component on which an effect (deviation from the nominal model) acts.
+
         Args:
-            machine: The machine.
+            machine: Machine whose components are listed.
 
         Returns:
             Names of coordinates, drives, belts or sensor channels, and the words "drives", "belts" or "machine".
@@ -196,11 +198,11 @@ class Effect:
 
     @property
     def amplitudes(self) -> tuple[str, ...]:
-        """Names of the parameters whose value zero means that the effect is absent."""
+        """Names of the parameters whose value zero means that the effect (deviation from the model) is absent."""
         return tuple(p.name for p in self.parameters if p.amplitude)
 
     def at(self, site: str, **parameters: float) -> AppliedEffect:
-        """Combine the effect with a site of a machine and with parameter values.
+        """Combine the effect (deviation from the nominal model) with a site of a machine and with parameter values.
 
         Args:
             site: Where it acts. By the attribute `site`: name of a coordinate ("coordinate"), a drive ("motor",
@@ -252,7 +254,7 @@ class AppliedEffect:
         return f"{self.definition.name}@{self.site}"
 
     def components(self, machine: Machine) -> tuple[str, ...]:
-        """Return the components of a machine on which the effect acts.
+        """Return the components of a machine on which the effect (deviation from the nominal model) acts.
 
         Args:
             machine: Machine that has the site.
@@ -273,7 +275,7 @@ class AppliedEffect:
         return (self.site,) if self.site in names or not names else names
 
     def with_parameters(self, parameters: Mapping[str, float]) -> AppliedEffect:
-        """Return a copy of the effect with other parameter values.
+        """Return a copy of the effect (deviation from the nominal model) with other parameter values.
 
         Args:
             parameters: Values of all parameters by name, SI. Names and bounds are not checked.
@@ -324,7 +326,7 @@ def argument_names(function: Hook) -> tuple[str, ...]:
     """Return the names of the arguments of a hook; results are cached.
 
     Args:
-        function: Hook of an effect (a formula such as `force(q, k)`).
+        function: Hook of an effect: a formula such as `force(q, k)` that the simulation calls at a certain place.
 
     Returns:
         Names in the order of the signature, for example ("q", "k").

@@ -143,11 +143,14 @@ class Machine:
 
     @cached_property
     def sensor_matrix(self) -> Array:
-        """Coefficients of the ideal sensor readings, shape (sensors, coordinates); products ("y*yaw") are ignored."""
+        """Change of each noise-free reading per unit of each coordinate, m/m, m/rad, ..., shape (sensors, coordinates).
+
+        Products in a sensor's row ("y*yaw") are ignored.
+        """
         return np.array([self.coefficients(s.row) for s in self.sensors])
 
     def coordinate_of_site(self, site: str) -> str | None:
-        """Return the coordinate on which an effect at a site acts.
+        """Return the coordinate on which an effect (deviation from the nominal model) at a site acts.
 
         Args:
             site: Site of an effect: name of a coordinate, drive or output channel, or "drives", "belts", "machine".
@@ -170,7 +173,7 @@ class Machine:
 
     @cached_property
     def spring_loaded(self) -> tuple[str, ...]:
-        """Names of the coordinates added by effects; a spring returns each of them to zero at rest."""
+        """Names of the coordinates that effects (such as bridge yaw) add; a spring returns each to zero at rest."""
         return tuple(e.definition.coordinate for e in self.effects if e.definition.coordinate)
 
     def other_axis(self, coordinate: str) -> str | None:
@@ -204,7 +207,7 @@ class Machine:
     def device_parameters(self) -> dict[str, float]:
         """Parameters of sensors and drives that the equations of motion do not contain, by full name.
 
-        Noise and resolution of every sensor (`x_m.noise`, `x_m.resolution`, channel's unit); `motor1.converter_bits`
+        Noise and resolution of every sensor (`x_m.noise`, `x_m.resolution`, m or rad); `motor1.converter_bits` (bits)
         and `motor1.voltage_range` (V, by default the rated voltage) of every drive. They can be randomized.
         """
         owners = [(s.channel, s.device_parameters) for s in self.sensors]
@@ -237,7 +240,7 @@ class Machine:
         return FIXED_UNITS[key]
 
     def effect_unit(self, effect: AppliedEffect, parameter: str) -> str:
-        """Return the unit of an effect's parameter at its site.
+        """Return the unit of a parameter of an effect (deviation from the nominal model) at its site.
 
         Args:
             effect: Effect at a site of this machine; the machine need not have it.
@@ -288,7 +291,7 @@ class Machine:
         return dataclasses.replace(self, **(new | fields))  # type: ignore[arg-type]
 
     def with_effects(self, *effects: AppliedEffect) -> Machine:
-        """Return a copy with additional effects.
+        """Return a copy with additional effects (deviations from the nominal model).
 
         Args:
             *effects: Effects, each at its site: the coordinate, drive, belt or sensor of this machine on which it acts.
@@ -319,7 +322,8 @@ class Machine:
                 Default: at rest at the origin with unstretched belts.
 
         Returns:
-            Positions, velocities and noise-free sensor readings at every sample.
+            `Trajectory`: positions and velocities, shape (n, coordinates), and noise-free sensor readings, shape
+            (n, sensors), at every sample, in m or rad and their rates.
 
         Raises:
             ValueError: If the shapes do not fit the machine, times do not increase, or a value is not finite.

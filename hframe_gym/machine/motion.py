@@ -64,7 +64,7 @@ def rest_state(machine: Machine, position: ArrayLike | None = None) -> Array:
     """Return the state at rest with unstretched belts for given positions of the carriages.
 
     Args:
-        machine: Machine.
+        machine: Machine with its coordinates and belts.
         position: Positions of the linear coordinates in the machine's order, m, shape (linear coordinates,); a single
             value applies to all of them. Default: zeros. The pulley angles follow from zero extension of every belt
             (least squares); coordinates that a spring holds, such as the yaw of a bridge, are at zero.
@@ -96,7 +96,7 @@ def rigid_motions(machine: Machine) -> dict[str, Array]:
     Without belts each coordinate moves independently.
 
     Args:
-        machine: Machine.
+        machine: Machine with its coordinates and belts.
 
     Returns:
         By name of the leading coordinate: motion of every coordinate per unit of the leading one (m or rad per m or
@@ -136,10 +136,11 @@ def motion_limits(machine: Machine) -> dict[str, MotionLimits]:
     """Compute inertia, force and speed along each rigid motion with every drive at its rated voltage.
 
     Args:
-        machine: Machine; its effects are ignored.
+        machine: Machine; its effects (deviations from the nominal model) are ignored.
 
     Returns:
-        Limits by name of the leading coordinate of `rigid_motions`.
+        By name of the leading coordinate of `rigid_motions`: moving inertia, kg or kg m^2, force at standstill, N or
+        Nm, and steady speed, m/s or rad/s.
     """
     limits = {}
     for name, motion in rigid_motions(machine).items():

@@ -64,7 +64,7 @@ class StageGeometry:
         """Compute the rails on which the bridge, or the carriage of a single axis, runs.
 
         Returns:
-            Boxes of two rails, or one, m.
+            Boxes of two rails, or one: x and y of one corner, then of the opposite one, m.
         """
         if self.bridge_axis is None:
             return [(self.x0 - 0.03, -0.03, self.x1 + 0.03, 0.03)]
@@ -80,7 +80,7 @@ class StageGeometry:
             y: Tool position along y, m.
 
         Returns:
-            Boxes, m; none for a single axis.
+            Boxes (x and y of one corner, then of the opposite one), m; none for a single axis.
         """
         if self.bridge_axis is None:
             return []
@@ -147,7 +147,7 @@ class BeltGeometry(StageGeometry):
             y: Tool position along y, m.
 
         Returns:
-            Boxes, m.
+            Boxes: x and y of one corner, then of the opposite one, m.
         """
         boxes = []
         for end, inward in ((self.y0, 1.0), (self.y1, -1.0)):

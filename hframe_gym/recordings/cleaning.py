@@ -42,10 +42,11 @@ def fill_gaps(recording: Recording) -> Recording:
     lost voltages are interpolated, which is closer to those that were applied. The lost outputs are NaN.
 
     Args:
-        recording: Run with or without gaps.
+        recording: Run with or without gaps (times, s; voltages, V; measurements, m or rad).
 
     Returns:
-        Copy with additional rows at regular times, or the same object if no sample was lost.
+        Copy with additional rows at regular times (measurements of shape (n, sensors), NaN there), or the same object
+        if no sample was lost.
     """
     time_s = recording.time_s
     steps = np.diff(time_s)
@@ -100,7 +101,7 @@ def outlier_mask(recording: Recording, machine: Machine) -> Mask:
     declares. Empty cells are skipped: the neighbors of a sample are the measured ones.
 
     Args:
-        recording: Run to examine, with n rows.
+        recording: Run to examine (times, s; voltages, V; measurements, m or rad), with n rows.
         machine: Machine that was recorded; its sensors declare noise and resolution.
 
     Returns:
@@ -120,11 +121,11 @@ def without_outliers(recording: Recording, machine: Machine) -> Recording:
     """Replace the outliers of a recording, see `outlier_mask`, by NaN (not measured).
 
     Args:
-        recording: Run to clean.
+        recording: Run to clean (times, s; voltages, V; measurements, m or rad).
         machine: Machine that was recorded.
 
     Returns:
-        Copy without outliers, or the same object if there are none.
+        Copy whose measurements, m or rad, shape (n, sensors), are NaN at outliers; the same object if there are none.
     """
     mask = outlier_mask(recording, machine)
     if not mask.any():

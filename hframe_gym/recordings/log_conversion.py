@@ -60,7 +60,8 @@ class LogConverter:
             progress: Called with the number of bytes read since the last call.
 
         Returns:
-            recording: The whole log, with the name of its file.
+            recording: Recording of the complete log with the name of its file: times, s, shape (n,), voltages, V, shape
+                (n, drives), and measurements, m or rad, shape (n, sensors).
             remarks: What was left out, held or merged, in words.
 
         Raises:
@@ -139,12 +140,13 @@ def split_at_rests(recording: Recording, machine: Machine, min_rest: float) -> t
     middle of a rest, but no more than that time before its first motion, and ends accordingly.
 
     Args:
-        recording: Recording of several motions.
+        recording: Recording of several motions (times, s; voltages, V; measurements, m or rad).
         machine: Machine that was recorded.
         min_rest: Shortest rest at which the recording is cut, s.
 
     Returns:
-        runs: One recording per motion, named NAME_01, NAME_02, ...; times are unchanged.
+        runs: One recording per motion (measurements of shape (n, sensors)), named NAME_01, NAME_02, ...; times
+            unchanged.
         remarks: What was left out, in words.
 
     Raises:

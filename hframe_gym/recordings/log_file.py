@@ -22,7 +22,7 @@ from .text_reader import Progress, read_columns
 LOG_SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".log", ".asc", ".prn", ".mat", ".parquet")
 
 _MAT_HEADER, _MAT_COMPRESSED = 128, 15  # bytes above the variables of version 5 to 7, and the type of a compressed one
-_MAT_BLOCK = 1 << 20  # bytes that are decompressed at a time
+_MAT_BLOCK = 1 << 16  # bytes that are decompressed at a time, to 64 MB at most
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
@@ -67,7 +67,7 @@ class Log:
         """Read the values of columns.
 
         Args:
-            columns: Columns of this log.
+            columns: Columns of this log, from its attribute `columns`.
             progress: Called with the number of bytes read since the last call.
 
         Returns:
@@ -128,7 +128,7 @@ def open_log(path: Path) -> Log:
         path: File of the log.
 
     Returns:
-        The log.
+        The log: its columns with names, units and numbers of rows; their values, shape (rows,), are not read yet.
 
     Raises:
         InputError: If the file is empty, has no columns of numbers, or is of a kind that cannot be read. The message
@@ -255,17 +255,16 @@ def _open_mat(path: Path) -> Log:
 def _refuse_large_variables(path: Path) -> None:
     """Check the size of the compressed variables of a MATLAB file without keeping their content in memory."""
     size, content = 0, memoryview(path.read_bytes())
-    position = _MAT_HEADER
+    position, order = _MAT_HEADER, ">u4" if bytes(content[126:128]) == b"MI" else "<u4"
     while position + 8 <= len(content):
-        kind, length = np.frombuffer(content[position : position + 8], np.uint32).tolist()
+        kind, length = np.frombuffer(content[position : position + 8], order).tolist()
         if kind == _MAT_COMPRESSED:
-            stream, rest = zlib.decompressobj(), bytes(content[position + 8 : position + 8 + length])
-            while rest:
+            stream, compressed = zlib.decompressobj(), content[position + 8 : position + 8 + length]
+            for start in range(0, len(compressed), _MAT_BLOCK):
                 try:
-                    size += len(stream.decompress(rest, _MAT_BLOCK))
+                    size += len(stream.decompress(compressed[start : start + _MAT_BLOCK]))
                 except zlib.error:
                     break  # which the reader reports
-                rest = stream.unconsumed_tail
                 refuse_expansion(path, size)
         position += 8 + length
 

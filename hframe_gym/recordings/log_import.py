@@ -63,7 +63,7 @@ def import_logs(
     Args:
         logs: A log, or a folder of logs.
         out: Folder for the recordings; it is created if necessary. Existing runs are never replaced.
-        machine: Machine that was logged; its channels are the columns of the recordings.
+        machine: Machine that was logged; the names of its input and output channels are the columns of the recordings.
         settings: Mapping of columns, and whether to cut the logs.
         say: Called with a line of text for everything that was done or assumed.
         progress: Called with the work that is done and the total, in bytes that are read and written.
@@ -109,7 +109,7 @@ def write_recording(path: Path, recording: Recording, machine: Machine, progress
 
     Args:
         path: File to write: .csv, .csv.gz (compressed) or .parquet.
-        recording: Run to write; NaN becomes an empty cell.
+        recording: Run to write (times, s; voltages, V; measurements, m or rad); NaN becomes an empty cell.
         machine: Machine that was recorded; its channels name the columns.
         progress: Called with the number of rows that were written since the last call.
 

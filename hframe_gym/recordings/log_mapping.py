@@ -67,7 +67,7 @@ def read_mapping_file(path: str | Path) -> MappingOptions:
         path: File ending in .toml or .json.
 
     Returns:
-        Its content.
+        Columns, units and factors by channel.
 
     Raises:
         InputError: If the file cannot be read or has other tables or values. The message names file and field.
@@ -96,7 +96,7 @@ def parse_factor(where: str, factor: object) -> float:
         factor: Number or text, for example "0.001".
 
     Returns:
-        The factor.
+        The factor, dimensionless.
 
     Raises:
         InputError: If it is not a finite number other than zero.
@@ -117,13 +117,14 @@ def map_columns(log: Log, machine: Machine, options: MappingOptions) -> list[Cha
     ("X [mm]", "x_mm" and "x" for x_m). Nothing else is guessed.
 
     Args:
-        log: Opened log.
+        log: Opened log with its columns.
         machine: Machine that was logged.
-        options: What the user states.
+        options: Columns, units and factors that the user assigns to channels.
 
     Returns:
-        One source per column of time, then one per channel, in the order of the machine. If the log has several columns
-        of time, the time of a column is the one to its left, or the one of the same length.
+        One source (column and conversion of units) per column of time, then one per channel, in the order of the
+        machine. If the log has several columns of time, the time of a column is the one to its left, or the one of the
+        same length.
 
     Raises:
         InputError: If a channel has no column or several, or a unit is unknown. The message lists columns and channels

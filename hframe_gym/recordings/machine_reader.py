@@ -58,7 +58,7 @@ class MachineReader:
     content: MachineFile
 
     def machine(self) -> Machine:
-        """Convert the content to a machine and warn of values that are possible but not plausible.
+        """Convert the content of a machine.json to a machine, and warn of values that are possible but not plausible.
 
         Returns:
             The machine.

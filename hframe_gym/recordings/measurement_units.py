@@ -87,23 +87,23 @@ class Conversion:
     denominator: float = 1.0
 
     def apply(self, values: Array) -> Array:
-        """Convert values.
+        """Convert the values of a column to the unit of the channel.
 
         Args:
-            values: Values of a column, shape (rows,).
+            values: Values of a column, in the unit of the log, shape (rows,).
 
         Returns:
-            Values times the numerator, divided by the denominator, shape (rows,).
+            Values times the numerator, divided by the denominator, in the unit of the channel, shape (rows,).
         """
         scaled = values if self.numerator == 1.0 else values * self.numerator
         return scaled if self.denominator == 1.0 else scaled / self.denominator
 
     def scaled(self, factor: float) -> Conversion:
-        """Combine with a further factor.
+        """Combine this conversion of units with a further factor.
 
         Args:
-            factor: Factor, not zero. If its inverse is a whole number, values are divided by that, which is exact for
-                decimal numbers.
+            factor: Factor, dimensionless, not zero. If its inverse is a whole number, values are divided by that, which
+                is exact for decimal numbers.
 
         Returns:
             The combined conversion.

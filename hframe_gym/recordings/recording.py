@@ -88,7 +88,8 @@ def load_recordings(
         log: Called with a line of text for each run of which only the beginning is read.
 
     Returns:
-        The runs in the order of their file names.
+        The runs in the order of their file names: times, s, shape (n,), voltages, V, shape (n, drives), and
+        measurements, m or rad, shape (n, sensors).
 
     Raises:
         InputError: If the folder does not exist or has no recordings, two files are the same run (`a.csv`,
@@ -147,7 +148,8 @@ def load_recording(
         max_rows: Number of rows after which reading stops. Default: all rows are read.
 
     Returns:
-        The run, with inputs in the order of the machine's drives and outputs in that of its sensors.
+        The run: times, s, shape (n,), inputs, V, shape (n, drives), in the order of the machine's drives, and outputs,
+        m or rad, shape (n, sensors), in that of its sensors.
 
     Raises:
         InputError: If the file cannot be read or has no rows, columns are missing or unknown, a time or input is empty
@@ -168,11 +170,12 @@ def recording_from_columns(path: Path, columns: Mapping[str, Array], machine: Ma
 
     Args:
         path: File of the run, for its name and for messages; it need not exist.
-        columns: Values by column, shape (n,) each: `time_s`, all inputs, and any of the outputs.
+        columns: Values by column, shape (n,) each: `time_s` (s), all inputs (V), and any of the outputs (m or rad).
         machine: Machine that was recorded.
 
     Returns:
-        The run. Outputs without a column are NaN.
+        The run: times, shape (n,), inputs, shape (n, drives), and outputs, shape (n, sensors). Outputs without a column
+        are NaN.
 
     Raises:
         InputError: If there are no rows, a time or input is empty or infinite, all outputs are empty, times do not

@@ -37,8 +37,8 @@ def read_table(
         max_rows: Number of rows after which reading stops. Default: all rows are read.
 
     Returns:
-        Names of the columns in the order of the file.
-        Values of each column by its name, shape (rows,), NaN where a cell is empty, NA, NaN or #N/A.
+        Names of the columns in the order of the file, and values of each column by its name, in the unit of the file,
+        shape (rows,), NaN where a cell is empty, NA, NaN or #N/A.
 
     Raises:
         ForeignFormatError: If the table has another format, such as semicolons between the columns.
@@ -73,7 +73,7 @@ def refuse_rows(path: Path, name: str, column: Array, invalid: NDArray[np.bool_]
     Args:
         path: File of the column, for the message.
         name: Name of the column, for the message.
-        column: Values of the column, shape (rows,).
+        column: Values of the column, in its unit, shape (rows,).
         invalid: True for each invalid row, shape (rows,).
         reason: Text that follows the value in the message, for example "is infinite".
 
@@ -111,8 +111,8 @@ def read_path(path: str | Path) -> tuple[Array, Array | None]:
         path: CSV or Parquet file of the path.
 
     Returns:
-        Points (x, y) of the tool, m, shape (n, 2).
-        Times of the points, s, shifted so that the first is zero, shape (n,); None if the file has no times.
+        Points (x, y) of the tool, m, shape (n, 2), and their times, s, shifted so that the first is zero, shape (n,),
+        or None if the file has no times.
 
     Raises:
         InputError: If the file cannot be read or has other columns, fewer than two rows, a cell that is empty or
@@ -164,7 +164,7 @@ def open_parquet(path: Path) -> Any:
             large for the size of the file.
     """
     try:
-        from pyarrow import parquet
+        import pyarrow.parquet as parquet
     except ImportError:
         raise InputError(f"{path}: reading Parquet files needs pip install 'hframe_gym[parquet]'") from None
     try:

@@ -60,13 +60,13 @@ class TextFormat:
 
 
 def detect_format(path: Path) -> TextFormat:
-    """Detect the format of a text file from its beginning.
+    """Detect the format of a text file (encoding, separator, decimal mark, header, columns) from its beginning.
 
     Args:
         path: Text file, possibly compressed by gzip.
 
     Returns:
-        Its format.
+        Description of the format.
 
     Raises:
         InputError: If the file cannot be read, is empty or is not text.

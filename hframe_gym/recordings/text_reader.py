@@ -55,8 +55,8 @@ def read_columns(
         max_rows: Number of rows after which reading stops. Default: all rows are read.
 
     Returns:
-        values: One array per column, shape (rows,): float64, NaN where a cell is empty, or datetime64[ns] for a column
-            of time stamps (NaT where empty; times of day have the date 1970-01-01).
+        values: One array per column, in the unit of the file, shape (rows,): float64, NaN where a cell is empty, or
+            datetime64[ns] for a column of time stamps (NaT where empty; times of day have the date 1970-01-01).
         remarks: What was left out, in words.
 
     Raises:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from hypothesis import reject
 from hypothesis import strategies as st
 
 from .materials import (
@@ -43,12 +44,48 @@ class Case:
     files: dict[str, bytes]
     words: tuple[str, ...]
 
+    def __repr__(self) -> str:
+        sizes = ", ".join(f"{name} ({len(content)} bytes)" for name, content in self.files.items())
+        return f"{' '.join(self.words)[:500]!r} on {sizes[:500]}"
+
     def write(self, folder: Path) -> None:
         """Write the files into a folder."""
         for name, content in self.files.items():
             path = folder / name
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(content)
+
+
+FOLDERS = ("agent", "answer")  # materials of which a stored case has only the files that differ
+
+
+def save_case(case: Case, folder: Path) -> None:
+    """Store a case: the command line in the file `command`, and the files that differ from valid material.
+
+    Args:
+        case: Case to store.
+        folder: New folder.
+    """
+    valid = {name: content for kind in FOLDERS for name, content in contents_of(kind, kind).items()}
+    changed = {name: content for name, content in case.files.items() if valid.get(name) != content}
+    Case(changed | {"command": " ".join(case.words).encode()}, ()).write(folder)
+
+
+def load_case(folder: Path) -> Case:
+    """Load a case that `save_case` stored.
+
+    Args:
+        folder: Its folder.
+
+    Returns:
+        The case with all its files.
+    """
+    files = {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    words = tuple(files.pop("command").decode().split())
+    for kind in FOLDERS:
+        if kind in words:
+            files = contents_of(kind, kind) | files
+    return Case(files, words)
 
 
 class Payload:
@@ -71,15 +108,13 @@ def _encoded(text: str) -> bytes:
     return text.encode("utf-8", "surrogatepass")
 
 
-SIMULATE = ("simulate", "--inputs", "{}", "--out", "out.csv")
-
-
 @st.composite
 def csv_run(draw: st.DrawFn) -> Case:
     """Return a strategy for a damaged CSV recording."""
     valid = run_text()
     damaged = damaged_table(valid).map(_encoded) if draw(st.booleans()) else damaged_bytes(valid.encode())
-    words = draw(st.sampled_from((("simulate", "--inputs", "runs/a.csv", "--out", "out.csv"), ("check", "runs"))))
+    simulate = ("simulate", "--inputs", "runs/a.csv", "--out", "out.csv")
+    words = draw(st.sampled_from((*([simulate] * 5), ("check", "runs"))))  # a check takes a second
     return Case({"runs/a.csv": draw(damaged)}, words)
 
 
@@ -121,7 +156,7 @@ def parquet_run(draw: st.DrawFn) -> Case:
             "number text": lambda v=values: pyarrow.array([str(x) for x in v]),
             "null": lambda v=values: pyarrow.nulls(len(v)),
             "time": lambda v=integers: pyarrow.array(v, pyarrow.timestamp(draw(st.sampled_from(("s", "ns"))))),
-            "decimal": lambda v=values: pyarrow.array([round(x) for x in v]).cast(pyarrow.decimal128(20, 3)),
+            "decimal": lambda v=values: pyarrow.array([round(x) for x in v]).cast(pyarrow.decimal128(38, 3)),
             "list": lambda v=values: pyarrow.array([[x] for x in v]),
             "half": lambda v=values: pyarrow.array(v.astype(np.float16)),
             "binary": lambda v=values: pyarrow.array([b"\x00"] * len(v)),
@@ -136,7 +171,10 @@ def parquet_run(draw: st.DrawFn) -> Case:
             name = draw(st.sampled_from(TEXTS))
         columns[name] = new
     buffer = io.BytesIO()
-    parquet.write_table(pyarrow.table(columns), buffer)
+    try:
+        parquet.write_table(pyarrow.table(columns), buffer)
+    except pyarrow.ArrowException:  # such as times that a file cannot hold
+        reject()
     return Case({"a.parquet": buffer.getvalue()}, words)
 
 
@@ -323,5 +361,15 @@ READERS: dict[str, Callable[[], st.SearchStrategy[Case]]] = {
     "agent folder": agent_folder,
     "checkpoint": checkpoint,
 }
-# Fraction of the examples; drawing a page or building a network takes longer than reading a table.
-WEIGHTS = {"answer folder": 0.6, "agent folder": 0.5, "path": 0.5, "checkpoint": 0.2, "machine values": 0.5}
+# Relative number of examples; drawing a page or building a network takes longer than reading a table.
+WEIGHTS = {
+    "machine.json": 2.0,
+    "mapping": 1.5,
+    "log.txt": 1.5,
+    "log.mat": 1.5,
+    "recording.parquet": 1.5,
+    "answer folder": 0.6,
+    "agent folder": 0.4,
+    "path": 0.4,
+    "checkpoint": 0.3,
+}

@@ -289,12 +289,12 @@ def measurement_delays(parameters, delays):
 
 
 @njit(nogil=True, error_model='numpy')
-def held_mean(time, values, start, end, hint):
+def held_mean(time, values, start: float, end: float, hint: int) -> float:
     """Return the mean over [start, end] of an input that is held from each time until the next.
 
     Args:
-        time: Sample times, s, shape (n,).
-        values: Input at the samples, shape (n,); before the first sample its value acts.
+        time: Sample times, s, ascending, shape (n,).
+        values: Input at the samples, any unit, shape (n,); before the first sample its value acts.
         start: Start of the interval, s.
         end: End of the interval, s.
         hint: Index of a sample that is not before the start of the interval, where the search begins.
@@ -318,18 +318,19 @@ def held_mean(time, values, start, end, hint):
 
 
 @njit(nogil=True, error_model='numpy')
-def interpolated(rows, i, lane, j, back):
+def interpolated(rows, i: int, lane: int, j: int, back: float) -> float:
     """Return an earlier reading of a sensor of one machine, interpolated quadratically between samples.
 
     Args:
-        rows: Ideal readings of n samples for LANES machines, shape (n, SENSORS, LANES).
+        rows: Readings of SENSORS sensors, without delay, at n samples of LANES machines, m or rad, shape
+            (n, SENSORS, LANES).
         i: Index of the present sample; later rows are not used.
         lane: Index of the machine in the last axis of `rows`.
         j: Index of the sensor.
-        back: Time before the present sample, as a number of sample periods.
+        back: Time before the present sample, as a multiple of the sampling period, >= 0.
 
     Returns:
-        Reading, in the sensor's unit; before the first sample that of the first.
+        Reading, m or rad; before the first sample that of the first.
     """
     position = max(0.0, i - back)
     k = min(max(1, int(position + 0.5)), i - 1)
@@ -341,8 +342,8 @@ def interpolated(rows, i, lane, j, back):
 
 
 @njit(nogil=True, error_model='numpy')
-def most_steps(time, longest_step):
-    """Return the largest number of steps between two samples.
+def most_steps(time, longest_step: float) -> int:
+    """Return the largest number of integration steps between two consecutive samples.
 
     Args:
         time: Sample times, s, shape (n,).
@@ -358,18 +359,20 @@ def most_steps(time, longest_step):
 
 
 @njit(nogil=True, error_model='numpy')
-def start_block(block, start_time, parameters, start, state, block_parameters):
+def start_block(block: int, start_time: float, parameters, start, state, block_parameters) -> None:
     """Copy parameters and initial states of up to LANES of B machines to the arrays of a block, one column (lane) each.
 
-    Columns without a machine repeat the first machine of the block.
+    A block is LANES machines that the processor simulates side by side. Columns without a machine repeat the first
+    machine of the block. COORDINATES, PARAMETERS and STATES are the numbers of these per machine.
 
     Args:
         block: Index of the block; it simulates the machines block * LANES to block * LANES + LANES - 1.
         start_time: Time of the first sample, s.
         parameters: Parameters of all machines, SI, shape (B, PARAMETERS).
-        start: Belt travel, m, and speed, m/s, of all machines, shape (B, 2 * COORDINATES).
-        state: Output: travel, speed, time and effect states (zero), shape (STATES, LANES).
-        block_parameters: Output: parameters, shape (PARAMETERS, LANES).
+        start: Belt travel (radius * angle of a pulley), m, and its rate, m/s, of all machines, shape
+            (B, 2 * COORDINATES).
+        state: Output: belt travel, m, its rate, m/s, time, s, and effect states (zero), shape (STATES, LANES).
+        block_parameters: Output: parameters, SI, shape (PARAMETERS, LANES).
     """
     for lane in range(LANES):
         b = block * LANES + lane
@@ -384,14 +387,14 @@ def start_block(block, start_time, parameters, start, state, block_parameters):
 
 
 @njit(nogil=True, error_model='numpy')
-def copy_lanes(block, i, rows, table):
-    """Copy the first k rows of a block to one sample of a table, unless the table is empty.
+def copy_lanes(block: int, i: int, rows, table) -> None:
+    """Copy the first k rows of a block of LANES machines to one sample of a table, unless the table is empty.
 
     Args:
         block: Index of the block; its columns (lanes) are the machines from block * LANES on.
         i: Index of the sample.
-        rows: Values of the block (state or readings), shape (k or more, LANES), one machine per column.
-        table: Output for B machines and n samples, shape (B, n, k), or empty.
+        rows: Values of the block (states or readings, any unit), shape (k or more, LANES), one machine per column.
+        table: Output for B machines and n samples, in the unit of the rows, shape (B, n, k), or empty.
     """
     for lane in range(min(LANES, table.shape[0] - block * LANES)):
         for k in range(table.shape[2]):
@@ -399,15 +402,18 @@ def copy_lanes(block, i, rows, table):
 
 
 @njit(nogil=True, error_model='numpy')
-def delay_readings(time, i, sensor_delays, past_readings, reading):
-    """Store the readings of a sample for LANES machines, and replace those of sensors with a delay by earlier ones.
+def delay_readings(time, i: int, sensor_delays, past_readings, reading) -> None:
+    """Delay the readings of one sample by each sensor's delay, for a block of LANES machines.
+
+    The readings are stored for later samples. Those of sensors with a delay are replaced by earlier ones, interpolated
+    between samples. SENSORS is the number of sensors of a machine.
 
     Args:
         time: Sample times, s, shape (n,).
         i: Index of the sample.
         sensor_delays: Delay of each sensor, s, shape (SENSORS, LANES), one machine per column.
-        past_readings: Ideal readings of all samples, shape (n, SENSORS, LANES); row i is set.
-        reading: Ideal readings of sample i on entry, delayed ones on return, shape (SENSORS, LANES).
+        past_readings: Readings without delay of all samples, m or rad, shape (n, SENSORS, LANES); row i is set.
+        reading: Readings of sample i, m or rad, shape (SENSORS, LANES): without delay on entry, delayed on return.
     """
     past_readings[i] = reading
     sample_period = max(1e-12, time[i] - time[max(0, i - 1)])
@@ -418,17 +424,19 @@ def delay_readings(time, i, sensor_delays, past_readings, reading):
 
 
 @njit(nogil=True, error_model='numpy')
-def inject_outputs(block, i, machines, measured, gains, reading, state):
-    """Correct the states by the measurements of a sample (output injection): state += gains @ (measured - reading).
+def inject_outputs(block: int, i: int, machines: int, measured, gains, reading, state) -> None:
+    """Correct the states of LANES machines by the measurements of a sample: state += gains @ (measured - reading).
+
+    This is output injection, as in an observer. COORDINATES, SENSORS and STATES are the numbers of these per machine.
 
     Args:
         block: Index of the block; its columns (lanes) are the machines from block * LANES on.
         i: Index of the sample.
         machines: Number of machines B.
-        measured: Measurements, in the channels' units, shape (1 or B, n, SENSORS), NaN where not measured.
-        gains: Gains, change of travel (m) and speed (m/s) per unit of the channel, shape (2 * COORDINATES, SENSORS).
-        reading: Simulated readings, in the channels' units, shape (SENSORS, LANES).
-        state: Travel, speed, time and effect states, corrected in place, shape (STATES, LANES).
+        measured: Measurements, m or rad, shape (1 or B, n, SENSORS), NaN where not measured.
+        gains: Change of belt travel (m) and of its rate (m/s) per m or rad of error, shape (2 * COORDINATES, SENSORS).
+        reading: Simulated readings, m or rad, shape (SENSORS, LANES).
+        state: Belt travel, m, its rate, m/s, time, s, and effect states, corrected in place, shape (STATES, LANES).
     """
     for lane in range(min(LANES, machines - block * LANES)):
         for j in range(SENSORS):
@@ -440,18 +448,22 @@ def inject_outputs(block, i, machines, measured, gains, reading, state):
 
 
 @njit(nogil=True, error_model='numpy')
-def hold_inputs(block, parameters, time, i, steps, h, inputs, extra, drive_delays, voltages, external_forces):
-    """Set the voltages and external forces of a block from a sample until the next.
+def hold_inputs(
+    block: int, parameters, time, i: int, steps: int, h: float, inputs, extra, drive_delays, voltages, external_forces
+) -> None:
+    """Set the voltages and external forces of a block of LANES machines from a sample until the next.
+
+    COORDINATES, INPUTS and PARAMETERS are the numbers of coordinates, drives and parameters per machine.
 
     Args:
         block: Index of the block; its columns (lanes) are the machines from block * LANES on.
-        parameters: Parameters of all B machines, shape (B, PARAMETERS).
+        parameters: Parameters of all B machines, SI, shape (B, PARAMETERS).
         time: Sample times, s, shape (n,).
         i: Index of the sample.
         steps: Number of steps until the next sample.
         h: Length of a step, s.
         inputs: Voltages, V, shape (1 or B, n, INPUTS).
-        extra: External forces, N, shape (1 or B, n, COORDINATES).
+        extra: External forces along the belt travel, N, shape (1 or B, n, COORDINATES).
         drive_delays: Delay of each drive, s, shape (INPUTS, LANES).
         voltages: Output, V, shape (INPUTS, LANES); if a drive has a delay, the mean voltages of every step, shape
             (steps * INPUTS, LANES).
@@ -477,23 +489,28 @@ def hold_inputs(block, parameters, time, i, steps, h, inputs, extra, drive_delay
 
 
 @compiled
-def rollout(time, inputs, parameters, start, measured, gains, extra, longest_step, first, last, out, readings):
+def rollout(
+    time, inputs, parameters, start, measured, gains, extra, longest_step: float, first: int, last: int, out, readings
+) -> None:
     """Simulate the machines of blocks first..last-1 over a recording; a block has LANES of the B machines.
+
+    COORDINATES, INPUTS, PARAMETERS and SENSORS are the numbers of coordinates, drives and so on per machine.
 
     Args:
         time: Sample times, s, shape (n,).
         inputs: Voltages, V, shape (1 or B, n, INPUTS), held until the next sample.
         parameters: Machine parameters, SI, shape (B, PARAMETERS).
-        start: Belt travel, m, and speed, m/s, at the first sample, shape (B, 2 * COORDINATES).
-        measured: Measurements for output injection, in the channels' units, shape (1 or B, n, SENSORS), NaN where not
-            measured; empty for a simulation without injection.
-        gains: Gains of the output injection (m and m/s per unit of the channel), shape (2 * COORDINATES, SENSORS).
+        start: Belt travel (radius * angle), m, and its rate, m/s, at the first sample, shape (B, 2 * COORDINATES).
+        measured: Measurements for output injection, m or rad, shape (1 or B, n, SENSORS), NaN where not measured; empty
+            for a simulation without injection.
+        gains: Gains of the output injection (m and m/s per m or rad), shape (2 * COORDINATES, SENSORS).
         extra: External forces, N, shape (1 or B, n, COORDINATES), held, if the kernel is `FORCED`.
         longest_step: Largest step of the integrator, s.
         first: First block.
         last: Block after the last one.
-        out: Output, the first rows of the state at every sample, shape (B, n, k); empty if not needed.
-        readings: Output, sensor readings in the channels' units, shape (B, n, SENSORS); empty if not needed.
+        out: Output, the first k rows of the state (travel, m; its rate, m/s) at every sample, shape (B, n, k), or
+            empty.
+        readings: Output, sensor readings, m or rad, shape (B, n, SENSORS); empty if not needed.
     """
     state = np.zeros((STATES, LANES))
     block_parameters = np.zeros((PARAMETERS, LANES))
@@ -536,14 +553,16 @@ def rollout(time, inputs, parameters, start, measured, gains, extra, longest_ste
 
 
 @compiled
-def prepare_blocks(parameters, h, first, last, derived):
+def prepare_blocks(parameters, h: float, first: int, last: int, derived) -> None:
     """Compute the constants of a step (decay factors, reciprocals, ...) for blocks first..last-1 of LANES machines.
+
+    PARAMETERS and DERIVED are the numbers of parameters and of such constants per machine.
 
     Args:
         parameters: Machine parameters, SI, shape (blocks, PARAMETERS, LANES).
         h: Step of the integrator, s.
-        first: First block.
-        last: Block after the last one.
+        first: Index of the first block.
+        last: Index after the last block.
         derived: Output: derived constants, SI, shape (blocks, DERIVED, LANES).
     """
     for block in range(first, last):
@@ -552,19 +571,21 @@ def prepare_blocks(parameters, h, first, last, derived):
 
 
 @compiled
-def advance_blocks(state, parameters, derived, inputs, h, steps, first, last):
+def advance_blocks(state, parameters, derived, inputs, h: float, steps: int, first: int, last: int) -> None:
     """Advance blocks first..last-1 of LANES machines in place, with constant inputs.
 
+    DERIVED, INPUTS, PARAMETERS and STATES are the numbers of constants, drives and so on per machine.
+
     Args:
-        state: Belt travel (m), speed (m/s), time and effect states, shape (blocks, STATES, LANES).
+        state: Belt travel (m), its rate (m/s), time (s) and effect states, shape (blocks, STATES, LANES).
         parameters: Machine parameters, SI, shape (blocks, PARAMETERS, LANES).
         derived: Constants of a step of length h, from `prepare_blocks`, shape (blocks, DERIVED, LANES).
         inputs: Voltages, V, shape (blocks, INPUTS, LANES); if a drive is delayed, one set per step, shape
             (blocks, steps * INPUTS, LANES).
         h: Step of the integrator, s.
         steps: Number of steps.
-        first: First block.
-        last: Block after the last one.
+        first: Index of the first block.
+        last: Index after the last block.
     """
     external_forces = np.zeros((COORDINATES, LANES))
     for block in range(first, last):
@@ -573,15 +594,15 @@ def advance_blocks(state, parameters, derived, inputs, h, steps, first, last):
 
 
 @compiled
-def read_blocks(state, parameters, first, last, readings):
+def read_blocks(state, parameters, first: int, last: int, readings) -> None:
     """Evaluate every sensor of blocks first..last-1 of LANES machines at the present state, without its delay.
 
     Args:
-        state: Belt travel (m), speed (m/s), time and effect states, shape (blocks, STATES, LANES).
+        state: Belt travel (m), its rate (m/s), time (s) and effect states, shape (blocks, STATES, LANES).
         parameters: Machine parameters, SI, shape (blocks, PARAMETERS, LANES).
-        first: First block.
-        last: Block after the last one.
-        readings: Output, ideal readings in the channels' units, shape (blocks, SENSORS, LANES).
+        first: Index of the first block.
+        last: Index after the last block.
+        readings: Output, readings without delay, m or rad, shape (blocks, SENSORS, LANES) for SENSORS sensors.
     """
     for block in range(first, last):
         read_sensors(state[block], parameters[block], readings[block])
@@ -589,14 +610,14 @@ def read_blocks(state, parameters, first, last, readings):
 
 
 @compiled
-def sensor_delay_blocks(parameters, first, last, sensor_delays):
+def sensor_delay_blocks(parameters, first: int, last: int, sensor_delays) -> None:
     """Evaluate the delay of every sensor of blocks first..last-1 of LANES machines.
 
     Args:
-        parameters: Machine parameters, SI, shape (blocks, PARAMETERS, LANES).
-        first: First block.
-        last: Block after the last one.
-        sensor_delays: Output, s, shape (blocks, SENSORS, LANES).
+        parameters: Parameters of the machines, SI, shape (blocks, PARAMETERS, LANES), PARAMETERS of them each.
+        first: Index of the first block.
+        last: Index after the last block.
+        sensor_delays: Output, delays, s, shape (blocks, SENSORS, LANES) for SENSORS sensors.
     """
     for block in range(first, last):
         measurement_delays(parameters[block], sensor_delays[block])
@@ -604,14 +625,14 @@ def sensor_delay_blocks(parameters, first, last, sensor_delays):
 
 
 @compiled
-def drive_delay_blocks(parameters, first, last, drive_delays):
+def drive_delay_blocks(parameters, first: int, last: int, drive_delays) -> None:
     """Evaluate the delay of every drive of blocks first..last-1 of LANES machines.
 
     Args:
-        parameters: Machine parameters, SI, shape (blocks, PARAMETERS, LANES).
-        first: First block.
-        last: Block after the last one.
-        drive_delays: Output, s, shape (blocks, INPUTS, LANES).
+        parameters: Parameters of the machines, SI, shape (blocks, PARAMETERS, LANES), PARAMETERS of them each.
+        first: Index of the first block.
+        last: Index after the last block.
+        drive_delays: Output, delays, s, shape (blocks, INPUTS, LANES) for INPUTS drives.
     """
     for block in range(first, last):
         voltage_delays(parameters[block], drive_delays[block])

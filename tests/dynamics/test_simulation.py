@@ -145,6 +145,7 @@ def test_energy_is_conserved_without_friction_and_drives(hframe: Machine) -> Non
     [
         ([0.0, 0.0], np.zeros((2, 2)), "strictly increasing"),
         ([], np.zeros((0, 2)), "strictly increasing"),
+        ([0.0, 1e6], np.zeros((2, 2)), r"more than 1e\+09 steps"),
         ([0.0, 1e-3], np.zeros((2, 3)), r"inputs have shape \(2, 3\)"),
         ([0.0, 1e-3], np.array([[0, 0], [0, np.nan]]), "row 1, v2_V is nan"),
     ],

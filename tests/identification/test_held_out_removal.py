@@ -6,9 +6,17 @@ import numpy as np
 import pytest
 
 from hframe_gym.effects import EFFECTS
-from hframe_gym.identification import Dataset, Fit, SelectedEffect, default_free_parameters, fit, prepare
-from hframe_gym.identification.pipeline import _Outcome, _without_unconfirmed
+from hframe_gym.identification import (
+    Dataset,
+    Fit,
+    SelectedEffect,
+    default_free_parameters,
+    fit,
+    prepare,
+)
+from hframe_gym.identification.pipeline import _without_unconfirmed
 from hframe_gym.identification.prediction import SIMULATION
+from hframe_gym.identification.search import SearchOutcome
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording
 
@@ -30,13 +38,13 @@ def recorded(machine: Machine, seed: int) -> Recording:
     return Recording(f"run_{seed}", time_s, inputs, machine.simulate(time_s, inputs).outputs + rng.normal(0, NOISE))
 
 
-def outcome_with_force(axis: Machine, data: Dataset, size: float) -> tuple[Fit, _Outcome]:
+def outcome_with_force(axis: Machine, data: Dataset, size: float, before_explains: bool) -> tuple[Fit, SearchOutcome]:
     """Return the fit of the axis, and an outcome that selected a constant force, N."""
     before = fit(axis, default_free_parameters(axis), data, SIMULATION)
     machine = axis.with_effects(EFFECTS["constant_force"].at("x", size=size))
     after = fit(machine, default_free_parameters(machine), data, SIMULATION, iterations=1)
     selected = SelectedEffect(machine.effects[0], (), 1.0, axis).with_values(after.machine)
-    return before, _Outcome("effect_found", after, (selected,), ())
+    return before, SearchOutcome(before, before_explains, "effect_found", after, (selected,), (), data)
 
 
 @pytest.mark.parametrize(("before_explains", "verdict"), [(True, "no_effect"), (False, "unexplained")])
@@ -44,8 +52,8 @@ def test_an_effect_that_held_out_runs_deny_is_removed(axis: Machine, before_expl
     """Without the last effect the verdict says whether the refitted machine explains the data."""
     pushed = axis.with_effects(EFFECTS["constant_force"].at("x", size=0.3))
     data, validation = prepare([recorded(pushed, 0)], axis), prepare([recorded(axis, 1)], axis)
-    before, outcome = outcome_with_force(axis, data, 0.3)
-    removed = _without_unconfirmed(outcome, before, before_explains, data, validation, lambda line: None)
+    before, outcome = outcome_with_force(axis, data, 0.3, before_explains)
+    removed = _without_unconfirmed(outcome, validation, lambda line: None)
     assert removed.verdict == verdict
     assert removed.selected == ()
     assert removed.after is before
@@ -55,5 +63,5 @@ def test_an_effect_that_held_out_runs_deny_is_removed(axis: Machine, before_expl
 def test_an_effect_that_held_out_runs_confirm_stays(axis: Machine) -> None:
     pushed = axis.with_effects(EFFECTS["constant_force"].at("x", size=0.3))
     data, validation = prepare([recorded(pushed, 0)], axis), prepare([recorded(pushed, 1)], axis)
-    before, outcome = outcome_with_force(axis, data, 0.3)
-    assert _without_unconfirmed(outcome, before, False, data, validation, lambda line: None) == outcome
+    _, outcome = outcome_with_force(axis, data, 0.3, False)
+    assert _without_unconfirmed(outcome, validation, lambda line: None) == outcome

@@ -72,6 +72,23 @@ def test_the_twin_has_no_effect() -> None:
 
 
 @pytest.mark.oracle
+@pytest.mark.parametrize(("wrong", "warning"), [("run_03", "is not used"), ("run_04", "was held out and contradicts")])
+def test_a_run_that_contradicts_the_others_is_left_out_and_named(wrong: str, warning: str) -> None:
+    """In one run of the rig without effects, both drives had 20 % less gain than in the others."""
+    machine = BUILTIN_MACHINES["hframe"]()
+    recordings = [
+        dataclasses.replace(run, inputs=1.25 * run.inputs) if run.name == wrong else run
+        for run in load_recordings(EXAMPLES / "rig_b", machine)
+    ]
+    result = identify(recordings, machine)
+    assert result.verdict == "no_effect"
+    assert [line for line in result.excluded if line.startswith(f"{wrong} {warning}")]
+    assert wrong not in {run.name for run in result.fitted.runs}
+    ratios = [e.noise_ratio for e in result.before.held_out.channels.values()]
+    assert all(r is not None and (r < 1.1) == (wrong == "run_03") for r in ratios)
+
+
+@pytest.mark.oracle
 def test_a_channel_that_was_never_measured_is_null_in_the_report(tmp_path: Path) -> None:
     machine = BUILTIN_MACHINES["hframe"]()
     recordings = []

@@ -11,7 +11,6 @@ from hframe_gym.identification import Dataset, prepare
 from hframe_gym.identification.prediction import (
     SEARCH_BANDWIDTH,
     SIMULATION,
-    initial_state_projection,
     map_runs,
     observer_gains,
     predict,
@@ -114,18 +113,3 @@ def test_blocks_keep_the_size_of_slow_residuals_and_of_white_noise(data: Dataset
 def test_results_of_runs_keep_their_order(axis: Machine) -> None:
     data = prepare([recorded(axis, name, rows) for name, rows in (("long", 900), ("short", 300))], axis)
     assert list(map_runs(lambda run: run.name, data)) == ["long", "short"]
-
-
-def test_initial_stretch_is_projected_out_of_a_simulation(hframe: Machine) -> None:
-    """The projection shrinks the directions of the two initial motor angles by their weights."""
-    data = prepare([recorded(hframe)], hframe)
-    projection = initial_state_projection(hframe, data.runs[0], data, SIMULATION)
-    assert projection is not None
-    np.testing.assert_allclose(projection.directions.T @ projection.directions, np.eye(2), atol=1e-9)
-    assert np.all((projection.weights > 0) & (projection.weights < 1))
-    direction = projection.directions[:, :1].T
-    np.testing.assert_allclose(projection(direction), direction * (1 - projection.weights[0]), atol=1e-9)
-
-
-def test_no_projection_without_belts(axis: Machine, data: Dataset) -> None:
-    assert initial_state_projection(axis, data.runs[0], data, SIMULATION) is None

@@ -551,7 +551,7 @@ def test_a_mapping_file_states_columns_units_and_factors(ending: str, tmp_path: 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("[map\n", "is not a valid TOML or JSON file"),
+        ("[map\n", "is not a valid TOML file"),
         ("[columns]\nv1_V = 'U1'\n", "columns: a mapping has the tables map, unit, scale"),
         ("[scale]\nx_m = 'mm'\n", "scale.x_m: 'mm' is not a factor"),
         ("[scale]\nx_m = 0\n", "scale.x_m: 0 is not a factor"),

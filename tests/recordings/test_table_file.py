@@ -63,11 +63,13 @@ def test_byte_order_mark_windows_line_ends_and_blank_lines_are_read(write_run: W
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        (["0", "oops"], "row 2, column x_m: 'oops' is not a number"),
-        ([datetime.datetime(2020, 1, 1)] * 2, "row 1, column x_m: datetime.datetime"),
+        (["0", "oops"], "column x_m: has values of the type string instead of numbers"),
+        (["0", "1"], "column x_m: has values of the type string instead of numbers"),
+        ([datetime.datetime(2020, 1, 1)] * 2, "column x_m: has dates or times (timestamp"),
+        ([2**53 + 1, 0], "column x_m: int64 cannot be converted to numbers"),
     ],
 )
-def test_an_error_names_row_and_column_of_a_faulty_parquet_cell(
+def test_an_error_names_the_column_of_a_parquet_file_that_is_not_numbers(
     values: list[object], message: str, tmp_path: Path, hframe: Machine
 ) -> None:
     columns: dict[str, list[object]] = {"time_s": [0.0, 1.0], "v1_V": [0, 1], "v2_V": [0, 1]}

@@ -75,13 +75,12 @@ class Task(ABC):
 
         Args:
             workspace: One row per axis of the tool, columns low and high, m, shape (axes, 2).
-            uniforms: Uniform random numbers in (0, 1), shape (k, draws).
+            uniforms: Uniform random numbers in (0, 1), shape (k, draws), `draws` being the attribute of the task.
             parameters: Randomized values of the property `parameters`, SI, shape (k,) each, by name without "task.".
                 Default: nominal values.
 
         Returns:
-            start: Start positions of the tool, m, shape (k, axes).
-            plan: Plans, shape (k, plan_size).
+            plan: Plans, in the format of the task, shape (k, plan_size), `plan_size` being the attribute of the task.
         """
 
     @abstractmethod
@@ -89,7 +88,8 @@ class Task(ABC):
         """Compute the goals of n episodes, at one time or at m times each.
 
         Args:
-            plan: Plans from `begin` or `aim`, which define the goals at all times, shape (n, plan_size).
+            plan: Plans from `begin` or `aim`, which define the goals at all times, in the task's format, shape
+                (n, plan_size).
             elapsed_s: Times since the reset, s, not negative, shape (n,) or (n, m).
 
         Returns:
@@ -111,11 +111,11 @@ class Task(ABC):
         raise InputError(f"task {self.name} has no target; reset takes only the option 'start'")
 
     def contour(self, plan: Array, points: Array, elapsed_s: Array) -> Array | None:
-        """Compute the contour error: the distance of a point to the path, not to the moving goal.
+        """Compute the contour error: the distance of a point to the goal's path, not to the moving goal.
 
         Args:
-            plan: Plans of n episodes, shape (n, plan_size).
-            points: One point x, y per episode, m, shape (n, 2).
+            plan: Plans of n episodes from `begin`, in the task's format, shape (n, plan_size).
+            points: One tool position per episode, m, shape (n, axes).
             elapsed_s: Times since the reset, s, shape (n,); the search starts at the goals of these times.
 
         Returns:
@@ -194,7 +194,7 @@ class ReferenceTrajectories:
 
     @property
     def elapsed(self) -> NDArray[np.int64]:
-        """Number of control periods since the reset of each environment, shape (count,), a new array."""
+        """Number of control periods since the reset of each of the `count` environments, shape (count,); a copy."""
         return self._now - self._began
 
     def advance(self) -> None:
@@ -206,7 +206,7 @@ class ReferenceTrajectories:
 
         Args:
             index: Indices of the environments, shape (k,).
-            plans: Plans from `Task.begin` or `Task.aim`, shape (k, plan_size).
+            plans: Plans (goals at all times) from `Task.begin` or `Task.aim`, shape (k, plan_size).
         """
         if plans.shape[1] != self._plans.shape[1]:
             self._plans = np.zeros((len(self._plans), plans.shape[1]))
@@ -228,11 +228,12 @@ class ReferenceTrajectories:
         return self._task.goal(self._plans[index], self._elapsed_s(index)).astype(np.float32)
 
     def add_blank(self, observation: dict[str, NDArray[np.float32]]) -> None:
-        """Allocate the goal arrays of an observation.
+        """Add arrays for the goals to an observation, without initial values.
 
         Args:
-            observation: Gets `desired_goal`, shape (count, axes), which holds the goals already if these do not move,
-                and for a task with p future goals `preview`, shape (count, axes p); m, float32.
+            observation: Arrays by key for `count` environments. Gets `desired_goal`, m, float32, shape (count, axes),
+                which holds the goals already if these do not move, and for a task with p future goals `preview`, m,
+                shape (count, axes * p).
         """
         if not self.moving:
             observation["desired_goal"] = self._fixed_goals.copy()
@@ -248,8 +249,8 @@ class ReferenceTrajectories:
 
         Args:
             index: Indices of the environments, shape (k,), or a slice of them; other rows are not changed.
-            observation: Output, m; `desired_goal`, shape (count, axes), and `preview`, shape (count, axes * previews):
-                x and y of the next future goal, then of the one after it, ...
+            observation: Output: `desired_goal`, m, shape (count, axes), and `preview`, m, shape
+                (count, axes * previews): the axes of the next future goal, then of the one after it, ...
         """
         if not self.moving:
             observation["desired_goal"][index] = self._fixed_goals[index]

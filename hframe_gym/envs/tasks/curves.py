@@ -36,7 +36,7 @@ class Curve(Protocol):
 
     @property
     def extent(self) -> Array:
-        """Lowest and highest coordinate, rows x and y, m, shape (2, 2)."""
+        """Lowest and highest coordinate of the curve, rows x and y, m, shape (2, 2)."""
 
     def point(self, s: Array) -> Array:
         """Compute the points at n arc lengths.
@@ -74,12 +74,12 @@ class Circle(Curve):
 
     @property
     def length(self) -> float:
-        """Circumference, m."""
+        """Circumference of the circle, m."""
         return 2.0 * math.pi * self.radius
 
     @property
     def extent(self) -> Array:
-        """Lowest and highest coordinate, rows x and y, m, shape (2, 2)."""
+        """Lowest and highest coordinate of the circle, rows x and y, m, shape (2, 2)."""
         return np.array([[-self.radius, self.radius]] * 2)
 
     def point(self, s: Array) -> Array:
@@ -99,7 +99,7 @@ class Circle(Curve):
 
         Args:
             points: Points x, y, m, shape (n, 2).
-            s: Not used.
+            s: Approximate arc lengths of the nearest points, m, shape (n,); not used, because the distance is exact.
 
         Returns:
             Distances, m, shape (n,).

@@ -59,7 +59,7 @@ class Reach(Task):
         Args:
             workspace: One row per axis of the tool, columns low and high, m, shape (axes, 2).
             uniforms: Uniform random numbers in (0, 1): two for the start, two for the target, shape (k, 4).
-            parameters: Not used; the task has no parameters to randomize.
+            parameters: Not used, because this task has no parameters to randomize; arrays by name, shape (k,) each.
 
         Returns:
             start: Start positions of the tool, m, shape (k, axes).
@@ -73,7 +73,7 @@ class Reach(Task):
         return points[0], points[1]
 
     def aim(self, target: Array) -> Array:
-        """Make plans for given targets; a plan of this task is its target.
+        """Make plans for given targets; a plan (the goals of an episode at all times) of this task is its target.
 
         Args:
             target: Target positions, m, shape (k, axes).

@@ -162,8 +162,8 @@ class Track(Task):
             parameters: Values of "speed" in each episode, m/s, shape (k,). Default: the nominal speed.
 
         Returns:
-            start: Start positions x, y of the tool, which are the first goals, m, shape (k, 2).
-            plan: Index of the path, center x, y (m), direction, arc length at the start (m), speed (m/s); shape (k, 6).
+            plan: Index of the path, center x, y (m), direction (+1 or -1), arc length at the start (m), speed (m/s),
+                shape (k, 6).
         """
         plan = np.zeros((len(uniforms), self.plan_size))
         plan[:, DIRECTION] = 1.0
@@ -184,10 +184,10 @@ class Track(Task):
         """Raise an error: the goal moves along a path, so a target cannot be set.
 
         Args:
-            target: Not used.
+            target: Target positions, m, shape (k, axes); not used.
 
         Returns:
-            Never returns.
+            Never returns; the plans of other tasks have the shape (k, plan_size).
 
         Raises:
             InputError: Always; the message names the option that moves the path.
@@ -198,7 +198,8 @@ class Track(Task):
         """Compute the goals on the paths of n episodes, at one time or at m times each.
 
         Args:
-            plan: Plans from `begin`, shape (n, 6): path index, center x, y (m), direction, start (m), speed (m/s).
+            plan: Plans from `begin`, shape (n, 6): path index, center x, y (m), direction (+1 or -1), arc length at the
+                start (m), speed (m/s).
             elapsed_s: Times since the reset, s, not negative, shape (n,) or (n, m).
 
         Returns:
@@ -216,7 +217,7 @@ class Track(Task):
         """Compute the contour error: the distance of one point per episode to the path, near the present goal.
 
         Args:
-            plan: Plans of n episodes from `begin`, shape (n, 6).
+            plan: Plans of n episodes from `begin`, shape (n, 6), in the units stated there.
             points: One point x, y per episode, m, shape (n, 2).
             elapsed_s: Times since the reset, s, shape (n,); the search starts at the goal of this time.
 

@@ -1,0 +1,179 @@
+"""The search for what a model lacks: effects of the library, then tables, and runs that contradict the others."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import NamedTuple
+
+from ..machine import Machine
+from .criteria import SelectionCriteria
+from .dataset import Dataset, refine_encoder_offsets
+from .estimation import Fit, fit, prediction_cost
+from .forward_selection import ConsideredEffect, EffectSearch, Log, SelectedEffect, Selection
+from .free_parameters import default_free_parameters
+from .model_error import contradicting_run, explains, fit_with_model_error, polish
+from .nonparametric import add_tables
+from .prediction import SEARCH_BANDWIDTH
+from .result import Verdict
+
+
+class SearchOutcome(NamedTuple):
+    """Outcome of a search.
+
+    Attributes:
+        before: Fit of the refitted machine, without effects.
+        before_explains: Whether that machine explains the data.
+        verdict: "effect_found", "no_effect" or "unexplained".
+        after: Fit of the machine with the effects.
+        selected: The selected effects.
+        considered: Effects that reduced the error of the fitted runs but failed a test.
+        data: Runs that the machines were fitted to.
+        contradiction: Name of the run that was left out because it contradicts the others.
+    """
+
+    before: Fit
+    before_explains: bool
+    verdict: Verdict
+    after: Fit
+    selected: tuple[SelectedEffect, ...]
+    considered: tuple[ConsideredEffect, ...]
+    data: Dataset
+    contradiction: str | None = None
+
+
+def search_effects(machine: Machine, data: Dataset, criteria: SelectionCriteria, log: Log) -> SearchOutcome:
+    """Refit a machine and search for the effects that it lacks.
+
+    A run that contradicts the others is left out if no effect explains both, although the others are explained to
+    within their noise: effects are searched for in the other runs first, and the suspect run must agree with these
+    effects and one more.
+
+    Args:
+        machine: Machine as declared.
+        data: Runs to fit.
+        criteria: Decision thresholds.
+        log: Called with a line of text at each stage.
+
+    Returns:
+        Verdict, fits and effects.
+    """
+    all_runs = _Search(machine, data, criteria, log)
+    suspect = contradicting_run(all_runs.base, data)
+    if suspect is None:
+        return all_runs.run()
+    log(f"{suspect} contradicts the other runs; searching for effects without it first")
+    others = _Search(machine, data.with_runs([run.name for run in data.runs if run.name != suspect]), criteria, log)
+    outcome = others.run()
+    if not others.explains(outcome.after):
+        return all_runs.run()
+    log(f"searching for an effect that explains {suspect}")
+    after, effects = outcome.after, outcome.selected
+    wide = fit(after.machine, after.free, data, SEARCH_BANDWIDTH, theta=after.theta)
+    start = polish(fit_with_model_error(wide, data), data)
+    one_more = dataclasses.replace(criteria, max_effects=len(effects) + 1)
+    extended = EffectSearch(data, all_runs.before.machine, one_more, log).run(start, effects)
+    if explains(extended[0], others.base.chi2, criteria):
+        return all_runs.run(extended)
+    log(f"no effect explains {suspect}; it is not used")
+    return outcome._replace(contradiction=suspect)
+
+
+class _Search:
+    """The search for effects that explain the residual of the refitted machine.
+
+    Args:
+        machine: Machine as declared.
+        data: Prepared recordings to fit.
+        criteria: Decision thresholds.
+        log: Called with a line of text at each stage.
+
+    Attributes:
+        base: Machine refitted at `SEARCH_BANDWIDTH`.
+        before: Machine refitted at the bandwidth that its remaining error requires.
+    """
+
+    def __init__(self, machine: Machine, data: Dataset, criteria: SelectionCriteria, log: Log) -> None:
+        self._data, self._criteria, self._log = data, criteria, log
+        # With the widest observer bandwidth first: it tolerates a model that is still wrong.
+        self.base = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
+        log(f"refitted machine: {_describe(self.base)}")
+        self.before = polish(fit_with_model_error(self.base, data), data)
+        log(f"refitted machine: {_describe(self.before)}")
+
+    def run(self, start: Selection | None = None) -> SearchOutcome:
+        """Search for effects, then for tables if no known effects explain the residual.
+
+        Args:
+            start: Fit with effects that are known already. Default: the refitted machine, without effects.
+        """
+        self._log("searching for effects")
+        after, effects, considered = self._known_effects(start or (self.before, ()))
+        if self.explains(after):
+            verdict: Verdict = "effect_found" if effects else "no_effect"
+            return self._outcome(verdict, after if effects else self.before, effects, considered)
+        tabled = self._with_tables((after, effects))
+        if tabled is not None:
+            return self._outcome("effect_found", *tabled, considered)
+        if effects and self._wide_excess(after) < self._criteria.max_partial_excess * self._wide_excess(self.base):
+            return self._outcome("effect_found", after, effects, considered)
+        return self._outcome("unexplained", self.before, (), considered)
+
+    def _outcome(
+        self,
+        verdict: Verdict,
+        after: Fit,
+        selected: tuple[SelectedEffect, ...],
+        considered: tuple[ConsideredEffect, ...],
+    ) -> SearchOutcome:
+        """Return the outcome with the refitted machine and the runs of this search."""
+        return SearchOutcome(self.before, self.explains(self.before), verdict, after, selected, considered, self._data)
+
+    def _known_effects(self, start: Selection) -> tuple[Fit, tuple[SelectedEffect, ...], tuple[ConsideredEffect, ...]]:
+        """Return the fit with effects of the library, the effects, and those that failed a test."""
+        criteria, data, log = self._criteria, self._data, self._log
+        search = EffectSearch(data, self.before.machine, criteria, log)
+        current, effects = search.run(*start)
+        refined = refine_encoder_offsets(data, current.machine)
+        if refined is not data:
+            # The encoders' zeros are known better with the effects, which may reveal further ones.
+            data, search = refined, search.with_data(refined)
+            current = polish(current, data)
+            current, effects = search.run(fit_with_model_error(current, data), effects)
+        if effects:
+            current = polish(current, data)
+            current, effects = search.prune(current, effects)
+        return current, effects, tuple(search.considered.values())
+
+    def _with_tables(self, selected: Selection) -> Selection | None:
+        """Return a model with tables, alone or beside the selected effects, if it explains the residual."""
+        criteria, data, log = self._criteria, self._data, self._log
+        log("no known effect explains the residual; searching for a table of force or friction")
+        after, effects = selected
+        wide = self.base if not effects else fit(after.machine, after.free, data, SEARCH_BANDWIDTH, theta=after.theta)
+        for start, known, count in ((self.base, (), 1), (wide, effects, 2)):
+            fitted, more = add_tables(start, known, data, criteria=criteria, max_tables=count, log=log)
+            if len(more) > len(known):
+                # No further search beside a table: what its straight pieces leave looks like many a small effect.
+                refined = polish(fit_with_model_error(fitted, data), data)
+                candidate, kept = EffectSearch(data, self.before.machine, criteria, log).prune(refined, more)
+                limit = criteria.max_table_cost_fraction * min(self.base.cost, wide.cost)
+                if kept and (self.explains(candidate) or self._wide_cost(candidate) < limit):
+                    return candidate, kept
+        return None
+
+    def _wide_cost(self, fitted: Fit) -> float:
+        """Return the cost of a machine at the bandwidth of the search, at which all machines can be compared."""
+        return prediction_cost(fitted.machine, self._data, SEARCH_BANDWIDTH)
+
+    def _wide_excess(self, fitted: Fit) -> float:
+        """Return the excess of chi-squared per sample at that bandwidth over what a correct model reaches there."""
+        return max(self._wide_cost(fitted) / self._data.count - self._criteria.one_step_floor, 0.0)
+
+    def explains(self, after: Fit) -> bool:
+        """Return whether a fit leaves only the sensors' noise, or a negligible part of the initial residual."""
+        return explains(after, self.base.chi2, self._criteria)
+
+
+def _describe(fitted: Fit) -> str:
+    """Return chi-squared and observer bandwidth of a fit, for the log."""
+    return f"chi-squared per sample {fitted.chi2:.4g} ({fitted.mode})"

@@ -1,0 +1,227 @@
+"""What the measurements at rest leave open about the initial state of a run, and how the run itself shows it.
+
+Static friction holds an unknown stretch of the belts when a run begins: encoders behind belts do not resolve it, and an
+encoder that was switched on anew does not measure it at all. Where no laser measures at rest, the position is uncertain
+as well. The motion that follows depends on both. A fit removes the response to them from its residual (variable
+projection); a simulation over a recording starts from the most probable state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import null_space
+
+from ..machine import Machine
+from .dataset import Dataset, PreparedRecording
+from .prediction import POLISH_STEP, SEARCH_STEP, SIMULATION, predict, residuals
+from .rest_measurement import InitialState, rigid_basis
+
+Array = NDArray[np.float64]
+# Fraction of the motors' Coulomb friction that typically remains as belt tension when the stage has come to rest.
+_HELD_FRICTION = 0.1
+_SMALLEST_HELD_ANGLE = 1e-6  # rad; keeps the column of a motor without friction away from zero
+_UNMEASURED_POSITION = 2e-4  # m; error of a position that follows from later measurements
+# Iterations of `most_probable_start`, the fractions of a step it tries, and its differences in standard deviations.
+_ITERATIONS, _FRACTIONS, _DIFFERENCE = 4, np.array([1.0, 0.5, 0.25, 0.1]), 0.3
+_SMALLEST_DECREASE = 0.01  # of the cost per iteration, below which `most_probable_start` ends
+
+
+@dataclass(frozen=True)
+class InitialStateProjection:
+    """Projection that removes the unknown initial stretch of the belts from residuals.
+
+    Attributes:
+        directions: Orthonormal responses of the residual to s independent initial belt stretches, shape (rows, s).
+        weights: Fraction of the residual along each that is removed, 0 (stretch known by the prior) to 1, shape (s,).
+    """
+
+    directions: Array
+    weights: Array
+
+    def __call__(self, residual: Array) -> Array:
+        """Remove the part of residuals that an optimal initial stretch explains, weighted by its prior.
+
+        Args:
+            residual: Residuals of a batch of predictions, in units of the noise, shape (batch, rows).
+
+        Returns:
+            Projected residuals, same shape; their sum of squares is the cost at the optimal initial stretch.
+        """
+        return residual - (residual @ self.directions) * self.weights @ self.directions.T
+
+
+def _held_belt_angles(machine: Machine) -> dict[str, float]:
+    """Return by which motor angles static friction typically keeps the belts stretched at rest.
+
+    Args:
+        machine: Machine with or without belts.
+
+    Returns:
+        Angle, rad, by name of each rotary coordinate with a sensor and without a spring; empty without belts.
+    """
+    if not machine.belts:
+        return {}
+    stiffness = float(np.mean([b.EA / b.rest_length for b in machine.belts]))
+    measured = {s.coordinate for s in machine.sensors}
+    return {
+        c.name: max(_HELD_FRICTION * c.coulomb / c.radius**2 / stiffness, _SMALLEST_HELD_ANGLE)
+        for c in machine.coordinates
+        if c.kind == "rotary" and c.name in measured and c.name not in machine.spring_loaded
+    }
+
+
+def initial_state_projection(
+    machine: Machine,
+    run: PreparedRecording,
+    data: Dataset,
+    bandwidth: float,
+    *,
+    initial_state: Array | None = None,
+    longest_step: float = SEARCH_STEP,
+    rows_per_block: int = 1,
+) -> InitialStateProjection | None:
+    """Return the projection that removes from residuals what the unknown initial belt stretch of a run explains.
+
+    Static friction maintains an unknown stretch of the belts when a run begins, which encoders behind belts do not
+    resolve. The response of the residual to it, one vector per motor, is removed from residual and Jacobian alike
+    (variable projection), with a Gaussian prior of the size that friction can maintain. A run whose position no laser
+    measures at rest has further such vectors, one per motion that stretches no belt.
+
+    Args:
+        machine: Machine that predicts.
+        run: Run to predict.
+        data: Data set of the run.
+        bandwidth: Bandwidth of the observer that corrects the prediction by the measurements, rad/s; 0 for none.
+        initial_state: Positions, then velocities, in the coordinates' units, shape (2 * coordinates,). Default:
+            `run.initial_state(machine)`.
+        longest_step: Maximum integration step, s.
+        rows_per_block: Number of consecutive rows summed into one, as in `residuals`.
+
+    Returns:
+        Projection of residuals, shape (batch, rows). None without belts or if the simulation diverges.
+
+    References:
+        Golub and Pereyra (1973), variable projection.
+    """
+    displacements = start_displacements(machine, run.initial)
+    if not len(displacements):
+        return None
+    state = run.initial_state(machine) if initial_state is None else initial_state
+    initial_states = np.tile(state, (len(displacements) + 1, 1))
+    initial_states[1:] += displacements
+    motion = predict(
+        machine, run, bandwidth, period=data.period, initial_state=initial_states, longest_step=longest_step
+    )
+    residual = residuals(run, data, motion.readings, rows_per_block)
+    columns = (residual[1:] - residual[0]).T  # (rows, displacements), in units of the prior's standard deviation
+    if not np.all(np.isfinite(columns)):
+        return None
+    # The minimum of |residual - columns w|^2 + |w|^2 over w is the squared norm of the residual projected like this.
+    directions, sizes, _ = np.linalg.svd(columns, full_matrices=False)
+    return InitialStateProjection(directions, 1.0 - 1.0 / np.sqrt(1.0 + sizes**2))
+
+
+def start_displacements(machine: Machine, initial: InitialState) -> Array:
+    """Return the displacements by which the state at the start of a run may differ from the measured one.
+
+    Static friction holds an unknown stretch of the belts, one displacement per motor. A run whose position no laser
+    measures at rest has further displacements, one per motion that stretches no belt.
+
+    Args:
+        machine: Machine that predicts.
+        initial: Measured initial state of the run.
+
+    Returns:
+        Displacements of the state (positions, then velocities), each as large as one standard deviation, in the
+        coordinates' units, shape (displacements, 2 * coordinates); none without belts.
+    """
+    held_angles = _held_belt_angles(machine)
+    displacements = np.zeros((len(held_angles), len(machine.coordinates)))
+    for k, (name, angle) in enumerate(held_angles.items()):
+        displacements[k, machine.coordinate_names.index(name)] = angle
+    if held_angles and not initial.lasers_measured:
+        displacements = np.vstack([displacements, _rigid_displacements(machine, initial, held_angles)])
+    return np.pad(displacements, ((0, 0), (0, len(machine.coordinates))))
+
+
+def _rigid_displacements(machine: Machine, initial: InitialState, held_angles: dict[str, float]) -> Array:
+    """Return the rigid motions that no laser measured at rest, of the size of their uncertainty, (k, coordinates)."""
+    travel = [angle * machine.coordinate(name).travel_per_unit for name, angle in held_angles.items()]
+    size = max(travel) if initial.position_measured else _UNMEASURED_POSITION
+    rigid = rigid_basis(machine)
+    lasers = np.array([not sensor.incremental for sensor in machine.sensors]) & initial.measured_at_rest
+    unseen = rigid @ null_space((machine.sensor_matrix @ rigid)[lasers])  # (coordinates, k)
+    linear = [c.kind == "linear" for c in machine.coordinates]
+    return np.asarray(size * (unseen / np.linalg.norm(unseen[linear], axis=0)).T)
+
+
+def most_probable_initial_state(machine: Machine, run: PreparedRecording, data: Dataset) -> Array:
+    """Return the state from which a prepared run most probably began, see `most_probable_start`.
+
+    Args:
+        machine: Machine to simulate.
+        run: Measured run.
+        data: Data set of the run, for the sampling period and the sensors' quantization steps.
+
+    Returns:
+        Positions, then velocities (zero), in the coordinates' units, shape (2 * coordinates,).
+    """
+
+    def errors(states: Array) -> Array:
+        motion = predict(machine, run, SIMULATION, period=data.period, initial_state=states, longest_step=POLISH_STEP)
+        return residuals(run, data, motion.readings)
+
+    return most_probable_start(machine, run.initial, run.initial_state(machine), errors)
+
+
+def most_probable_start(
+    machine: Machine, initial: InitialState, state: Array, errors: Callable[[Array], Array]
+) -> Array:
+    """Return the state from which a run most probably began, given all of its measurements.
+
+    It is the state of maximum posterior density: the squared errors of the simulation over the run, plus the squared
+    displacements from the measured state in units of what the measurements at rest leave open, are minimal. The errors
+    of a model that is still wrong count less, by their mean square in units of the noise. Steps that increase the cost
+    are not taken.
+
+    Args:
+        machine: Machine to simulate.
+        initial: Measured initial state of the run.
+        state: State that follows from the measurements at rest, in the coordinates' units, shape (2 * coordinates,).
+        errors: Function that simulates from states, shape (B, 2 * coordinates), and returns measured minus simulated
+            values in units of the noise, shape (B, values), not finite where the simulation diverges.
+
+    Returns:
+        Positions, then velocities (zero), in the coordinates' units, shape (2 * coordinates,); the given state without
+        belts or if its simulation diverges.
+
+    References:
+        Nocedal and Wright (2006), "Numerical optimization", chapter 10 (Gauss-Newton method with a line search).
+    """
+    displacements = start_displacements(machine, initial)
+    count = len(displacements)
+    best = np.zeros(count)  # displacements in units of their standard deviations
+    differences = _DIFFERENCE * np.vstack([np.zeros((1, count)), np.eye(count), -np.eye(count)])
+    for _ in range(_ITERATIONS if count else 0):
+        error = errors(state + (best + differences) @ displacements)
+        if not np.isfinite(error).all():
+            break
+        now = error[0]
+        response = (error[1 : count + 1] - error[count + 1 :]) / (2.0 * _DIFFERENCE)  # (displacements, values)
+        excess = max(1.0, float(np.mean(now**2)))  # mean square error in units of the noise
+        step = np.linalg.solve(response @ response.T / excess + np.eye(count), response @ now / excess + best)
+        trials = best - _FRACTIONS[:, None] * step
+        with np.errstate(invalid="ignore", over="ignore"):
+            costs = np.sum(errors(state + trials @ displacements) ** 2, axis=1) / excess + np.sum(trials**2, axis=1)
+        cost = float(now @ now) / excess + float(best @ best)
+        lowest = int(np.argmin(np.where(np.isfinite(costs), costs, np.inf)))
+        if not costs[lowest] < cost:
+            break
+        best = trials[lowest]
+        if cost - costs[lowest] < _SMALLEST_DECREASE * cost:
+            break
+    return np.asarray(state + best @ displacements)

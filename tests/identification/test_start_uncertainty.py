@@ -1,0 +1,65 @@
+"""Tests of the initial state: projection of what it leaves open, and the most probable start of a run."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hframe_gym.dynamics import simulate
+from hframe_gym.identification import prepare, simulate_recording
+from hframe_gym.identification.prediction import SIMULATION
+from hframe_gym.identification.start_uncertainty import initial_state_projection
+from hframe_gym.machine import BUILTIN_MACHINES, Machine, rest_state
+from hframe_gym.recordings import Recording
+
+pytestmark = pytest.mark.unit
+
+
+@pytest.fixture
+def axis() -> Machine:
+    """Return the built-in axis."""
+    return BUILTIN_MACHINES["axis"]()
+
+
+@pytest.fixture
+def hframe() -> Machine:
+    """Return the built-in stage."""
+    return BUILTIN_MACHINES["hframe"]()
+
+
+def moving_run(machine: Machine, state: np.ndarray) -> Recording:
+    """Return a noise-free run of 0.6 s in which each drive in turn gets 5 V after 50 ms of rest."""
+    time_s = np.arange(600) * 1e-3
+    inputs = np.zeros((600, len(machine.drives)))
+    for j in range(len(machine.drives)):
+        inputs[50 + 200 * j : 250 + 200 * j, j] = 5.0
+    motion = simulate(machine, time_s, inputs, state, longest_step=0.125e-3)
+    return Recording("run", time_s, inputs, motion.outputs)
+
+
+def test_initial_stretch_is_projected_out_of_a_simulation(hframe: Machine) -> None:
+    """The projection shrinks the directions of the two initial motor angles by their weights."""
+    data = prepare([moving_run(hframe, rest_state(hframe))], hframe)
+    projection = initial_state_projection(hframe, data.runs[0], data, SIMULATION)
+    assert projection is not None
+    np.testing.assert_allclose(projection.directions.T @ projection.directions, np.eye(2), atol=1e-9)
+    assert np.all((projection.weights > 0) & (projection.weights < 1))
+    direction = projection.directions[:, :1].T
+    np.testing.assert_allclose(projection(direction), direction * (1 - projection.weights[0]), atol=1e-9)
+
+
+def test_no_projection_without_belts(axis: Machine) -> None:
+    data = prepare([moving_run(axis, rest_state(axis))], axis)
+    assert initial_state_projection(axis, data.runs[0], data, SIMULATION) is None
+
+
+def test_a_run_that_began_with_stretched_belts_is_simulated_from_that_stretch(hframe: Machine) -> None:
+    """Encoders that count from 0 at the start do not measure the stretch; the motion shows it."""
+    started = rest_state(hframe)
+    stretch = np.array([0.8e-3, -0.5e-3])  # rad, less than friction holds
+    started[2:4] += stretch
+    run = moving_run(hframe, started)
+    run.outputs[:, :2] -= run.outputs[0, :2]
+    simulated = simulate_recording(hframe, run)
+    np.testing.assert_allclose(simulated.initial.state[2:4] - rest_state(hframe)[2:4], stretch, atol=3e-5)
+    assert np.abs(simulated.error).max() < 2e-5
