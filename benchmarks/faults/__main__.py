@@ -19,7 +19,11 @@ STAGED: dict[str, Callable[[Stage, Log], list[Row]]] = {
     "collisions": kills.collisions,
     "disks": disks.disks,
 }
-OTHERS: dict[str, Callable[[Log], list[Row]]] = {"determinism": determinism.determinism, "load": load.load}
+OTHERS: dict[str, Callable[[Log], list[Row]]] = {
+    "determinism": determinism.determinism,
+    "load": load.load,
+    "large": load.large_data,
+}
 
 
 def save(group: str, rows: list[Row]) -> None:
@@ -30,11 +34,11 @@ def save(group: str, rows: list[Row]) -> None:
 
 
 def main() -> None:
-    """Run the groups that the command line names; by default all but `load`."""
+    """Run the groups that the command line names; by default all but `large`."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     names = [*STAGED, *OTHERS]
     parser.add_argument("groups", nargs="*", metavar="GROUP", help=f"any of {', '.join(names)}")
-    groups = parser.parse_args().groups or [name for name in names if name != "load"]
+    groups = parser.parse_args().groups or [name for name in names if name != "large"]
     if unknown := [name for name in groups if name not in names]:
         parser.error(f"unknown group {', '.join(unknown)}; choose from {', '.join(names)}")
 

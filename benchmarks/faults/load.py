@@ -29,10 +29,16 @@ MAX_MB = 2000.0  # of one command
 
 
 def load(log: Log) -> list[Row]:
-    """Run everything."""
+    """Try many environments and workers, and identifications side by side."""
     rows = [_many_environments(), *(_workers(method) for method in ("fork", "spawn", "forkserver")), _side_by_side()]
     for finished in rows:
         log(f"{finished['what']}: {finished['note']} {finished['failures']}")
+    return rows
+
+
+def large_data(log: Log) -> list[Row]:
+    """Check a folder of many runs and a very long recording, and identify from them."""
+    rows = []
     with tempfile.TemporaryDirectory(prefix="hframe-load-") as temporary:
         folder = Path(temporary)
         write_many_runs(folder / "many")
