@@ -6,13 +6,14 @@ declares in the entry-point group `hframe_gym.plugins`.
 
 from __future__ import annotations
 
+import json
 import warnings
 from importlib import resources
 from pathlib import Path
 
 from ..errors import InputError
-from ..evaluation import CONTROLLER_SOURCES, ControllerSource, Scenario
-from .agent import Agent
+from ..evaluation import CONTROLLER_SOURCES, ControllerFiles, ControllerSource, Scenario
+from .agent import AGENT_FILES, Agent
 
 
 @CONTROLLER_SOURCES.register("agents")
@@ -55,6 +56,24 @@ class AgentSource(ControllerSource):
             A phrase that completes the error message "controller 'x' is unknown; choose ...".
         """
         return f"the folder of a trained agent; or a shipped agent ({_shipped_names(scenario.task_name)})"
+
+    @staticmethod
+    def files(name: str, scenario: Scenario) -> ControllerFiles | None:
+        """List the files of an agent.
+
+        Args:
+            name: Folder of an agent, or name of an agent that comes with the package.
+            scenario: Scenario in which the agent will run; its task selects among the agents of the package.
+
+        Returns:
+            Name of the folder, files of the agent and the sensors of its training; None if there is no such agent.
+        """
+        folder = Path(name) if Path(name).is_dir() else _find_shipped(name, scenario.task_name)
+        if folder is None:
+            return None
+        settings = json.loads((folder / "agent.json").read_text("utf-8"))["settings"]
+        files = tuple(folder / file for file in AGENT_FILES)
+        return ControllerFiles(folder.resolve().name, files, str(settings.get("env", {}).get("sensors", "state")))
 
 
 def shipped_agent_folder(name: str, task: str) -> Path:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import json
 import os
@@ -11,6 +12,7 @@ import sys
 import warnings
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -189,6 +191,37 @@ def test_a_fault_in_the_data_stops_identify_and_is_the_exit_code_of_check(
 )
 def test_evaluate_refuses_wrong_options_in_one_line(
     options: tuple[str, ...], fragments: tuple[str, ...], hframe_command: Command, tmp_path: Path
+) -> None:
+    assert_refused(hframe_command("evaluate", *options, "--out", tmp_path / "out"), *fragments)
+    assert not (tmp_path / "out").exists()
+
+
+def test_evaluate_by_protocol_writes_a_result_file_per_controller(
+    hframe_command: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    from hframe_gym.evaluation import PROTOCOLS, read_result
+
+    short = dataclasses.replace(PROTOCOLS["reach-v1"], draws=2, duration_s=0.2)
+    short = dataclasses.replace(short, digest=short.compute_digest())
+    monkeypatch.setitem(PROTOCOLS, "reach-v1", short)
+    code, out, _ = hframe_command("evaluate", "pid", "textbook-pid", "--protocol", "reach-v1", "--out", tmp_path)
+    assert code == 0
+    assert "reach-v1, reach" in out
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["reach-v1_pid.json", "reach-v1_textbook-pid.json"]
+    assert read_result(tmp_path / "reach-v1_pid.json").entry.name == "pid"
+
+
+@pytest.mark.parametrize(
+    ("options", "fragments"),
+    [
+        (("pid", "--protocol", "reach-v1", "--seed", 3), ("--seed", "leave --seed out")),
+        (("pid", "--protocol", "reach-v1", "--html"), ("--html",)),
+        (("pid", "--protocol", "reach"), ("protocol 'reach'", "reach-v1, track-v1, hard-v1")),
+        (("nobody", "--protocol", "track-v1"), ("controller 'nobody'",)),
+    ],
+)
+def test_evaluate_by_protocol_refuses_what_the_protocol_fixes(
+    hframe_command: Command, tmp_path: Path, options: tuple[Any, ...], fragments: tuple[str, ...]
 ) -> None:
     assert_refused(hframe_command("evaluate", *options, "--out", tmp_path / "out"), *fragments)
     assert not (tmp_path / "out").exists()

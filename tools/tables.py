@@ -4,7 +4,8 @@
     python -m tools.tables --check    # write nothing; fail if a page is out of date
 
 The text of a page between `<!-- table: NAME -->` and `<!-- end -->` is replaced by the table of that name.
-docs/effects.md, docs/machine.schema.json and the field tables of docs/machine.md are generated from the package.
+docs/effects.md, docs/machine.schema.json and the field tables of docs/machine.md are generated from the package, the
+tables of docs/leaderboard.md and docs/bound.md from benchmarks/leaderboard/*.json and the stored bounds.
 """
 
 from __future__ import annotations
@@ -24,6 +25,9 @@ from benchmarks.results_file import RESULTS, ROOT
 from hframe_gym.atomic_files import write_text
 from hframe_gym.effects import EFFECTS
 from hframe_gym.machine import Effect
+from tools.leaderboard import PAGES as LEADERBOARD_PAGES
+from tools.leaderboard import leaderboard_page
+from tools.leaderboard import results as leaderboard_results
 from tools.machine_page import field_tables, schema_text
 
 PAGES = ("README.md", "RESULTS.md", "docs/identification_results.md", "docs/trust.md")
@@ -459,11 +463,15 @@ def with_field_tables(text: str) -> str:
 def pages() -> dict[Path, str]:
     """Return the text of all pages with generated parts by path."""
     docs = ROOT / "docs"
-    return {ROOT / page: filled(ROOT / page) for page in PAGES} | {
-        docs / "effects.md": effects_page(),
-        docs / "machine.md": with_field_tables((docs / "machine.md").read_text("utf-8")),
-        docs / "machine.schema.json": schema_text(),
-    }
+    return (
+        {ROOT / page: filled(ROOT / page) for page in PAGES}
+        | {
+            docs / "effects.md": effects_page(),
+            docs / "machine.md": with_field_tables((docs / "machine.md").read_text("utf-8")),
+            docs / "machine.schema.json": schema_text(),
+        }
+        | {page: leaderboard_page(page.read_text("utf-8"), leaderboard_results()) for page in LEADERBOARD_PAGES}
+    )
 
 
 def main() -> None:

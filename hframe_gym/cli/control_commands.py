@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ..atomic_files import output_batch
+from ..errors import InputError
 from ..locked_folders import locked_folder
 from .app import (
     MAX_SEED,
@@ -29,6 +30,9 @@ from .support import (
     task_with_path,
     value_errors_as_input_errors,
 )
+
+if TYPE_CHECKING:
+    from ..evaluation import Episodes
 
 
 @app.command(cls=CommandWithChoices)
@@ -78,6 +82,7 @@ def train(
 
 @app.command(cls=CommandWithChoices)
 def evaluate(
+    context: typer.Context,
     controllers: Annotated[
         list[str],
         typer.Argument(
@@ -102,11 +107,22 @@ def evaluate(
         int, typer.Option(min=0, max=MAX_SEED, help="Seed of the starts, goals and machine parameters.")
     ] = 0,
     html: Annotated[bool, typer.Option("--html", help="Also write scorecard.html, one self-contained page.")] = False,
+    protocol: Annotated[
+        str | None,
+        typer.Option(help="Fixed benchmark for the leaderboard: {protocols}; replaces all options but --out."),
+    ] = None,
 ) -> None:
     """Score controllers on identical episodes; writes scores.json and a plot of each one's first episode.
 
-    Example:  hframe evaluate pid textbook-pid --episodes 64 --html --out out/scores
+    With --protocol, writes one result file per controller for the leaderboard (docs/leaderboard.md) instead.
+
+    Examples:  hframe evaluate pid textbook-pid --episodes 64 --html --out out/scores
+
+               hframe evaluate pid --protocol reach-v1 --out out/leaderboard
     """
+    if protocol is not None:
+        _evaluate_by_protocol(context, list(dict.fromkeys(controllers)), protocol, out)
+        return
     from ..evaluation import evaluate as run_evaluation
     from ..recordings import load_machine
     from .tables import score_table, unknown_bound_reasons
@@ -128,7 +144,7 @@ def evaluate(
 
 
 def _write_evaluation(
-    out: Path, scores: dict[str, Any], recorded: dict[str, Any], warned: list[str] | None, machine: str
+    out: Path, scores: dict[str, Any], recorded: dict[str, Episodes], warned: list[str] | None, machine: str
 ) -> list[Path]:
     """Write scores, plots and, unless `warned` is None, the scorecard, all together; return the files."""
     from ..evaluation import save_plot, write_scorecard, write_scores
@@ -145,6 +161,28 @@ def _write_evaluation(
         except ImportError as error:
             log(f"no plots: {error}")
     return written
+
+
+def _evaluate_by_protocol(context: typer.Context, controllers: list[str], name: str, out: Path) -> None:
+    """Write the result file of each controller in a fixed benchmark, and print their scores."""
+    from ..evaluation import FIXED_OPTIONS, get_protocol, result_content, run_protocol, write_result
+    from .tables import protocol_tables
+
+    for option in (*FIXED_OPTIONS, "html"):
+        source = context.get_parameter_source(option)
+        if source is not None and source.name != "DEFAULT":
+            raise InputError(f"--{option}: --protocol {name} fixes everything; leave --{option} out")
+    import_module("hframe_gym.agents")
+    protocol = get_protocol(name)
+    with locked_folder(require_folder(out)):
+        with value_errors_as_input_errors():
+            contents = [result_content(protocol, *run_protocol(controller, protocol)) for controller in controllers]
+        with output_batch(out):
+            written = [write_result(out, content) for content in contents]
+    for table in protocol_tables(contents):
+        console.print(table)
+    for path in written:
+        log(f"wrote {path}")
 
 
 @app.command(cls=CommandWithChoices)

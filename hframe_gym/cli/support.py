@@ -40,6 +40,7 @@ def registered_choices() -> dict[str, str]:
     from ..agents import recipe_names, shipped_agent_names
     from ..controllers import CONTROLLERS
     from ..envs import RANDOMIZATION_PRESETS, SENSOR_PRESETS, TASKS
+    from ..evaluation import PROTOCOLS
 
     load_plugins()
     algorithms = sorted({name.rpartition("_")[0] for name in recipe_names()})
@@ -47,6 +48,7 @@ def registered_choices() -> dict[str, str]:
         "agents": shipped_agent_names(),
         "algorithms": algorithms,
         "controllers": CONTROLLERS,
+        "protocols": PROTOCOLS,
         "randomizations": RANDOMIZATION_PRESETS,
         "sensors": SENSOR_PRESETS,
         "tasks": TASKS,

@@ -100,6 +100,36 @@ def _path_cells(score: Mapping[str, Any]) -> list[str]:
     return [f"{score[key][kind]['mean']:.3f}" for key in PATH_ERRORS for kind in ("rms", "max")]
 
 
+def protocol_tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
+    """Format the scores of entries in the parts of a protocol.
+
+    Args:
+        results: Contents of result files of one protocol.
+
+    Returns:
+        One table (rich) per part of the protocol, with one row per entry: for moves the draws that settle within each
+        band, %, and the mean settling time to 0.2 mm, s, with its 95 % interval; for paths the contour error, rms and
+        maximum, mm, with its interval.
+    """
+    tables = []
+    for part, first in results[0]["scores"].items():
+        moves = "final_error_mm" in first
+        columns = [f"in {band}, %" for band in BANDS] + [f"until {BOUND_BAND}, s"] if moves else list(first)
+        table = Table(title=f"{results[0]['protocol']}, {part}", title_justify="left", box=box.SIMPLE_HEAD)
+        table.add_column("name", overflow="fold")
+        for column in columns:
+            table.add_column(column, justify="right")
+        for result in results:
+            scores = result["scores"][part]
+            settling = [scores[f"settling_s.{band}"] for band in BANDS] if moves else []
+            means = [scores[f"settling_s.{BOUND_BAND}"]] if moves else scores.values()
+            cells = [f"{100 * score['success']:.1f}" for score in settling]
+            cells += ["{mean:.4f} ({0:.4f} to {1:.4f})".format(*score["ci95"], mean=score["mean"]) for score in means]
+            table.add_row(escape(result["entry"]["name"]), *cells)
+        tables.append(table)
+    return tables
+
+
 def unknown_bound_reasons(scores: Mapping[str, Any]) -> list[str]:
     """List the reasons why the time-optimal bound (shortest possible settling time) of episodes is unknown.
 

@@ -9,7 +9,8 @@ adaptive_controller     gain scheduling on estimates of friction, masses and bel
 textbook_pid            the baseline (`textbook-pid`)
 state_estimator         full state and parameters from sensors
 estimation_model        parameters and measurement equation of the state estimator
-time_optimal            lower bound of the settling time (extra: bound)
+time_optimal            lower bound of the settling time, also with held voltages (extra: bound)
+casadi_model            equations of motion for it (extra: bound)
 """
 
 from ..registry import import_modules
@@ -53,4 +54,4 @@ __all__ = [
 ]
 
 # A new controller in this folder registers itself. The time-optimal bound needs the extra `bound`.
-import_modules(__name__, __path__, skip=("time_optimal",))
+import_modules(__name__, __path__, skip=("casadi_model", "time_optimal"))

@@ -24,10 +24,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..dynamics import Equations, MotionPoint
-from ..dynamics.elementwise import tanh
-from ..errors import InputError
-from ..machine import AppliedEffect, Hook, Machine, argument_names, rest_state
+from ..dynamics import Equations
+from ..machine import Machine, rest_state
+from .casadi_model import SymbolicModel, check_supported, voltage_limits
 from .input_compensation import InputInversion
 
 try:
@@ -51,10 +50,12 @@ IPOPT_OPTIONS: dict[str, Any] = {
     "print_level": 0,
     "sb": "yes",
 }
-# Hooks of an effect that enter the collocation equations, and CasADi's operations that switch between branches.
-MOTION_HOOKS = ("force", "coulomb", "friction", "viscous", "tension", "energy_slope", "belt_travel", "lever_arm")
-SWITCHING_OPERATIONS = (ca.OP_FMIN, ca.OP_FMAX, ca.OP_IF_ELSE_ZERO, ca.OP_SIGN, ca.OP_COPYSIGN, ca.OP_LT, ca.OP_LE)
 INITIAL_GUESSES = (1.0, 1.6, 0.8)  # of T, in times of the rigid stage; tried in turn until one converges
+PER_PERIOD = 4  # collocation intervals of a control period with held voltages
+LATEST_PERIODS = 4  # periods in which a motion with held voltages is sought
+HELD_GUESSES = (1.0,)
+SHORTEST_PART_S = 1e-4  # s, least distance of the entry from the ends of its period
+AT_START_S = 2e-4  # s after the start of the period, within which the entry counts as at its start
 
 
 @dataclass(frozen=True)
@@ -111,39 +112,56 @@ class TimeOptimalReach:
         positions = [np.split(rest_state(machine, row), 2)[0] for row in np.eye(len(self._axes))]
         self._rigid = np.stack(positions, axis=1) * machine.travel_per_unit[:, None]  # travel per meter of each axis
         self._points = np.array(ca.collocation_points(DEGREE, "radau"))
+        self.solution: Array = np.zeros(0)  # unknowns of the last call of `solve`
         self._build()
+
+    @property
+    def _duration_limits(self) -> tuple[float, float]:
+        """Smallest and largest T, s."""
+        return 1e-4, LONGEST_S
+
+    def _grid(self, duration: Any) -> list[tuple[Any, Any]]:
+        """Return begin and length of the collocation intervals, s; the voltages change with each."""
+        moving, holding = self.intervals
+        motion = [(k * (duration / moving), duration / moving) for k in range(moving)]
+        return motion + [(duration + k * (HOLD_S / holding), HOLD_S / holding) for k in range(holding)]
+
+    def _continues_voltage(self, k: int) -> bool:
+        """Return whether interval k has the voltages of the one before."""
+        return False
 
     def _build(self) -> None:
         """Set up the nonlinear program."""
         n, drives = len(self.machine.coordinates), len(self.machine.drives)
         slopes = ca.collocation_coeff(self._points.tolist())[0]
-        moving, holding = self.intervals
+        moving, _ = self.intervals
         duration: Any = ca.SX.sym("T")
         start, goal = ca.SX.sym("start", 2 * n), ca.SX.sym("goal", len(self._axes))
         parameters = ca.SX.sym("parameters", len(self.machine.parameters))
-        model = _SymbolicModel(self.machine, parameters, start, self.reversal_speed)
-        unknowns, limits = [duration], [(1e-4, LONGEST_S)]
+        model = SymbolicModel(self.machine, parameters, start, self.reversal_speed)
+        unknowns, limits = [duration], [self._duration_limits]
         state_limits = [(-LARGEST_TRAVEL_M, LARGEST_TRAVEL_M)] * n + [(-LARGEST_SPEED, LARGEST_SPEED)] * n
         equalities, inequalities = [], []  # must be zero; must not be positive
-        effort, state = ca.SX(0.0), start
-        for k in range(moving + holding):
-            length = duration / moving if k < moving else HOLD_S / holding
-            begin = k * length if k < moving else duration + (k - moving) * length
+        effort, state, action = ca.SX(0.0), start, ca.SX.zeros(drives)
+        for k, (begin, length) in enumerate(self._grid(duration)):
+            previous = action
             action = ca.SX.sym(f"u{k}", drives)  # from -1, the lowest voltage at the motor, to 1, the highest
             inner = [ca.SX.sym(f"z{k}_{j}", 2 * n) for j in range(DEGREE)]
             unknowns += [action, *inner]
+            if self._continues_voltage(k):
+                equalities.append(action - previous)
             limits += [(-1.0, 1.0)] * drives + state_limits * DEGREE
             slope = ca.horzcat(state, *inner) @ slopes
             for j, z in enumerate(inner):
                 time = begin + float(self._points[j]) * length
                 equalities.append(slope[:, j] - length * model.rate(z, action, time))
             inequalities += [excess for z in inner for excess in model.current_excess(z, action)]
-            effort += ca.dot(action, action) / ((moving + holding) * drives)
+            effort += ca.dot(action, action) / (sum(self.intervals) * drives)
             state = inner[-1]
             inside = inner if k >= moving else inner[-1:] if k == moving - 1 else []
             inequalities += [ca.sumsqr((z[self._axes] - goal) / self.band) - 1.0 for z in inside]
         equalities.append(state[n:])
-        inequalities += model.static_excess(state, duration + HOLD_S)
+        inequalities += model.static_excess(state, begin + length)
         problem = {
             "x": ca.vertcat(*unknowns),
             "f": duration + EFFORT_WEIGHT_S * effort,
@@ -188,17 +206,17 @@ class TimeOptimalReach:
             if statistics["success"]:
                 break
         # The unknowns are T, then for each interval the actions and the states at its collocation points.
-        solution = np.array(result["x"]).ravel()
+        self.solution = solution = np.array(result["x"]).ravel()
         T, by_interval = float(solution[0]), solution[1:].reshape(sum(self.intervals), -1)
-        moving, holding = self.intervals
-        edges = np.concatenate([np.linspace(0.0, T, moving + 1), T + np.linspace(0.0, HOLD_S, holding + 1)[1:]])
+        grid = np.array(self._grid(T), float)
+        edges = np.append(grid[:, 0], grid[-1].sum())
         volts = self._commands(by_interval[:, : len(self.machine.drives)], values)
         return TimeOptimalMotion(T, statistics["success"], statistics["return_status"], edges, volts)
 
     def _commands(self, actions: Array, values: Array) -> Array:
         """Return the commanded voltages (k, drives), V, that give the motors those of actions (k, drives)."""
         by_name = dict(zip(self.machine.parameters, values.tolist(), strict=True))
-        low, high = (np.array(limit, float) for limit in _voltage_limits(Equations(self.machine, by_name)))
+        low, high = (np.array(limit, float) for limit in voltage_limits(Equations(self.machine, by_name)))
         motor_voltage = 0.5 * (low + high) + 0.5 * (high - low) * actions
         return InputInversion(self.machine.replace(by_name)).command(motor_voltage)
 
@@ -217,134 +235,114 @@ class TimeOptimalReach:
 
     def _guess(self, start: Array, goal: Array, time_s: float) -> Array:
         """Return an initial guess: a smooth motion of the rigid stage, quintic in time, with zero voltage."""
-        moving, holding = self.intervals
-        s = np.minimum((np.arange(moving + holding)[:, None] + self._points) / moving, 1.0)[..., None]
+        begin, length = np.array(self._grid(time_s), float).T[..., None]
+        s = np.minimum((begin + self._points * length) / time_s, 1.0)[..., None]
         travel = self._rigid @ start + (10.0 * s**3 - 15.0 * s**4 + 6.0 * s**5) * (self._rigid @ (goal - start))
         speed = 30.0 * s**2 * (1.0 - s) ** 2 / time_s * (self._rigid @ (goal - start))
-        states = np.concatenate([travel, speed], axis=2).reshape(moving + holding, -1)
-        actions = np.zeros((moving + holding, len(self.machine.drives)))
+        states = np.concatenate([travel, speed], axis=2).reshape(len(begin), -1)
+        actions = np.zeros((len(begin), len(self.machine.drives)))
         return np.concatenate([[time_s], np.concatenate([actions, states], axis=1).ravel()])
 
 
-class _SymbolicModel:
-    """A machine's equations of motion as CasADi expressions, with its parameters and the start as symbols.
+class HeldVoltageReach:
+    """Solver of the time-optimal control problem with voltages that are held over control periods.
 
-    States are belt travel, m, and its rate, m/s, shape (2 n,). Actions lead from the lowest voltage at the motor, -1,
-    to the highest, 1.
-    """
-
-    def __init__(self, machine: Machine, parameters: Any, start: Any, reversal_speed: float) -> None:
-        values = dict(zip(machine.parameters, ca.vertsplit(parameters), strict=True))
-        self._limits = _voltage_limits(Equations(machine, values))
-        motion = tuple(e for e in machine.effects if e.definition.site not in ("drive", "drives", "sensor"))
-        self._equations = Equations(dataclasses.replace(machine, effects=motion), values)
-        self._current_limits = [
-            (j, values[f"{e.label}.I"])
-            for j, d in enumerate(machine.drives)
-            for e in machine.effects
-            if e.definition.current and d.name in e.components(machine)
-        ]
-        self._start, self._count = start, len(machine.coordinates)
-        arguments = [ca.SX.sym("z", 2 * self._count), ca.SX.sym("u", len(machine.drives)), ca.SX.sym("t")]
-        state, action, time = arguments
-        accelerations = self._equations.accelerations(
-            self._point(state, time), self._voltages(action), lambda v: tanh(v / reversal_speed)
-        )
-        change = ca.vertcat(state[self._count :], *accelerations)
-        self._parameters = parameters
-        self._rate = ca.Function("rate", [*arguments, parameters, start], [change])
-
-    def _voltages(self, action: Any) -> list[Any]:
-        """Return the voltages at the motors, V."""
-        parts = zip(*self._limits, ca.vertsplit(action), strict=True)
-        return [0.5 * (low + high) + 0.5 * (high - low) * u for low, high, u in parts]
-
-    def rate(self, state: Any, action: Any, time: Any) -> Any:
-        """Return the state's derivative."""
-        return self._rate(state, action, time, self._parameters, self._start)
-
-    def current_excess(self, state: Any, action: Any) -> list[Any]:
-        """Return expressions that are not positive where the drives' currents are within their limits."""
-        voltages, point = self._voltages(action), self._point(state, 0.0)
-        current = self._equations.ohmic_current
-        return [(current(j, point, voltages[j]) / limit) ** 2 - 1.0 for j, limit in self._current_limits]
-
-    def static_excess(self, state: Any, time: Any) -> list[Any]:
-        """Return expressions that are not positive where static friction holds each coordinate that is not driven."""
-        equations = self._equations
-        at_rest = ca.vertcat(state[: self._count], ca.SX.zeros(self._count))
-        balance = equations.balance(self._point(at_rest, time), [0.0] * len(equations.machine.drives))
-        excess = []
-        for i, coordinate in enumerate(equations.machine.coordinates):
-            if coordinate.kind == "linear" and i not in equations.drive_coordinates:
-                excess += [balance.forces[i] - balance.coulomb[i], -balance.forces[i] - balance.coulomb[i]]
-        return excess
-
-    def _point(self, state: Any, time: Any) -> MotionPoint:
-        """Return a point of the motion; effects that integrate displacement have it since the start as their state."""
-        equations, n = self._equations, self._count
-        travel = ca.vertsplit(state[:n])
-        states = {}
-        for k in equations.states:
-            i = equations.instances[k].coordinate
-            states[k] = (travel[i] - self._start[i]) * equations.per_radius(i)
-        return MotionPoint(travel, ca.vertsplit(state[n:]), time, states)
-
-
-def _voltage_limits(equations: Equations) -> tuple[list[Any], list[Any]]:
-    """Return the lowest and highest voltages at the motors, V, within the rated commands."""
-    rated = [d.rated_voltage for d in equations.machine.drives]
-    return equations.motor_voltages([-volts for volts in rated]), equations.motor_voltages(rated)
-
-
-def check_supported(machine: Machine) -> None:
-    """Check that time-optimal motions of a machine can be computed.
+    It gives the shortest settling time of a controller that changes its voltages once per period, the first time at the
+    start. The problem with the last entry into the band in period K is that of `TimeOptimalReach` with T between
+    (K - 1) and K periods; K grows from that of the free voltages until there is a solution.
 
     Args:
-        machine: Machine with its effects (deviations from the nominal model).
+        machine: Machine whose motion is optimized, with its effects; see `TimeOptimalReach`.
+        period: Control period, s.
+        band: Radius of the band around the goal, m.
 
     Raises:
-        InputError: If an effect delays the drives, has a memory or is not differentiable, or the machine's bridge yaws
-            (the tool position is then not given by the linear coordinates alone).
+        InputError: If the machine has an effect that is not supported.
     """
-    for effect in machine.effects:
-        reason = _unsupported_because(effect)
-        if reason:
-            raise InputError(
-                f"machine {machine.name!r}: time-optimal motions do not support {effect.label}: {reason}; leave the "
-                "effect out"
-            )
-    if any("*" in key for sensor in machine.sensors for key in sensor.row):
-        raise InputError(f"machine {machine.name!r}: time-optimal motions do not support a bridge that yaws")
+
+    def __init__(self, machine: Machine, period: float = 0.01, *, band: float = 2e-4) -> None:
+        check_supported(machine)
+        self.machine, self.period, self.band = machine, period, band
+        self._problems: dict[int, _HeldProblem] = {}
+
+    def solve(
+        self, start: ArrayLike, goal: ArrayLike, parameters: ArrayLike | None, free_s: float
+    ) -> TimeOptimalMotion:
+        """Compute the time-optimal motion with held voltages.
+
+        Args:
+            start: Positions of the linear coordinates (usually x, y) at the start, m, shape (axes,).
+            goal: Positions of the linear coordinates at the goal, m, shape (axes,).
+            parameters: All P parameters in the order and units of `Machine.parameters`, shape (P,), or None for the
+                machine's.
+            free_s: Shortest time with free voltages, s, from `TimeOptimalReach`.
+
+        Returns:
+            Duration and commanded voltages of the motion, with the collocation intervals as `edges_s`; `solved` is
+            False if there is none up to `LATEST_PERIODS` periods after the free one.
+        """
+        first = max(1, int(np.ceil(free_s / self.period)))
+        for last in range(first, first + LATEST_PERIODS):
+            motion = self._problem(last).solve(start, goal, parameters, HELD_GUESSES)
+            if motion.solved:
+                break
+        # An entry at the very start of its period means that IPOPT did not converge for the period before.
+        while motion.solved and last > first and motion.time_s < (last - 1) * self.period + AT_START_S:
+            before = self._problem(last - 1)
+            before.warm_start = self._problem(last).without_last_period()
+            earlier = before.solve(start, goal, parameters, HELD_GUESSES)
+            before.warm_start = None
+            if not earlier.solved:
+                break
+            motion, last = earlier, last - 1
+        return motion
+
+    def _problem(self, last: int) -> _HeldProblem:
+        """Return the problem with the entry in period `last`."""
+        if last not in self._problems:
+            self._problems[last] = _HeldProblem(self.machine, last, self.period, self.band)
+        return self._problems[last]
 
 
-def _unsupported_because(effect: AppliedEffect) -> str:
-    """Return why an effect is not supported, empty if it is."""
-    definition = effect.definition
-    if definition.delay:
-        return "it is a dead time of the drives (the time is longer by about this delay)"
-    if definition.next_state and not _integrates_displacement(effect):
-        return "it has a memory"
-    if definition.force and "net" in argument_names(definition.force):
-        return "it moves a sensor, not the tool"
-    if definition.current and effect.name != "current_limit":
-        return "effects on the current are not supported, except for current_limit"
-    hooks = [getattr(definition, name) for name in MOTION_HOOKS]
-    if any(_has_kink(hook) for hook in hooks if hook):
-        return "its formula is not differentiable"
-    return ""
+class _HeldProblem(TimeOptimalReach):
+    """Time-optimal control problem with held voltages and a last entry into the band in a given control period."""
 
+    def __init__(self, machine: Machine, last: int, period: float, band: float) -> None:
+        self._last, self._period = last, period
+        holding = round(HOLD_S / period) * PER_PERIOD
+        self._window = ((last - 1) * period + SHORTEST_PART_S, last * period - SHORTEST_PART_S)
+        self.warm_start: Array | None = None  # unknowns from which IPOPT starts
+        super().__init__(machine, band=band, intervals=(last * PER_PERIOD, PER_PERIOD + holding))
 
-def _integrates_displacement(effect: AppliedEffect) -> bool:
-    """Whether an effect's state is the displacement of its coordinate since the start, as of an eccentric pulley."""
-    next_state = effect.definition.next_state
-    if next_state is None or set(argument_names(next_state)) != {"z", "dq"}:
-        return False
-    return bool(effect("next_state", z=0.3, dq=-0.2) == 0.3 - 0.2)
+    @property
+    def _duration_limits(self) -> tuple[float, float]:
+        return self._window
 
+    def _grid(self, duration: Any) -> list[tuple[Any, Any]]:
+        """Return begin and length of the intervals, s: equal parts of each period, two times those in the last one."""
+        period, entry = self._period, self._last - 1
+        parts = [(k * period, period) for k in range(entry)] + [(entry * period, duration - entry * period)]
+        parts += [(duration, self._last * period - duration)]
+        parts += [((self._last + k) * period, period) for k in range(round(HOLD_S / period))]
+        return [(b + j * (w / PER_PERIOD), w / PER_PERIOD) for b, w in parts for j in range(PER_PERIOD)]
 
-def _has_kink(hook: Hook) -> bool:
-    """Whether a hook's formula switches between branches; |x| is not counted, because it occurs as x |x|."""
-    symbols = [ca.SX.sym(name) for name in argument_names(hook)]
-    formula = ca.Function("hook", symbols, [ca.SX(hook(*symbols))])
-    return any(formula.instruction_id(k) in SWITCHING_OPERATIONS for k in range(formula.n_instructions()))
+    def _continues_voltage(self, k: int) -> bool:
+        """Return whether interval k has the voltages of the one before: not at the beginning of a period."""
+        return k % PER_PERIOD != 0 or k == self._last * PER_PERIOD
+
+    def _guess(self, start: Array, goal: Array, time_s: float) -> Array:
+        """Return an initial guess with T in the middle of its period; `time_s` selects how fast the guess moves."""
+        if self.warm_start is not None:
+            return self.warm_start
+        guess = super()._guess(start, goal, self._window[1])
+        guess[0] = 0.5 * sum(self._window)
+        return guess
+
+    def without_last_period(self) -> Array:
+        """Return the last solution as a guess for an entry at the end of the period before."""
+        rows = self.solution[1:].reshape(sum(self.intervals), -1)
+        entry, holding = (self._last - 1) * PER_PERIOD, self.intervals[1]
+        before, after = rows[:entry], rows[self._last * PER_PERIOD :]
+        at_entry = np.repeat(before[-1:], PER_PERIOD, axis=0)
+        guess = np.concatenate([before, at_entry, after[: holding - PER_PERIOD]])
+        return np.concatenate([[(self._last - 1) * self._period - 2.0 * SHORTEST_PART_S], guess.ravel()])

@@ -1,4 +1,4 @@
-"""Evaluation of controllers on identical episodes: scenarios, scores with confidence intervals, plots, data sets."""
+"""Evaluation of controllers on identical episodes: scenarios, protocols, scores with intervals, plots, data sets."""
 
 from .metrics import (
     BANDS,
@@ -15,9 +15,20 @@ from .metrics import (
 )
 from .minari_export import ExportedDataset, export_dataset
 from .plots import plot_episode, save_plot
+from .protocol_results import (
+    ResultFile,
+    filled,
+    over,
+    protocol_bounds,
+    read_result,
+    result_content,
+    write_result,
+)
+from .protocols import FIXED_OPTIONS, PROTOCOLS, Entry, Protocol, get_protocol, run_protocol
 from .runner import Evaluation, evaluate, rollout, write_scores
 from .scenario import (
     CONTROLLER_SOURCES,
+    ControllerFiles,
     ControllerSource,
     EpisodeConditions,
     Episodes,
@@ -27,34 +38,53 @@ from .scenario import (
     period_concern,
 )
 from .scorecard import write_scorecard
+from .undeclared_effects import EFFECT_FAMILIES, acting_effects, effect_rules, with_absent_effects
 
 __all__ = [
     "BANDS",
     "BOOTSTRAP_RESAMPLES",
     "BOUND_BAND",
     "CONTROLLER_SOURCES",
+    "EFFECT_FAMILIES",
+    "FIXED_OPTIONS",
     "METRICS",
+    "PROTOCOLS",
+    "ControllerFiles",
     "ControllerSource",
+    "Entry",
     "EpisodeConditions",
     "Episodes",
     "Evaluation",
     "ExportedDataset",
+    "Protocol",
+    "ResultFile",
     "Scenario",
     "StoredBounds",
+    "acting_effects",
     "condition_digests",
+    "effect_rules",
     "episode_conditions",
     "evaluate",
     "export_dataset",
+    "filled",
+    "get_protocol",
     "make_controller",
     "mean_with_interval",
+    "over",
     "period_concern",
     "plot_episode",
+    "protocol_bounds",
     "ratio_of_means",
+    "read_result",
+    "result_content",
     "rollout",
+    "run_protocol",
     "save_plot",
     "score_episodes",
     "settling_times",
     "stored_bounds",
+    "with_absent_effects",
+    "write_result",
     "write_scorecard",
     "write_scores",
 ]

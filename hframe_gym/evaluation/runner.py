@@ -108,6 +108,7 @@ def evaluate(
 def _describe(scenario: Scenario) -> dict[str, Any]:
     """Return a scenario as the plain data at the head of scores.json."""
     machine, task, randomize, sensors = scenario.machine, scenario.task, scenario.randomize, scenario.sensors
+    drives = scenario.drives
     return {
         "schema": 1,
         "machine": machine.name if isinstance(machine, Machine) else str(machine),
@@ -116,6 +117,7 @@ def _describe(scenario: Scenario) -> dict[str, Any]:
         "episodes": scenario.episodes,
         "seed": scenario.seed,
         "sensors": sensors if isinstance(sensors, str) else repr(sensors),
+        "drives": drives if isinstance(drives, str) else repr(drives),
         "period_s": scenario.period,
     }
 
@@ -161,6 +163,7 @@ class _Recorder:
             task=scenario.controller_task,
             randomize=scenario.randomize,
             sensors=scenario.sensors,
+            drives=scenario.drives,
             period=self.sample_s,
         )
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from ..controllers import CONTROLLERS, Controller, OutputFeedbackController, StateEstimator, check_period
 from ..dynamics import mode_frequencies
 from ..envs import (
+    ActuatorsLike,
     HFrameVectorEnv,
     MachineLike,
     RandomizationLike,
@@ -52,6 +53,7 @@ class Scenario:
         seed: Seed of the first episode.
         period: Control period, s.
         duration_s: Length of an episode, s; the default is twice the longest move.
+        drives: What applies the voltages: "ideal", "rig" (12-bit converters, 12 A), "machine", or `Actuators(...)`.
 
     Raises:
         InputError: If the period, the number of episodes or the duration is not positive, the seed is negative, or an
@@ -66,6 +68,7 @@ class Scenario:
     seed: int = 0
     period: float = 0.01
     duration_s: float = 1.5
+    drives: ActuatorsLike = "ideal"
 
     def __post_init__(self) -> None:
         check_period(self.period)
@@ -177,10 +180,25 @@ def episode_conditions(scenario: Scenario) -> EpisodeConditions:
         machine=scenario.machine,
         task=scenario.controller_task,
         randomize=scenario.randomize,
+        drives=scenario.drives,
     )
     observation, _ = envs.reset(seed=scenario.seed)
     goal = np.asarray(observation["desired_goal"], np.float64)
     return EpisodeConditions(envs.machine, envs.parameters, envs.batch.simulator.tools().copy(), goal)
+
+
+class ControllerFiles(NamedTuple):
+    """Files of a controller that a `ControllerSource` provides, by which results identify it.
+
+    Attributes:
+        name: Name of the controller in results, for example "ppo-seed0".
+        files: Files that determine the controller.
+        sensors: What the controller was made to observe: "state", or another sensor preset.
+    """
+
+    name: str
+    files: tuple[Path, ...]
+    sensors: str
 
 
 class ControllerSource(ABC):
@@ -217,6 +235,19 @@ class ControllerSource(ABC):
             A phrase that completes the error message "controller 'x' is unknown; choose ...", for example "the folder
             of a trained agent".
         """
+
+    @staticmethod
+    def files(name: str, scenario: Scenario) -> ControllerFiles | None:
+        """List the files of a controller, for results that name what was scored.
+
+        Args:
+            name: Controller name from the user, for example a path.
+            scenario: Machine, task, sensors and control period with which the controller will run.
+
+        Returns:
+            Name, files and sensors of the controller; None if this source does not provide it or has no files.
+        """
+        return None
 
 
 CONTROLLER_SOURCES: Registry[type[ControllerSource]] = Registry("controller source")

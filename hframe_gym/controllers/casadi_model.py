@@ -1,0 +1,180 @@
+"""The machine's equations of motion as CasADi expressions, for time-optimal motions, and what they do not support.
+
+They are those of `hframe_gym.dynamics.Equations`. Coulomb friction is smoothed to F tanh(v / v0), because an optimizer
+needs derivatives.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+from ..dynamics import Equations, MotionPoint
+from ..dynamics.elementwise import tanh
+from ..errors import InputError
+from ..machine import AppliedEffect, Hook, Machine, argument_names
+
+try:
+    import casadi as ca
+except ImportError as error:
+    raise ImportError("time-optimal motions need CasADi: pip install 'hframe_gym[bound]'") from error
+
+# Hooks of an effect that enter the collocation equations, and CasADi's operations that switch between branches.
+MOTION_HOOKS = ("force", "coulomb", "friction", "viscous", "tension", "energy_slope", "belt_travel", "lever_arm")
+SWITCHING_OPERATIONS = (ca.OP_FMIN, ca.OP_FMAX, ca.OP_IF_ELSE_ZERO, ca.OP_SIGN, ca.OP_COPYSIGN, ca.OP_LT, ca.OP_LE)
+
+
+class SymbolicModel:
+    """A machine's equations of motion as CasADi expressions, with its parameters and the start as symbols.
+
+    States are belt travel, m, and its rate, m/s, shape (2 n,). Actions lead from the lowest voltage at the motor, -1,
+    to the highest, 1.
+    """
+
+    def __init__(self, machine: Machine, parameters: Any, start: Any, reversal_speed: float) -> None:
+        values = dict(zip(machine.parameters, ca.vertsplit(parameters), strict=True))
+        self._limits = voltage_limits(Equations(machine, values))
+        motion = tuple(e for e in machine.effects if e.definition.site not in ("drive", "drives", "sensor"))
+        self._equations = Equations(dataclasses.replace(machine, effects=motion), values)
+        self._current_limits = [
+            (j, values[f"{e.label}.I"])
+            for j, d in enumerate(machine.drives)
+            for e in machine.effects
+            if e.definition.current and d.name in e.components(machine)
+        ]
+        self._start, self._count = start, len(machine.coordinates)
+        arguments = [ca.SX.sym("z", 2 * self._count), ca.SX.sym("u", len(machine.drives)), ca.SX.sym("t")]
+        state, action, time = arguments
+        accelerations = self._equations.accelerations(
+            self._point(state, time), self._voltages(action), lambda v: tanh(v / reversal_speed)
+        )
+        change = ca.vertcat(state[self._count :], *accelerations)
+        self._parameters = parameters
+        self._rate = ca.Function("rate", [*arguments, parameters, start], [change])
+
+    def _voltages(self, action: Any) -> list[Any]:
+        """Return the voltages at the motors, V."""
+        parts = zip(*self._limits, ca.vertsplit(action), strict=True)
+        return [0.5 * (low + high) + 0.5 * (high - low) * u for low, high, u in parts]
+
+    def rate(self, state: Any, action: Any, time: Any) -> Any:
+        """Return the state's derivative.
+
+        Args:
+            state: Belt travel, m, and its rate, m/s, shape (2 n,).
+            action: Voltages at the motors from -1, the lowest, to 1, the highest, shape (drives,).
+            time: Time since the start, s.
+
+        Returns:
+            Expression of the derivative, m/s and m/s^2, shape (2 n,).
+        """
+        return self._rate(state, action, time, self._parameters, self._start)
+
+    def current_excess(self, state: Any, action: Any) -> list[Any]:
+        """Return expressions that are not positive where the drives' currents are within their limits.
+
+        Args:
+            state: Belt travel, m, and its rate, m/s, shape (2 n,).
+            action: Voltages at the motors from -1, the lowest, to 1, the highest, shape (drives,).
+
+        Returns:
+            One dimensionless expression per current limit.
+        """
+        voltages, point = self._voltages(action), self._point(state, 0.0)
+        current = self._equations.ohmic_current
+        return [(current(j, point, voltages[j]) / limit) ** 2 - 1.0 for j, limit in self._current_limits]
+
+    def static_excess(self, state: Any, time: Any) -> list[Any]:
+        """Return expressions that are not positive where static friction holds each coordinate that is not driven.
+
+        Args:
+            state: Belt travel, m, and its rate, m/s, shape (2 n,); the rate does not matter.
+            time: Time since the start, s.
+
+        Returns:
+            Two expressions per coordinate, N.
+        """
+        equations = self._equations
+        at_rest = ca.vertcat(state[: self._count], ca.SX.zeros(self._count))
+        balance = equations.balance(self._point(at_rest, time), [0.0] * len(equations.machine.drives))
+        excess = []
+        for i, coordinate in enumerate(equations.machine.coordinates):
+            if coordinate.kind == "linear" and i not in equations.drive_coordinates:
+                excess += [balance.forces[i] - balance.coulomb[i], -balance.forces[i] - balance.coulomb[i]]
+        return excess
+
+    def _point(self, state: Any, time: Any) -> MotionPoint:
+        """Return a point of the motion; effects that integrate displacement have it since the start as their state."""
+        equations, n = self._equations, self._count
+        travel = ca.vertsplit(state[:n])
+        states = {}
+        for k in equations.states:
+            i = equations.instances[k].coordinate
+            states[k] = (travel[i] - self._start[i]) * equations.per_radius(i)
+        return MotionPoint(travel, ca.vertsplit(state[n:]), time, states)
+
+
+def voltage_limits(equations: Equations) -> tuple[list[Any], list[Any]]:
+    """Compute the lowest and highest voltages at the motors within the rated commands.
+
+    Args:
+        equations: Equations of the machine with its effects on the drives.
+
+    Returns:
+        Lowest voltages and highest voltages, V, one per drive.
+    """
+    rated = [d.rated_voltage for d in equations.machine.drives]
+    return equations.motor_voltages([-volts for volts in rated]), equations.motor_voltages(rated)
+
+
+def check_supported(machine: Machine) -> None:
+    """Check that time-optimal motions of a machine can be computed.
+
+    Args:
+        machine: Machine with its effects (deviations from the nominal model).
+
+    Raises:
+        InputError: If an effect delays the drives, has a memory or is not differentiable, or the machine's bridge yaws
+            (the tool position is then not given by the linear coordinates alone).
+    """
+    for effect in machine.effects:
+        reason = _unsupported_because(effect)
+        if reason:
+            raise InputError(
+                f"machine {machine.name!r}: time-optimal motions do not support {effect.label}: {reason}; leave the "
+                "effect out"
+            )
+    if any("*" in key for sensor in machine.sensors for key in sensor.row):
+        raise InputError(f"machine {machine.name!r}: time-optimal motions do not support a bridge that yaws")
+
+
+def _unsupported_because(effect: AppliedEffect) -> str:
+    """Return why an effect is not supported, empty if it is."""
+    definition = effect.definition
+    if definition.delay:
+        return "it is a dead time of the drives (the time is longer by about this delay)"
+    if definition.next_state and not _integrates_displacement(effect):
+        return "it has a memory"
+    if definition.force and "net" in argument_names(definition.force):
+        return "it moves a sensor, not the tool"
+    if definition.current and effect.name != "current_limit":
+        return "effects on the current are not supported, except for current_limit"
+    hooks = [getattr(definition, name) for name in MOTION_HOOKS]
+    if any(_has_kink(hook) for hook in hooks if hook):
+        return "its formula is not differentiable"
+    return ""
+
+
+def _integrates_displacement(effect: AppliedEffect) -> bool:
+    """Whether an effect's state is the displacement of its coordinate since the start, as of an eccentric pulley."""
+    next_state = effect.definition.next_state
+    if next_state is None or set(argument_names(next_state)) != {"z", "dq"}:
+        return False
+    return bool(effect("next_state", z=0.3, dq=-0.2) == 0.3 - 0.2)
+
+
+def _has_kink(hook: Hook) -> bool:
+    """Whether a hook's formula switches between branches; |x| is not counted, because it occurs as x |x|."""
+    symbols = [ca.SX.sym(name) for name in argument_names(hook)]
+    formula = ca.Function("hook", symbols, [ca.SX(hook(*symbols))])
+    return any(formula.instruction_id(k) in SWITCHING_OPERATIONS for k in range(formula.n_instructions()))

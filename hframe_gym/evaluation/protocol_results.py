@@ -1,0 +1,295 @@
+"""Result files of protocols: write, read and validate them, and compare entries draw by draw.
+
+A result file names the protocol and its digest, the entry with its hash, and the versions of the packages. It holds the
+values of every draw, and the scores that follow from them. Reading it checks the schema, the digest and the number of
+draws, and computes the scores again, so that a file that was edited or belongs to other draws is refused.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import platform
+from collections.abc import Mapping
+from functools import cache
+from importlib import metadata, resources
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from ..atomic_files import write_text
+from ..errors import InputError
+from .metrics import BANDS, ratio_of_means, stored_bounds
+from .protocols import Draws, Entry, Protocol, get_protocol
+
+Array = NDArray[np.float64]
+SCHEMA = 1
+BOOTSTRAP_SEED = 0
+PACKAGES = ("hframe_gym", "numpy", "scipy", "numba", "torch", "stable-baselines3")
+BOUNDS_FOLDER = "bound_times_data"
+DIGITS = 9  # decimals of scores, s and mm
+TOLERANCE = 1e-6  # relative, of scores that are computed again when a file is read
+
+
+class _Strict(BaseModel):
+    """Table of a file in which unknown keys are errors."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+class EntryTable(_Strict):
+    """What was scored; see `Entry`."""
+
+    name: Annotated[str, Field(min_length=1, max_length=60, pattern=r"^[^|<>`\n]+$")]
+    kind: Literal["controller", "agent"]
+    sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+
+
+class ResultFile(_Strict):
+    """Content of a result file.
+
+    Attributes:
+        schema_version: Version of the format; the key in the file is `schema`.
+        protocol: Name of the protocol.
+        digest: Digest of the protocol's settings and draws.
+        entry: What was scored.
+        about: Free text of the submitter: how the entry was made, where to find it.
+        versions: Versions of the packages on which the scores depend.
+        scores: Scores by part and metric.
+        draws: Values of every draw by part and metric; null for a draw that does not settle.
+    """
+
+    schema_version: Literal[1] = Field(alias="schema")
+    protocol: str
+    digest: str
+    entry: EntryTable
+    about: Annotated[str, Field(max_length=500)] = ""
+    versions: dict[str, str]
+    scores: dict[str, dict[str, Any]]
+    draws: dict[str, dict[str, list[float | None]]]
+
+
+def result_content(protocol: Protocol, entry: Entry, draws: Mapping[str, Draws]) -> dict[str, Any]:
+    """Build the content of a result file.
+
+    Args:
+        protocol: The benchmark.
+        entry: What was scored.
+        draws: Values of each draw by part and metric, as `run_protocol` returns them.
+
+    Returns:
+        Content of the file. `scores` and `draws` depend on the entry and the protocol alone.
+    """
+    return {
+        "schema": SCHEMA,
+        "protocol": protocol.name,
+        "digest": protocol.digest,
+        "entry": entry._asdict(),
+        "about": "",
+        "versions": _versions(),
+        "scores": {part: part_scores(values, protocol.duration_s) for part, values in draws.items()},
+        "draws": {part: dict(values) for part, values in draws.items()},
+    }
+
+
+def _versions() -> dict[str, str]:
+    """Return the versions of Python and of the packages on which scores depend."""
+    versions = {"python": platform.python_version()}
+    for package in PACKAGES:
+        try:
+            versions[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            continue
+    return versions
+
+
+def part_scores(values: Draws, duration_s: float) -> dict[str, Any]:
+    """Compute the scores of one part from the values of its draws.
+
+    Args:
+        values: Lists of B values by metric.
+        duration_s: Length of an episode, s, which counts as the settling time of a draw that does not settle.
+
+    Returns:
+        By metric `mean`, `ci95` (95 % interval of the mean, bootstrap over the draws) and `median`; for a settling time
+        also `success`, the fraction of draws that settle, 0 to 1.
+    """
+    scores: dict[str, Any] = {}
+    for metric, column in values.items():
+        numbers = filled(column, duration_s)
+        mean = ratio_of_means(numbers, np.ones(len(numbers)), BOOTSTRAP_SEED)
+        limits = [round(limit, DIGITS) for limit in mean["ci95"]]
+        scores[metric] = {"mean": round(mean["mean"], DIGITS), "ci95": limits}
+        scores[metric]["median"] = round(float(np.median(numbers)), DIGITS)
+        if metric.startswith("settling_s."):
+            scores[metric]["success"] = float(np.mean([value is not None for value in column]))
+    return scores
+
+
+def filled(column: list[float | None], duration_s: float) -> Array:
+    """Return the values of one metric with the episode's length where a draw does not settle.
+
+    Args:
+        column: B values, None for a draw that does not settle.
+        duration_s: Length of an episode, s.
+
+    Returns:
+        Values, shape (B,).
+    """
+    return np.array([duration_s if value is None else value for value in column], np.float64)
+
+
+def result_file_name(content: Mapping[str, Any]) -> str:
+    """Return the name of a result file, from protocol and entry.
+
+    Args:
+        content: Content of the file.
+
+    Returns:
+        For example "reach-v1_adaptive-pid.json".
+    """
+    safe = "".join(c if c.isalnum() or c in "-." else "-" for c in content["entry"]["name"])
+    return f"{content['protocol']}_{safe}.json"
+
+
+def write_result(folder: str | Path, content: Mapping[str, Any]) -> Path:
+    """Write a result file; if this fails, an existing file stays unchanged.
+
+    Args:
+        folder: Folder, which is created if necessary.
+        content: Content, as `result_content` returns it.
+
+    Returns:
+        Path of the file, PROTOCOL_ENTRY.json.
+
+    Raises:
+        OSError: If the file cannot be written.
+    """
+    path = Path(folder) / result_file_name(content)
+    head = {key: value for key, value in content.items() if key != "draws"}
+    lines = [
+        f"  {json.dumps(part)}: {{\n"
+        + ",\n".join(f"   {json.dumps(metric)}: {json.dumps(column)}" for metric, column in values.items())
+        + "\n  }"
+        for part, values in content["draws"].items()
+    ]
+    text = json.dumps(head, indent=1, allow_nan=False)[:-2] + ',\n "draws": {\n' + ",\n".join(lines) + "\n }\n}\n"
+    write_text(path, text)
+    return path
+
+
+def read_result(path: str | Path) -> ResultFile:
+    """Read and validate a result file.
+
+    Args:
+        path: File that `write_result` wrote.
+
+    Returns:
+        Content of the file.
+
+    Raises:
+        InputError: If the file is not a result file, belongs to an unknown protocol or to other draws, or its scores do
+            not follow from its draws.
+    """
+    try:
+        result = ResultFile.model_validate_json(Path(path).read_bytes())
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"])) or "the file"
+        raise InputError(f"{path}: {where}: {first['msg']}; write it with hframe evaluate --protocol") from None
+    try:
+        protocol = get_protocol(result.protocol)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    if result.digest != protocol.digest:
+        raise InputError(
+            f"{path}: digest {result.digest} is not that of protocol {protocol.name} ({protocol.digest}): it was "
+            "scored on other draws"
+        )
+    _check_draws(Path(path), result, protocol)
+    return result
+
+
+def _check_draws(path: Path, result: ResultFile, protocol: Protocol) -> None:
+    """Raise InputError unless all parts and draws are there and the scores follow from them."""
+    if set(result.draws) != set(protocol.parts):
+        raise InputError(f"{path}: draws has the parts {', '.join(result.draws)}, not {', '.join(protocol.parts)}")
+    for part, values in result.draws.items():
+        settling = [f"settling_s.{band}" for band in BANDS]
+        path_metrics = ["contour_rms_mm", "contour_max_mm", "tracking_rms_mm"]
+        expected = [*settling, "final_error_mm"] if protocol.parts[part].metrics == "reach" else path_metrics
+        if list(values) != expected:
+            raise InputError(f"{path}: draws.{part} has {', '.join(values)}, not {', '.join(expected)}")
+        for metric, column in values.items():
+            valid = all(metric in settling if v is None else v >= 0.0 for v in column)
+            if len(column) != protocol.draws or not valid:
+                raise InputError(
+                    f"{path}: draws.{part}.{metric}: must hold {protocol.draws} values that are not negative (null "
+                    "only for a settling time)"
+                )
+        if not _close(result.scores.get(part), part_scores(values, protocol.duration_s)):
+            raise InputError(f"{path}: scores.{part} do not follow from the draws; write the file again")
+
+
+def _close(given: Any, computed: Any) -> bool:
+    """Return whether nested scores are equal within `TOLERANCE`."""
+    if isinstance(computed, Mapping):
+        return (
+            isinstance(given, Mapping)
+            and set(given) == set(computed)
+            and all(_close(given[key], computed[key]) for key in computed)
+        )
+    if isinstance(computed, list):
+        return isinstance(given, list) and len(given) == len(computed) and all(map(_close, given, computed))
+    return isinstance(given, int | float) and math.isclose(given, computed, rel_tol=TOLERANCE, abs_tol=10.0**-DIGITS)
+
+
+@cache
+def protocol_bounds(name: str) -> dict[str, Array]:
+    """Load the shortest settling times to 0.2 mm of a protocol's moves, which `benchmarks.protocol_bounds` computes.
+
+    Args:
+        name: Name of the protocol.
+
+    Returns:
+        By kind, s, shape (draws,), NaN where unknown: `free`, with voltages that may change at any time, and `held`,
+        with voltages held over each control period. Empty for a protocol without moves.
+    """
+    protocol = get_protocol(name)
+    if "reach" not in protocol.parts:
+        return {}
+    bounds = {"free": np.full(protocol.draws, np.nan), "held": np.full(protocol.draws, np.nan)}
+    known = stored_bounds(protocol.scenario("reach")).times_s
+    if known is not None:
+        bounds["free"] = known
+    file = resources.files("hframe_gym.evaluation") / BOUNDS_FOLDER / f"{name}.json"
+    if not file.is_file():
+        return bounds
+    content = json.loads(file.read_text("utf-8"))
+    if content["digest"] != protocol.digest:
+        raise ValueError(f"{file}: the bounds belong to other draws of {name}")
+    for row in content["draws"]:
+        for kind in bounds:
+            if row.get(f"{kind}_s") is not None:
+                bounds[kind][row["draw"]] = row[f"{kind}_s"]
+    return bounds
+
+
+def over(values: Array, others: Array) -> dict[str, Any] | None:
+    """Compute the ratio of two means over the same draws, with a paired interval.
+
+    Args:
+        values: Values of each draw, shape (B,).
+        others: Values of the same draws to compare with, for example bounds, shape (B,), NaN where unknown.
+
+    Returns:
+        `mean`: mean of `values` over mean of `others`; `ci95`: 95 % interval, bootstrap over the draws; `draws`: number
+        of draws with both. None if there is none.
+    """
+    both = np.isfinite(others)
+    if not both.any():
+        return None
+    return ratio_of_means(values[both], others[both], BOOTSTRAP_SEED) | {"draws": int(both.sum())}

@@ -1,0 +1,346 @@
+"""Protocols: benchmarks in which everything is fixed, so that scores of different people and years are comparable.
+
+A protocol fixes the machine, the tasks, the randomization, sensors, drives, control period, number and seed of the
+draws, and the metrics. A digest of all of this, with the sampled parameters, starts and goals of every draw, is part of
+its definition (`Protocol.digest`). Before a run the digest is computed again: if the package has changed what it
+covers, no result is written, and the benchmark needs a new version (`reach-v2`), never a new digest.
+
+    reach-v1    point-to-point moves, full state, ideal drives, randomization "default"
+    track-v1    circle, square and Lissajous figure, otherwise as reach-v1
+    hard-v1     moves, circle and square with the sensors and drives of a rig, randomization "wide", and effects that no
+                controller's model declares (see `undeclared_effects`)
+
+`protocol_results` writes and reads the files with the scores.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import inspect
+import json
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..controllers import Controller, OutputFeedbackController, StateEstimator
+from ..envs import RANDOMIZATION_PRESETS, Reach, Task, Track, as_machine, observed_machine
+from ..envs.actuators import ACTUATOR_PRESETS
+from ..errors import InputError
+from ..machine import Machine
+from ..recordings.machine_file import machine_to_dict
+from ..registry import load_plugins
+from .metrics import BANDS, condition_digests, settling_times
+from .runner import rollout
+from .scenario import CONTROLLER_SOURCES, Episodes, Scenario, episode_conditions, make_controller
+from .undeclared_effects import effect_rules, with_absent_effects
+
+Array = NDArray[np.float64]
+Draws = dict[str, list[float | None]]
+DECIMALS = 6  # of the values in results, s and mm: hides differences between processors, far below any effect
+SEED_OF_RESULTS, SEED_OF_HARD = 1000, 71_000  # draws of these seeds decide nothing: no tuning, no selection of agents
+FIXED_OPTIONS = ("machine", "task", "path", "randomize", "sensors", "period", "episodes", "seed")
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """A benchmark with all its settings.
+
+    Attributes:
+        name: Name with the version, for example "reach-v1".
+        parts: Tasks by the name of the part, each scored separately.
+        digest: First 16 hexadecimal digits of a SHA-256 of the settings and of all draws.
+        summary: What the benchmark asks for, one sentence.
+        machine: Built-in machine from whose parameters controllers are designed.
+        randomize: Name of the randomization preset of the simulated machine.
+        undeclared_effects: Whether each draw also has effects that the declared machine lacks.
+        sensors: What controllers observe, "state" or "rig".
+        drives: What applies the voltages, "ideal" or "rig".
+        period: Control period, s.
+        draws: Number of episodes of each part.
+        seed: Seed of the first episode.
+        duration_s: Length of an episode, s.
+    """
+
+    name: str
+    parts: Mapping[str, Task]
+    digest: str
+    summary: str
+    machine: str = "hframe"
+    randomize: str = "default"
+    undeclared_effects: bool = False
+    sensors: str = "state"
+    drives: str = "ideal"
+    period: float = 0.01
+    draws: int = 512
+    seed: int = SEED_OF_RESULTS
+    duration_s: float = 1.5
+
+    @cached_property
+    def declared_machine(self) -> Machine:
+        """Machine that controllers know: nominal parameters, with the converters and current limits of the drives."""
+        machine = as_machine(self.machine)
+        actuators = ACTUATOR_PRESETS[self.drives] if self.drives != "ideal" else None
+        return actuators.apply(machine) if actuators else machine
+
+    def scenario(self, part: str) -> Scenario:
+        """Return the simulated episodes of a part.
+
+        Args:
+            part: Name of the part, a key of `parts`.
+
+        Returns:
+            Machine, task, randomization, sensors, drives, period, number of episodes and seed.
+        """
+        machine, rules = as_machine(self.machine), RANDOMIZATION_PRESETS[self.randomize]
+        if self.undeclared_effects:
+            machine, rules = with_absent_effects(machine), (*rules, *effect_rules())
+        return Scenario(
+            machine,
+            self.parts[part],
+            rules if self.undeclared_effects else self.randomize,  # type: ignore[arg-type]
+            self.sensors,  # type: ignore[arg-type]
+            self.draws,
+            self.seed,
+            self.period,
+            self.duration_s,
+            self.drives,  # type: ignore[arg-type]
+        )
+
+    def declared_scenario(self, part: str) -> Scenario:
+        """Return what a controller knows about a part: the declared machine, task and period, and the full state.
+
+        Args:
+            part: Name of the part, a key of `parts`.
+
+        Returns:
+            Scenario for the design of a controller.
+        """
+        return dataclasses.replace(
+            self.scenario(part),
+            machine=self.declared_machine,
+            randomize=self.randomize,  # type: ignore[arg-type]
+            sensors="state",
+        )
+
+    def compute_digest(self) -> str:
+        """Compute the digest of the settings and of all draws; takes a second.
+
+        Returns:
+            Digest, equal to `digest` as long as the package gives the benchmark's draws.
+        """
+        settings = {
+            field.name: getattr(self, field.name)
+            for field in dataclasses.fields(self)
+            if field.name not in ("parts", "digest", "summary")
+        }
+        content: dict[str, Any] = {"settings": settings, "machine": machine_to_dict(self.declared_machine)}
+        for part, task in self.parts.items():
+            conditions = episode_conditions(self.scenario(part))
+            content[part] = [repr(task), machine_to_dict(conditions.machine), condition_digests(conditions)]
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+
+    def check(self) -> None:
+        """Check that this version of the package gives the benchmark's draws.
+
+        Raises:
+            InputError: If the digest differs.
+        """
+        digest = self.compute_digest()
+        if digest != self.digest:
+            raise InputError(
+                f"protocol {self.name}: the installed packages give other settings or draws (digest {digest}, not "
+                f"{self.digest}), so scores would not be comparable; install a release of hframe_gym with this protocol"
+            )
+
+
+def _track(path: str) -> Track:
+    """Return the task of a path, 50 mm wide, at 0.3 m/s."""
+    return Track(path=path, size=0.05, speed=0.3)
+
+
+PROTOCOLS: dict[str, Protocol] = {
+    protocol.name: protocol
+    for protocol in (
+        Protocol(
+            "reach-v1",
+            {"reach": Reach()},
+            "2cd343ef8e91485b",
+            "Move the tool to a point and keep it there; the masses, friction and belts of each draw are unknown.",
+        ),
+        Protocol(
+            "track-v1",
+            {path: _track(path) for path in ("circle", "square", "lissajous")},
+            "0183eb18afcc531c",
+            "Follow a path at 0.3 m/s; the masses, friction and belts of each draw are unknown.",
+        ),
+        Protocol(
+            "hard-v1",
+            {"reach": Reach(), "circle": _track("circle"), "square": _track("square")},
+            "ca92cbc61f7531fb",
+            "Moves and paths with a rig's sensors and drives, parameters far from the model's, and effects that the "
+            "model does not declare.",
+            randomize="wide",
+            undeclared_effects=True,
+            sensors="rig",
+            drives="rig",
+            seed=SEED_OF_HARD,
+        ),
+    )
+}
+
+
+def get_protocol(name: str) -> Protocol:
+    """Return a protocol by its name.
+
+    Args:
+        name: Name with the version, for example "reach-v1".
+
+    Returns:
+        The protocol.
+
+    Raises:
+        InputError: If there is no such protocol.
+    """
+    if name not in PROTOCOLS:
+        raise InputError(f"protocol {name!r} is unknown; choose one of {', '.join(PROTOCOLS)}")
+    return PROTOCOLS[name]
+
+
+class Entry(NamedTuple):
+    """What a result belongs to.
+
+    Attributes:
+        name: Name in results and on the leaderboard.
+        kind: "controller" (designed from the declared machine) or "agent" (learned).
+        sha256: Hash of the files that determine it: the agent's, or the source of the controller.
+    """
+
+    name: str
+    kind: str
+    sha256: str
+
+
+def run_protocol(name: str, protocol: Protocol) -> tuple[Entry, dict[str, Draws]]:
+    """Run a controller or an agent through all parts of a protocol.
+
+    Args:
+        name: Name as for `make_controller` (a registered controller, `module:name`, a shipped agent or an agent's
+            folder), or a folder with one agent per task in the folders `reach` and `track`.
+        protocol: The benchmark.
+
+    Returns:
+        entry: Name, kind and hash of what was scored.
+        draws: Values of each draw by part and metric, as `draw_values` returns them.
+
+    Raises:
+        InputError: If the name is unknown, the entry cannot run on the tasks, the simulated motion diverges, or the
+            installed packages give other draws than the benchmark's.
+    """
+    protocol.check()
+    load_plugins()
+    values, entries = {}, []
+    for part in protocol.parts:
+        entry, controller = make_entry(name, protocol, part)
+        entries.append(entry)
+        values[part] = draw_values(rollout(controller, protocol.scenario(part)))
+    hashes = dict.fromkeys(entry.sha256 for entry in entries)
+    if len(hashes) == 1:
+        return entries[0], values
+    # Shipped agents of several tasks share a name: the entry is the collection.
+    combined = hashlib.sha256("".join(hashes).encode()).hexdigest()
+    return Entry(entries[0].name, entries[0].kind, combined), values
+
+
+def make_entry(name: str, protocol: Protocol, part: str) -> tuple[Entry, Controller]:
+    """Create the controller of an entry for a part of a protocol.
+
+    A controller is designed from the declared machine. Where the protocol observes sensors, a controller that needs the
+    full state, and an agent that was trained on it, receives the estimates of a `StateEstimator` of the declared
+    machine.
+
+    Args:
+        name: Name as for `make_controller`, or a folder with one agent per task in the folders `reach` and `track`.
+        protocol: The benchmark.
+        part: Name of the part.
+
+    Returns:
+        entry: Name, kind and hash of the entry.
+        controller: The controller, for all draws at once.
+
+    Raises:
+        InputError: If the name is unknown or the entry cannot run on the task.
+    """
+    scenario = protocol.declared_scenario(part)
+    collection, folder = name, Path(name) / scenario.task_name
+    name = str(folder) if folder.is_dir() else name
+    controller = make_controller(name, scenario)
+    sources = (CONTROLLER_SOURCES.get(source).files(name, scenario) for source in CONTROLLER_SOURCES)
+    files = next(filter(None, sources), None)
+    entry = _controller_entry(name, controller)
+    if files:
+        entry = Entry(Path(collection).name if folder.is_dir() else files.name, "agent", _hash(files.files))
+    needs_state = files.sensors == "state" if files else controller.feedback != "observation"
+    observed = observed_machine(protocol.declared_machine, protocol.sensors)  # type: ignore[arg-type]
+    if observed is not None and needs_state:
+        controller = OutputFeedbackController(controller, StateEstimator(observed, protocol.period))
+    return entry, controller
+
+
+def _controller_entry(name: str, controller: Controller) -> Entry:
+    """Return the entry of a controller without files: the modules of its package that it uses identify it."""
+    found: dict[str, Path] = {}
+    modules = [inspect.getmodule(type(controller))]
+    while modules:
+        module = modules.pop()
+        if module is None or module.__name__ in found:
+            continue
+        found[module.__name__] = Path(inspect.getfile(module))
+        used = {str(getattr(value, "__module__", "")) for value in vars(module).values()} & set(sys.modules)
+        others = (sys.modules[name] for name in sorted(used))
+        modules += [other for other in others if other.__package__ and other.__package__ == module.__package__]
+    return Entry(name, "controller", _hash(tuple(found[module_name] for module_name in sorted(found))))
+
+
+def _hash(files: tuple[Path, ...]) -> str:
+    """Return the SHA-256 of the contents of files, in order."""
+    digest = hashlib.sha256()
+    for file in files:
+        digest.update(file.read_bytes())
+    return digest.hexdigest()
+
+
+def draw_values(episodes: Episodes) -> Draws:
+    """Compute the values of each draw from which scores follow.
+
+    Args:
+        episodes: B recorded episodes of a part.
+
+    Returns:
+        Lists of B values by metric, rounded to `DECIMALS`. Moves to a point: `settling_s.BAND`, the settling time for
+        each band of `BANDS`, s, None if the draw does not settle, and `final_error_mm`. Paths: `contour_rms_mm`,
+        `contour_max_mm`, `tracking_rms_mm`.
+    """
+    if episodes.contour is None:
+        values: Draws = {}
+        for band, radius in BANDS.items():
+            times, success = settling_times(episodes.goal_error, episodes.time_s, radius)
+            pairs = zip(times.tolist(), success.tolist(), strict=True)
+            values[f"settling_s.{band}"] = [round(time, DECIMALS) if settled else None for time, settled in pairs]
+        return values | {"final_error_mm": _rounded(1e3 * episodes.goal_error[:, -1])}
+    return {
+        "contour_rms_mm": _rounded(1e3 * np.sqrt(np.mean(episodes.contour**2, axis=1))),
+        "contour_max_mm": _rounded(1e3 * episodes.contour.max(axis=1)),
+        "tracking_rms_mm": _rounded(1e3 * np.sqrt(np.mean(episodes.goal_error**2, axis=1))),
+    }
+
+
+def _rounded(values: Array) -> list[float | None]:
+    """Return values (B,) rounded to `DECIMALS`."""
+    return [round(value, DECIMALS) for value in values.tolist()]

@@ -1,0 +1,223 @@
+"""Effects that act on the simulated machine and that no controller's model declares, drawn anew for every episode.
+
+The simulated machine has every effect of `EFFECT_FAMILIES` at every site listed there, each without influence: with the
+amplitude zero, or a limit so far away that nothing reaches it. Randomization rules then switch on a few of them. An
+effect is on with probability `EXPECTED_EFFECTS` / (number of families * number of its sites), independently of the
+others, so that a family is on with the same probability as any other, and an episode has two effects on average (13 %
+of the episodes have none). The size of an effect that is on is log-uniform from `SMALLEST_SIZE` to 1 times its full
+size, which is what a used machine may plausibly have. Further parameters (wavelengths, phases) have the distributions
+of the table.
+
+Left out are effects that change the machine's structure (`bridge_yaw`, `idler_inertia`, `frame_resonance`), those that
+replace its friction law (`presliding`, `bouc_wen_hysteresis`), and those of the sensors' scale, skew and range, because
+they move the measured goal: no controller could then reach the true one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..effects import EFFECTS
+from ..envs import DISTRIBUTIONS, Distribution, LogUniform, RandomizeParameter, Uniform
+from ..errors import InputError
+from ..machine import Machine
+
+Array = NDArray[np.float64]
+EXPECTED_EFFECTS = 2.0  # mean number of effects in an episode
+SMALLEST_SIZE = 0.2  # of the full size
+NO_SLACK_N = 1e5  # N, a pretension that no belt force reaches
+
+
+@DISTRIBUTIONS.register("sometimes")
+@dataclass(frozen=True)
+class Sometimes(Distribution):
+    """A log-uniform number on [low, high] with a given probability, and otherwise a constant.
+
+    Args:
+        probability: Probability of the log-uniform number, above 0 and at most 1.
+        low: Lower end, positive.
+        high: Upper end, finite, not below `low`.
+        otherwise: The constant, outside (low, high).
+        signed: Whether the number is negative in half of the cases; `otherwise` must then be 0.
+
+    Raises:
+        InputError: If an argument is invalid.
+    """
+
+    probability: float
+    low: float
+    high: float
+    otherwise: float = 0.0
+    signed: bool = False
+    bounded = True
+
+    def __post_init__(self) -> None:
+        LogUniform(self.low, self.high)  # checks the ends
+        outside = not self.low < self.otherwise < self.high
+        if not (0.0 < self.probability <= 1.0 and outside and (self.otherwise == 0.0 or not self.signed)):
+            raise InputError(f"randomize: the distribution {self} has an invalid probability, constant or sign")
+
+    def quantile(self, u: Array) -> Array:
+        """Compute quantiles, in ascending order of the numbers: the negative ones, the constant, the positive ones.
+
+        Args:
+            u: Probabilities in (0, 1), shape (k,).
+
+        Returns:
+            Values of the distribution, shape (k,).
+        """
+        size = LogUniform(self.low, self.high)
+        below = self.probability if self.otherwise >= self.high else 0.5 * self.probability * self.signed
+        above = self.probability - below
+        values = np.full(np.shape(u), float(self.otherwise))
+        smaller, larger = u < below, u > 1.0 - above
+        if self.signed:
+            values[smaller] = -size.quantile(1.0 - u[smaller] / below)
+        elif below:
+            values[smaller] = size.quantile(u[smaller] / below)
+        if above:
+            values[larger] = size.quantile((u[larger] - (1.0 - above)) / above)
+        return values
+
+
+@dataclass(frozen=True)
+class EffectFamily:
+    """An effect of the library that may act at some sites, and the distributions of its parameters.
+
+    Attributes:
+        name: Name of the effect in the library.
+        size: Name of the parameter that is the effect's size.
+        ranges: Smallest and largest size of an effect that is on, SI, by site.
+        signed: Whether the size is negative in half of the cases.
+        absent: Size without influence, SI.
+        others: Distributions of the other parameters, by name; `rotary` has those of the sites phi1 and phi2.
+        rotary: Distributions of the other parameters at the sites phi1 and phi2, if they differ.
+        fixed: Values of parameters that do not vary, SI, by name.
+    """
+
+    name: str
+    size: str
+    ranges: Mapping[str, tuple[float, float]]
+    signed: bool = False
+    absent: float = 0.0
+    others: Mapping[str, Distribution] = field(default_factory=dict)
+    rotary: Mapping[str, Distribution] = field(default_factory=dict)
+    fixed: Mapping[str, float] = field(default_factory=dict)
+
+    def distributions(self, site: str) -> Mapping[str, Distribution]:
+        """Return the distributions of the other parameters at a site.
+
+        Args:
+            site: One of the sites of the family.
+
+        Returns:
+            Distributions by name of the parameter.
+        """
+        return self.rotary if self.rotary and site.startswith("phi") else self.others
+
+
+def _up_to(**full: float) -> dict[str, tuple[float, float]]:
+    """Return the ranges of sizes by site, from the full sizes."""
+    return {site: (SMALLEST_SIZE * size, size) for site, size in full.items()}
+
+
+_PHASE = Uniform(0.0, 2.0 * math.pi)
+EFFECT_FAMILIES: tuple[EffectFamily, ...] = (
+    EffectFamily(
+        "stribeck_friction",
+        "dF",
+        _up_to(x=3.0, y=0.8, phi1=0.03, phi2=0.03),
+        others={"vs": LogUniform(0.02, 0.08)},
+        rotary={"vs": LogUniform(1.5, 4.0)},
+    ),
+    EffectFamily("asymmetric_viscous", "a", _up_to(x=0.3, y=0.3, phi1=0.3, phi2=0.3), signed=True),
+    EffectFamily(
+        "position_friction",
+        "A",
+        _up_to(x=1.2, y=0.3, phi1=0.03, phi2=0.03),
+        others={"L": LogUniform(0.02, 0.15), "p": _PHASE},
+        rotary={"L": LogUniform(1.0, 6.28), "p": _PHASE},
+    ),
+    EffectFamily("friction_slope", "s", _up_to(x=5.0, y=1.5), signed=True),
+    EffectFamily("dahl_hysteresis", "F", _up_to(x=4.0, y=1.2), others={"L": LogUniform(2e-3, 1e-2)}),
+    EffectFamily("constant_force", "size", _up_to(x=0.8, y=0.8), signed=True),
+    EffectFamily("quadratic_drag", "c", _up_to(x=40.0, y=40.0)),
+    EffectFamily("cable_spring", "k", _up_to(x=20.0, y=20.0), others={"q0": Uniform(-0.1, 0.1)}),
+    EffectFamily("cogging", "A", _up_to(motor1=0.03, motor2=0.03), others={"n": LogUniform(4.0, 40.0), "p": _PHASE}),
+    EffectFamily("eccentric_pulley", "e", _up_to(motor1=0.2e-3, motor2=0.2e-3), others={"p": _PHASE}),
+    EffectFamily("voltage_offset", "V0", _up_to(motor1=0.35, motor2=0.35), signed=True),
+    EffectFamily("gain_mismatch", "g", _up_to(motor1=0.1, motor2=0.1), signed=True),
+    EffectFamily("dead_band", "Vd", _up_to(drives=0.4), fixed={"drop": 1.0}),
+    EffectFamily(
+        "current_limit", "I", {"motor1": (5.0, 11.0), "motor2": (5.0, 11.0)}, absent=12.0
+    ),  # A; absent: that of the drives "rig"
+    EffectFamily("electrical_lag", "tau", _up_to(drives=1.5e-3)),
+    EffectFamily("input_delay", "d", _up_to(drives=2e-3)),
+    EffectFamily("belt_play", "d", _up_to(belts=0.2e-3)),
+    EffectFamily("belt_damping", "c", _up_to(belts=1e-3)),
+    EffectFamily("belt_slack", "T0", {"belts": (12.0, 36.0)}, absent=NO_SLACK_N),  # N; a motor pulls with 79 N at 8 V
+    EffectFamily("belt_hardening", "h", _up_to(belts=5e4)),
+    EffectFamily("sensor_delay", "d", _up_to(x_m=2e-3, y_m=2e-3)),
+)
+
+
+def with_absent_effects(machine: Machine) -> Machine:
+    """Add all effects of `EFFECT_FAMILIES` to a machine, without influence.
+
+    Args:
+        machine: The H-frame as its controllers know it.
+
+    Returns:
+        Copy with the effects, which moves as the machine does until `effect_rules` switch effects on.
+    """
+    effects = []
+    for family in EFFECT_FAMILIES:
+        for site in family.ranges:
+            middle = {
+                name: round(float(distribution.quantile(np.array([0.5]))[0]), 6)
+                for name, distribution in family.distributions(site).items()
+            }
+            effects.append(EFFECTS[family.name].at(site, **{family.size: family.absent}, **middle, **family.fixed))
+    return machine.with_effects(*effects)
+
+
+def effect_rules() -> tuple[RandomizeParameter, ...]:
+    """Return the randomization rules that switch effects on, for a machine of `with_absent_effects`.
+
+    Returns:
+        One rule per parameter: of a size `Sometimes`, of any other parameter its distribution.
+    """
+    rules = []
+    for family in EFFECT_FAMILIES:
+        probability = EXPECTED_EFFECTS / (len(EFFECT_FAMILIES) * len(family.ranges))
+        for site, (low, high) in family.ranges.items():
+            label = f"{family.name}@{site}"
+            size = Sometimes(probability, low, high, family.absent, family.signed)
+            rules.append(RandomizeParameter(f"{label}.{family.size}", size, how="set"))
+            for name, distribution in family.distributions(site).items():
+                rules.append(RandomizeParameter(f"{label}.{name}", distribution, how="set"))
+    return tuple(rules)
+
+
+def acting_effects(machine: Machine, parameters: Array) -> Machine:
+    """Set the sampled parameters of an episode and remove its effects without influence.
+
+    Args:
+        machine: Machine of the environment, with the effects of `with_absent_effects`.
+        parameters: Values of `Machine.parameters` in the episode, SI, shape (P,).
+
+    Returns:
+        Machine of the episode, which moves as the environment's does.
+    """
+    values = dict(zip(machine.parameters, np.asarray(parameters, np.float64).tolist(), strict=True))
+    sampled = machine.replace(values)
+    absent = {f"{f.name}@{site}": f"{f.name}@{site}.{f.size}" for f in EFFECT_FAMILIES for site in f.ranges}
+    # The current limit of the drives acts in every episode.
+    limits = {family.name: family.absent for family in EFFECT_FAMILIES if family.name != "current_limit"}
+    kept = tuple(e for e in sampled.effects if e.name not in limits or values[absent[e.label]] != limits[e.name])
+    return sampled.replace(effects=kept)

@@ -1,0 +1,274 @@
+"""Tests of the protocols: frozen draws, undeclared effects, result files and their validation."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hframe_gym.controllers import CONTROLLERS, Controller
+from hframe_gym.envs import HFrameVectorEnv, LogUniform
+from hframe_gym.errors import InputError
+from hframe_gym.evaluation import (
+    EFFECT_FAMILIES,
+    PROTOCOLS,
+    Entry,
+    Protocol,
+    acting_effects,
+    episode_conditions,
+    filled,
+    get_protocol,
+    over,
+    protocol_bounds,
+    protocols,
+    read_result,
+    result_content,
+    run_protocol,
+    with_absent_effects,
+    write_result,
+)
+from hframe_gym.evaluation.undeclared_effects import EXPECTED_EFFECTS, SMALLEST_SIZE, Sometimes
+from hframe_gym.machine import BUILTIN_MACHINES
+from tools.leaderboard import leaderboard_page, protocol_section
+
+pytestmark = pytest.mark.integration
+
+HFRAME = BUILTIN_MACHINES["hframe"]()
+
+
+def small(name: str, draws: int = 4, duration_s: float = 0.3) -> Protocol:
+    """Return a short version of a protocol with the digest of its draws."""
+    protocol = dataclasses.replace(PROTOCOLS[name], draws=draws, duration_s=duration_s)
+    return dataclasses.replace(protocol, digest=protocol.compute_digest())
+
+
+@pytest.fixture
+def short(monkeypatch: pytest.MonkeyPatch) -> Protocol:
+    """Return a short reach-v1 that has taken the place of the protocol of this name."""
+    protocol = small("reach-v1")
+    monkeypatch.setitem(PROTOCOLS, "reach-v1", protocol)
+    return protocol
+
+
+@pytest.mark.parametrize("name", PROTOCOLS)
+def test_the_draws_of_a_protocol_never_change(name: str) -> None:
+    """A failure means that scores are no longer comparable: add a new version, do not change the digest."""
+    PROTOCOLS[name].check()
+
+
+def test_a_changed_setting_changes_the_digest_and_is_refused() -> None:
+    protocol = small("reach-v1")
+    for change in ({"seed": 7}, {"period": 0.005}, {"randomize": "wide"}, {"drives": "rig"}):
+        changed = dataclasses.replace(protocol, **change)  # type: ignore[arg-type]
+        assert changed.compute_digest() != protocol.digest
+        with pytest.raises(InputError, match="would not be comparable"):
+            run_protocol("pid", changed)
+
+
+def test_the_protocols_of_the_issue_have_512_draws_that_do_not_overlap() -> None:
+    assert list(PROTOCOLS) == ["reach-v1", "track-v1", "hard-v1"]
+    assert all(p.draws == 512 for p in PROTOCOLS.values())
+    assert PROTOCOLS["hard-v1"].seed > PROTOCOLS["reach-v1"].seed + 512
+    with pytest.raises(InputError, match="choose one of reach-v1, track-v1, hard-v1"):
+        get_protocol("reach-v2")
+
+
+def test_two_runs_give_the_same_bytes(tmp_path: Path) -> None:
+    protocol = small("reach-v1")
+    first, second = (
+        write_result(tmp_path / folder, result_content(protocol, *run_protocol("textbook-pid", protocol)))
+        for folder in ("a", "b")
+    )
+    assert first.name == "reach-v1_textbook-pid.json"
+    assert first.read_bytes() == second.read_bytes()
+
+
+def test_absent_effects_do_not_change_the_motion() -> None:
+    """Only the order of floating-point operations and the integration of delays differ."""
+    rng = np.random.default_rng(0)
+    envs = [HFrameVectorEnv(8, machine=m, drives="rig") for m in (HFRAME, with_absent_effects(HFRAME))]
+    for env in envs:
+        env.reset(seed=5)
+    for _ in range(15):
+        actions = rng.uniform(-1.0, 1.0, (8, 2))
+        for env in envs:
+            env.step(actions)
+    tools = [env.batch.simulator.tools() for env in envs]
+    np.testing.assert_allclose(tools[1], tools[0], atol=2e-6)
+
+
+def test_hard_draws_two_effects_on_average_with_sizes_in_their_ranges() -> None:
+    protocol = PROTOCOLS["hard-v1"]
+    conditions = episode_conditions(protocol.scenario("reach"))
+    families = {family.name: family for family in EFFECT_FAMILIES}
+    counts, seen = [], set()
+    for row in conditions.parameters:
+        machine = acting_effects(conditions.machine, row)
+        acting = [e for e in machine.effects if e.name != "current_limit" or e.parameters["I"] < 12.0]
+        counts.append(len(acting))
+        for effect in acting:
+            family = families[effect.name]
+            low, high = family.ranges[effect.site]
+            size = effect.parameters[family.size]
+            assert low <= abs(size) <= high
+            assert size > 0.0 or family.signed
+            seen.add(effect.name)
+    assert seen == set(families)
+    assert np.mean(counts) == pytest.approx(EXPECTED_EFFECTS, abs=3.0 * np.sqrt(EXPECTED_EFFECTS / 512))
+    assert protocol.declared_machine.effects
+    assert {e.name for e in protocol.declared_machine.effects} == {"current_limit"}
+
+
+def test_acting_effects_move_as_the_environment() -> None:
+    """The machine with the acting effects alone is the one that the bound is computed for."""
+    protocol = small("hard-v1", draws=12)
+    scenario = protocol.scenario("reach")
+    conditions = episode_conditions(scenario)
+    env = HFrameVectorEnv(12, machine=scenario.machine, randomize=scenario.randomize, drives="rig")
+    env.reset(seed=scenario.seed)
+    actions = np.random.default_rng(1).uniform(-0.5, 0.5, (12, 12, 2))
+    for action in actions:
+        env.step(action)
+    draw = next(
+        b for b, row in enumerate(conditions.parameters) if len(acting_effects(conditions.machine, row).effects) > 2
+    )
+    single = HFrameVectorEnv(
+        1, machine=acting_effects(conditions.machine, conditions.parameters[draw]), drives="machine"
+    )
+    single.reset(seed=0, options={"start": conditions.start[draw], "target": conditions.goal[draw]})
+    for action in actions:
+        single.step(action[draw : draw + 1])
+    np.testing.assert_allclose(single.batch.simulator.tools()[0], env.batch.simulator.tools()[draw], atol=5e-6)
+
+
+def test_sometimes_is_a_log_uniform_number_with_the_given_probability() -> None:
+    u = (np.arange(10_000) + 0.5) / 10_000
+    values = Sometimes(0.2, 1.0, 3.0, signed=True).quantile(u)
+    assert np.all(np.diff(values) >= 0.0)
+    assert np.mean(values != 0.0) == pytest.approx(0.2, abs=1e-3)
+    np.testing.assert_allclose(np.sort(-values[values < 0.0]), values[values > 0.0], rtol=1e-2)
+    limit = Sometimes(0.5, 5.0, 11.0, otherwise=12.0).quantile(u)
+    np.testing.assert_allclose(limit[: len(u) // 2], LogUniform(5.0, 11.0).quantile(u[: len(u) // 2] / 0.5))
+    assert np.all(limit[len(u) // 2 :] == 12.0)
+    for arguments in ((0.0, 1.0, 2.0), (0.5, 1.0, 3.0, 2.0), (0.5, 1.0, 2.0, 3.0, True), (0.5, 2.0, 1.0)):
+        with pytest.raises(InputError):
+            Sometimes(*arguments)
+    assert 0.0 < SMALLEST_SIZE < 1.0
+
+
+@CONTROLLERS.register("first-measurement")
+class _FirstMeasurement(Controller):
+    """Zero voltage; records the width of the observation."""
+
+    feedback = "estimated_state"
+    widths: list[Any] = []  # noqa: RUF012
+
+    def act(self, observation: Mapping[str, Any]) -> Any:
+        self.widths.append(np.array(observation["observation"][0]))
+        return np.zeros((len(observation["observation"]), 2))
+
+
+def test_controllers_of_the_full_state_get_estimates_in_hard() -> None:
+    _FirstMeasurement.widths.clear()
+    protocol = dataclasses.replace(
+        small("hard-v1", draws=2, duration_s=0.02), parts={"reach": PROTOCOLS["hard-v1"].parts["reach"]}
+    )
+    entry, _ = run_protocol("first-measurement", dataclasses.replace(protocol, digest=protocol.compute_digest()))
+    assert entry.kind == "controller"
+    assert len(_FirstMeasurement.widths) == 2
+    assert len(_FirstMeasurement.widths[0]) == 8  # positions and velocities of x, y and both motors
+
+
+def test_agents_are_identified_by_their_files() -> None:
+    pytest.importorskip("stable_baselines3")
+    pytest.importorskip("hframe_gym.agents")
+    protocol = small("reach-v1")
+    first, controller = protocols.make_entry("ppo", protocol, "reach")
+    second, _ = protocols.make_entry("ppo-seed1", protocol, "reach")
+    assert (first.name, first.kind, second.name) == ("ppo-seed0", "agent", "ppo-seed1")
+    assert first.sha256 != second.sha256
+    assert controller.period == protocol.period
+
+
+@pytest.fixture
+def content(short: Protocol) -> dict[str, Any]:
+    """Return the content of a valid result file of the short protocol."""
+    times: list[float | None] = [0.1, 0.2, None, 0.3]
+    values: dict[str, list[float | None]] = {f"settling_s.{band}": times for band in ("1mm", "0.2mm", "0.05mm")}
+    return result_content(short, Entry("mine", "agent", "a" * 64), {"reach": values | {"final_error_mm": [0.1] * 4}})
+
+
+def test_scores_follow_from_the_draws(content: dict[str, Any], tmp_path: Path) -> None:
+    score = content["scores"]["reach"]["settling_s.0.2mm"]
+    assert score["success"] == 0.75
+    assert score["mean"] == pytest.approx((0.1 + 0.2 + 0.3 + 0.3) / 4)  # a failure counts the length of the episode
+    result = read_result(write_result(tmp_path, content))
+    assert result.entry.name == "mine"
+    assert filled(result.draws["reach"]["settling_s.0.2mm"], 0.3).tolist() == [0.1, 0.2, 0.3, 0.3]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda c: c["scores"]["reach"]["settling_s.0.2mm"].update(mean=0.05), "do not follow from the draws"),
+        (lambda c: c["draws"]["reach"]["settling_s.1mm"].pop(), "must hold 4 values"),
+        (lambda c: c["draws"]["reach"].pop("final_error_mm"), "not settling_s.1mm"),
+        (lambda c: c.update(digest="0" * 16), "other draws"),
+        (lambda c: c.update(protocol="reach-v9"), "choose one of reach-v1"),
+        (lambda c: c.update(rank=1), "rank: Extra inputs"),
+        (lambda c: c["entry"].update(sha256="abc"), "entry.sha256"),
+        (lambda c: c["draws"]["reach"].update(final_error_mm=[None] * 4), "null only for a settling time"),
+    ],
+)
+def test_a_file_that_is_not_valid_is_refused_by_name(
+    content: dict[str, Any], change: Any, message: str, tmp_path: Path
+) -> None:
+    content = json.loads(json.dumps(content))
+    change(content)
+    path = write_result(tmp_path, content) if "reach" in content["draws"] else tmp_path / "x.json"
+    with pytest.raises(InputError, match=message) as error:
+        read_result(path)
+    assert str(error.value).startswith(str(path))
+
+
+def test_the_leaderboard_ranks_entries_and_compares_them_draw_by_draw(
+    content: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tools.leaderboard.protocol_bounds", lambda name: {})  # the stored ones are of other draws
+    slower = json.loads(json.dumps(content)) | {"entry": {"name": "pid", "kind": "controller", "sha256": "b" * 64}}
+    entries = []
+    for entry, factor in ((slower, 2.0), (content, 1.0)):
+        values = {m: [None if v is None else factor * v for v in c] for m, c in entry["draws"]["reach"].items()}
+        whole = result_content(PROTOCOLS["reach-v1"], Entry(**entry["entry"]), {"reach": values})
+        entries.append(read_result(write_result(tmp_path, whole)))
+    text = protocol_section("reach-v1", entries)
+    rows = text.splitlines()[4:]
+    assert rows[0].startswith("| `mine` (agent) aaaaaaaa | 75.0 %")
+    assert rows[1].startswith("| `pid` bbbbbbbb |")
+    assert rows[1].endswith("| 1 |")
+    page = leaderboard_page("a\n<!-- leaderboard: reach-v1 -->\nold\n<!-- end -->\nb", entries)
+    assert "old" not in page
+    assert text in page
+    assert protocol_section("hard-v1", entries) == "No results yet."
+
+
+def test_ratios_use_the_draws_with_a_known_bound() -> None:
+    ratio = over(np.array([2.0, 4.0, 100.0]), np.array([1.0, 2.0, np.nan]))
+    assert ratio is not None
+    assert (ratio["mean"], ratio["draws"]) == (2.0, 2)
+    assert over(np.ones(2), np.full(2, np.nan)) is None
+
+
+def test_stored_bounds_belong_to_the_draws() -> None:
+    protocol_bounds.cache_clear()
+    for name in PROTOCOLS:
+        bounds = protocol_bounds(name)
+        assert bool(bounds) == ("reach" in PROTOCOLS[name].parts)
+        if bounds:
+            both = np.isfinite(bounds["held"])
+            assert np.all(bounds["held"][both] >= bounds["free"][both] - 1e-4)

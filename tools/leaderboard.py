@@ -1,0 +1,185 @@
+"""Tables of docs/leaderboard.md and docs/bound.md from benchmarks/leaderboard and the stored bounds.
+
+Every file is validated; one that is not valid stops the generation. In each part of a protocol the entries are sorted
+by their mean, and compared draw by draw with the best controller that is not learned.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.results_file import ROOT
+from hframe_gym.evaluation import (
+    EFFECT_FAMILIES,
+    PROTOCOLS,
+    ResultFile,
+    filled,
+    get_protocol,
+    over,
+    protocol_bounds,
+    read_result,
+)
+
+FOLDER = ROOT / "benchmarks" / "leaderboard"
+PAGES = (ROOT / "docs" / "leaderboard.md", ROOT / "docs" / "bound.md")
+BANDS = ("1mm", "0.2mm", "0.05mm")
+Array = NDArray[np.float64]
+
+
+def results(folder: Path = FOLDER) -> list[ResultFile]:
+    """Read all result files of a folder.
+
+    Args:
+        folder: Folder with one JSON file per protocol and entry.
+
+    Returns:
+        The results, sorted by the name of the file.
+    """
+    return [read_result(path) for path in sorted(folder.glob("*.json"))]
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Format a Markdown table whose columns are aligned right, except for the first.
+
+    Args:
+        header: Titles of the columns.
+        rows: Cells of the rows.
+
+    Returns:
+        The table as lines of text.
+    """
+    return "\n".join(f"| {' | '.join(line)} |" for line in (header, ["---", *["---:"] * (len(header) - 1)], *rows))
+
+
+def protocol_section(name: str, entries: Sequence[ResultFile]) -> str:
+    """Format the tables of a protocol, one per part.
+
+    Args:
+        name: Name of the protocol.
+        entries: Results of any protocols.
+
+    Returns:
+        Markdown text.
+    """
+    protocol = get_protocol(name)
+    of_protocol = [entry for entry in entries if entry.protocol == name]
+    if not of_protocol:
+        return "No results yet."
+    texts = []
+    for part, task in protocol.parts.items():
+        metric = "settling_s.0.2mm" if task.metrics == "reach" else "contour_rms_mm"
+        values = {id(e): filled(e.draws[part][metric], protocol.duration_s) for e in of_protocol}
+        ranked = sorted(of_protocol, key=lambda e: float(values[id(e)].mean()))
+        best = next((e for e in ranked if e.entry.kind == "controller"), None)
+        bounds = protocol_bounds(name) if task.metrics == "reach" else {}
+        bounds = {kind: times for kind, times in bounds.items() if np.isfinite(times).any()}
+        rows = []
+        for entry in ranked:
+            against = _ratio(over(values[id(entry)], values[id(best)])) if best and best is not entry else "1"
+            cells = _move_cells(entry, part, values[id(entry)], bounds) if bounds or task.metrics == "reach" else []
+            rows.append([_name(entry), *(cells or _path_cells(entry, part)), against])
+        reference = f"over {best.entry.name}" if best else "over the best controller"
+        header = _move_header(bounds) if task.metrics == "reach" else ["contour error, rms, mm", "maximum, mm"]
+        texts.append(f"**{part}**\n\n{table(['entry', *header, reference], rows)}")
+    return "\n\n".join(texts)
+
+
+def _name(entry: ResultFile) -> str:
+    """Return name, kind and first digits of the hash."""
+    return f"`{entry.entry.name}`{' (agent)' if entry.entry.kind == 'agent' else ''} {entry.entry.sha256[:8]}"
+
+
+def _move_header(bounds: Mapping[str, Array]) -> list[str]:
+    """Return the titles of the columns of moves."""
+    known = {kind: int(np.isfinite(times).sum()) for kind, times in bounds.items()}
+    titles = {"free": "over the bound", "held": "over the 10 ms bound"}
+    return [
+        *(f"within {band.replace('mm', ' mm')}" for band in BANDS),
+        "until 0.2 mm, s",
+        *(f"{titles[kind]} ({count} draws)" for kind, count in known.items()),
+    ]
+
+
+def _move_cells(entry: ResultFile, part: str, times: Array, bounds: Mapping[str, Array]) -> list[str]:
+    """Return the cells of an entry in a part of moves."""
+    scores = entry.scores[part]
+    success = [f"{100 * scores[f'settling_s.{band}']['success']:.1f} %" for band in BANDS]
+    return [*success, _mean(scores["settling_s.0.2mm"]), *(_ratio(over(times, bound)) for bound in bounds.values())]
+
+
+def _path_cells(entry: ResultFile, part: str) -> list[str]:
+    """Return the cells of an entry in a part with a path."""
+    return [_mean(entry.scores[part][metric], 4) for metric in ("contour_rms_mm", "contour_max_mm")]
+
+
+def _mean(score: Mapping[str, Any], digits: int = 3) -> str:
+    """Format a mean with its interval."""
+    low, high = score["ci95"]
+    return f"{score['mean']:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})"
+
+
+def _ratio(ratio: Mapping[str, Any] | None) -> str:
+    """Format a ratio with its interval."""
+    return "" if ratio is None else _mean(ratio)
+
+
+def bounds_table() -> str:
+    """Format the bounds of the protocols with free and with held voltages.
+
+    Returns:
+        Markdown table: protocol, draws with both bounds, their means, and the ratio with its interval.
+    """
+    rows = []
+    for name in PROTOCOLS:
+        bounds = protocol_bounds(name)
+        both = np.isfinite(bounds["free"] + bounds["held"]) if bounds else np.zeros(0, np.bool_)
+        if both.any():
+            free, held = bounds["free"][both], bounds["held"][both]
+            ratio = over(held, free)
+            means = (f"{1e3 * times.mean():.1f}" for times in (free, held))
+            rows.append([f"`{name}`", f"{len(free)} of {len(both)}", *means, _ratio(ratio)])
+    return table(["protocol", "draws with both", "free voltages, ms", "held over 10 ms, ms", "ratio of means"], rows)
+
+
+def effects_table() -> str:
+    """Format the distribution of the undeclared effects of hard-v1.
+
+    Returns:
+        Markdown table: effect, sites with the range of the size, other parameters.
+    """
+    rows = []
+    for family in EFFECT_FAMILIES:
+        sites: dict[tuple[float, float], list[str]] = {}
+        for site, limits in family.ranges.items():
+            sites.setdefault(limits, []).append(site)
+        sign = "+-" if family.signed else ""
+        sizes = "; ".join(f"{', '.join(names)}: {sign}{low:.3g} to {high:.3g}" for (low, high), names in sites.items())
+        others = ", ".join([*family.others, *(f"{name} = {value:g}" for name, value in family.fixed.items())])
+        rows.append([f"[`{family.name}`](effects.md#{family.name})", family.size, sizes, others or "none"])
+    return table(["effect", "size", "sites and range, SI", "other parameters"], rows)
+
+
+def leaderboard_page(text: str, entries: Sequence[ResultFile]) -> str:
+    """Replace the tables of a page.
+
+    Args:
+        text: Page as it is.
+        entries: All results.
+
+    Returns:
+        Page with the tables between `<!-- leaderboard: NAME -->` and `<!-- end -->` written anew.
+    """
+
+    def section(match: re.Match[str]) -> str:
+        name = match[1]
+        tables = {"effects": effects_table, "bounds": bounds_table}
+        content = tables[name]() if name in tables else protocol_section(name, entries)
+        return f"<!-- leaderboard: {name} -->\n{content}\n<!-- end -->"
+
+    return re.sub(r"<!-- leaderboard: ([\w-]+) -->.*?<!-- end -->", section, text, flags=re.DOTALL)
