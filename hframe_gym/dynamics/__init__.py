@@ -3,7 +3,7 @@
 from .belts import BeltState
 from .equations import Equations, ForceBalance
 from .kernel import Kernel, cache_folder, in_blocks, kernel_for, kernel_source_text, share_kernel
-from .linearization import StateSpace, linearize, mode_frequencies, stiffness_matrix
+from .linearization import StateSpace, linearize, matrix_exponential, mode_frequencies, stiffness_matrix
 from .motion_forces import (
     belt_forces,
     belt_states,
@@ -37,6 +37,7 @@ __all__ = [
     "kernel_for",
     "kernel_source_text",
     "linearize",
+    "matrix_exponential",
     "mode_frequencies",
     "net_forces",
     "rollout",
