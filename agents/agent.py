@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..atomic_files import atomic_file, write_text
+from ..atomic_files import atomic_file, output_batch, write_text
 from ..controllers import Controller
 from ..envs import action_space, observation_space
 from ..errors import InputError
+from ..locked_folders import complete_commit
 from ..machine import Machine
 from ..recordings import load_machine, save_machine
 from .agent_files import read_card
@@ -167,7 +168,7 @@ class Agent(Controller):
     def save(self, folder: str | Path) -> None:
         """Write weights, description and machine to policy.safetensors, agent.json and machine.json.
 
-        Each file is replaced only when its new version is complete.
+        The three files are replaced together when they are complete.
 
         Args:
             folder: Folder for the files, which is created if necessary.
@@ -179,11 +180,12 @@ class Agent(Controller):
         state = self.policy.state_dict()
         # The critics estimate returns and are needed for training only.
         weights = {name: value.contiguous() for name, value in state.items() if not name.startswith(CRITIC_PREFIXES)}
-        with atomic_file(Path(folder) / "policy.safetensors") as temporary:
-            safetensors.save_file(weights, temporary)
-        save_machine(self.machine, Path(folder) / "machine.json")
         contents = {key: self.card[key] for key in AGENT_KEYS}
-        write_text(Path(folder) / "agent.json", json.dumps(contents, indent=1) + "\n")
+        with output_batch(folder):
+            with atomic_file(Path(folder) / "policy.safetensors") as file:
+                file.write(safetensors.save(weights))
+            save_machine(self.machine, Path(folder) / "machine.json")
+            write_text(Path(folder) / "agent.json", json.dumps(contents, indent=1) + "\n")
 
     @classmethod
     def load(cls, folder: str | Path) -> Agent:
@@ -200,6 +202,7 @@ class Agent(Controller):
             ImportError: If the extra `agents` is not installed.
         """
         path = Path(folder)
+        complete_commit(path)
         card = read_card(path, SCHEMA, AGENT_FILES)
         machine = load_machine(path / "machine.json")
         algorithm = import_optional("stable_baselines3.sac" if card["kind"] == "sac" else "stable_baselines3.ppo")

@@ -25,6 +25,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.ppo import MultiInputPolicy
 
 from ..controllers import MotionModel
@@ -66,6 +67,8 @@ class AnalyticPolicyGradient:
         policy: Policy with averaged weights (exponential moving average), which is evaluated and saved.
         num_timesteps: Environment steps so far, without the additional simulations of the differences.
         logger: Logger of stable-baselines3.
+        action_space: Space of the actions, drives.
+        generators: Generators of all random numbers that do not come from torch or the environment.
 
     Raises:
         InputError: If there is no action mapping or it has a base controller, whose derivatives are not known.
@@ -105,6 +108,8 @@ class AnalyticPolicyGradient:
         self._optimizer = torch.optim.Adam(self._trained.parameters())
         self.num_timesteps, self._updates = 0, 0
         self.logger: Any = None
+        self.action_space = env.action_space
+        self.generators = (self._generator, self._period.generator)
 
     def set_logger(self, logger: Any) -> None:
         """Set the logger.
@@ -114,24 +119,26 @@ class AnalyticPolicyGradient:
         """
         self.logger = logger
 
-    def learn(self, total_timesteps: int, callback: Callable[..., bool], reset_num_timesteps: bool = False) -> None:
+    def learn(self, total_timesteps: int, callback: BaseCallback, reset_num_timesteps: bool = False) -> None:
         """Train for a number of environment steps, rounded up to complete updates.
 
         Args:
             total_timesteps: Number of environment steps.
-            callback: Function that is called after every update with local and global variables.
+            callback: Callback of stable-baselines3; an update counts as a rollout with one step.
             reset_num_timesteps: Whether to count the steps from zero.
         """
         if reset_num_timesteps:
             self.num_timesteps = 0
         final = self.num_timesteps + total_timesteps
+        callback.init_callback(self)  # type: ignore[arg-type]
         while self.num_timesteps < final:
+            callback.on_rollout_start()
             rate = self._learning_rate(1.0 - self.num_timesteps / final)
             for group in self._optimizer.param_groups:
                 group["lr"] = rate
             self._update()
             self.num_timesteps += self._envs.num_envs * self._periods
-            callback(locals(), globals())
+            callback.on_step()
 
     def _update(self) -> None:
         """Simulate one episode in each environment and change the weights by the gradient of its cost."""

@@ -50,7 +50,7 @@ class SimulatedPeriod:
         self._units = np.tile(machine.travel_per_unit, 2)
         self._end_stops = np.array(list(self._machine.parameters.values()))[len(machine.parameters) :]
         self._time_s = np.linspace(0.0, period, SAMPLES + 1)
-        self._generator = np.random.default_rng(seed)
+        self.generator = np.random.default_rng(seed)
 
     def outputs(self, state: Array, volts: Array, parameters: Array) -> Array:
         """Simulate one period.
@@ -94,8 +94,8 @@ class SimulatedPeriod:
         batch, entries = inputs.shape
         steps = np.tile(np.repeat([TRAVEL_STEP, RATE_STEP, 1.0], [self._coordinates] * 2 + [self._drives]), (batch, 1))
         lowest, highest = np.log(VOLTAGE_STEPS)
-        steps[:, -self._drives :] = np.exp(self._generator.uniform(lowest, highest, volts.shape))
-        steps *= np.where(self._generator.random(steps.shape) < 0.5, -1.0, 1.0)
+        steps[:, -self._drives :] = np.exp(self.generator.uniform(lowest, highest, volts.shape))
+        steps *= np.where(self.generator.random(steps.shape) < 0.5, -1.0, 1.0)
         changed = np.tile(inputs, (1 + entries, 1, 1))
         for i in range(entries):
             changed[1 + i, :, i] += steps[:, i]

@@ -1,17 +1,22 @@
 """Classes of stable-baselines3 for training and for policies. Importing this module needs the extra `agents`.
 
 LogScaleFeatures      evaluates the features of features.py in torch, as the first layer of a policy
+TrainingCallback      connects a training run with the loop of an algorithm
 ResidualActionVecEnv  applies a `ResidualAction` to a vector environment
 """
 
 from __future__ import annotations
 
+import inspect
+import random
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import torch
 from gymnasium import spaces
 from numpy.typing import NDArray
+from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.vec_env import VecEnvWrapper
 
@@ -77,6 +82,28 @@ class LogScaleFeatures(BaseFeaturesExtractor):
         return torch.sign(scaled) * torch.log1p(scaled.abs()) * self.gain
 
 
+class TrainingCallback(BaseCallback):
+    """Callback of a training run after each step, and before each rollout, when a checkpoint needs no unfinished data.
+
+    Args:
+        after_step: Called after each step of the environments.
+        before_rollout: Called when the steps of the last rollout have been learned from.
+    """
+
+    def __init__(self, after_step: Callable[[], None], before_rollout: Callable[[], None]) -> None:
+        super().__init__()
+        self._after_step, self._before_rollout = after_step, before_rollout
+
+    def _on_step(self) -> bool:
+        """Continue after each step."""
+        self._after_step()
+        return True
+
+    def _on_rollout_start(self) -> None:
+        """Announce the next rollout."""
+        self._before_rollout()
+
+
 class ResidualActionVecEnv(VecEnvWrapper):
     """Vector environment whose actions are policy outputs, which a `ResidualAction` converts to drive actions.
 
@@ -93,6 +120,14 @@ class ResidualActionVecEnv(VecEnvWrapper):
         assert isinstance(inner_space, spaces.Dict)
         super().__init__(environment, observation_space=mapping.observation_space(inner_space))
         self.mapping = mapping
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the state without the members of the class, which the base class collects and pickle refuses."""
+        return {name: value for name, value in self.__dict__.items() if name != "class_attributes"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Restore a pickled environment; the base class would look for this method in the wrapped environment."""
+        self.__dict__.update(state, class_attributes=dict(inspect.getmembers(type(self))))
 
     def reset(self) -> dict[str, NDArray[Any]]:
         """Start a new episode in every environment.
@@ -141,3 +176,36 @@ def _as_dict(observation: Any) -> Observation:
     """Narrow the observation type of stable-baselines3 to a dict, which `HFrameVecEnv` always returns."""
     assert isinstance(observation, dict)
     return observation
+
+
+def random_state(model: Any) -> dict[str, Any]:
+    """Return the states of all generators from which the training of a model draws.
+
+    Args:
+        model: Model of stable-baselines3 or of the analytic policy gradient.
+
+    Returns:
+        States of the generators of Python, NumPy, torch, the action space and the algorithm, by name.
+    """
+    return {
+        "python": random.getstate(),
+        "numpy": np.random.get_state(),  # noqa: NPY002 (stable-baselines3 draws from it)
+        "torch": torch.get_rng_state(),
+        "actions": model.action_space.np_random.bit_generator.state,
+        "algorithm": [generator.bit_generator.state for generator in getattr(model, "generators", ())],
+    }
+
+
+def set_random_state(model: Any, state: dict[str, Any]) -> None:
+    """Set the generators to the states that `random_state` returned.
+
+    Args:
+        model: Model of stable-baselines3 or of the analytic policy gradient.
+        state: States by name.
+    """
+    random.setstate(state["python"])
+    np.random.set_state(state["numpy"])  # noqa: NPY002
+    torch.set_rng_state(state["torch"])
+    model.action_space.np_random.bit_generator.state = state["actions"]
+    for generator, own in zip(getattr(model, "generators", ()), state["algorithm"], strict=True):
+        generator.bit_generator.state = own

@@ -1,24 +1,29 @@
 """Training with stable-baselines3 on the native vector environment, by a recipe.
 
 A run writes to its folder: the best agent so far by its evaluations (agent.json, machine.json, policy.safetensors), its
-card (card.json, README.md), tensorboard/, and for `resume` checkpoint.zip with replay.pkl. The last two are pickles,
-which execute code when they are loaded: they are signed, and only files that this installation wrote are loaded (see
-agent_files.py). Each file but the logs is replaced atomically, so a run may be killed at any time.
+card (card.json, README.md), tensorboard/, and for `resume` checkpoint.zip, replay.pkl and environment.pkl. These three
+are pickles, which execute code when they are loaded: they are signed, and only files that this installation wrote are
+loaded (see agent_files.py). After each evaluation all files but the logs are replaced together, so a run may be killed
+at any time and continues as if it had not been.
 """
 
 from __future__ import annotations
 
+import copy
+import pickle
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from ..atomic_files import atomic_file
+from ..atomic_files import atomic_file, newest, output_batch
 from ..envs import TASKS, Task
 from ..errors import InputError
 from ..evaluation import Scenario, period_concern
 from ..file_limits import read_json
+from ..locked_folders import complete_commit, locked_folder
 from ..machine import Machine
 from ..recordings import load_machine
 from .agent import SCHEMA, Agent, load_weights, policy_keywords
@@ -37,6 +42,7 @@ TRAINING_SEED = 10_000_000
 SEED_STRIDE = 100_000
 EVALUATION_EPISODES = 256
 EVALUATIONS_PER_RUN = 12
+RESUME_FILES = ("card.json", "checkpoint.zip", "environment.pkl", "replay.pkl")  # the last one for SAC only
 SHORTEST_INTERVAL = 2_000  # environment steps between evaluations
 
 Log = Callable[[str], None]
@@ -59,7 +65,7 @@ def train(
     """Train an agent with stable-baselines3 and write it to a folder.
 
     The same seed gives the same agent, bit for bit, with the same package versions on the same processor. A resumed run
-    trains on other episodes than an uninterrupted one.
+    with the same number of steps gives the agent of an uninterrupted one, bit for bit; only times and logs differ.
 
     Args:
         algorithm: Settings of the training run (a recipe), or the first part of the name of a recipe in the package:
@@ -81,8 +87,8 @@ def train(
         Contents of card.json: recipe, package versions and learning curve (`curve`, one row of scores per evaluation).
 
     Raises:
-        InputError: If the recipe or task is unknown, or `out` has no checkpoint of this recipe and seed to resume,
-            or one that this installation did not write.
+        InputError: If the recipe or task is unknown, `out` has no checkpoint of this recipe and seed to resume or one
+            that this installation did not write, or another process writes to `out`.
         ImportError: If the extra `agents` is not installed; the message names it.
     """
     require_training_packages()
@@ -91,9 +97,10 @@ def train(
         raise InputError(f"recipe {recipe.name}: kind is {recipe.kind!r}, choose one of {', '.join(ALGORITHMS)}")
     if randomize is not None:
         recipe = replace(recipe, env={**recipe.env, "randomize": randomize})
-    run = _Run(recipe, load_machine(machine), task, seed, Path(out), log, progress)
-    run.trust = trust
-    return run.execute(recipe.steps if steps is None else steps, resume)
+    with locked_folder(out):
+        run = _Run(recipe, load_machine(machine), task, seed, Path(out), log, progress)
+        run.trust = trust
+        return run.execute(recipe.steps if steps is None else steps, resume)
 
 
 class _Run:
@@ -107,6 +114,8 @@ class _Run:
     start_cpu_time: float  # s, likewise
     trust = False  # whether to resume from a checkpoint that this installation did not write
     kept_costs: Any = None  # costs of the evaluation episodes of the agent that is kept, (B,); None before the first
+    improved_agent: Agent | None = None  # the agent to keep that is not saved yet
+    evaluated: bool = False  # whether an evaluation is not saved yet
 
     def __init__(
         self, recipe: Recipe, machine: Machine, task: str, seed: int, folder: Path, log: Log, progress: Progress
@@ -134,23 +143,27 @@ class _Run:
     def execute(self, steps: int, resume: bool) -> dict[str, Any]:
         """Train up to a total number of steps and return the card."""
         recipe = self.recipe
+        self.total_steps = steps
+        self.evaluation_interval = max(SHORTEST_INTERVAL, steps // EVALUATIONS_PER_RUN)
         self.model = self._load_checkpoint() if resume else self._new_model()
         if recipe.start and not resume:
             load_weights(self.model.policy, shipped_agent_folder(recipe.start, self.card["task"]))
         logger = import_optional("stable_baselines3.common.logger")
         self.model.set_logger(logger.configure(str(self.folder / "tensorboard"), ["tensorboard"]))
-        self.environment.seed(TRAINING_SEED + self.seed * SEED_STRIDE + self.model.num_timesteps)
-        self.total_steps = steps
-        self.evaluation_interval = max(SHORTEST_INTERVAL, steps // EVALUATIONS_PER_RUN)
-        self.next_evaluation = self.model.num_timesteps + self.evaluation_interval
+        if not resume:
+            self.environment.seed(TRAINING_SEED + self.seed * SEED_STRIDE)
+            self.next_evaluation = self.evaluation_interval
         last_row = self.card["curve"][-1] if self.card["curve"] else {"seconds": 0.0, "cpu_s": 0.0}
         self.start_time = time.monotonic() - last_row["seconds"]
         self.start_cpu_time = time.process_time() - last_row["cpu_s"]
         if not resume:
-            self._evaluate_and_save()
+            self._evaluate()
+            self._save()
+        callback = import_module("hframe_gym.agents.sb3_adapters").TrainingCallback(self._after_step, self._save)
         with single_threaded_torch():
-            self.model.learn(steps - self.model.num_timesteps, callback=self._after_step, reset_num_timesteps=False)
-        self._evaluate_and_save()
+            self.model.learn(steps - self.model.num_timesteps, callback=callback, reset_num_timesteps=False)
+        self._evaluate()
+        self._save()
         self.environment.close()
         return self.card
 
@@ -175,41 +188,47 @@ class _Run:
         return model
 
     def _load_checkpoint(self) -> Any:
-        """Load the model of the folder's checkpoint, and its learning curve into the card."""
-        checkpoint, replay, card_file = (self.folder / f for f in ("checkpoint.zip", "replay.pkl", "card.json"))
-        if not (checkpoint.is_file() and card_file.is_file()):
-            raise InputError(f"nothing to resume: {checkpoint if card_file.is_file() else card_file} does not exist")
+        """Load the folder's checkpoint: model, environment, random numbers, and the learning curve into the card."""
+        complete_commit(self.folder)
+        card_file, checkpoint, environment, replay = (self.folder / name for name in RESUME_FILES)
+        for file in (card_file, checkpoint, environment):
+            if not file.is_file():
+                raise InputError(f"nothing to resume: {file} does not exist")
         previous = _read_previous_card(card_file)
         if (previous["recipe"], previous["seed"]) != (self.card["recipe"], self.card["seed"]):
             raise InputError(
                 f"nothing to resume: {self.folder} holds a run of {previous['recipe']} with seed {previous['seed']}, "
                 f"not of {self.card['recipe']} with seed {self.card['seed']}"
             )
-        for file in (checkpoint, replay) if not self.trust else ():
+        for file in (checkpoint, environment, replay) if not self.trust else ():
             if file.is_file():
                 refuse_unsigned(file)
+        state = pickle.loads(environment.read_bytes())
+        self.environment, self.next_evaluation = state["environment"], state["next_evaluation"]
         if self.recipe.kind == "apg":
             model = self._new_model()
             model.restore(checkpoint)
         else:
-            model = _algorithm(self.recipe.kind).load(checkpoint, env=self.environment, device="cpu")
+            algorithm = _algorithm(self.recipe.kind)
+            model = algorithm.load(checkpoint, env=self.environment, device="cpu", force_reset=False)
         if replay.is_file():
-            model.load_replay_buffer(replay)
+            model.load_replay_buffer(replay, truncate_last_traj=False)
         self.card["curve"] = [row for row in previous["curve"] if row["steps"] <= model.num_timesteps]
         self.card["kept"] = previous["kept"]
         self.kept_costs = score_agent(Agent.load(self.folder), self.scenario).costs
+        adapters = import_module("hframe_gym.agents.sb3_adapters")
+        adapters.set_random_state(model, state["random"])  # last: what is above may draw random numbers
         return model
 
-    def _after_step(self, local_variables: dict[str, Any], global_variables: dict[str, Any]) -> bool:
+    def _after_step(self) -> None:
         """Report progress and evaluate when it is time; stable-baselines3 calls this after every step."""
         self.progress(self.model.num_timesteps, self.total_steps)
         if self.model.num_timesteps >= self.next_evaluation:
             self.next_evaluation = self.model.num_timesteps + self.evaluation_interval
-            self._evaluate_and_save()
-        return True
+            self._evaluate()
 
-    def _evaluate_and_save(self) -> None:
-        """Score the current policy, log the scores, and write checkpoint, card and, if it is the best, the agent."""
+    def _evaluate(self) -> None:
+        """Score the current policy, log the scores, and keep a copy of it if it is the best."""
         model, was_training = self.model, self.model.policy.training
         agent = Agent(model.policy, self.evaluation_mapping, self.machine, self.card)
         scores = score_agent(agent, self.scenario)
@@ -227,16 +246,35 @@ class _Run:
                 model.logger.record(f"evaluation/{key}", value)
         model.logger.dump(model.num_timesteps)
         if improves(scores.costs, self.kept_costs):
-            agent.save(self.folder)
+            self.improved_agent = Agent(copy.deepcopy(model.policy), None, self.machine, self.card)
             self.card["kept"], self.kept_costs = row["steps"], scores.costs
-        with atomic_file(self.folder / "checkpoint.zip") as temporary:
-            model.save(temporary)
-            sign_checkpoint(temporary)
+        self.evaluated = True
+
+    def _save(self) -> None:
+        """Write the last evaluation, if it is not written yet: checkpoint, card and the agent to keep, all together.
+
+        It runs between two rollouts, where the state of the run consists of what these files hold.
+        """
+        if not self.evaluated:
+            return
+        model = self.model
+        state = {
+            "environment": self.environment,
+            "next_evaluation": self.next_evaluation,
+            "random": import_module("hframe_gym.agents.sb3_adapters").random_state(model),
+        }
+        pickles = {"checkpoint.zip": model.save, "environment.pkl": lambda file: pickle.dump(state, file)}
         if getattr(model, "replay_buffer", None) is not None:
-            with atomic_file(self.folder / "replay.pkl") as temporary:
-                model.save_replay_buffer(temporary)
-                sign_checkpoint(temporary)
-        write_card(self.folder, self.card)
+            pickles["replay.pkl"] = model.save_replay_buffer
+        with output_batch(self.folder):
+            if self.improved_agent is not None:
+                self.improved_agent.save(self.folder)
+            for name, write in pickles.items():
+                with atomic_file(self.folder / name) as file:
+                    write(file)
+                sign_checkpoint(newest(self.folder / name))
+            write_card(self.folder, self.card)
+        self.improved_agent, self.evaluated = None, False
 
 
 def _read_previous_card(file: Path) -> dict[str, Any]:

@@ -213,8 +213,8 @@ def main() -> None:
         "figure_10": figure_stiffness,
     }
     for name, draw in figures.items():
-        with atomic_file(FIGURES / f"{name}.png") as temporary:
-            draw().savefig(temporary, dpi=110)
+        with atomic_file(FIGURES / f"{name}.png") as file:
+            draw().savefig(file, dpi=110)
         console.print(f"docs/figures/{name}.png")
     write_results("paper", {"statements": [row._asdict() for row in statements]}, seed=None)
 

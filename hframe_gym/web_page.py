@@ -176,8 +176,8 @@ def save_panels(panels: Sequence[Panel], path: Path) -> None:
             axes.set_title(panel.title, loc="left", pad=22 if axes.get_legend() else 6)
         for axes in grid[len(panels) :]:
             axes.set_visible(False)
-        with atomic_file(path) as temporary:
-            figure.savefig(temporary, dpi=120)
+        with atomic_file(path) as file:
+            figure.savefig(file, dpi=120, format=path.suffix[1:])
 
 
 def legend_above(axes: Any) -> None:

@@ -30,7 +30,7 @@ from tools.leaderboard import leaderboard_page
 from tools.leaderboard import results as leaderboard_results
 from tools.machine_page import field_tables, schema_text
 
-PAGES = ("README.md", "RESULTS.md", "docs/identification_results.md")
+PAGES = ("README.md", "RESULTS.md", "docs/identification_results.md", "docs/trust.md")
 STAGES = ("declared", "before", "after")
 
 
@@ -346,6 +346,35 @@ def closed_loop(results: dict[str, Any]) -> str:
 
 
 IDENTIFICATION_SETS = ("library_full", "library_small", "pairs", "triples", "four_runs", "order20", "none", "outside")
+
+
+def faults(results: dict[str, Any]) -> str:
+    """Format what was tried to break the commands, how often, and how often something was lost."""
+    rows = [
+        [r["group"], r["what"], f"{r['tried']}", f"**{r['failed']}**" if r["failed"] else "0", r["note"]]
+        for group in results["groups"].values()
+        for r in group
+    ]
+    return markdown(["", "tried", "times", "failed", "result"], rows, "---")
+
+
+def env_soak(results: dict[str, Any]) -> str:
+    """Format the extremes of the long runs of the environment."""
+    parts = {name: part for name, part in results.items() if isinstance(part, dict) and "largest_energy_J" in part}
+    rows = [
+        [
+            *(name, f"{part['steps']:.3g}", f"{part['not_finite']}", f"{1e3 * part['furthest_beyond_m']:.1f}"),
+            f"{part['largest_energy_J']:.1f} of {part['energy_bound_J']:.0f}",
+            f"{part['memory']['last_MB'] - part['memory']['first_MB']:+.0f}",
+        ]
+        for name, part in parts.items()
+    ]
+    total = sum(part["steps"] for part in parts.values())
+    rows.append(["all", f"{total:.3g}", f"{sum(part['not_finite'] for part in parts.values())}", "", "", ""])
+    header = ["machines", "steps", "not finite", "furthest beyond the workspace, mm", "largest energy, J", "memory, MB"]
+    return markdown(header, rows)
+
+
 TABLES: dict[str, Callable[[dict[str, Any]], str]] = {
     "paper": paper,
     "accuracy": accuracy,
@@ -357,6 +386,8 @@ TABLES: dict[str, Callable[[dict[str, Any]], str]] = {
     "other_simulator_rigs": other_simulator_rigs,
     "random_rigs_20261124": random_rigs,
     "env_speed": env_speed,
+    "env_soak": env_soak,
+    "faults": faults,
     "her": her,
     "bound": bound,
     "controllers": controllers,

@@ -41,8 +41,8 @@ def data_folder(name: str, console: Console) -> Path | None:
 def write_recording(path: Path, columns: Mapping[str, Array]) -> None:
     """Write a recording, completely or not at all; columns by name."""
     table = np.column_stack(list(columns.values()))
-    with atomic_file(path) as temporary:
-        np.savetxt(temporary, table, fmt="%.9g", delimiter=",", header=",".join(columns), comments="")
+    with atomic_file(path) as file:
+        np.savetxt(file, table, fmt="%.9g", delimiter=",", header=",".join(columns), comments="")
 
 
 def machines_of(answer: IdentificationResult) -> dict[str, Machine]:
@@ -112,8 +112,8 @@ def picture(
         axis.legend(fontsize=7, ncols=len(curves))
     axes[-1].set_xlabel(abscissa)
     figure.suptitle(title, fontsize=10)
-    with atomic_file(FIGURES / f"real_{name}.png") as temporary:
-        figure.savefig(temporary, dpi=110)
+    with atomic_file(FIGURES / f"real_{name}.png") as file:
+        figure.savefig(file, dpi=110)
 
 
 def errors_by_machine(

@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import sys
 import warnings
+from collections.abc import Callable
 from typing import Annotated
 
 import typer
@@ -38,8 +39,11 @@ def options(
     """H-frame stages: simulate, identify from measured data, train and evaluate controllers."""
 
 
-def main() -> None:
+def main(interrupted: Callable[[], bool] = lambda: False) -> None:
     """Run the `hframe` command; exceptions are printed as one line, unless the variable `DEBUG_VARIABLE` is set.
+
+    Args:
+        interrupted: Returns whether a signal has asked the process to end; exceptions then propagate.
 
     Raises:
         SystemExit: With exit code 0 (success), 1 (internal error) or 2 (faulty input or arguments).
@@ -53,7 +57,7 @@ def main() -> None:
         except typer.Abort:  # the user ended a question
             raise SystemExit(FAULT_FOUND) from None
         except Exception as error:
-            if os.environ.get(DEBUG_VARIABLE):
+            if os.environ.get(DEBUG_VARIABLE) or interrupted():
                 raise
             code, line = describe_failure(error)
             print(f"hframe: {line}", file=sys.stderr)

@@ -20,6 +20,12 @@ console = Console(soft_wrap=True)
 
 MachineOption = Annotated[str, typer.Option(help="A machine.json or a built-in name (see `hframe machines`).")]
 OutOption = Annotated[Path, typer.Option(help="Folder for the results; created if it does not exist.")]
+MaxRowsOption = Annotated[
+    int,
+    typer.Option(
+        "--max-rows", min=1000, help="Rows of all runs together beyond which only the beginning of each run is used."
+    ),
+]
 TaskOption = Annotated[str, typer.Option(help="Task: {tasks}, or module:name.")]
 RandomizeOption = Annotated[str, typer.Option(help="Randomization of each episode's machine: {randomizations}.")]
 EpisodesOption = Annotated[int, typer.Option(min=1, max=10**6, help="Number of episodes of each controller.")]

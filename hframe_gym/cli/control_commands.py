@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ..atomic_files import output_batch
 from ..errors import InputError
+from ..locked_folders import locked_folder
 from .app import (
     MAX_SEED,
     EpisodesOption,
@@ -68,14 +70,13 @@ def train(
     declared = load_machine(machine)
     columns = BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
     bar = Progress(*columns, console=console, disable=not console.is_terminal)
-    with bar, value_errors_as_input_errors():
+    with locked_folder(require_folder(out)), bar, value_errors_as_input_errors():
         bar_task = bar.add_task("", total=None)
 
         def progress(done: int, total: int) -> None:
             bar.update(bar_task, completed=done, total=total)
 
-        folder = require_folder(out)
-        run_training(algorithm, declared, task, steps, seed, resume, folder, log, progress, randomize, trust)
+        run_training(algorithm, declared, task, steps, seed, resume, out, log, progress, randomize, trust)
     log(f"wrote {out}")
 
 
@@ -121,42 +122,43 @@ def evaluate(
         _evaluate_by_protocol(context, list(dict.fromkeys(controllers)), protocol, out)
         return
     from ..evaluation import evaluate as run_evaluation
-    from ..evaluation import write_scores
     from ..recordings import load_machine
     from .tables import score_table, unknown_bound_reasons
 
     # Registers the agents as controllers, also where the package is used without its installed entry points.
     import_module("hframe_gym.agents")
     declared = load_machine(machine)
-    require_folder(out)
     options: dict[str, Any] = {"randomize": randomize, "sensors": sensors, "episodes": episodes, "seed": seed}
-    with value_errors_as_input_errors(), repeat_warnings() as warned:
-        built_task = task_with_path(task, path)
-        scores, recorded = run_evaluation(controllers, declared, task=built_task, period=period, **options)
-    written = write_scores(out, scores)
-    console.print(score_table(scores))
-    for reason in unknown_bound_reasons(scores):
-        log(reason)
-    log(f"wrote {written}")
-    _write_plots(out, declared.name, scores, recorded, warned if html else None)
+    with locked_folder(require_folder(out)):
+        with value_errors_as_input_errors(), repeat_warnings() as warned:
+            built_task = task_with_path(task, path)
+            scores, recorded = run_evaluation(controllers, declared, task=built_task, period=period, **options)
+        console.print(score_table(scores))
+        for reason in unknown_bound_reasons(scores):
+            log(reason)
+        written = _write_evaluation(out, scores, recorded, warned if html else None, declared.name)
+    for file in written:
+        log(f"wrote {file}")
 
 
-def _write_plots(
-    out: Path, machine: str, scores: dict[str, Any], recorded: dict[str, Episodes], warned: list[str] | None
-) -> None:
-    """Plot the first episode of each controller, and write the scorecard if a list of warnings is given."""
-    try:
-        from ..evaluation import save_plot, write_scorecard
+def _write_evaluation(
+    out: Path, scores: dict[str, Any], recorded: dict[str, Episodes], warned: list[str] | None, machine: str
+) -> list[Path]:
+    """Write scores, plots and, unless `warned` is None, the scorecard, all together; return the files."""
+    from ..evaluation import save_plot, write_scorecard, write_scores
 
-        for name, episode in recorded.items():
-            label = Path(name).name.replace(":", "-")  # of a folder the last part; no colon in a file name
-            plot = out / f"{label}.png"
-            save_plot(plot, episode, title=f"{label} on {machine}")
-            log(f"wrote {plot}")
-        if warned is not None:
-            log(f"wrote {write_scorecard(out, scores, recorded, warned)}")
-    except ImportError as error:
-        log(f"no plots: {error}")
+    with output_batch(out):
+        written = [write_scores(out, scores)]
+        try:
+            for name, episode in recorded.items():
+                label = Path(name).name.replace(":", "-")  # of a folder the last part; no colon in a file name
+                save_plot(out / f"{label}.png", episode, title=f"{label} on {machine}")
+                written.append(out / f"{label}.png")
+            if warned is not None:
+                written.append(write_scorecard(out, scores, recorded, warned))
+        except ImportError as error:
+            log(f"no plots: {error}")
+    return written
 
 
 def _evaluate_by_protocol(context: typer.Context, controllers: list[str], name: str, out: Path) -> None:
@@ -170,10 +172,11 @@ def _evaluate_by_protocol(context: typer.Context, controllers: list[str], name: 
             raise InputError(f"--{option}: --protocol {name} fixes everything; leave --{option} out")
     import_module("hframe_gym.agents")
     protocol = get_protocol(name)
-    require_folder(out)
-    with value_errors_as_input_errors():
-        contents = [result_content(protocol, *run_protocol(controller, protocol)) for controller in controllers]
-    written = [write_result(out, content) for content in contents]
+    with locked_folder(require_folder(out)):
+        with value_errors_as_input_errors():
+            contents = [result_content(protocol, *run_protocol(controller, protocol)) for controller in controllers]
+        with output_batch(out):
+            written = [write_result(out, content) for content in contents]
     for table in protocol_tables(contents):
         console.print(table)
     for path in written:

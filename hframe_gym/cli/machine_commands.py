@@ -79,8 +79,8 @@ def show_machine(
         from ..machine import draw_machine
 
         figure = draw_machine(declared)
-        with atomic_file(plot) as temporary:
-            figure.savefig(temporary, dpi=120)
+        with atomic_file(plot) as file:
+            figure.savefig(file, dpi=120, format=plot.suffix[1:])
         log(f"wrote {plot}")
 
 

@@ -12,8 +12,10 @@ from typing import Annotated
 
 import typer
 
+from ..atomic_files import output_batch, remove_file
 from ..errors import InputError
-from .app import MachineOption, OutOption, RecordingsArgument, app, console, log
+from ..locked_folders import locked_folder
+from .app import MachineOption, MaxRowsOption, OutOption, RecordingsArgument, app, console, log
 from .support import FAULT_FOUND, progress_bar, require_folder, require_several_runs
 
 
@@ -92,6 +94,7 @@ def check(
     runs_dir: RecordingsArgument,
     machine: MachineOption = "hframe",
     json: Annotated[Path | None, typer.Option(help="Also write the findings to this file.")] = None,
+    max_rows: MaxRowsOption = 4_000_000,
 ) -> None:
     """Check recordings before a fit: clock, sensors, wiring, excitation and which parameters can be estimated.
 
@@ -104,7 +107,7 @@ def check(
 
     declared = load_machine(machine)
     with progress_bar("reading") as progress:
-        recordings = load_recordings(runs_dir, declared, progress)
+        recordings = load_recordings(runs_dir, declared, progress, max_rows=max_rows, log=log)
     with console.status("checking") if console.is_terminal else nullcontext():
         findings = check_recordings(recordings, declared)
     print_findings(findings, console)
@@ -124,10 +127,12 @@ def identify(
         list[str] | None, typer.Option(help="A run to evaluate on instead of fitting it; repeat for more runs.")
     ] = None,
     jobs: Annotated[int | None, typer.Option(min=1, max=1024, help="Number of threads (default: all cores).")] = None,
-    seed: Annotated[int, typer.Option(help="Accepted for scripts; identification is deterministic.")] = 0,
+    # Has no effect, because identification draws no random numbers; scripts that pass it keep working.
+    seed: Annotated[int, typer.Option(hidden=True)] = 0,
     force: Annotated[
         bool, typer.Option("--force", help="Fit although `hframe check` finds faults in the data.")
     ] = False,
+    max_rows: MaxRowsOption = 1_000_000,
 ) -> None:
     """Fit a machine to its recordings, find the effects that its model lacks, and verify them on held-out runs.
 
@@ -141,26 +146,33 @@ def identify(
     from ..identification import write_result
     from ..identification.report import build_report, verdict_sentence
     from ..recordings import load_machine, load_recordings
-    from .support import check_recordings_before_fit, proposed_formulas
+    from .support import check_recordings_before_fit, log_time_estimate, proposed_formulas
     from .tables import identification_table
 
     if jobs:
         os.environ["HFRAME_THREADS"] = str(jobs)
     declared = load_machine(machine)
-    require_folder(out)
-    with progress_bar("reading") as progress:
-        recordings = load_recordings(runs_dir, declared, progress)
-    require_several_runs(recordings, runs_dir)
-    findings = check_recordings_before_fit(recordings, declared, None if force else runs_dir, log)
-    result = run_identification(recordings, declared, held_out=hold_out or (), log=log)
-    write_result(result, out, findings, proposed_formulas(result, log))
-    contents, channels = result.as_json(), list(declared.output_channels)
-    console.print(identification_table(contents, channels))
-    log(verdict_sentence(contents, channels))
-    try:
-        log(f"wrote {build_report(out)}")
-    except ImportError as error:
-        log(f"report.html not written: {error}")
+    with locked_folder(require_folder(out)):
+        with progress_bar("reading") as progress:
+            recordings = load_recordings(runs_dir, declared, progress, max_rows=max_rows, log=log)
+        require_several_runs(recordings, runs_dir)
+        findings = check_recordings_before_fit(recordings, declared, None if force else runs_dir, log)
+        log_time_estimate(recordings, declared, log)
+        result = run_identification(recordings, declared, held_out=hold_out or (), log=log)
+        contents, channels = result.as_json(), list(declared.output_channels)
+        console.print(identification_table(contents, channels))
+        log(verdict_sentence(contents, channels))
+        with output_batch(out):
+            write_result(result, out, findings, proposed_formulas(result, log))
+            problem = None
+            try:
+                build_report(out)
+            except Exception as error:  # the result itself must not be lost
+                remove_file(out / "report.html")  # of an older result
+                problem = error
+    if problem is not None and not isinstance(problem, ImportError):
+        raise problem
+    log(f"wrote {out / 'report.html'}" if problem is None else f"report.html not written: {problem}")
 
 
 @app.command()

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import sys
+import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -22,6 +24,8 @@ if TYPE_CHECKING:
     from ..machine import Machine
     from ..recordings import Recording
 
+SIMULATIONS_PER_IDENTIFICATION = 1500  # of all runs; 250 to 2800 in the examples and synthetic rigs
+FULL_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 INPUT_AT_FAULT, INTERNAL_ERROR = 2, 1
 FAULT_FOUND = 1  # exit code of `hframe check` where the recordings have a fault
 DEBUG_VARIABLE = "HFRAME_DEBUG"  # if set, errors keep their traceback
@@ -192,8 +196,10 @@ def describe_failure(error: Exception) -> tuple[int, str]:
         return INPUT_AT_FAULT, text
     if isinstance(error, NotFiniteError):
         return INPUT_AT_FAULT, f"{text.rstrip('.')}: check the inputs and the machine's parameters"
-    if isinstance(error, OSError) and error.filename is not None:
-        return INPUT_AT_FAULT, plain_text(f"{error.filename}: {error.strerror}")
+    if isinstance(error, OSError) and (error.filename is not None or error.errno in FULL_DISK):
+        place = "writing" if error.filename is None else str(error.filename)
+        advice = "; make room or write to another disk (nothing was replaced)" if error.errno in FULL_DISK else ""
+        return INPUT_AT_FAULT, plain_text(f"{place}: {error.strerror}{advice}")
     hint = f"set {DEBUG_VARIABLE}=1 to see the traceback"
     return INTERNAL_ERROR, f"internal error, please report it ({hint}): {type(error).__name__}: {text}"
 
@@ -209,7 +215,7 @@ def print_warning(message: Warning | str, *_args: Any, **_keywords: Any) -> None
 
 @contextmanager
 def repeat_warnings() -> Iterator[list[str]]:
-    """Collect the texts of the library's warnings inside a `with` block; they are printed as without it.
+    """Collect the texts of the library's warnings about results inside a `with` block; all are printed as without it.
 
     Yields:
         List that receives the texts.
@@ -217,9 +223,10 @@ def repeat_warnings() -> Iterator[list[str]]:
     texts: list[str] = []
     show = warnings.showwarning
 
-    def collect(message: Warning | str, *arguments: Any, **keywords: Any) -> None:
-        texts.append(str(message))
-        show(message, *arguments, **keywords)
+    def collect(message: Warning | str, category: type[Warning], *arguments: Any, **keywords: Any) -> None:
+        if issubclass(category, UserWarning):
+            texts.append(str(message))
+        show(message, category, *arguments, **keywords)
 
     warnings.showwarning = collect
     try:
@@ -255,6 +262,28 @@ def check_recordings_before_fit(
     if refuse is not None:
         refuse_faults(findings, refuse)
     return [str(finding) for finding in findings]
+
+
+def log_time_estimate(recordings: Sequence[Recording], machine: Machine, log: Callable[[str], None]) -> None:
+    """Estimate how long an identification takes, from the time of one simulation of all runs; log it if it is long.
+
+    Args:
+        recordings: Runs to fit.
+        machine: Machine as declared.
+        log: Called with a line of text.
+    """
+
+    def simulate(rows: int | None) -> float:
+        begin = time.perf_counter()
+        for recording in recordings:
+            machine.simulate(recording.time_s[:rows], recording.inputs[:rows])
+        return time.perf_counter() - begin
+
+    simulate(2)  # compiles
+    minutes = SIMULATIONS_PER_IDENTIFICATION * simulate(None) / 60.0
+    rows = sum(len(recording.time_s) for recording in recordings)
+    if minutes > 1.0:
+        log(f"{len(recordings)} runs, {rows} rows: about {minutes:.0f} min (a third to three times that)")
 
 
 def proposed_formulas(result: IdentificationResult, log: Callable[[str], None]) -> tuple[TableComparison, ...]:

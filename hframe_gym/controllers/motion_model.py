@@ -12,9 +12,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
 
-from ..dynamics import Equations, ForceBalance, MotionPoint, linearize
+from ..dynamics import Equations, ForceBalance, MotionPoint, linearize, matrix_exponential
 from ..errors import InputError
 from ..machine import AppliedEffect, Machine, argument_names, rest_state
 
@@ -208,7 +207,7 @@ class MotionModel:
         block = np.zeros((len(A) + B.shape[1] + E.shape[1],) * 2)
         block[: len(A)] = np.hstack([A, B, E])
         # The exponential of [[A, B, E], [0, 0, 0]] * period holds the three discrete-time matrices in its first rows.
-        discrete = expm(block * period)[: len(A)]
+        discrete = matrix_exponential(block * period)[: len(A)]
         first, second = len(A), len(A) + B.shape[1]
         return discrete[:, :first], discrete[:, first:second], discrete[:, second:]
 

@@ -2,8 +2,8 @@
 
 from .belts import BeltState
 from .equations import Equations, ForceBalance
-from .kernel import Kernel, in_blocks, kernel_for, kernel_source_text, share_kernel
-from .linearization import StateSpace, linearize, mode_frequencies, stiffness_matrix
+from .kernel import Kernel, cache_folder, in_blocks, kernel_for, kernel_source_text, share_kernel
+from .linearization import StateSpace, linearize, matrix_exponential, mode_frequencies, stiffness_matrix
 from .motion_forces import (
     belt_forces,
     belt_states,
@@ -28,6 +28,7 @@ __all__ = [
     "StateSpace",
     "belt_forces",
     "belt_states",
+    "cache_folder",
     "delayed_voltages",
     "effect_forces",
     "effect_states",
@@ -36,6 +37,7 @@ __all__ = [
     "kernel_for",
     "kernel_source_text",
     "linearize",
+    "matrix_exponential",
     "mode_frequencies",
     "net_forces",
     "rollout",

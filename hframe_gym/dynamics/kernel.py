@@ -1,10 +1,7 @@
 """Compiles the simulation kernel of a machine's shape once and keeps it on disk.
 
-The kernel is generated Numba code that integrates the equations of motion of all machines with the same structure
-(`Machine.shape`: components and effects without parameter values). The generated source is written to the cache folder
-as an ordinary Python file with Numba's compiled object beside it. The file's name is the hash of its text and of
-everything that it inlines, so that a changed formula is a new file. The folder is `$HFRAME_CACHE`, else
-`$XDG_CACHE_HOME/hframe_gym`, else `~/.cache/hframe_gym`.
+The kernel is generated Numba code for all machines of one structure (`Machine.shape`). Its source is written to the
+cache folder (`$HFRAME_CACHE`, `$XDG_CACHE_HOME/hframe_gym` or `~/.cache/hframe_gym`) under the hash of all its code.
 """
 
 from __future__ import annotations
@@ -13,8 +10,10 @@ import hashlib
 import importlib.util
 import inspect
 import os
+import shutil
 import sys
 import tempfile
+import warnings
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -49,6 +48,7 @@ COORDINATES, STATES, INPUTS, SENSORS, PARAMETERS, DERIVED = {sizes}
 DELAYED, LAGGED, FORCED = {delayed}, {lagged}, {forced}
 
 '''
+_CACHE_ROOM = 32e6  # bytes that must be free; a kernel takes about 1 MB
 _HELPERS = (
     time_loops.held_mean,
     time_loops.interpolated,
@@ -109,20 +109,36 @@ def cache_folder() -> Path:
     """Return the folder in which generated simulation code and its compiled form are cached; create it if necessary.
 
     Returns:
-        The first of these that can be written: `$HFRAME_CACHE`, `hframe_gym` in the user's cache folder, a temporary
-        folder of the user, a new temporary folder.
+        The first of these that can be written: `$HFRAME_CACHE` or else `hframe_gym` in the user's cache folder; with a
+        warning, a temporary folder of the user or a new one.
     """
     explicit = os.environ.get("HFRAME_CACHE")
     root = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    for folder in filter(None, (explicit, f"{root}/hframe_gym", f"{tempfile.gettempdir()}/hframe_gym-{os.getuid()}")):
+    preferred = (explicit, f"{root}/hframe_gym") if explicit else (f"{root}/hframe_gym",)
+    return _first_usable(preferred, f"{tempfile.gettempdir()}/hframe_gym-{os.getuid()}")
+
+
+@lru_cache
+def _first_usable(preferred: tuple[str, ...], temporary: str) -> Path:
+    """Return the first folder that can be written and has room, and warn if it is not the preferred one."""
+    for folder in (*preferred, temporary):
         path = Path(folder)
         try:
-            path.mkdir(parents=True, exist_ok=True)
-            if os.access(path, os.W_OK):
-                return path
+            path.mkdir(parents=True, exist_ok=True, mode=0o700 if folder == temporary else 0o755)
+            details, free = path.lstat(), shutil.disk_usage(path).free
         except OSError:
             continue
-    return Path(tempfile.mkdtemp(prefix="hframe_gym-"))
+        # The code in it is executed: in the shared temporary folder it must belong to this user alone.
+        private = details.st_uid == os.getuid() and not details.st_mode & 0o077
+        if os.access(path, os.W_OK) and free > _CACHE_ROOM and (private or folder != temporary):
+            break
+    else:
+        path = Path(tempfile.mkdtemp(prefix="hframe_gym-"))
+    if str(path) != preferred[0]:
+        problem = f"{preferred[0]} cannot be written or is full; compiled code is cached in {path}"
+        advice = "Set HFRAME_CACHE to a folder that stays, so that later runs start quickly"
+        warnings.warn(f"{problem}. {advice}", RuntimeWarning, stacklevel=2)
+    return path
 
 
 def generate(machine: Machine, *, forced: bool = False) -> tuple[str, KernelSource]:

@@ -10,10 +10,12 @@ References:
 from __future__ import annotations
 
 import dataclasses
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from threadpoolctl import ThreadpoolController
 
 from ..machine import Machine
 from .equations import Equations
@@ -126,3 +128,24 @@ def _operating_point(machine: Machine, position: ArrayLike | None) -> tuple[Equa
     equations = Equations(dataclasses.replace(machine, effects=(), ties={}))
     count = len(machine.coordinates)
     return equations, np.zeros(count) if position is None else np.asarray(position, float)
+
+
+@lru_cache(maxsize=1)
+def _linear_algebra() -> ThreadpoolController:
+    """Return the control of the threads of SciPy's linear algebra library, which must be loaded."""
+    return ThreadpoolController()
+
+
+def matrix_exponential(matrix: Array) -> Array:
+    """Compute the exponential of a matrix, with the same bits for any number of threads.
+
+    Args:
+        matrix: Square matrix, dimensionless, shape (n, n).
+
+    Returns:
+        exp(matrix), shape (n, n).
+    """
+    from scipy.linalg import expm
+
+    with _linear_algebra().limit(limits=1, user_api="blas"):  # threads would change the order of sums
+        return np.asarray(expm(matrix))

@@ -14,11 +14,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
+import numba
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from ..dynamics import cache_folder
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -40,8 +42,16 @@ def compiled(function: Function) -> Function:
     Returns:
         Compiled function with the same arguments.
     """
-    result: Any = njit(nogil=True, cache=True, error_model="numpy")(function)
-    return result
+    config: Any = numba.config
+    compile_cached: Any = numba.njit(nogil=True, cache=True, error_model="numpy")
+    try:
+        return cast("Function", compile_cached(function))
+    except RuntimeError:  # neither the package's folder nor Numba's folder in HOME can be written
+        configured, config.CACHE_DIR = config.CACHE_DIR, str(cache_folder())
+        try:
+            return cast("Function", compile_cached(function))
+        finally:
+            config.CACHE_DIR = configured
 
 
 @compiled

@@ -9,10 +9,8 @@ from __future__ import annotations
 import copy
 import importlib
 import json
-import os
 import re
 import shutil
-import tempfile
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,10 +19,12 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
+from ..atomic_files import atomic_file, output_batch
 from ..controllers import Controller
 from ..dynamics import NotFiniteError
 from ..envs import HFrameVectorEnv, as_task
 from ..errors import InputError
+from ..locked_folders import scratch_folder
 from ..machine import BUILTIN_MACHINES
 from ..recordings import machine_to_dict, save_machine
 from .scenario import Scenario, make_controller
@@ -96,21 +96,18 @@ def export_dataset(
         raise InputError(f"{folder}: a data set of this name exists already; delete it or choose another --out")
     spec = _env_spec(scenario, folder, normalize=normalize, flat=flat)
     controller = make_controller(name, scenario)
-    out.mkdir(parents=True, exist_ok=True)
-    temporary = Path(tempfile.mkdtemp(dir=out, prefix=f".{label}-"))
-    try:
+    # Minari writes files by path: in the system's temporary folder (TMPDIR), so that a kill leaves nothing in `out`.
+    with output_batch(out), scratch_folder() as temporary:
         if spec.kwargs["machine"] == str(folder / MACHINE_FILE):
-            save_machine(scenario.declared_machine, temporary / MACHINE_FILE)
+            save_machine(scenario.declared_machine, folder / MACHINE_FILE)
         one = _vector_env(spec, scenario, 1)
         spaces = one.single_observation_space, one.single_action_space
         storage = storage_class.new(temporary / "data", *spaces, spec, jpeg_encoding=False)
         storage.update_metadata(_metadata(dataset_id, name, controller, scenario, author))
         means = _write_episodes(storage, buffer_class, controller, spec, scenario)
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        temporary.chmod(0o755)  # mkdtemp makes folders that only their owner can read
-        os.replace(temporary, folder)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+        for path in sorted(p for p in temporary.rglob("*") if p.is_file()):
+            with path.open("rb") as source, atomic_file(folder / path.relative_to(temporary)) as file:
+                shutil.copyfileobj(source, file)
     return ExportedDataset(dataset_id, folder, scenario.episodes, scenario.episodes * scenario.periods, *means)
 
 

@@ -338,8 +338,8 @@ class Game:
         """
         if path.suffix != ".png":
             raise InputError(f"{path}: the picture must end in .png")
-        with atomic_file(path) as temporary:
-            self._pygame.image.save(self.window, str(temporary), "picture.png")
+        with atomic_file(path) as file:
+            self._pygame.image.save(self.window, file, "picture.png")
 
     def close(self) -> None:
         """Close the window."""

@@ -65,8 +65,8 @@ def save_plot(path: str | Path, episodes: Episodes, episode: int = 0, *, title: 
         OSError: If the file cannot be written.
     """
     figure = plot_episode(episodes, episode, title=title)
-    with atomic_file(path) as temporary:
-        figure.savefig(temporary, dpi=150)
+    with atomic_file(path) as file:
+        figure.savefig(file, dpi=150, format=Path(path).suffix[1:])
 
 
 def _plot_path(axes: Any, episodes: Episodes, episode: int) -> None:

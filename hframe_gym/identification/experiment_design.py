@@ -95,10 +95,10 @@ class ExperimentDesign:
         Raises:
             OSError: If the file cannot be written.
         """
-        with atomic_file(path) as temporary:
+        with atomic_file(path) as file:
             header = ",".join(["time_s", *machine.input_channels])
             table = np.column_stack([self.time_s, self.inputs])
-            np.savetxt(temporary, table, fmt="%.9g", delimiter=",", header=header, comments="")
+            np.savetxt(file, table, fmt="%.9g", delimiter=",", header=header, comments="")
 
 
 def design_discriminating_experiment(

@@ -76,6 +76,7 @@ def identify(
     load_plugins()  # the search tries their effects as well
     criteria = criteria or SelectionCriteria()
     log = log or (lambda line: None)
+    recordings = sorted(recordings, key=lambda recording: recording.name)  # the result depends on no other order
     held_names = hold_out(recordings, held_out)
     _refuse_unusable(recordings, held_names)
     as_measured = recordings

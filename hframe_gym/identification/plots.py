@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..atomic_files import remove_file
 from ..machine import AppliedEffect, Machine
 from ..web_page import Panel, color, legend_above, number, save_panels
 
@@ -79,7 +80,7 @@ def save_plots(panels: Panels, folder: Path) -> list[Path]:
             save_panels(plot, path)
             written.append(path)
         else:
-            path.unlink(missing_ok=True)
+            remove_file(path)
     return written
 
 

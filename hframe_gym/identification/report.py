@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..atomic_files import output_batch
 from ..errors import InputError
 from ..machine import Machine
 from ..web_page import number, write_page
@@ -31,7 +32,8 @@ def build_report(folder: Path) -> Path:
     """Draw the plots of an identification result and write report.html.
 
     Args:
-        folder: Folder that `hframe identify` wrote; the plots are written to its folder plots/.
+        folder: Folder that `hframe identify` wrote; the plots are written to its folder plots/. Page and plots become
+            visible together; inside `output_batch` of the folder, at the end of the batch.
 
     Returns:
         Path of report.html.
@@ -65,8 +67,9 @@ def build_report(folder: Path) -> Path:
         "panels": panels,
     }
     try:
-        save_plots(panels, folder / "plots")
-        write_page(folder / "report.html", "hframe_gym.identification", "report.html.j2", values)
+        with output_batch(folder):
+            save_plots(panels, folder / "plots")
+            write_page(folder / "report.html", "hframe_gym.identification", "report.html.j2", values)
     except OSError as error:
         raise InputError(f"{error.filename or folder}: cannot be written ({error.strerror})") from None
     return folder / "report.html"

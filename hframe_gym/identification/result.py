@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ..atomic_files import atomic_file, write_text
+from ..atomic_files import atomic_file, output_batch, remove_file, write_text
 from ..machine import AppliedEffect, Machine
 from ..recordings import save_machine
 from .criteria import SelectionCriteria
@@ -244,7 +244,7 @@ def write_result(
 ) -> None:
     """Write all files of a result except the plots and report.html, which `build_report` adds.
 
-    Each file appears completely or not at all; report.json is written last.
+    The files become visible together or not at all; inside `output_batch` of the folder, at the end of the batch.
 
     Args:
         result: Result of `identify`.
@@ -254,23 +254,24 @@ def write_result(
             `formulas.compare_formulas`.
 
     Raises:
+        InputError: If another process writes to the folder.
         OSError: If a file cannot be written.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    save_machine(result.declared.machine, folder / "declared.json")
-    save_machine(result.before.machine, folder / "before.json")
-    save_machine(result.after.machine, folder / "machine.json")
-    with atomic_file(folder / "evidence.npz") as temporary:
-        arrays: dict[str, Any] = {name: values.astype(np.float32) for name, values in plot_data(result).items()}
-        np.savez_compressed(temporary, **arrays)
-    if result.experiment:
-        result.experiment.write(folder / FILE, result.declared.machine)
-    else:
-        (folder / FILE).unlink(missing_ok=True)
+    arrays: dict[str, Any] = {name: values.astype(np.float32) for name, values in plot_data(result).items()}
     proposed = [comparison.as_json() for comparison in formulas]
     warnings = [*warnings, *result.initial_state_warnings]
     report = result.as_json() | {"warnings": warnings, "proposed_formulas": proposed}
-    write_text(folder / "report.json", json.dumps(report, indent=1, allow_nan=False) + "\n")
+    with output_batch(folder):
+        save_machine(result.declared.machine, folder / "declared.json")
+        save_machine(result.before.machine, folder / "before.json")
+        save_machine(result.after.machine, folder / "machine.json")
+        with atomic_file(folder / "evidence.npz") as file:
+            np.savez_compressed(file, **arrays)
+        if result.experiment:
+            result.experiment.write(folder / FILE, result.declared.machine)
+        else:
+            remove_file(folder / FILE)
+        write_text(folder / "report.json", json.dumps(report, indent=1, allow_nan=False) + "\n")
 
 
 def plot_data(result: IdentificationResult) -> dict[str, Array]:

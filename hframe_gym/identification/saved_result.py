@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
+from ..atomic_files import newest
 from ..errors import InputError
 from ..file_limits import read_arrays, read_document
+from ..locked_folders import complete_commit
 from ..machine import Machine
 from ..recordings import load_machine
 from .result import Verdict
@@ -185,21 +187,23 @@ def load_result(folder: Path) -> SavedResult:
     Raises:
         InputError: If a file is missing, damaged or inconsistent with the others; the message names the file.
     """
-    if not (folder / "report.json").is_file():
+    complete_commit(folder)
+    if not newest(folder / "report.json").is_file():
         raise InputError(f"{folder}: no report.json here; run `hframe identify RUNS --out {folder}` first")
     try:
-        report = _Report.model_validate_json(read_document(folder / "report.json")).model_dump(by_alias=True)
+        text = read_document(newest(folder / "report.json"))
+        report = _Report.model_validate_json(text).model_dump(by_alias=True)
     except ValidationError as error:
         first = error.errors()[0]
         field = ".".join(map(str, first["loc"])) or "file"
         raise _damaged(folder / "report.json", f"{field}: {first['msg']}") from None
     for name in ("machine.json", "declared.json"):
-        if not (folder / name).is_file():
+        if not newest(folder / name).is_file():
             raise _damaged(folder / name, "is missing")
     saved = SavedResult(
         report,
-        load_machine(folder / "machine.json"),
-        load_machine(folder / "declared.json"),
+        load_machine(newest(folder / "machine.json")),
+        load_machine(newest(folder / "declared.json")),
         _load_curves(folder / "evidence.npz"),
     )
     _check_report(saved, folder / "report.json")
@@ -214,12 +218,13 @@ def _damaged(path: Path, problem: str) -> InputError:
 
 def _load_curves(path: Path) -> dict[str, Array]:
     """Read evidence.npz."""
-    if not path.is_file():
+    source = newest(path)
+    if not source.is_file():
         raise _damaged(path, "is missing")
     try:
-        curves = read_arrays(path)
+        curves = read_arrays(source)
     except InputError as error:
-        raise _damaged(path, str(error).removeprefix(f"{path}: ")) from None
+        raise _damaged(path, str(error).removeprefix(f"{source}: ")) from None
     for name, values in curves.items():
         if not np.issubdtype(values.dtype, np.floating):
             raise _damaged(path, f"{name} holds {values.dtype}, not floating-point numbers")

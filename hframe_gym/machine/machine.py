@@ -1,8 +1,7 @@
 """The machine model: coordinates with a diagonal mass matrix, elastic belts, drives, sensors and effects.
 
 Extension s = G p and length of a belt are linear in the belt travel p of the coordinates (p = radius * angle of a
-pulley). The potential energy is 1/2 sum k s^2 with k = EA / length (eq. 38-44 of Sollmann et al. 2010). Values are SI,
-in the unit of the coordinate (kg and N, or kg m^2 and Nm). Machines are immutable.
+pulley). The potential energy is 1/2 sum k s^2, k = EA / length (eq. 38-44 of Sollmann et al. 2010). Values are SI.
 """
 
 from __future__ import annotations
@@ -143,10 +142,7 @@ class Machine:
 
     @cached_property
     def sensor_matrix(self) -> Array:
-        """Change of each noise-free reading per unit of each coordinate, m/m, m/rad, ..., shape (sensors, coordinates).
-
-        Products in a sensor's row ("y*yaw") are ignored.
-        """
+        """Change of noise-free readings per unit of each coordinate, no products, shape (sensors, coordinates)."""
         return np.array([self.coefficients(s.row) for s in self.sensors])
 
     def coordinate_of_site(self, site: str, kind: SiteKind) -> str | None:

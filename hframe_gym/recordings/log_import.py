@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 import gzip
-import io
-import os
-import tempfile
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
+from ..atomic_files import atomic_file, output_batch
 from ..errors import InputError
 from ..machine import Machine
 from .cleaning import GAP_PERIODS
@@ -93,24 +92,20 @@ def import_logs(
             progress(done, total)
 
     importer = _Importer(machine, settings, say, add)
-    folder.parent.mkdir(parents=True, exist_ok=True)
     written: list[Path] = []
-    with tempfile.TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as temporary:
+    with output_batch(folder):
         for path in paths:
             for run in importer.runs(path):
                 if run.name in existing:
                     raise InputError(f"{folder}: the run {run.name!r} exists; choose another --out or delete it")
-                file = Path(temporary) / f"{run.name}.{settings.run_format}"
+                file = folder / f"{run.name}.{settings.run_format}"
                 write_recording(file, run, machine, importer.count_rows)
                 written.append(file)
-        folder.mkdir(exist_ok=True)
-        for file in written:
-            os.replace(file, folder / file.name)
-    return [folder / file.name for file in written]
+    return written
 
 
 def write_recording(path: Path, recording: Recording, machine: Machine, progress: Progress | None = None) -> None:
-    """Write a recording without loss: every number reads back as it is.
+    """Write a recording without loss, completely or not at all: every number reads back as it is.
 
     Args:
         path: File to write: .csv, .csv.gz (compressed) or .parquet.
@@ -131,18 +126,19 @@ def write_recording(path: Path, recording: Recording, machine: Machine, progress
         except ImportError:
             raise InputError(f"{path.name}: writing Parquet files needs pip install 'hframe_gym[parquet]'") from None
         arrays = [pyarrow.array(column, from_pandas=True) for column in columns]
-        parquet.write_table(pyarrow.table(dict(zip(names, arrays, strict=True))), path)
+        with atomic_file(path) as raw:
+            parquet.write_table(pyarrow.table(dict(zip(names, arrays, strict=True))), raw)
         if progress is not None:
             progress(len(recording.time_s))
         return
-    with open(path, "wb") as raw:
+    with atomic_file(path) as raw:
         # Without name and time, equal recordings are equal files.
-        stream = gzip.GzipFile("", "wb", _COMPRESSION, raw, mtime=0) if path.suffix == ".gz" else raw
-        with io.TextIOWrapper(stream, "ascii", newline="\n") as file:  # type: ignore[type-var]
-            file.write(",".join(names) + "\n")
+        packed = gzip.GzipFile("", "wb", _COMPRESSION, raw, mtime=0) if path.suffix == ".gz" else None
+        with packed or nullcontext(raw) as file:
+            file.write(f"{','.join(names)}\n".encode("ascii"))
             for begin in range(0, len(recording.time_s), _ROWS_PER_WRITE):
                 cells = [_texts(column[begin : begin + _ROWS_PER_WRITE]) for column in columns]
-                file.writelines(f"{row}\n" for row in map(",".join, zip(*cells, strict=True)))
+                file.write("".join(f"{row}\n" for row in map(",".join, zip(*cells, strict=True))).encode("ascii"))
                 if progress is not None:
                     progress(len(cells[0]))
 

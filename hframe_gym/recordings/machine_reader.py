@@ -314,19 +314,16 @@ def implausible_values(machine: Machine) -> list[tuple[str, str]]:
 
 def _large_lengths(machine: Machine) -> list[tuple[str, str]]:
     """List lengths that are probably in millimeters."""
-    lengths: list[tuple[str, tuple[float, ...]]]
-    lengths = [(f"coordinates.{c.name}.range", c.range) for c in machine.coordinates if c.kind == "linear" and c.range]
+    lengths: list[tuple[str, tuple[float, ...]]] = []
+    lengths += [(f"coordinates.{c.name}.range", c.range) for c in machine.coordinates if c.kind == "linear" and c.range]
     lengths += [(f"coordinates.{c.name}.radius", (c.radius,)) for c in machine.coordinates if c.kind == "rotary"]
     lengths += [(f"belts.{b.name}.rest_length", (b.rest_length,)) for b in machine.belts]
     for s in machine.sensors:
         if machine.unit(f"{s.channel}.noise") == "m":
             lengths += [(f"sensors.{s.channel}.{key}", (value,)) for key, value in s.device_parameters.items()]
-    doubts = []
-    for field, values in lengths:
-        largest = max(map(abs, values))
-        if largest > _LARGEST[field.rpartition(".")[2]]:
-            doubts.append((field, f"{largest:g} m: is it in millimeters? All lengths are in m"))
-    return doubts
+    largest = [(field, max(map(abs, values))) for field, values in lengths]
+    text = "{:g} m: is it in millimeters? All lengths are in m"
+    return [(field, text.format(size)) for field, size in largest if size > _LARGEST[field.rpartition(".")[2]]]
 
 
 def _doubtful_belts(machine: Machine) -> list[tuple[str, str]]:
@@ -344,9 +341,8 @@ def _doubtful_belts(machine: Machine) -> list[tuple[str, str]]:
         if shortest <= 0:
             reason = f"the section would be {shortest:.3g} m long at an end of the coordinates' ranges"
             doubts.append((f"belts.{belt.name}.rest_length", f"{reason}: correct rest_length, length or the ranges"))
-    motions = rigid_motions(machine)
     for c in machine.coordinates:
-        if c.kind == "linear" and c.name not in motions:
+        if c.kind == "linear" and c.name not in rigid_motions(machine):
             reason = "cannot move without stretching a belt: check the signs of the factors in `extension`"
             doubts.append((f"coordinates.{c.name}", reason))
     return doubts

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import gzip
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -29,6 +30,7 @@ from .table_file import (
 )
 from .text_reader import Progress
 
+MIN_ROWS = 20_000  # rows that are read of each run; typical runs have fewer
 # Units that recordings do not use, in words.
 _UNIT_WORDS = {"mm": "millimeters", "um": "micrometers", "deg": "degrees", "ms": "milliseconds", "%": "percent"}
 # The largest plausible measurement of a channel by the ending of its name (20 m, 2000 turns), and the unit of the value
@@ -67,7 +69,12 @@ class Recording:
 
 
 def load_recordings(
-    folder: str | Path, machine: Machine, progress: Callable[[int, int], None] | None = None
+    folder: str | Path,
+    machine: Machine,
+    progress: Callable[[int, int], None] | None = None,
+    *,
+    max_rows: int | None = None,
+    log: Callable[[str], None] = print,
 ) -> list[Recording]:
     """Load and validate all recordings of a folder.
 
@@ -76,6 +83,9 @@ def load_recordings(
             ignored.
         machine: Machine that was recorded; its channels name the columns.
         progress: Called while files are read with the number of bytes that were read, and that of all files.
+        max_rows: Number of rows of all runs together beyond which only the beginnings of long runs are read: the same
+            number of rows of each run, at least `MIN_ROWS`. Default: everything is read.
+        log: Called with a line of text for each run of which only the beginning is read.
 
     Returns:
         The runs in the order of their file names: times, s, shape (n,), voltages, V, shape (n, drives), and
@@ -106,11 +116,26 @@ def load_recordings(
         if progress is not None:
             progress(done, total)
 
-    return [load_recording(p, machine, progress=add) for p in files]
+    if max_rows is None:
+        return [load_recording(p, machine, progress=add) for p in files]
+    rows = max(max_rows // len(files), MIN_ROWS)
+    recordings = [load_recording(p, machine, progress=add, max_rows=rows + 1) for p in files]
+    for i, recording in enumerate(recordings):
+        if len(recording.time_s) > rows:
+            arrays = {key: getattr(recording, key)[:rows] for key in ("time_s", "inputs", "outputs")}
+            recordings[i] = replace(recording, **arrays)
+            seconds = recording.time_s[rows - 1] - recording.time_s[0]
+            log(f"{recording.name}: only the first {seconds:.4g} s ({rows} rows) are used, see --max-rows")
+    return recordings
 
 
 def load_recording(
-    path: str | Path, machine: Machine, *, outputs_needed: bool = True, progress: Progress | None = None
+    path: str | Path,
+    machine: Machine,
+    *,
+    outputs_needed: bool = True,
+    progress: Progress | None = None,
+    max_rows: int | None = None,
 ) -> Recording:
     """Load and validate one recording.
 
@@ -120,6 +145,7 @@ def load_recording(
         outputs_needed: Whether the file must have output columns. False also accepts voltages alone; the outputs are
             then NaN.
         progress: Called with the number of bytes read since the last call.
+        max_rows: Number of rows after which reading stops. Default: all rows are read.
 
     Returns:
         The run: times, s, shape (n,), inputs, V, shape (n, drives), in the order of the machine's drives, and outputs,
@@ -132,7 +158,7 @@ def load_recording(
     """
     path = Path(path)
     try:
-        header, columns = read_table(path, progress)
+        header, columns = read_table(path, progress, max_rows)
     except ForeignFormatError as error:
         raise InputError(f"{error}. Convert it: {import_command(path)}") from None
     _check_header(path, header, machine, outputs_needed=outputs_needed)
@@ -207,11 +233,11 @@ def write_trajectory(path: str | Path, trajectory: Trajectory, inputs: Array, ma
     """
     header = ["time_s", *machine.input_channels, *machine.output_channels]
     table = np.column_stack([trajectory.time_s, inputs, trajectory.outputs])
-    with atomic_file(path) as temporary:
-        stream = gzip.open(temporary, "wt") if str(path).endswith(".gz") else open(temporary, "w")  # noqa: SIM115
-        with stream as file:
-            file.write(",".join(header) + "\n")
-            np.savetxt(file, table, fmt="%.9g", delimiter=",")
+    with atomic_file(path) as file:
+        # Without name and time, equal simulations are equal files.
+        packed = gzip.GzipFile("", "wb", fileobj=file, mtime=0) if str(path).endswith(".gz") else None
+        with packed or nullcontext(file) as stream:
+            np.savetxt(stream, table, fmt="%.9g", delimiter=",", header=",".join(header), comments="")
 
 
 def run_name(path: Path) -> str:

@@ -26,12 +26,15 @@ class ForeignFormatError(InputError):
     """A table is not UTF-8 text with commas between the cells, decimal points and a header in the first line."""
 
 
-def read_table(path: Path, progress: Progress | None = None) -> tuple[list[str], dict[str, Array]]:
+def read_table(
+    path: Path, progress: Progress | None = None, max_rows: int | None = None
+) -> tuple[list[str], dict[str, Array]]:
     """Read a table of numbers with a header line.
 
     Args:
         path: A CSV file (.csv, or .csv.gz compressed by gzip) or a Parquet file (.parquet).
         progress: Called with the number of bytes read since the last call.
+        max_rows: Number of rows after which reading stops. Default: all rows are read.
 
     Returns:
         Names of the columns in the order of the file, and values of each column by its name, in the unit of the file,
@@ -45,8 +48,8 @@ def read_table(path: Path, progress: Progress | None = None) -> tuple[list[str],
     if not path.is_file():
         raise InputError(f"{path}: no such file")
     if path.suffix != ".parquet":
-        return _read_csv(path, progress)
-    table = _read_parquet(path)
+        return _read_csv(path, progress, max_rows)
+    table = _read_parquet(path, max_rows)
     if progress is not None:
         progress(path.stat().st_size)
     return table
@@ -134,13 +137,13 @@ def read_path(path: str | Path) -> tuple[Array, Array | None]:
     return points, columns["time_s"] - columns["time_s"][0]
 
 
-def _read_csv(path: Path, progress: Progress | None) -> tuple[list[str], dict[str, Array]]:
+def _read_csv(path: Path, progress: Progress | None, max_rows: int | None) -> tuple[list[str], dict[str, Array]]:
     """Read a CSV file in the format of recordings; other formats are refused with advice."""
     layout = detect_format(path)
     if layout.deviations:
         raise ForeignFormatError(f"{path}: cannot be read: {', '.join(layout.deviations)}")
     header = list(layout.names)
-    values, _ = read_columns(path, layout, range(len(header)), progress=progress)
+    values, _ = read_columns(path, layout, range(len(header)), progress=progress, max_rows=max_rows)
     for name, kind in zip(header, layout.kinds, strict=True):
         if kind == "stamp":
             raise ForeignFormatError(f"{path}, column {name}: has dates or times of day instead of numbers")
@@ -179,13 +182,14 @@ def open_parquet(path: Path) -> Any:
     return file
 
 
-def read_parquet_column(path: Path, file: Any, name: str) -> Any:
+def read_parquet_column(path: Path, file: Any, name: str, max_rows: int | None = None) -> Any:
     """Read one column of a Parquet file.
 
     Args:
         path: Path of the file, for messages.
         file: File from `open_parquet`.
         name: Name of the column.
+        max_rows: Number of rows after which reading stops. Default: all rows are read.
 
     Returns:
         The column, an object of the class `pyarrow.ChunkedArray`.
@@ -194,7 +198,12 @@ def read_parquet_column(path: Path, file: Any, name: str) -> Any:
         InputError: If the column is damaged.
     """
     try:
-        return file.read(columns=[name]).column(0)
+        if max_rows is None:
+            return file.read(columns=[name]).column(0)
+        content = file.metadata
+        ends = np.cumsum([content.row_group(i).num_rows for i in range(content.num_row_groups)])
+        groups = range(min(int(np.searchsorted(ends, max_rows)) + 1, len(ends)))
+        return file.read_row_groups(list(groups), columns=[name]).column(0)[:max_rows]
     except Exception as error:  # pyarrow raises many types, some of them private
         raise InputError(f"{path}, column {name}: cannot be read: {' '.join(str(error).split())}") from None
 
@@ -220,7 +229,7 @@ def parquet_numbers(path: Path, name: str, column: Any) -> Array:
         raise InputError(f"{path}, column {name}: {column.type} cannot be converted to numbers: {reason}") from None
 
 
-def _read_parquet(path: Path) -> tuple[list[str], dict[str, Array]]:
+def _read_parquet(path: Path, max_rows: int | None) -> tuple[list[str], dict[str, Array]]:
     """Read a Parquet file whose columns are all numbers."""
     file = open_parquet(path)
     from pyarrow import types
@@ -232,4 +241,5 @@ def _read_parquet(path: Path) -> tuple[list[str], dict[str, Array]]:
         if not (types.is_integer(kind) or types.is_floating(kind) or types.is_decimal(kind) or types.is_null(kind)):
             raise InputError(f"{path}, column {field.name}: has values of the type {kind} instead of numbers")
     names = list(file.schema_arrow.names)
-    return names, {name: parquet_numbers(path, name, read_parquet_column(path, file, name)) for name in names}
+    columns = {name: read_parquet_column(path, file, name, max_rows) for name in names}
+    return names, {name: parquet_numbers(path, name, column) for name, column in columns.items()}

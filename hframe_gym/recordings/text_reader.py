@@ -36,7 +36,13 @@ _TIME_ZONE = re.compile(r"(?:Z|[+-]\d\d:?\d\d)$")
 
 
 def read_columns(
-    path: Path, layout: TextFormat, columns: Sequence[int], *, lenient: bool = False, progress: Progress | None = None
+    path: Path,
+    layout: TextFormat,
+    columns: Sequence[int],
+    *,
+    lenient: bool = False,
+    progress: Progress | None = None,
+    max_rows: int | None = None,
 ) -> tuple[list[NDArray[Any]], list[str]]:
     """Read columns of numbers and time stamps from a text file.
 
@@ -46,6 +52,7 @@ def read_columns(
         columns: Indices of the columns to read, from 0.
         lenient: Leave out comment lines, rows without a value, and the last row if it is incomplete.
         progress: Called with the number of bytes read since the last call.
+        max_rows: Number of rows after which reading stops. Default: all rows are read.
 
     Returns:
         values: One array per column, in the unit of the file, shape (rows,): float64, NaN where a cell is empty, or
@@ -59,7 +66,9 @@ def read_columns(
     reader = _BlockReader(path, layout, columns, lenient)
     for block, is_last in _blocks(path, layout, progress):
         reader.add(block, is_last)
-    table = np.concatenate([np.zeros((0, len(reader.numbers))), *reader.tables])
+        if max_rows is not None and sum(map(len, reader.tables)) >= max_rows:
+            break
+    table = np.concatenate([np.zeros((0, len(reader.numbers))), *reader.tables])[:max_rows]
     reader.tables.clear()
     values: dict[int, NDArray[Any]] = {c: np.ascontiguousarray(table[:, k]) for k, c in enumerate(reader.numbers)}
     for k, column in enumerate(reader.stamps):

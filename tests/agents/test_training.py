@@ -1,14 +1,18 @@
 """Training end to end on a small scale: learning, files, reproducibility and resuming after a kill."""
 
+import io
 import json
 import os
+import random
 import signal
 import subprocess
 import sys
 import time
+import zipfile
 
 import numpy as np
 import pytest
+import torch
 
 from hframe_gym.agents import Agent, train
 from hframe_gym.agents.model_card import score_agent
@@ -105,6 +109,61 @@ def test_a_killed_run_resumes_from_its_checkpoint(tmp_path):
     assert card["curve"][: len(before)] == before
     assert card["curve"][-1]["steps"] >= steps
     assert card["curve"][-1]["cpu_s"] > before[-1]["cpu_s"]
+
+
+class _Killed(BaseException):
+    """Stands for the end of a process."""
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "steps"),
+    [
+        ("ppo", 14_000),
+        ("sac", 6_400),
+        pytest.param("sac_her", 6_400, marks=pytest.mark.slow),
+        pytest.param("residual", 18_000, marks=pytest.mark.slow),
+    ],
+)
+def test_a_resumed_run_equals_an_unbroken_one_to_the_bit(tmp_path, algorithm, steps):
+    def kill(done, total):
+        if done > 0.7 * total:
+            raise _Killed
+
+    whole, broken = tmp_path / "whole", tmp_path / "broken"
+    train(algorithm, steps=steps, seed=4, out=whole, log=ignore)
+    with pytest.raises(_Killed):
+        train(algorithm, steps=steps, seed=4, out=broken, log=ignore, progress=kill)
+    resumed_from = learning_curve(broken)[-1]["steps"]
+    assert 0 < resumed_from < steps
+    random.seed(99)  # a new process would start with other states of the global generators
+    np.random.seed(99)  # noqa: NPY002
+    torch.manual_seed(99)
+    train(algorithm, steps=steps, seed=4, out=broken, log=ignore, resume=True)
+    cards = [json.loads((folder / "card.json").read_text()) for folder in (whole, broken)]
+    for row in [*cards[0]["curve"], *cards[1]["curve"]]:
+        del row["seconds"], row["cpu_s"]
+    assert cards[0] == cards[1]
+    for file in ("policy.safetensors", "agent.json", "machine.json"):
+        assert (whole / file).read_bytes() == (broken / file).read_bytes()
+    with zipfile.ZipFile(whole / "checkpoint.zip") as first, zipfile.ZipFile(broken / "checkpoint.zip") as second:
+        for file in ("policy.pth", *(n for n in first.namelist() if n.endswith("optimizer.pth"))):
+            weights = [torch.load(io.BytesIO(z.read(file)), weights_only=True) for z in (first, second)]
+            assert_same(*weights)
+
+
+def assert_same(first, second):
+    """Compare nested dictionaries and lists of tensors bit by bit."""
+    if isinstance(first, torch.Tensor):
+        assert torch.equal(first, second)
+    elif isinstance(first, dict):
+        assert first.keys() == second.keys()
+        for key in first:
+            assert_same(first[key], second[key])
+    elif isinstance(first, list | tuple):
+        for a, b in zip(first, second, strict=True):
+            assert_same(a, b)
+    else:
+        assert first == second
 
 
 def test_resuming_an_empty_folder_is_refused(tmp_path):

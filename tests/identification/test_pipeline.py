@@ -106,6 +106,12 @@ def test_a_channel_that_was_never_measured_is_null_in_the_report(tmp_path: Path)
 
 
 @pytest.mark.oracle
+def test_the_order_of_the_recordings_does_not_matter(result: IdentificationResult) -> None:
+    machine = BUILTIN_MACHINES["hframe"]()
+    reversed_result = identify(load_recordings(EXAMPLES / "rig_a", machine)[::-1], machine)
+    assert reversed_result.as_json() | {"seconds": 0} == result.as_json() | {"seconds": 0}
+
+
 def test_held_out_runs_are_never_fitted(result: IdentificationResult) -> None:
     fitted, held_out = ({r.name for r in data.runs} for data in (result.fitted, result.held_out))
     assert not fitted & held_out

@@ -10,8 +10,15 @@ import numpy as np
 import pytest
 
 from hframe_gym.errors import InputError
-from hframe_gym.machine import Machine
-from hframe_gym.recordings import Recording, fill_gaps, load_recording, load_recordings, write_trajectory
+from hframe_gym.machine import BUILTIN_MACHINES, Machine
+from hframe_gym.recordings import (
+    Recording,
+    fill_gaps,
+    load_recording,
+    load_recordings,
+    write_recording,
+    write_trajectory,
+)
 
 WriteRun = Callable[..., Path]
 
@@ -179,3 +186,23 @@ def test_filled_gaps_predict_the_motion_better_than_inputs_held_over_the_gap(hfr
     error = hframe.simulate(filled.time_s, filled.inputs).outputs - filled.outputs
     assert np.nanstd(error[:, 2]) < 0.3 * np.std(held[:, 2])
     assert np.nanstd(error[:, 2]) == pytest.approx(0.0, abs=2e-4)
+
+
+@pytest.mark.parametrize("suffix", ["csv", "csv.gz", "parquet"])
+def test_of_long_sessions_the_beginnings_are_read(suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every run keeps the same number of rows; shorter ones are complete and not mentioned."""
+    monkeypatch.setattr("hframe_gym.recordings.recording.MIN_ROWS", 40)
+    axis = BUILTIN_MACHINES["axis"]()
+    for name, rows in (("long", 5000), ("short", 60)):
+        time_s = np.arange(rows) * 1e-3
+        run = Recording(name, time_s, np.sin(time_s)[:, None], 0.01 * np.cos(time_s)[:, None])
+        write_recording(tmp_path / f"{name}.{suffix}", run, axis)
+    lines: list[str] = []
+    whole = load_recordings(tmp_path, axis)
+    cut = load_recordings(tmp_path, axis, max_rows=200, log=lines.append)
+    assert [len(run.time_s) for run in cut] == [100, 60]
+    for run, complete in zip(cut, whole, strict=True):
+        for key in ("time_s", "inputs", "outputs"):
+            np.testing.assert_array_equal(getattr(run, key), getattr(complete, key)[: len(run.time_s)])
+    assert lines == ["long: only the first 0.099 s (100 rows) are used, see --max-rows"]
+    assert [len(run.time_s) for run in load_recordings(tmp_path, axis, max_rows=10, log=lines.append)] == [40, 40]

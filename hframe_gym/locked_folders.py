@@ -1,0 +1,180 @@
+"""Folders for the output of commands: one writer at a time, and nothing left by processes that were killed.
+
+The lock belongs to the open folder, not to a file in it, so that it ends with its process, however that ends.
+`atomic_files` collects the new files of a folder in `COMMIT`, which appears complete by one rename; from then on they
+are the folder's content, and whoever opens the folder next completes moves that a kill interrupted.
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from .errors import InputError
+
+COMMIT = ".hframe-commit"  # folder of complete new files, on their way to their names
+UNFINISHED = ".hframe-new-"  # start of the names of files and folders that are not complete yet
+_HELD: set[Path] = set()  # folders that this process has locked
+
+
+@contextmanager
+def locked_folder(folder: str | Path) -> Iterator[Path]:
+    """Create a folder, keep other processes from writing to it, and remove what a killed process left in it.
+
+    The lock ends with the process, however that ends. A folder that the block leaves empty is removed if it is new.
+
+    Args:
+        folder: Folder for the output of a command.
+
+    Yields:
+        The folder.
+
+    Raises:
+        InputError: If another process has locked the folder.
+        OSError: If the folder cannot be created or written.
+    """
+    path = Path(folder).resolve()
+    if path in _HELD:
+        yield Path(folder)
+        return
+    created = [p for p in (path, *path.parents) if not p.exists()]
+    path.mkdir(parents=True, exist_ok=True)
+    descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        if not lock(descriptor):
+            raise InputError(f"{folder}: another hframe command is writing to this folder; wait or choose another one")
+        if not os.access(path, os.W_OK):
+            code = errno.EROFS if os.statvfs(path).f_flag & os.ST_RDONLY else errno.EACCES
+            raise OSError(code, os.strerror(code), str(folder))
+        _HELD.add(path)
+        move_committed(path)
+        _remove_remains(path)
+        yield Path(folder)
+    finally:
+        _HELD.discard(path)
+        with suppress(OSError):  # not empty
+            for new in created:
+                new.rmdir()
+        os.close(descriptor)
+
+
+def complete_commit(folder: str | Path) -> None:
+    """Complete the output of a process that was killed while it moved complete files to their names.
+
+    Call it before several files of a folder are read that belong together.
+
+    Args:
+        folder: Folder that `output_batch` may have written.
+
+    Raises:
+        OSError: If the moves are to be completed and the folder cannot be written.
+    """
+    if not (Path(folder) / COMMIT).is_dir() or Path(folder).resolve() in _HELD:
+        return
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        if lock(descriptor):
+            move_committed(Path(folder))
+    finally:
+        os.close(descriptor)
+
+
+@contextmanager
+def scratch_folder() -> Iterator[Path]:
+    """Provide a folder in the system's temporary folder, for libraries that write files by path.
+
+    It is deleted at the end; folders that killed processes of this user left are deleted at the beginning.
+
+    Yields:
+        Empty folder.
+
+    Raises:
+        OSError: If the folder cannot be created.
+    """
+    prefix = f"hframe_gym-scratch-{os.getuid()}-"
+    for path in Path(tempfile.gettempdir()).glob(f"{prefix}*"):
+        with suppress(OSError):
+            descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+            try:
+                if os.fstat(descriptor).st_uid == os.getuid() and lock(descriptor):
+                    shutil.rmtree(path, ignore_errors=True)
+            finally:
+                os.close(descriptor)
+    with tempfile.TemporaryDirectory(prefix=prefix, ignore_cleanup_errors=True) as name:
+        descriptor = os.open(name, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            lock(descriptor)
+            yield Path(name)
+        finally:
+            os.close(descriptor)
+
+
+def lock(descriptor: int) -> bool:
+    """Lock an open file or folder for this process.
+
+    Args:
+        descriptor: Descriptor of the open file or folder; closing it ends the lock.
+
+    Returns:
+        Whether no other process has locked it; True on a file system without locks.
+    """
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:  # a file system without locks
+        return True
+    return True
+
+
+def move_committed(folder: Path) -> None:
+    """Move the files of a commit to their names; a repetition continues where it was interrupted.
+
+    Args:
+        folder: Folder with a complete folder `COMMIT`; without one nothing happens.
+
+    Raises:
+        OSError: If the folder cannot be written.
+    """
+    commit = folder / COMMIT
+    for marker in sorted((commit / "removed").rglob("*")):
+        if not marker.is_dir():
+            (folder / marker.relative_to(commit / "removed")).unlink(missing_ok=True)
+    for file in sorted((commit / "new").rglob("*")):
+        if not file.is_dir():
+            file.replace(with_parents(folder / file.relative_to(commit / "new")))
+    if commit.is_dir():
+        shutil.rmtree(commit)
+
+
+def with_parents(path: Path) -> Path:
+    """Create the folder of a file.
+
+    Args:
+        path: Path of the file.
+
+    Returns:
+        The same path.
+
+    Raises:
+        OSError: If the folder cannot be created.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return path
+
+
+def _remove_remains(folder: Path) -> None:
+    """Remove incomplete files and folders of killed processes; the folder is locked."""
+    for path in folder.glob(f"{UNFINISHED}*"):
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+            continue
+        with suppress(OSError), path.open("rb") as file:
+            if lock(file.fileno()):
+                path.unlink()
