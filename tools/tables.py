@@ -30,7 +30,7 @@ from tools.leaderboard import leaderboard_page
 from tools.leaderboard import results as leaderboard_results
 from tools.machine_page import field_tables, schema_text
 
-PAGES = ("README.md", "RESULTS.md", "docs/identification_results.md", "docs/trust.md")
+PAGES = ("README.md", "RESULTS.md", "docs/agents.md", "docs/identification_results.md", "docs/trust.md")
 STAGES = ("declared", "before", "after")
 
 
