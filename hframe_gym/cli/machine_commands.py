@@ -161,7 +161,9 @@ def new_effect(
     formula: Annotated[int, typer.Option(min=0, help="Number of the formula (0: the recommended one).")] = 0,
     table: Annotated[str, typer.Option(help="Label of the table (default: the first one).")] = "",
 ) -> None:
-    """Write the formula that is proposed for a table as an effect, a Python file to review.
+    """Write a formula for an unknown force as an effect (a deviation from the machine's model), a file to review.
+
+    Where no known effect explains a force, `hframe identify` describes it by a table of values and proposes formulas.
 
     Example:  hframe effects new rail_catch --from out/rig
     """

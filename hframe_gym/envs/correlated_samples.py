@@ -83,8 +83,8 @@ class CorrelatedSampler:
             uniforms: Independent random numbers in (0, 1), shape (n, k) for n samples.
 
         Returns:
-            Deviations from the nominal values, SI, shape (n, k). Parameters that several changes contribute to may
-            still leave their limits a little.
+            Deviations from the nominal values, SI, shape (n, k). Only the normal numbers are truncated; a parameter
+            that is correlated with others is their weighted sum, which may exceed the truncation a little.
         """
         probabilities = self._lowest + uniforms * (self._highest - self._lowest)
         normals = np.clip(ndtri(probabilities), -_LARGEST_NORMAL, _LARGEST_NORMAL)

@@ -244,16 +244,16 @@ class TableComparison:
 def compare_formulas(
     result: IdentificationResult, log: Callable[[str], None] = lambda line: None
 ) -> tuple[TableComparison, ...]:
-    """Propose formulas for every table of an identification and fit each one in place of its table.
+    """Propose formulas for each force or friction that identification could only describe by a table of values.
 
-    The table keeps its identified values; formulas are fitted to the same runs. Held-out runs are only predicted.
+    A table interpolates over one variable, such as a carriage's position. Formulas are fitted to the same runs.
 
     Args:
         result: Result of `identify`.
         log: Called with a line of text for every formula.
 
     Returns:
-        One comparison per table of the machine with all selected effects; empty if it has none.
+        One comparison (errors and complexity of the table and its formulas) per table of the corrected machine.
 
     Raises:
         ImportError: If the machine has a table and scikit-learn is not installed; the message names the extra

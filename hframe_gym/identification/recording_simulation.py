@@ -175,7 +175,7 @@ def evaluate_held_out(
 
     Returns:
         The machine with these zeros and its simulation errors, m or rad, shape (n, sensors) for each run. Where its
-        motion diverges, only the rows before count.
+        motion diverges, the errors up to there are evaluated.
 
     Raises:
         KeyError: If the recording of a run is missing.
