@@ -158,6 +158,8 @@ def _measured(command: str, data: str, folder: Path) -> Row:
     launched = [sys.executable, "-c", LAUNCHER, sys.executable, "-m", "hframe_gym", *words]
     finished = subprocess.run(launched, capture_output=True, text=True, env=environment())
     *output, usage = finished.stdout.strip().splitlines()
+    if not usage.startswith("{"):
+        return row("load", f"`{command}` on {data}", 1, ["the process that measures it was ended"], "not measured")
     peak, wall = json.loads(usage)["peak_MB"], json.loads(usage)["wall_s"]
     failures = [finished.stderr.strip()[-500:]] if finished.returncode else []
     failures += [f"{peak:.0f} MB"] if peak > MAX_MB else []
