@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import pickle
 
 import numpy as np
@@ -78,6 +79,19 @@ def test_effect_that_does_not_fit_has_no_site() -> None:
     axis = BUILTIN_MACHINES["axis"]()
     for name in ("belt_play", "eccentric_pulley", "bridge_yaw", "idler_inertia", "sensor_skew", "sensor_scale"):
         assert effect_sites(EFFECTS[name], axis) == ()
+
+
+@pytest.mark.parametrize("belt", ["left", "right", "bottom"])
+def test_idlers_need_the_belts_of_an_h_frame(belt: str, hframe: Machine) -> None:
+    """One belt with another factor, one belt too few, and a name in use."""
+    other = [dataclasses.replace(b, extension=b.extension | {"x": 3.0}) if b.name == belt else b for b in hframe.belts]
+    fewer = [b for b in hframe.belts if b.name != belt]
+    taken = [dataclasses.replace(b, name="left_rail") if b.name == "right" else b for b in hframe.belts]
+    for belts in (other, fewer, taken):
+        machine = dataclasses.replace(hframe, belts=tuple(belts))
+        assert effect_sites(EFFECTS["idler_inertia"], machine) == ()
+        with pytest.raises(ValueError, match="idler_inertia: does not fit machine 'hframe'"):
+            machine.with_effects(CASES["idler_inertia"].effect)
 
 
 def test_components_of_shared_sites(hframe: Machine) -> None:

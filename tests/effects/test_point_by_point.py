@@ -6,12 +6,21 @@ Nothing is integrated and no kernel is compiled, so that a wrong sign or factor 
 from __future__ import annotations
 
 import dataclasses
+import re
 from typing import Any
 
 import numpy as np
 import pytest
 
-from hframe_gym.dynamics import Equations, MotionPoint, belt_forces, belt_states, effect_forces, net_forces
+from hframe_gym.dynamics import (
+    Equations,
+    MotionPoint,
+    belt_forces,
+    belt_states,
+    effect_forces,
+    kernel_source_text,
+    net_forces,
+)
 from hframe_gym.dynamics.elementwise import where
 from hframe_gym.effects import EFFECTS
 from hframe_gym.machine import BUILTIN_MACHINES, Effect, EffectParameter, Machine
@@ -228,6 +237,9 @@ def test_forces_behind_a_branch_add_to_the_others(hframe: Machine) -> None:
         q = np.array([[x, 0.0, phi, 0.0]])
         change = effect_forces(machine, np.zeros(1), q, np.zeros_like(q), np.zeros((1, 2)))
         np.testing.assert_allclose(change, [[on_x, 4.0, on_phi, 0.0]], atol=1e-9)
+    # The kernel evaluates the three forces where any of the three acts.
+    conditions = re.findall(r"if any_of\((.* \| .*)\):", kernel_source_text(machine))
+    assert [len(set(condition.split(" | "))) for condition in conditions] == [3, 3]
 
 
 @pytest.mark.parametrize("speed", [0.2, -0.2, 0.0])
