@@ -1,7 +1,7 @@
 """Compiles the simulation kernel of a machine's shape once and keeps it on disk.
 
-The kernel is generated Numba code for all machines of one structure (`Machine.shape`). Its source is written to the
-cache folder (`$HFRAME_CACHE`, `$XDG_CACHE_HOME/hframe_gym` or `~/.cache/hframe_gym`) under the hash of all its code.
+The kernel is generated Numba code for all machines of one structure (`Machine.shape`). It is stored under the hash of
+all its code in `$HFRAME_CACHE`, `$XDG_CACHE_HOME/hframe_gym` or `~/.cache/hframe_gym`.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import os
 import shutil
 import sys
 import tempfile
+import threading
 import warnings
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -197,8 +198,8 @@ def _foundation() -> str:
     return digest.hexdigest()
 
 
-# Kernels of this process by shape: a cache only, nothing else depends on it.
-_KERNELS: dict[tuple[object, ...], Kernel] = {}
+_KERNELS: dict[tuple[object, ...], Kernel] = {}  # of this process, by shape
+_LOADING = threading.RLock()
 
 
 def _load(text: str) -> ModuleType:
@@ -207,15 +208,14 @@ def _load(text: str) -> ModuleType:
     path = cache_folder() / f"{name}.py"
     if not path.exists():
         write_text(path, text)
-    loaded = sys.modules.get(f"hframe_gym_kernels.{name}")
-    if loaded is not None and loaded.__file__ == str(path):  # machines that differ in names only have the same text
-        return loaded
-    spec = importlib.util.spec_from_file_location(f"hframe_gym_kernels.{name}", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
+    with _LOADING:  # another thread may be executing the module
+        loaded = sys.modules.get(f"hframe_gym_kernels.{name}")
+        if loaded is not None and loaded.__file__ == str(path):  # machines that differ in names only have the same text
+            return loaded
+        spec = importlib.util.spec_from_file_location(f"hframe_gym_kernels.{name}", path)
+        assert spec is not None and spec.loader is not None  # noqa: PT018
+        module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
     return module
 
 
