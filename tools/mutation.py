@@ -127,7 +127,8 @@ def mutants_of(file: str, text: str, functions_only: bool) -> list[Mutant]:
         functions_only: Whether to leave out what is outside functions (the declaration of an effect's parameters).
 
     Returns:
-        Mutants in the order of the lines. Texts (messages, docstrings), annotations and decorators are not changed.
+        Mutants in the order of the lines. Texts (messages, docstrings), annotations, decorators and `zip`'s check `strict`
+        are not changed.
     """
     tree, lines = ast.parse(text), text.splitlines()
     mutants = []
@@ -158,6 +159,8 @@ def _changes(tree: ast.Module, functions_only: bool) -> Iterator[tuple[ast.expr,
             yield from ((node, replacement) for replacement in _replacements(node))
         for name, value in ast.iter_fields(node):
             if name in ("annotation", "returns", "decorator_list", "type_params"):
+                continue
+            if isinstance(node, ast.keyword) and node.arg == "strict":
                 continue
             children = value if isinstance(value, list) else [value]
             pending += [(child, inside) for child in children if isinstance(child, ast.AST)]

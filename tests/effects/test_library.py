@@ -152,3 +152,12 @@ def test_table_is_picklable() -> None:
     """Tables are made on demand and must be equal after a round trip."""
     definition = get_effect("smooth_force[path of x]")
     assert pickle.loads(pickle.dumps(definition)) == definition
+
+
+def test_a_table_over_the_path_counts_the_distance_in_both_directions() -> None:
+    """A table over a position or the time needs no state."""
+    step = get_effect("smooth_force[path of x]").next_state
+    assert step is not None
+    assert step(z=1.0, dq=-2.0) == step(z=1.0, dq=2.0) == 3.0
+    assert get_effect("smooth_force[position of x]").next_state is None
+    assert get_effect("smooth_friction[time]").next_state is None
