@@ -127,7 +127,7 @@ def mutants_of(file: str, text: str, functions_only: bool) -> list[Mutant]:
         functions_only: Whether to leave out what is outside functions (the declaration of an effect's parameters).
 
     Returns:
-        Mutants in the order of the lines. Texts (messages, docstrings), annotations, decorators and `zip`'s check `strict`
+        Mutants in the order of the lines. Texts (messages, docstrings), annotations, decorators and `strict` of zip
         are not changed.
     """
     tree, lines = ast.parse(text), text.splitlines()
