@@ -213,7 +213,11 @@ def most_probable_start(
         now = error[0]
         response = (error[1 : count + 1] - error[count + 1 :]) / (2.0 * _DIFFERENCE)  # (displacements, values)
         excess = max(1.0, float(np.mean(now**2)))  # mean square error in units of the noise
-        step = np.linalg.solve(response @ response.T / excess + np.eye(count), response @ now / excess + best)
+        weight = 1.0 / np.sqrt(excess)
+        # Of full rank by the identity, however large the response is; the normal equations would lose it.
+        step = np.linalg.lstsq(
+            np.vstack([weight * response.T, np.eye(count)]), np.concatenate([weight * now, best]), rcond=None
+        )[0]
         trials = best - _FRACTIONS[:, None] * step
         with np.errstate(invalid="ignore", over="ignore"):
             costs = np.sum(errors(state + trials @ displacements) ** 2, axis=1) / excess + np.sum(trials**2, axis=1)

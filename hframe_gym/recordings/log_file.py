@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+import tempfile
 import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -218,19 +221,8 @@ def _stamps(path: Path, name: str, column: Any) -> NDArray[np.datetime64]:
 
 def _open_mat(path: Path) -> Log:
     """Open a MATLAB file up to version 7; columns are its vectors and the columns of its matrices, also in structs."""
-    from scipy import io
-
     _refuse_large_variables(path)
-    try:
-        content = io.loadmat(path, simplify_cells=True)
-    except Exception as error:  # SciPy raises many types for damaged files
-        raise InputError(f"{path}: cannot be read as a MATLAB file: {' '.join(str(error).split())}") from None
-    vectors = [
-        (name, vector)
-        for key, value in content.items()
-        if not key.startswith("__")
-        for name, vector in _vectors(key, value)
-    ]
+    vectors = _mat_vectors(path)
     if not vectors:
         advice = (
             "save plain arrays or a struct of arrays; tables, timetables and timeseries are readable only in MATLAB"
@@ -252,6 +244,23 @@ def _open_mat(path: Path) -> Log:
     return Log(path, columns, ("it is a MATLAB file",), read)
 
 
+def _mat_vectors(path: Path) -> list[tuple[str, NDArray[np.float64]]]:
+    """Return the names and values of all vectors of a MATLAB file, which a process of its own reads.
+
+    SciPy's reader can end the process on damaged files (segmentation fault), which no exception handler sees.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        target = Path(folder, "vectors.npz")
+        # -P: the folder of the program is no place to import modules from.
+        command = [sys.executable, "-P", str(Path(__file__).with_name("matlab_vectors.py")), str(path), str(target)]
+        run = subprocess.run(command, check=False, capture_output=True, text=True)
+        if run.returncode:
+            reason = run.stderr.strip().rpartition("\n")[2] if run.returncode > 0 else "it is damaged"
+            raise InputError(f"{path}: cannot be read as a MATLAB file: {reason}")
+        with np.load(target, allow_pickle=False) as content:
+            return [(str(name), content[f"arr_{k}"]) for k, name in enumerate(content["names"])]
+
+
 def _refuse_large_variables(path: Path) -> None:
     """Check the size of the compressed variables of a MATLAB file without keeping their content in memory."""
     size, content = 0, memoryview(path.read_bytes())
@@ -267,21 +276,3 @@ def _refuse_large_variables(path: Path) -> None:
                     break  # which the reader reports
                 refuse_expansion(path, size)
         position += 8 + length
-
-
-def _vectors(name: str, value: Any) -> Iterator[tuple[str, NDArray[np.float64]]]:
-    """Yield the vectors in a variable of a MATLAB file with their names: "log.t", "data.2" for the second column."""
-    if isinstance(value, dict):
-        label = value.get("label")
-        for key, member in value.items():
-            # A signal of Simulink's structure with time is known by its label.
-            yield from _vectors(label if label and key == "values" else f"{name}.{key}", member)
-    elif isinstance(value, list) or (isinstance(value, np.ndarray) and value.dtype == object):
-        for number, member in enumerate(value, start=1):
-            yield from _vectors(f"{name}.{number}", member)
-    elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub":
-        if value.ndim == 1 and len(value) > 1:
-            yield name, value.astype(float)
-        elif value.ndim == 2 and value.size:
-            for number, column in enumerate(value.T if value.shape[0] > value.shape[1] else value, start=1):
-                yield f"{name}.{number}", column.astype(float)

@@ -157,8 +157,9 @@ def _reason(error: dict[str, Any]) -> str:
         return f"unknown field; {hint}The fields here are {', '.join(sorted(fields))}"
     if error["type"] == "missing":
         annotations = {info.alias or name: info.annotation for name, info in table.model_fields.items()}
-        quantity = table is not QuantityEntry and "Quantity" in str(annotations.get(str(field)))
-        units = f'; write {{"value": ..., "unit": "{" or ".join(field_units(field))}"}}' if quantity else ""
+        units = ""
+        if annotations.get(str(field)) is QuantityEntry:
+            units = f'; write {{"value": ..., "unit": "{" or ".join(field_units(field))}"}}'
         return f"missing{units}"
     if error["type"] == "model_type" and _table_at(error["loc"]) is QuantityEntry:
         return 'must be a value with its unit: {"value": ..., "unit": "..."}'

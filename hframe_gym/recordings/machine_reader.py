@@ -42,6 +42,7 @@ from .machine_schema import (
 _LARGEST = {"range": 10.0, "rest_length": 50.0, "radius": 1.0, "noise": 0.1, "resolution": 0.1}
 MAX_TEXT = 1000  # characters of a name or description
 _NOT_IN_COLUMNS = (",", ";", '"', "'", "@")  # they separate or quote the columns of files, and "@" effects from sites
+_SMALLEST_POSITIVE, _LARGEST_MAGNITUDE = 1e-30, 1e30  # beyond which products of a few parameters overflow or vanish
 _OTHER_UNITS = ("_mm", "_um", "_cm", "_deg", "_counts")
 
 
@@ -156,9 +157,10 @@ class MachineReader:
             # Older files have the unit "1" for every gear ratio.
             if quantity.unit != unit and not (key == "gear_ratio" and quantity.unit == "1"):
                 raise self._error(f"{field}.{key}", f"unit is {quantity.unit!r}, must be {unit!r}")
-            if quantity.value < 0 or (quantity.value == 0 and key not in MAY_BE_ZERO):
-                sign = "zero or more" if key in MAY_BE_ZERO else "positive"
-                raise self._error(f"{field}.{key}", f"{quantity.value:g} must be {sign}")
+            smallest, sign = (0.0, "zero or more") if key in MAY_BE_ZERO else (_SMALLEST_POSITIVE, "positive")
+            if not smallest <= quantity.value <= _LARGEST_MAGNITUDE:
+                limits = "" if quantity.value <= 0 else f", between {smallest:g} and {_LARGEST_MAGNITUDE:g}"
+                raise self._error(f"{field}.{key}", f"{quantity.value:g} must be {sign}{limits}")
             values[key] = quantity.value
         return values
 

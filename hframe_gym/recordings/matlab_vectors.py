@@ -1,0 +1,57 @@
+"""Read the vectors of a MATLAB file; run as a program of its own, because damaged files can crash SciPy's reader.
+
+    python matlab_vectors.py LOG.mat VECTORS.npz
+
+The program imports nothing of this package, so that it starts quickly. It ends with exit code 2 and one line on
+standard error if the file cannot be read.
+"""
+
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import io
+
+
+def vectors(name: str, value: Any) -> Iterator[tuple[str, NDArray[np.float64]]]:
+    """Yield the vectors in a variable of a MATLAB file.
+
+    Args:
+        name: Name of the variable.
+        value: Array, structure (dictionary) or cell array (list) as SciPy returns it.
+
+    Yields:
+        Name of a vector ("log.t" for a field, "data.2" for the second column of a matrix) and its values, shape (N,).
+    """
+    if isinstance(value, dict):
+        label = value.get("label")
+        for key, member in value.items():
+            # A signal of Simulink's structure with time is known by its label.
+            yield from vectors(label if label and key == "values" else f"{name}.{key}", member)
+    elif isinstance(value, list) or (isinstance(value, np.ndarray) and value.dtype == object):
+        for number, member in enumerate(value, start=1):
+            yield from vectors(f"{name}.{number}", member)
+    elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub":
+        if value.ndim == 1 and len(value) > 1:
+            yield name, value.astype(float)
+        elif value.ndim == 2 and value.size:
+            for number, column in enumerate(value.T if value.shape[0] > value.shape[1] else value, start=1):
+                yield f"{name}.{number}", column.astype(float)
+
+
+def main() -> None:
+    """Write the vectors of the MATLAB file that the command line names: their names, then their values."""
+    source, target = sys.argv[1:]
+    try:
+        content = io.loadmat(source, simplify_cells=True)
+    except Exception as error:  # SciPy raises many types for damaged files
+        print(" ".join(str(error).split()), file=sys.stderr)
+        sys.exit(2)
+    found = [pair for key, value in content.items() if not key.startswith("__") for pair in vectors(key, value)]
+    np.savez(target, *[vector for _, vector in found], names=np.array([name for name, _ in found], dtype=str))
+
+
+if __name__ == "__main__":
+    main()
