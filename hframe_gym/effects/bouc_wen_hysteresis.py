@@ -7,7 +7,7 @@ the force falls along a straight line to zero, then it approaches F as tanh of t
 
 from ..dynamics.elementwise import absolute, copysign, exp, maximum, minimum, where
 from ..machine import Effect
-from .dahl_hysteresis import PARAMETERS, fits_site, force
+from .dahl_hysteresis import PARAMETERS, force
 
 
 def next_state(z, dq, L):  # type: ignore[no-untyped-def]
@@ -39,6 +39,5 @@ EFFECT = Effect(
     source="Wen 1976, J. Eng. Mech. Div. ASCE 102(2), with n = 2 and equal loop parameters",
     force=force,
     next_state=next_state,
-    fits_site=fits_site,
     parameters=PARAMETERS,
 )

@@ -5,7 +5,7 @@ reversal: dz/dt = (v - |v| z) / L. At constant direction z approaches the direct
 """
 
 from ..dynamics.elementwise import absolute, copysign, exp
-from ..machine import Effect, EffectParameter, Machine
+from ..machine import Effect, EffectParameter
 
 
 def next_state(z, dq, L):  # type: ignore[no-untyped-def]
@@ -28,19 +28,6 @@ def force(z, F):  # type: ignore[no-untyped-def]
     return -F * z
 
 
-def fits_site(machine: Machine, site: str) -> bool:
-    """Check whether the effect can act on a coordinate: a linear one, to which a cable can lead.
-
-    Args:
-        machine: The machine.
-        site: Name of the coordinate.
-
-    Returns:
-        True for a linear coordinate.
-    """
-    return machine.coordinate(site).kind == "linear"
-
-
 PARAMETERS = (
     EffectParameter("F", "force", 0.0, 1e3, scale=0.3, role="amplitude"),
     # A force that builds up within less than a millimeter is presliding of the dry friction itself.
@@ -55,6 +42,5 @@ EFFECT = Effect(
     source="Dahl 1968, A solid friction model; Dahl 1976, AIAA Journal 14(12)",
     force=force,
     next_state=next_state,
-    fits_site=fits_site,
     parameters=PARAMETERS,
 )
