@@ -25,7 +25,7 @@ from ..dynamics import simulate_batch
 from ..dynamics.simulation import Motion, threads
 from ..machine import Machine
 from .dataset import Dataset, PreparedRecording
-from .rest_measurement import sensor_zero_error
+from .rest_measurement import max_fitted_zero_means, max_zero_means, sensor_zero_error
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
@@ -184,7 +184,7 @@ def mechanical_rows_per_block(data: Dataset) -> int:
     return max(1, round(_BLOCK_S / data.period))
 
 
-def prediction_error(run: PreparedRecording, data: Dataset, measurements: Array) -> Array:
+def prediction_error(run: PreparedRecording, data: Dataset, measurements: Array, *, fitted: bool = False) -> Array:
     """Return measured minus predicted values, corrected for the uncertain zeros of the sensors.
 
     Subtracted is the constant part that an error of the zeros (measurements at position 0) explains, see
@@ -194,6 +194,7 @@ def prediction_error(run: PreparedRecording, data: Dataset, measurements: Array)
         run: Measured run, n samples.
         data: Data set of the run, for the sensors' quantization steps.
         measurements: Predicted measurements of a batch of predictions, m or rad, shape (batch, n, sensors).
+        fitted: Whether the zeros are the most likely ones, for a fit, instead of those that the rows at rest show.
 
     Returns:
         Errors in the sensors' units, shape (batch, n, sensors); arbitrary where a value was not measured.
@@ -202,7 +203,11 @@ def prediction_error(run: PreparedRecording, data: Dataset, measurements: Array)
     error: Array = run.outputs - measurements
     if not measured.all():
         error = np.where(measured, error, 0.0)
-    max_mean = np.where(data.behind_belts, np.inf, data.quantum / 2)
+    max_mean = (
+        max_fitted_zero_means(data.behind_belts, data.quantum, run.initial.measured_at_rest)
+        if fitted
+        else max_zero_means(data.behind_belts, data.quantum)
+    )
     error -= sensor_zero_error(error, measured, run.initial.resting_rows, max_mean)
     return error
 
@@ -226,7 +231,7 @@ def residuals(run: PreparedRecording, data: Dataset, measurements: Array, rows_p
     measured = np.isfinite(run.outputs)
     counted = measured if run.rows is None else measured & run.rows[:, None]
     with np.errstate(over="ignore", invalid="ignore"):  # parameters that make a machine diverge cost infinitely much
-        error = prediction_error(run, data, measurements)
+        error = prediction_error(run, data, measurements, fitted=True)
         error *= counted / run.noise
     batch, rows, sensors = error.shape
     if rows_per_block > 1:

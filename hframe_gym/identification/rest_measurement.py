@@ -250,20 +250,38 @@ def sensor_zero_error(error: Array, measured: NDArray[np.bool_], resting_rows: i
     return np.asarray((at_rest + np.clip(mean, -max_mean, max_mean))[:, None, :])
 
 
-def max_zero_means(machine: Machine, quanta: Array) -> Array:
+def max_zero_means(behind: NDArray[np.bool_], quanta: Array) -> Array:
     """Return how much of a run's mean prediction error may be attributed to each sensor's zero (value at position 0).
 
     The limit is half a quantization step, and unlimited for an encoder behind elastic belts, whose initial stretch is
     unknown.
 
     Args:
-        machine: Machine with the sensors.
+        behind: Which sensors are encoders behind belts, see `behind_belts`, shape (sensors,).
         quanta: Quantization steps of the sensors, in their units, shape (sensors,).
 
     Returns:
         Limits in the sensors' units, infinite behind belts, shape (sensors,).
     """
-    return np.where(behind_belts(machine), np.inf, quanta / 2)
+    return np.where(behind, np.inf, quanta / 2)
+
+
+def max_fitted_zero_means(behind: NDArray[np.bool_], quanta: Array, at_rest: NDArray[np.bool_]) -> Array:
+    """Return the limits of `max_zero_means` for a fit: without limit for a sensor that is not quantized.
+
+    Its measurements at rest, which determine the initial position, are as noisy as all others, so the most likely error
+    of that position is a constant of the complete run. The mean at rest would add its error to every row, and
+    parameters would adapt to it.
+
+    Args:
+        behind: Which sensors are encoders behind belts, see `behind_belts`, shape (sensors,).
+        quanta: Quantization steps of the sensors, in their units, shape (sensors,).
+        at_rest: Which sensors measured at rest, shape (sensors,); the values of the others say where the run began.
+
+    Returns:
+        Limits in the sensors' units, infinite behind belts and without quantization, shape (sensors,).
+    """
+    return np.where((quanta == 0.0) & at_rest, np.inf, max_zero_means(behind, quanta))
 
 
 def behind_belts(machine: Machine) -> NDArray[np.bool_]:

@@ -87,6 +87,7 @@ def test_jacobian_matches_the_closed_form(cart: Machine) -> None:
             step_response(cart, time_s, 2.0 * np.exp(dm), 5.0 * np.exp(db))
             - step_response(cart, time_s, 2.0 * np.exp(-dm), 5.0 * np.exp(-db))
         ) / (2 * h)
+        slope -= slope.mean()  # the sensor is not quantized, so the zero of the run is fitted
         np.testing.assert_allclose(row * data.noise[0], -slope, atol=1e-3 * np.abs(slope).max())
 
 
