@@ -31,6 +31,13 @@ RandomizeOption = Annotated[str, typer.Option(help="Randomization of each episod
 EpisodesOption = Annotated[int, typer.Option(min=1, max=10**6, help="Number of episodes of each controller.")]
 PeriodOption = Annotated[float, typer.Option(help="Control period in seconds, 1e-5 to 10.")]
 RecordingsArgument = Annotated[Path, typer.Argument(help="A folder of recordings, one run per file.")]
+RayOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="[ADDRESS]",
+        help="Run on Ray: the cluster's auto or HOST:PORT; without an address, Ray is started on this machine.",
+    ),
+]
 
 
 def log(line: str) -> None:

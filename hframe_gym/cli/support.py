@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import re
 import sys
 import time
 import warnings
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from typer.core import TyperCommand
 
+from ..distributed import LOCAL_RAY
 from ..errors import InputError
 from ..registry import PLUGIN_VARIABLE, load_plugins
 from .app import plain_text
@@ -29,6 +31,7 @@ FULL_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 INPUT_AT_FAULT, INTERNAL_ERROR = 2, 1
 FAULT_FOUND = 1  # exit code of `hframe check` where the recordings have a fault
 DEBUG_VARIABLE = "HFRAME_DEBUG"  # if set, errors keep their traceback
+_RAY_ADDRESS = re.compile(rf"auto|{LOCAL_RAY}|[^\s/]+:\d+")  # other words after --ray are no address
 
 
 def registered_choices() -> dict[str, str]:
@@ -59,8 +62,24 @@ def registered_choices() -> dict[str, str]:
 class CommandWithChoices(TyperCommand):
     """Typer command whose help texts may contain placeholders of `registered_choices`, for example {tasks}.
 
-    They are replaced when the help is printed, so that no other command waits for the imports of the registries.
+    They are replaced when the help is printed, so that no other command waits for the imports of the registries. The
+    option --ray may have no value.
     """
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the words of the command line; --ray without an address means a local Ray.
+
+        Args:
+            ctx: Click context of the command.
+            args: Words after the command's name.
+
+        Returns:
+            Words that are left over.
+        """
+        words = []
+        for word, following in zip(args, [*args[1:], ""], strict=True):
+            words += [word] if word != "--ray" or _RAY_ADDRESS.fullmatch(following) else [word, LOCAL_RAY]
+        return super().parse_args(ctx, words)
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """Replace the placeholders in the help texts of all options, then write the help page.
