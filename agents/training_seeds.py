@@ -35,13 +35,13 @@ def train_seeds(
 ) -> dict[int, dict[str, Any]]:
     """Train one agent per seed; each is the agent that `train` gives with this seed, bit for bit.
 
-    A worker trains on one core in a temporary folder. This process writes the files of an agent when its training is
-    complete, so what workers had not finished is lost with this process. A run whose worker dies begins again.
+    A worker trains on one core in a temporary folder. This process writes an agent when its training is complete; what
+    is not complete is lost with this process. A run whose worker dies begins again.
 
     Args:
-        algorithm: Settings of the training runs (a recipe), or the first part of the name of a recipe in the package.
+        algorithm: A recipe, or the first part of the name of a recipe in the package.
         machine: Machine to train on, a preset name or the path of a machine.json.
-        task: Name of the task, "reach" or "track".
+        task: "reach" or "track".
         steps: Environment steps of each run. Default: the recipe's.
         seeds: Seeds of the runs, all different.
         out: Folder for the agents: the agent of seed N in its folder seed_N, a single one in `out` itself.
@@ -49,32 +49,29 @@ def train_seeds(
         progress: Function that receives the number of complete runs and of all runs, after each run.
         randomize: Randomization of the machine's parameters in place of the recipe's.
         jobs: Number of local processes, as for `map_tasks`.
-        ray: Address of a Ray cluster, as for `map_tasks`; None for local processes.
+        ray: Address of a Ray cluster, as for `map_tasks`.
         show_curves: Let the workers print a line after each evaluation.
 
     Returns:
         Contents of card.json by seed.
 
     Raises:
-        InputError: If a seed is given twice, the recipe or task is unknown, the cluster cannot be reached, or another
-            process writes to a folder.
-        ImportError: If the extra `agents`, or `ray` where it is needed, is not installed; the message names it.
+        InputError: If an argument is wrong, the cluster cannot be reached, or another process writes to `out`.
+        ImportError: If the extra `agents`, or `ray` where it is needed, is not installed.
     """
-    require_training_packages()
     if len(set(seeds)) < len(seeds):
-        raise InputError(f"--seed {' '.join(map(str, seeds))}: a seed is given twice")
+        raise InputError(f"seeds {', '.join(map(str, seeds))}: one is given twice")
+    require_training_packages()
     recipe = algorithm if isinstance(algorithm, Recipe) else load_recipe(algorithm, task)
-    folders = [Path(out) / f"seed_{seed}" for seed in seeds] if len(seeds) > 1 else [Path(out)]
-    done = 0
+    folders, done = [Path(out) / f"seed_{seed}" for seed in seeds] if len(seeds) > 1 else [Path(out)], 0
 
     def write(index: int, trained: tuple[dict[str, Any], dict[str, bytes]]) -> None:
         nonlocal done
         done += 1
         with output_batch(folders[index]):
             write_files(folders[index], trained[1])
-            for name in RESUME_FILES[1:]:  # the worker may be of another installation, which signs with another key
-                if name in trained[1]:
-                    sign_checkpoint(newest(folders[index] / name))
+            for name in trained[1].keys() & RESUME_FILES[1:]:  # another installation signs with another key
+                sign_checkpoint(newest(folders[index] / name))
         log(f"seed {seeds[index]}: wrote {folders[index]} ({done} of {len(seeds)})")
         progress(done, len(seeds))
 

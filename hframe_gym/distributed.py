@@ -16,12 +16,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
+from importlib import import_module
 from multiprocessing import get_context, parent_process
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any, TypeVar
 
-from . import __version__
 from .atomic_files import atomic_file, output_batch
 from .errors import InputError
 from .locked_folders import scratch_folder
@@ -145,13 +145,18 @@ def _run_task(function: Callable[[Item], Result], item: Item, version: str, sett
     """Run a task in a worker, with one thread and the settings of the calling program."""
     from threadpoolctl import threadpool_limits
 
-    if version != __version__:
+    if version != _version():
         raise InputError(
-            f"a worker has hframe_gym {__version__}, this program {version}: install the same version on all machines"
+            f"a worker has hframe_gym {_version()}, this program {version}: install the same version on all machines"
         )
     os.environ.update(settings)
     with threadpool_limits(1):  # libraries that are loaded later read the variables
         return function(item)
+
+
+def _version() -> str:
+    """Return the version of this package."""
+    return str(import_module(__name__.partition(".")[0]).__version__)
 
 
 def _task_settings() -> dict[str, str]:
@@ -226,7 +231,7 @@ def _local_processes(count: int) -> Iterator[_Run]:
     settings = _task_settings()
     threads = ThreadPoolExecutor(count)
     try:
-        yield lambda function, item: threads.submit(run, function, item, __version__, settings)
+        yield lambda function, item: threads.submit(run, function, item, _version(), settings)
     finally:
         threads.shutdown(wait=False, cancel_futures=True)
         for worker in workers:
@@ -247,7 +252,7 @@ def _ray_workers(address: str, cores: int) -> Iterator[_Run]:
     remote = ray.remote(num_cpus=1, max_retries=ATTEMPTS - 1)(_run_task)
     settings = _task_settings()
     try:
-        yield lambda function, item: remote.remote(function, item, __version__, settings).future()
+        yield lambda function, item: remote.remote(function, item, _version(), settings).future()
     finally:
         if connected:
             ray.shutdown()

@@ -15,6 +15,7 @@ from ..errors import InputError
 from ..locked_folders import locked_folder
 from .app import (
     MAX_SEED,
+    CommandWithChoices,
     EpisodesOption,
     MachineOption,
     OutOption,
@@ -27,7 +28,6 @@ from .app import (
     log,
 )
 from .support import (
-    CommandWithChoices,
     progress_bar,
     repeat_warnings,
     require_folder,
@@ -164,21 +164,29 @@ def evaluate(
 
     declared = load_machine(machine)
     options: dict[str, Any] = {"randomize": randomize, "sensors": sensors, "episodes": episodes, "seed": seed}
+    options |= {"machine": declared, "period": period}
     with locked_folder(require_folder(out)):
         with value_errors_as_input_errors():
-            options |= {"machine": declared, "task": task_with_path(task, path), "period": period}
-            groups = [controllers] if ray is None else [[name] for name in dict.fromkeys(controllers)]
-            (scores, recorded, warned), *others = map_tasks(partial(_evaluate_group, options), groups, ray=ray)
-        for more_scores, more_recorded, more_warned in others:
-            scores["controllers"] |= more_scores["controllers"]
-            recorded |= more_recorded
-            warned += [text for text in more_warned if text not in warned]
+            options["task"] = task_with_path(task, path)
+            scores, recorded, warned = _evaluate_all(options, list(dict.fromkeys(controllers)), ray)
         console.print(score_table(scores))
         for reason in unknown_bound_reasons(scores):
             log(reason)
-        written = _write_evaluation(out, scores, recorded, warned if html else None, declared.name)
-    for file in written:
-        log(f"wrote {file}")
+        for file in _write_evaluation(out, scores, recorded, warned if html else None, declared.name):
+            log(f"wrote {file}")
+
+
+def _evaluate_all(
+    options: dict[str, Any], controllers: list[str], ray: str | None
+) -> tuple[dict[str, Any], dict[str, Episodes], list[str]]:
+    """Evaluate controllers, on Ray one per task; return scores, recorded episodes and the texts of warnings."""
+    groups = [controllers] if ray is None else [[name] for name in controllers]
+    (scores, recorded, warned), *others = map_tasks(partial(_evaluate_group, options), groups, ray=ray)
+    for more_scores, more_recorded, more_warned in others:
+        scores["controllers"] |= more_scores["controllers"]
+        recorded |= more_recorded
+        warned += [text for text in more_warned if text not in warned]
+    return scores, recorded, warned
 
 
 def _evaluate_group(
