@@ -242,6 +242,10 @@ def _local_processes(count: int) -> Iterator[_Run]:
 @contextmanager
 def _ray_workers(address: str, cores: int) -> Iterator[_Run]:
     """Provide a function that submits a task to Ray."""
+    for variable in ("RAY_USAGE_STATS_ENABLED", "RAY_DEDUP_LOGS", "RAY_COLOR_PREFIX"):
+        os.environ.setdefault(
+            variable, "0"
+        )  # Ray sends nothing to its makers, and prints the workers' lines as they are
     try:
         import ray
     except ImportError as error:
@@ -260,7 +264,6 @@ def _ray_workers(address: str, cores: int) -> Iterator[_Run]:
 
 def _connect(ray: Any, address: str, cores: int) -> None:
     """Connect to a cluster, or start Ray on this machine; within seconds, or with an error of one line."""
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # nothing is sent to anyone
     options: dict[str, Any] = {}
     if address == LOCAL_RAY:
         options = {"num_cpus": cores if cores > 1 else None, "include_dashboard": False}

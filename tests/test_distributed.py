@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -10,11 +12,16 @@ import sys
 import time
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import typer
 
 from hframe_gym import distributed
+from hframe_gym.agents import train, train_seeds
+from hframe_gym.agents.agent_files import refuse_unsigned
+from hframe_gym.cli.app import CommandWithChoices, RayOption
 from hframe_gym.distributed import files_of, map_tasks, write_files
 from hframe_gym.errors import InputError
 
@@ -154,3 +161,65 @@ def test_an_address_where_nothing_listens_or_no_ray_answers() -> None:
         free = server.getsockname()[1]
     with pytest.raises(InputError, match=f"127.0.0.1:{free}: cannot be reached"):
         distributed._require_head_node(f"127.0.0.1:{free}")
+
+
+@pytest.mark.parametrize(
+    ("words", "address"),
+    [
+        (["--ray"], "local"),
+        (["--ray", "pid", "--out", "out"], "local"),
+        (["--ray", "package.module:name"], "local"),
+        (["--ray", "auto", "pid"], "auto"),
+        (["--ray", "10.0.0.1:6379"], "10.0.0.1:6379"),
+        (["--ray=head:6379"], "head:6379"),
+        (["pid"], None),
+    ],
+)
+def test_the_option_ray_may_have_no_address(words: list[str], address: str | None) -> None:
+    application = typer.Typer()
+    received = []
+
+    @application.command(cls=CommandWithChoices)
+    def command(controllers: list[str] = typer.Argument(None), out: str = "", ray: RayOption = None) -> None:  # noqa: B008
+        received.append(ray)
+
+    application(words, standalone_mode=False)
+    assert received == [address]
+
+
+@pytest.mark.train
+def test_seeds_in_processes_are_those_of_single_runs(tmp_path: Path) -> None:
+    def ignore(line: str) -> None:
+        pass
+
+    options: dict[str, Any] = {"steps": 1, "randomize": "none", "log": ignore}
+    cards = train_seeds("ppo", seeds=(3, 5), out=tmp_path, jobs=2, show_curves=False, **options)
+    assert sorted(cards) == [3, 5]
+    for seed in cards:
+        single = train("ppo", seed=seed, out=tmp_path / "single", **options)
+        assert [row["final_error_mm"] for row in cards[seed]["curve"]] == [r["final_error_mm"] for r in single["curve"]]
+        together, alone = tmp_path / f"seed_{seed}", tmp_path / "single"
+        assert (together / "policy.safetensors").read_bytes() == (alone / "policy.safetensors").read_bytes()
+        refuse_unsigned(together / "checkpoint.zip")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["seed_3", "seed_5", "single"]
+    with pytest.raises(InputError, match="seeds 1, 1: one is given twice"):
+        train_seeds("ppo", seeds=(1, 1), out=tmp_path, **options)
+
+
+@pytest.mark.integration
+def test_a_folder_of_rigs_becomes_a_folder_of_results(tmp_path: Path) -> None:
+    shutil.copytree(ROOT / "examples" / "rig_b", tmp_path / "rigs" / "good")
+    (tmp_path / "rigs" / "other").mkdir()
+    for path in (ROOT / "examples" / "rig_b").glob("run_*.csv.gz"):
+        shutil.copy(path, tmp_path / "rigs" / "other" / path.name.replace("run", "log"))
+    command = [sys.executable, "-m", "hframe_gym", "identify", str(tmp_path / "rigs"), "--out", str(tmp_path / "out")]
+    command += ["--hold-out", "run_01"]
+    done = subprocess.run(command, env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True, text=True)
+    assert done.returncode == 2
+    assert done.stderr.startswith("hframe: other: ")
+    assert done.stderr.count("\n") == 1
+    assert "good: No effect is missing" in done.stdout
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["good"]
+    page = (tmp_path / "out" / "good" / "report.html").read_text()
+    assert f"--machine {tmp_path / 'out' / 'good' / 'machine.json'}" in page
+    assert json.loads((tmp_path / "out" / "good" / "report.json").read_text())["verdict"] == "no_effect"
