@@ -31,7 +31,7 @@ from hframe_gym.machine import BUILTIN_MACHINES
 from hframe_gym.recordings import load_recordings
 
 WORKERS = 2
-STEPS = 120_000  # of a training
+STEPS = 60_000  # of a training
 SEEDS = (0, 1, 2, 3)
 RIGS = ("rig_a", "rig_b", "rig_a", "rig_b")
 
