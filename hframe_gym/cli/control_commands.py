@@ -37,7 +37,6 @@ from .support import (
 
 if TYPE_CHECKING:
     from ..evaluation import Episodes
-    from ..machine import Machine
 
 
 @app.command(cls=CommandWithChoices)
@@ -82,7 +81,7 @@ def train(
     if ray is not None or len(seeds) > 1:
         if resume:
             raise InputError("--resume: continues one seed in this process; leave out --ray and all but one --seed")
-        _train_seeds(out, algorithm, declared, task, steps, seeds, randomize, jobs, ray)
+        _train_seeds(out, algorithm, declared, task, steps, seeds, randomize=randomize, jobs=jobs, ray=ray)
         return
     columns = BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
     bar = Progress(*columns, console=console, disable=not console.is_terminal)
@@ -96,25 +95,13 @@ def train(
     log(f"wrote {out}")
 
 
-def _train_seeds(
-    out: Path,
-    algorithm: str,
-    machine: Machine,
-    task: str,
-    steps: int | None,
-    seeds: list[int],
-    randomize: str | None,
-    jobs: int,
-    ray: str | None,
-) -> None:
+def _train_seeds(out: Path, *arguments: Any, **options: Any) -> None:
     """Train several seeds in worker processes; on a terminal a bar shows how many are complete."""
     from ..agents import train_seeds
 
-    curves = not console.is_terminal  # the workers' lines would interrupt the bar
-    options: dict[str, Any] = {"jobs": jobs, "ray": ray, "show_curves": curves}
+    options["show_curves"] = not console.is_terminal  # the workers' lines would interrupt the bar
     with locked_folder(require_folder(out)), value_errors_as_input_errors(), progress_bar("training") as progress:
-        progress(0, len(seeds))
-        train_seeds(algorithm, machine, task, steps, seeds, out, log, progress, randomize, **options)
+        train_seeds(*arguments, out=out, log=log, progress=progress, **options)
 
 
 @app.command(cls=CommandWithChoices)
