@@ -81,7 +81,8 @@ def train(
     if ray is not None or len(seeds) > 1:
         if resume:
             raise InputError("--resume: continues one seed in this process; leave out --ray and all but one --seed")
-        _train_seeds(out, algorithm, declared, task, steps, seeds, randomize=randomize, jobs=jobs, ray=ray)
+        recipe: dict[str, Any] = {"algorithm": algorithm, "machine": declared, "task": task, "steps": steps}
+        _train_seeds(out, seeds=seeds, randomize=randomize, jobs=jobs, ray=ray, **recipe)
         return
     columns = BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
     bar = Progress(*columns, console=console, disable=not console.is_terminal)
@@ -95,13 +96,13 @@ def train(
     log(f"wrote {out}")
 
 
-def _train_seeds(out: Path, *arguments: Any, **options: Any) -> None:
+def _train_seeds(out: Path, **options: Any) -> None:
     """Train several seeds in worker processes; on a terminal a bar shows how many are complete."""
     from ..agents import train_seeds
 
     options["show_curves"] = not console.is_terminal  # the workers' lines would interrupt the bar
     with locked_folder(require_folder(out)), value_errors_as_input_errors(), progress_bar("training") as progress:
-        train_seeds(*arguments, out=out, log=log, progress=progress, **options)
+        train_seeds(out=out, log=log, progress=progress, **options)
 
 
 @app.command(cls=CommandWithChoices)
