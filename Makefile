@@ -42,7 +42,7 @@ wheel: $(INSTALLED)  ## wheel and source distribution in dist/, checked, install
 	$(BIN)/pytest -m slow -s tests/test_wheel.py
 
 bench: $(INSTALLED)  ## all numbers of RESULTS.md
-	$(BIN)/pip install -q -c constraints.txt -e '.[bench]'
+	$(BIN)/pip install -q -c constraints.txt -e '.[bench,ray]'
 	$(BIN)/python -m benchmarks
 
 tables: $(INSTALLED)  ## generated tables of README.md, RESULTS.md and docs/, and docs/effects.md

@@ -8,6 +8,7 @@ from .agent import Agent
 from .controller_source import AgentSource, shipped_agent_folder, shipped_agent_names
 from .recipe import Recipe, load_recipe, recipe_names
 from .training import train
+from .training_seeds import train_seeds
 
 __all__ = [
     "Agent",
@@ -18,4 +19,5 @@ __all__ = [
     "shipped_agent_folder",
     "shipped_agent_names",
     "train",
+    "train_seeds",
 ]

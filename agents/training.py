@@ -97,7 +97,8 @@ def train(
         raise InputError(f"recipe {recipe.name}: kind is {recipe.kind!r}, choose one of {', '.join(ALGORITHMS)}")
     if randomize is not None:
         recipe = replace(recipe, env={**recipe.env, "randomize": randomize})
-    with locked_folder(out):
+    # In all of it: the decomposition that draws the first weights has other last bits with more threads.
+    with locked_folder(out), single_threaded_torch():
         run = _Run(recipe, load_machine(machine), task, seed, Path(out), log, progress)
         run.trust = trust
         return run.execute(recipe.steps if steps is None else steps, resume)
@@ -160,8 +161,7 @@ class _Run:
             self._evaluate()
             self._save()
         callback = import_module("hframe_gym.agents.sb3_adapters").TrainingCallback(self._after_step, self._save)
-        with single_threaded_torch():
-            self.model.learn(steps - self.model.num_timesteps, callback=callback, reset_num_timesteps=False)
+        self.model.learn(steps - self.model.num_timesteps, callback=callback, reset_num_timesteps=False)
         self._evaluate()
         self._save()
         self.environment.close()

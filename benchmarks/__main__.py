@@ -31,6 +31,7 @@ IN_RESULTS: dict[str, tuple[str, ...]] = {
     "bound": (),
     "her": (),
     "agents": ("score",),
+    "ray_scaling": (),
     "closed_loop": (),
 }
 

@@ -1,10 +1,12 @@
 """Which hyperparameters of PPO are good on `reach`? Optuna's TPE over short trainings from scratch.
 
     python -m benchmarks.hyperparameters --trials 24
+    python -m benchmarks.hyperparameters --trials 24 --batch 8 --jobs 2    # or --ray [ADDRESS]
 
 A trial trains by the recipe ppo_reach with varied hyperparameters. Its objective is the logarithm of the median final
 error on the 256 episodes of the learning curves. A short training shows what learns fast, not what ends best, so the
-result is used only where complete trainings confirm it.
+result is used only where complete trainings confirm it. The trials of a batch are drawn before any of them is trained:
+the study depends on the size of a batch, not on the number of workers.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ import optuna
 
 from benchmarks.results_file import write_results
 from hframe_gym.agents import Recipe, load_recipe, train
+from hframe_gym.distributed import LOCAL_RAY, map_tasks
 
 STEPS = 300_000
 SEED = 0
@@ -40,10 +43,10 @@ def suggest_recipe(trial: optuna.Trial) -> Recipe:
     return replace(recipe, algorithm=algorithm, actuation=actuation, steps=STEPS)
 
 
-def objective(trial: optuna.Trial) -> float:
+def final_error(recipe: Recipe) -> float:
     """Train and return the logarithm (base 10) of the median final error in mm."""
     with tempfile.TemporaryDirectory() as folder:
-        card = train(suggest_recipe(trial), seed=SEED, out=folder, log=lambda line: None)
+        card = train(recipe, seed=SEED, out=folder, log=lambda line: None)
     return math.log10(card["curve"][-1]["final_error_mm"])
 
 
@@ -64,6 +67,9 @@ def main() -> None:
     """Run the study and write its state after every trial."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--trials", type=int, default=24)
+    parser.add_argument("--batch", type=int, default=1, help="number of trials that are drawn together")
+    parser.add_argument("--jobs", type=int, default=1, help="number of parallel processes")
+    parser.add_argument("--ray", nargs="?", const=LOCAL_RAY, metavar="ADDRESS", help="run on Ray; default: a local one")
     study = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=SEED, n_startup_trials=8))
     arguments = parser.parse_args()
     # The recipe is the first trial, for comparison.
@@ -79,11 +85,14 @@ def main() -> None:
         }
     )
 
-    def write_state(study: optuna.Study, trial: optuna.trial.FrozenTrial) -> None:
-        print(trial.number, trial.value, trial.params, flush=True)
-        write_results("hyperparameters_ppo_reach", content(study), seed=SEED)
-
-    study.optimize(objective, n_trials=arguments.trials, callbacks=[write_state])
+    while len(study.trials) < arguments.trials:
+        trials = [study.ask() for _ in range(min(arguments.batch, arguments.trials - len(study.trials)))]
+        recipes = [suggest_recipe(trial) for trial in trials]
+        values = map_tasks(final_error, recipes, jobs=arguments.jobs, ray=arguments.ray)
+        for trial, value in zip(trials, values, strict=True):
+            study.tell(trial, value)
+            print(trial.number, value, trial.params, flush=True)
+            write_results("hyperparameters_ppo_reach", content(study), seed=SEED)
 
 
 if __name__ == "__main__":

@@ -7,7 +7,8 @@
 The rigs come from `tests.rigs.random_rigs` and two independent simulators; `benchmarks.scoring` compares names. Seed 1
 is for development. Nothing may be changed after a look at seed 20261124: it is run once, for the published results.
 Results of single rigs are cached in out/random_rigs as long as package, rigs and simulators are the same (with
---resume: always), so that an interrupted run continues.
+--resume: always), so that an interrupted run continues. With --ray, the workers of a cluster import `benchmarks` and
+`tests` from the checkout in which the command runs, or from their PYTHONPATH.
 """
 
 from __future__ import annotations
@@ -19,9 +20,7 @@ import sys
 import time
 import traceback
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +31,7 @@ from benchmarks.random_rigs_summary import show, summary
 from benchmarks.results_file import ROOT, write_results
 from benchmarks.rig_score import score_rig
 from hframe_gym.atomic_files import write_text
+from hframe_gym.distributed import LOCAL_RAY, map_tasks
 from hframe_gym.identification import identify
 from hframe_gym.machine import BUILTIN_MACHINES
 from tests.rigs.random_rigs import draw_rig
@@ -57,26 +57,18 @@ def rig_key() -> str:
     return text.hexdigest()
 
 
-def run_rig(index: int, *, seed: int, key: str, resume: bool, log: bool = False) -> Row:
-    """Record, identify and score a rig, or return its row from the cache if that is valid.
+def run_rig(index: int, *, seed: int, log: bool = False) -> Row:
+    """Record, identify and score a rig.
 
     Args:
         index: Number of the rig in the set.
         seed: Seed of the set.
-        key: Hash of the sources.
-        resume: Whether to use the cache in spite of changed sources.
         log: Whether to print the progress of the identification.
 
     Returns:
         The row; with the entry "failed" if identification raised an exception.
     """
     rig = draw_rig(seed, index)
-    cached = CACHE / f"{rig.name}.json"
-    if cached.is_file():
-        old: dict[str, Any] = json.loads(cached.read_text())
-        if resume or old["key"] == key:
-            row: Row = old["row"]
-            return row
     session = rig.record()
     wall, cpu = time.perf_counter(), time.process_time()
     try:
@@ -84,23 +76,35 @@ def run_rig(index: int, *, seed: int, key: str, resume: bool, log: bool = False)
             session.recordings, BUILTIN_MACHINES["hframe"](), log=partial(print, flush=True) if log else None
         )
         seconds = {"wall": time.perf_counter() - wall, "cpu": time.process_time() - cpu}
-        row = score_rig(session, result, seconds)
+        return score_rig(session, result, seconds)
     except Exception as error:  # an error on one rig must not lose the hours of the others
         return {"rig": rig.name, "truth": rig.describe(), "failed": "".join(traceback.format_exception(error))}
-    CACHE.mkdir(parents=True, exist_ok=True)
-    write_text(cached, json.dumps({"key": key, "row": row}, indent=1) + "\n")
-    return row
 
 
-def run_rigs(indices: list[int], seed: int, jobs: int, resume: bool, log: bool) -> Iterator[Row]:
-    """Yield the rows of some rigs, in order."""
+def run_rigs(indices: list[int], seed: int, jobs: int, ray: str | None, resume: bool, log: bool) -> Iterator[Row]:
+    """Yield the rows of some rigs, in order, from the cache where that is valid.
+
+    Args:
+        indices: Numbers of the rigs in the set.
+        seed: Seed of the set.
+        jobs: Number of parallel processes.
+        ray: Address of a Ray cluster; None for local processes.
+        resume: Whether to use the cache in spite of changed sources.
+        log: Whether to print the progress of each identification.
+    """
     key = hashlib.sha256((source_key() + rig_key()).encode()).hexdigest()
-    run = partial(run_rig, seed=seed, key=key, resume=resume, log=log)
-    if jobs < 2:
-        yield from map(run, indices)
-        return
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        yield from pool.map(run, indices)
+    files = {index: CACHE / f"{draw_rig(seed, index).name}.json" for index in indices}
+    stored = {index: json.loads(file.read_text()) for index, file in files.items() if file.is_file()}
+    cached = {index: old["row"] for index, old in stored.items() if resume or old["key"] == key}
+    missing = [index for index in indices if index not in cached]
+
+    def write(position: int, row: Row) -> None:
+        if "failed" not in row:
+            CACHE.mkdir(parents=True, exist_ok=True)
+            write_text(files[missing[position]], json.dumps({"key": key, "row": row}, indent=1) + "\n")
+
+    computed = map_tasks(partial(run_rig, seed=seed, log=log), missing, jobs=jobs, ray=ray, completed=write)
+    yield from (cached[index] if index in cached else next(computed) for index in indices)
 
 
 def line(row: Row) -> str:
@@ -128,13 +132,14 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=COUNT, help="number of rigs of the set")
     parser.add_argument("--only", type=int, nargs="+", metavar="INDEX", help="only these rigs; nothing is written")
     parser.add_argument("--jobs", type=int, default=1, help="number of parallel processes")
+    parser.add_argument("--ray", nargs="?", const=LOCAL_RAY, metavar="ADDRESS", help="run on Ray; default: a local one")
     parser.add_argument("--resume", action="store_true", help="use cached results although the source has changed")
     parser.add_argument("--log", action="store_true", help="print the progress of each identification")
     arguments = parser.parse_args()
     indices = arguments.only or list(range(arguments.count))
     console = Console(width=170)
     rows = []
-    for row in run_rigs(indices, arguments.seed, arguments.jobs, arguments.resume, arguments.log):
+    for row in run_rigs(indices, arguments.seed, arguments.jobs, arguments.ray, arguments.resume, arguments.log):
         console.print(line(row), highlight=False, markup=False, soft_wrap=True)
         rows.append(row)
     done = [row for row in rows if "failed" not in row]

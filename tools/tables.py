@@ -17,6 +17,7 @@ import inspect
 import itertools
 import json
 import re
+import statistics
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -30,7 +31,14 @@ from tools.leaderboard import leaderboard_page
 from tools.leaderboard import results as leaderboard_results
 from tools.machine_page import field_tables, schema_text
 
-PAGES = ("README.md", "RESULTS.md", "docs/agents.md", "docs/identification_results.md", "docs/trust.md")
+PAGES = (
+    "README.md",
+    "RESULTS.md",
+    "docs/agents.md",
+    "docs/identification_results.md",
+    "docs/scaling.md",
+    "docs/trust.md",
+)
 STAGES = ("declared", "before", "after")
 
 
@@ -375,6 +383,83 @@ def env_soak(results: dict[str, Any]) -> str:
     return markdown(header, rows)
 
 
+def ray_scaling(results: dict[str, Any]) -> str:
+    """Format the time of a plain run over that of two workers of Ray, and what a task takes."""
+    rows = []
+    for name in ("training", "identification"):
+        r = results[name]
+        low, high = r["spread"]
+        seconds = (f"{statistics.median(r[key]):.0f} s" for key in ("plain_s", "ray_s"))
+        ratio_cell = f"{r['ratio']:.2f} ({low:.2f} to {high:.2f})"
+        equal = f"{r['equal']} of {r['compared']}"
+        costs = f"{r['cpu_s_per_task']:.1f} s", f"{r['worker_memory_MB']:.0f} MB"
+        rows.append([f"{r['tasks']} tasks of {name}", *seconds, ratio_cell, equal, *costs])
+    header = [
+        "work",
+        "plain run",
+        "two workers",
+        "ratio",
+        "results equal",
+        "processor time of a task",
+        "worker's memory",
+    ]
+    note = f"Ray and its workers were ready after {results['start_s']:.0f} s, which the times do not contain."
+    return f"{markdown(header, rows)}\n\n{note} Load of the machine before the run: {results['load']:.1f}."
+
+
+PLANNED_CORES = (2, 16, 64, 256)
+
+
+def cluster_plan(results: dict[str, Any]) -> str:
+    """Calculate core hours, memory and times on clusters from measured costs of tasks."""
+    cards = [json.loads(path.read_text("utf-8")) for path in sorted(ROOT.glob("agents/shipped/reach/ppo-*/card.json"))]
+    ppo_s = statistics.mean(card["curve"][-1]["cpu_s"] for card in cards)
+    rigs = [row["seconds"]["cpu"] for row in _results("random_rigs_20261124")["rigs"]]
+    training, speed = results["training"], results["training"]["steps_per_s_per_core"]
+    plan = [  # work, kind of its tasks, number of tasks, mean and longest processor time of a task, s
+        ("PPO on reach as shipped, 3 seeds", "training", 3, ppo_s, ppo_s),
+        ("PPO on reach as shipped, 100 seeds", "training", 100, ppo_s, ppo_s),
+        ("9 agents of 100 million steps", "training", 9, 1e8 / speed, 1e8 / speed),
+        ("sweep of 256 trials of 300 000 steps", "training", 256, 3e5 / speed, 3e5 / speed),
+        ("300 random rigs", "identification", 300, statistics.mean(rigs), max(rigs)),
+        ("10 000 rigs", "identification", 10_000, statistics.mean(rigs), max(rigs)),
+    ]
+    rows = []
+    for work, kind, count, mean_s, longest_s in plan:
+        per_worker = min(1.0, results[kind]["ratio"] / results["workers"])
+        hours = [max(count * mean_s / cores, longest_s) / per_worker / 3600.0 for cores in PLANNED_CORES]
+        rows.append([work, f"{count * mean_s / 3600.0:.3g}", *map(_duration, hours)])
+    header = ["work", "core hours", *(f"{cores} cores" for cores in PLANNED_CORES)]
+    memory = max(results[kind]["worker_memory_MB"] for kind in ("training", "identification"))
+    figures = [
+        ["environment steps of a training (PPO on reach), per second and core", f"{speed:.0f}"],
+        [
+            "processor time of a shipped PPO agent (1.5 million steps)",
+            f"{ppo_s:.0f} s = {ppo_s / 3600.0:.3g} core hours",
+        ],
+        [
+            f"processor time of a random rig: mean; longest of {len(rigs)}",
+            f"{statistics.mean(rigs):.0f} s; {max(rigs):.0f} s",
+        ],
+        ["memory of a worker, at most", f"{memory:.0f} MB"],
+        [f"memory of workers on {PLANNED_CORES[-2]} cores", f"{1e-3 * PLANNED_CORES[-2] * memory:.0f} GB"],
+        ["work of one of two workers, in multiples of a plain run's (training)", f"{training['ratio'] / 2:.2f}"],
+        ["start of Ray and two workers", f"{results['start_s']:.0f} s"],
+    ]
+    return f"{markdown(['measured', 'value'], figures)}\n\n{markdown(header, rows)}"
+
+
+def _duration(hours: float) -> str:
+    """Format a duration in hours, minutes or seconds."""
+    return f"{hours:.3g} h" if hours >= 1.0 else f"{60 * hours:.0f} min" if hours >= 1 / 60 else f"{3600 * hours:.0f} s"
+
+
+def _results(name: str) -> dict[str, Any]:
+    """Return the content of a results file."""
+    content: dict[str, Any] = json.loads((RESULTS / f"{name}.json").read_text("utf-8"))
+    return content
+
+
 TABLES: dict[str, Callable[[dict[str, Any]], str]] = {
     "paper": paper,
     "accuracy": accuracy,
@@ -394,10 +479,13 @@ TABLES: dict[str, Callable[[dict[str, Any]], str]] = {
     "agents": agents,
     "agent_ablation": agent_ablation,
     "closed_loop": closed_loop,
+    "ray_scaling": ray_scaling,
+    "cluster_plan": cluster_plan,
     "real_machines_emps": real_machines_emps,
     "real_machines_ced": real_machines_ced,
     "real_machines_xl330": real_machines_xl330,
 }
+SOURCES = {"cluster_plan": "ray_scaling"}  # results of tables that are not named after their file
 
 
 def surroundings(results: dict[str, Any]) -> str:
@@ -412,10 +500,10 @@ def filled(path: Path) -> str:
 
     def table(match: re.Match[str]) -> str:
         name = match[1]
-        file = RESULTS / f"{name}.json"
-        if not file.is_file():
+        source = SOURCES.get(name, name)
+        if not (RESULTS / f"{source}.json").is_file():
             return match[0]
-        results = json.loads(file.read_text("utf-8"))
+        results = _results(source)
         note = "" if path.name == "README.md" else f"\n\n{surroundings(results)}"
         return f"<!-- table: {name} -->\n{TABLES[name](results)}{note}\n<!-- end -->"
 

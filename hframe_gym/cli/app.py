@@ -1,12 +1,18 @@
-"""The command line application: the Typer object, the options that several commands have, and its output."""
+"""The command line application: the Typer object, the options of several commands, their help, and the output."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
+from typer.core import TyperCommand
+
+from ..distributed import LOCAL_RAY
+from ..registry import load_plugins
 
 app = typer.Typer(
     help="H-frame stages: simulate, identify from measured data, train and evaluate controllers.",
@@ -16,6 +22,7 @@ app = typer.Typer(
     rich_markup_mode="rich",
 )
 MAX_SEED = 2**31 - 1
+_RAY_ADDRESS = re.compile(rf"auto|{LOCAL_RAY}|[^\s/]+:\d+")  # other words after --ray are no address
 console = Console(soft_wrap=True)
 
 MachineOption = Annotated[str, typer.Option(help="A machine.json or a built-in name (see `hframe machines`).")]
@@ -31,6 +38,13 @@ RandomizeOption = Annotated[str, typer.Option(help="Randomization of each episod
 EpisodesOption = Annotated[int, typer.Option(min=1, max=10**6, help="Number of episodes of each controller.")]
 PeriodOption = Annotated[float, typer.Option(help="Control period in seconds, 1e-5 to 10.")]
 RecordingsArgument = Annotated[Path, typer.Argument(help="A folder of recordings, one run per file.")]
+RayOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="[ADDRESS]",
+        help="Run on Ray: the cluster's auto or HOST:PORT; without an address, Ray is started on this machine.",
+    ),
+]
 
 
 def log(line: str) -> None:
@@ -52,3 +66,65 @@ def plain_text(text: str) -> str:
         The text with their escape sequences in Python's notation in place of such characters.
     """
     return "".join(c if c.isprintable() or c in "\n\t" else repr(c)[1:-1] for c in text)
+
+
+def registered_choices() -> dict[str, str]:
+    """List the names that the commands accept for agents, algorithms, controllers, randomizations, sensors and tasks.
+
+    Returns:
+        Names separated by commas, by the placeholder in the help texts, for example {"tasks": "reach, track"}.
+    """
+    from ..agents import recipe_names, shipped_agent_names
+    from ..controllers import CONTROLLERS
+    from ..envs import RANDOMIZATION_PRESETS, SENSOR_PRESETS, TASKS
+    from ..evaluation import PROTOCOLS
+
+    load_plugins()
+    algorithms = sorted({name.rpartition("_")[0] for name in recipe_names()})
+    choices: dict[str, Iterable[str]] = {
+        "agents": shipped_agent_names(),
+        "algorithms": algorithms,
+        "controllers": CONTROLLERS,
+        "protocols": PROTOCOLS,
+        "randomizations": RANDOMIZATION_PRESETS,
+        "sensors": SENSOR_PRESETS,
+        "tasks": TASKS,
+    }
+    return {placeholder: ", ".join(names) for placeholder, names in choices.items()}
+
+
+class CommandWithChoices(TyperCommand):
+    """Typer command whose help texts may contain placeholders of `registered_choices`, for example {tasks}.
+
+    They are replaced when the help is printed, so that no other command waits for the imports of the registries. The
+    option --ray may have no value.
+    """
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the words of the command line; --ray without an address means a local Ray.
+
+        Args:
+            ctx: Click context of the command.
+            args: Words after the command's name.
+
+        Returns:
+            Words that are left over.
+        """
+        words = []
+        for word, following in zip(args, [*args[1:], ""], strict=True):
+            words += [word] if word != "--ray" or _RAY_ADDRESS.fullmatch(following) else [word, LOCAL_RAY]
+        return super().parse_args(ctx, words)
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Replace the placeholders in the help texts of all options, then write the help page.
+
+        Args:
+            ctx: Click context of the command.
+            formatter: Click formatter that receives the text.
+        """
+        choices = registered_choices()
+        for parameter in self.params:
+            help_text = getattr(parameter, "help", None)
+            if help_text:
+                parameter.help = help_text.format(**choices)  # type: ignore[attr-defined]
+        super().format_help(ctx, formatter)

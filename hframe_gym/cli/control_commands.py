@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -9,22 +10,25 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..atomic_files import output_batch
+from ..distributed import map_tasks
 from ..errors import InputError
 from ..locked_folders import locked_folder
 from .app import (
     MAX_SEED,
+    CommandWithChoices,
     EpisodesOption,
     MachineOption,
     OutOption,
     PeriodOption,
     RandomizeOption,
+    RayOption,
     TaskOption,
     app,
     console,
     log,
 )
 from .support import (
-    CommandWithChoices,
+    progress_bar,
     repeat_warnings,
     require_folder,
     task_with_path,
@@ -48,17 +52,23 @@ def train(
         int | None, typer.Option(min=1, max=10**12, help="Environment steps in total (default: the recipe's).")
     ] = None,
     seed: Annotated[
-        int, typer.Option(min=0, max=MAX_SEED, help="Seed of the network, the episodes and the algorithm.")
-    ] = 0,
+        list[int] | None,
+        typer.Option(
+            min=0, max=MAX_SEED, help="Seed of network, episodes and algorithm (default: 0); repeat for more agents."
+        ),
+    ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Continue from the checkpoint in the folder.")] = False,
     trust: Annotated[
         bool, typer.Option("--trust", help="Resume from a checkpoint of another installation; it can execute code.")
     ] = False,
+    jobs: Annotated[int, typer.Option(min=1, max=1024, help="Number of seeds to train at a time.")] = 1,
+    ray: RayOption = None,
 ) -> None:
     """Train an agent by the recipe of an algorithm and a task.
 
     The folder receives the best agent so far, its card with the learning curve, TensorBoard logs and a checkpoint.
-    A run may be killed at any time and continued with --resume.
+    A run may be killed at any time and continued with --resume. Several seeds become the folders seed_0, seed_1, ...,
+    each complete when its training ends; to resume such a run, train its seed alone with --out FOLDER/seed_N.
 
     Example:  hframe train ppo --out out/ppo
     """
@@ -67,7 +77,13 @@ def train(
     from ..agents import train as run_training
     from ..recordings import load_machine
 
-    declared = load_machine(machine)
+    declared, seeds = load_machine(machine), seed or [0]
+    if ray is not None or len(seeds) > 1:
+        if resume:
+            raise InputError("--resume: continues one seed in this process; leave out --ray and all but one --seed")
+        recipe: dict[str, Any] = {"algorithm": algorithm, "machine": declared, "task": task, "steps": steps}
+        _train_seeds(out, seeds=seeds, randomize=randomize, jobs=jobs, ray=ray, **recipe)
+        return
     columns = BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
     bar = Progress(*columns, console=console, disable=not console.is_terminal)
     with locked_folder(require_folder(out)), bar, value_errors_as_input_errors():
@@ -76,8 +92,17 @@ def train(
         def progress(done: int, total: int) -> None:
             bar.update(bar_task, completed=done, total=total)
 
-        run_training(algorithm, declared, task, steps, seed, resume, out, log, progress, randomize, trust)
+        run_training(algorithm, declared, task, steps, seeds[0], resume, out, log, progress, randomize, trust)
     log(f"wrote {out}")
+
+
+def _train_seeds(out: Path, **options: Any) -> None:
+    """Train several seeds in worker processes; on a terminal a bar shows how many are complete."""
+    from ..agents import train_seeds
+
+    options["show_curves"] = not console.is_terminal  # the workers' lines would interrupt the bar
+    with locked_folder(require_folder(out)), value_errors_as_input_errors(), progress_bar("training") as progress:
+        train_seeds(out=out, log=log, progress=progress, **options)
 
 
 @app.command(cls=CommandWithChoices)
@@ -107,8 +132,9 @@ def evaluate(
     html: Annotated[bool, typer.Option("--html", help="Also write scorecard.html, one self-contained page.")] = False,
     protocol: Annotated[
         str | None,
-        typer.Option(help="Fixed benchmark for the leaderboard: {protocols}; replaces all options but --out."),
+        typer.Option(help="Fixed benchmark for the leaderboard: {protocols}; replaces all but --out and --ray."),
     ] = None,
+    ray: RayOption = None,
 ) -> None:
     """Score controllers on identical episodes; writes scores.json and a plot of each one's first episode.
 
@@ -119,26 +145,49 @@ def evaluate(
                hframe evaluate pid --protocol reach-v1 --out out/leaderboard
     """
     if protocol is not None:
-        _evaluate_by_protocol(context, list(dict.fromkeys(controllers)), protocol, out)
+        _evaluate_by_protocol(context, list(dict.fromkeys(controllers)), protocol, out, ray)
         return
-    from ..evaluation import evaluate as run_evaluation
     from ..recordings import load_machine
     from .tables import score_table, unknown_bound_reasons
 
-    # Registers the agents as controllers, also where the package is used without its installed entry points.
-    import_module("hframe_gym.agents")
     declared = load_machine(machine)
     options: dict[str, Any] = {"randomize": randomize, "sensors": sensors, "episodes": episodes, "seed": seed}
+    options |= {"machine": declared, "period": period}
     with locked_folder(require_folder(out)):
-        with value_errors_as_input_errors(), repeat_warnings() as warned:
-            built_task = task_with_path(task, path)
-            scores, recorded = run_evaluation(controllers, declared, task=built_task, period=period, **options)
+        with value_errors_as_input_errors():
+            options["task"] = task_with_path(task, path)
+            scores, recorded, warned = _evaluate_all(options, list(dict.fromkeys(controllers)), ray)
         console.print(score_table(scores))
         for reason in unknown_bound_reasons(scores):
             log(reason)
-        written = _write_evaluation(out, scores, recorded, warned if html else None, declared.name)
-    for file in written:
-        log(f"wrote {file}")
+        for file in _write_evaluation(out, scores, recorded, warned if html else None, declared.name):
+            log(f"wrote {file}")
+
+
+def _evaluate_all(
+    options: dict[str, Any], controllers: list[str], ray: str | None
+) -> tuple[dict[str, Any], dict[str, Episodes], list[str]]:
+    """Evaluate controllers, on Ray one per task; return scores, recorded episodes and the texts of warnings."""
+    groups = [controllers] if ray is None else [[name] for name in controllers]
+    (scores, recorded, warned), *others = map_tasks(partial(_evaluate_group, options), groups, ray=ray)
+    for more_scores, more_recorded, more_warned in others:
+        scores["controllers"] |= more_scores["controllers"]
+        recorded |= more_recorded
+        warned += [text for text in more_warned if text not in warned]
+    return scores, recorded, warned
+
+
+def _evaluate_group(
+    options: dict[str, Any], controllers: list[str]
+) -> tuple[dict[str, Any], dict[str, Episodes], list[str]]:
+    """Evaluate controllers; return scores, recorded episodes and the texts of warnings."""
+    from ..evaluation import evaluate as run_evaluation
+
+    # Registers the agents as controllers, also where the package is used without its installed entry points.
+    import_module("hframe_gym.agents")
+    with repeat_warnings() as warned:
+        scores, recorded = run_evaluation(controllers, **options)
+    return scores, recorded, warned
 
 
 def _write_evaluation(
@@ -161,26 +210,35 @@ def _write_evaluation(
     return written
 
 
-def _evaluate_by_protocol(context: typer.Context, controllers: list[str], name: str, out: Path) -> None:
+def _evaluate_by_protocol(
+    context: typer.Context, controllers: list[str], name: str, out: Path, ray: str | None
+) -> None:
     """Write the result file of each controller in a fixed benchmark, and print their scores."""
-    from ..evaluation import FIXED_OPTIONS, get_protocol, result_content, run_protocol, write_result
+    from ..evaluation import FIXED_OPTIONS, write_result
     from .tables import protocol_tables
 
     for option in (*FIXED_OPTIONS, "html"):
         source = context.get_parameter_source(option)
         if source is not None and source.name != "DEFAULT":
             raise InputError(f"--{option}: --protocol {name} fixes everything; leave --{option} out")
-    import_module("hframe_gym.agents")
-    protocol = get_protocol(name)
     with locked_folder(require_folder(out)):
         with value_errors_as_input_errors():
-            contents = [result_content(protocol, *run_protocol(controller, protocol)) for controller in controllers]
+            contents = list(map_tasks(partial(_protocol_result, name), controllers, ray=ray))
         with output_batch(out):
             written = [write_result(out, content) for content in contents]
     for table in protocol_tables(contents):
         console.print(table)
     for path in written:
         log(f"wrote {path}")
+
+
+def _protocol_result(protocol_name: str, controller: str) -> dict[str, Any]:
+    """Run a controller through a fixed benchmark and return the content of its result file."""
+    from ..evaluation import get_protocol, result_content, run_protocol
+
+    import_module("hframe_gym.agents")
+    protocol = get_protocol(protocol_name)
+    return result_content(protocol, *run_protocol(controller, protocol))
 
 
 @app.command(cls=CommandWithChoices)

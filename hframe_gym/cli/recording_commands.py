@@ -3,20 +3,53 @@
 from __future__ import annotations
 
 import os
+import sys
 import webbrowser
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
 from ..atomic_files import output_batch, remove_file
+from ..distributed import files_of, map_tasks, write_files
 from ..errors import InputError
 from ..locked_folders import locked_folder
-from .app import MachineOption, MaxRowsOption, OutOption, RecordingsArgument, app, console, log
-from .support import FAULT_FOUND, progress_bar, require_folder, require_several_runs
+from .app import (
+    CommandWithChoices,
+    MachineOption,
+    MaxRowsOption,
+    OutOption,
+    RayOption,
+    RecordingsArgument,
+    app,
+    console,
+    log,
+    plain_text,
+)
+from .support import (
+    FAULT_FOUND,
+    INTERNAL_ERROR,
+    check_recordings_before_fit,
+    describe_failure,
+    log_time_estimate,
+    progress_bar,
+    proposed_formulas,
+    require_folder,
+    require_several_runs,
+    rig_folders,
+)
+
+if TYPE_CHECKING:
+    from ..identification import IdentificationResult
+    from ..machine import Machine
+    from ..recordings import Recording
+
+_Log = Callable[[str], None]
+_Fit = Callable[..., Any]  # `_fit_rig` with the options of the command
 
 
 class RunFormats(StrEnum):
@@ -118,61 +151,162 @@ def check(
         raise typer.Exit(FAULT_FOUND)
 
 
-@app.command()
+@app.command(cls=CommandWithChoices)
 def identify(
-    runs_dir: RecordingsArgument,
+    runs_dir: Annotated[
+        Path, typer.Argument(help="A folder of recordings, one run per file; or of such folders, one per rig.")
+    ],
     out: OutOption,
     machine: MachineOption = "hframe",
     hold_out: Annotated[
         list[str] | None, typer.Option(help="A run to evaluate on instead of fitting it; repeat for more runs.")
     ] = None,
-    jobs: Annotated[int | None, typer.Option(min=1, max=1024, help="Number of threads (default: all cores).")] = None,
+    jobs: Annotated[
+        int | None,
+        typer.Option(min=1, max=1024, help="Number of threads (default: all cores); for rigs, of rigs at a time."),
+    ] = None,
     # Has no effect, because identification draws no random numbers; scripts that pass it keep working.
     seed: Annotated[int, typer.Option(hidden=True)] = 0,
     force: Annotated[
         bool, typer.Option("--force", help="Fit although `hframe check` finds faults in the data.")
     ] = False,
     max_rows: MaxRowsOption = 1_000_000,
+    ray: RayOption = None,
 ) -> None:
     """Fit a machine to its recordings, find the effects that its model lacks, and verify them on held-out runs.
 
     The recordings are checked first; faults (see `hframe check`) stop the command before anything is fitted. Every
     fourth run is held out unless --hold-out names others: it is not fitted and gives the errors of the report. The
-    folder --out receives report.json, the declared, refitted and corrected machine, report.html and its plots.
+    folder --out receives report.json, the declared, refitted and corrected machine, report.html and its plots; of
+    several rigs, a folder with these files for each.
 
     Example:  hframe identify examples/rig_a --out out/rig_a
     """
-    from ..identification import identify as run_identification
-    from ..identification import write_result
-    from ..identification.report import build_report, verdict_sentence
-    from ..recordings import load_machine, load_recordings
-    from .support import check_recordings_before_fit, log_time_estimate, proposed_formulas
+    from ..identification.report import verdict_sentence
+    from ..recordings import load_machine
     from .tables import identification_table
 
-    if jobs:
-        os.environ["HFRAME_THREADS"] = str(jobs)
-    declared = load_machine(machine)
+    declared, rigs = load_machine(machine), rig_folders(runs_dir)
+    fit = partial(_fit_rig, declared, hold_out or (), force)
     with locked_folder(require_folder(out)):
-        with progress_bar("reading") as progress:
-            recordings = load_recordings(runs_dir, declared, progress, max_rows=max_rows, log=log)
-        require_several_runs(recordings, runs_dir)
-        findings = check_recordings_before_fit(recordings, declared, None if force else runs_dir, log)
-        log_time_estimate(recordings, declared, log)
-        result = run_identification(recordings, declared, held_out=hold_out or (), log=log)
+        if rigs or ray is not None:
+            outputs = {rig: out / rig.name for rig in rigs} or {runs_dir: out}
+            rigs_to_fit = [_Rig(rig, folder, _load_runs(rig, declared, max_rows)) for rig, folder in outputs.items()]
+            _identify_rigs(fit, rigs_to_fit, jobs or 1, ray)
+            return
+        if jobs:
+            os.environ["HFRAME_THREADS"] = str(jobs)
+        result, findings = fit(runs_dir, _load_runs(runs_dir, declared, max_rows), log)
         contents, channels = result.as_json(), list(declared.output_channels)
         console.print(identification_table(contents, channels))
         log(verdict_sentence(contents, channels))
-        with output_batch(out):
-            write_result(result, out, findings, proposed_formulas(result, log))
-            problem = None
-            try:
-                build_report(out)
-            except Exception as error:  # the result itself must not be lost
-                remove_file(out / "report.html")  # of an older result
-                problem = error
+        problem = _write_rig(result, findings, out, out, log)
     if problem is not None and not isinstance(problem, ImportError):
         raise problem
     log(f"wrote {out / 'report.html'}" if problem is None else f"report.html not written: {problem}")
+
+
+def _load_runs(folder: Path, machine: Machine, max_rows: int) -> list[Recording]:
+    """Load the runs of a rig, at least two."""
+    from ..recordings import load_recordings
+
+    with progress_bar(f"reading {folder.name}") as progress:
+        recordings = load_recordings(folder, machine, progress, max_rows=max_rows, log=log)
+    require_several_runs(recordings, folder)
+    return recordings
+
+
+def _fit_rig(
+    machine: Machine, hold_out: Sequence[str], force: bool, folder: Path, recordings: list[Recording], log: _Log
+) -> tuple[IdentificationResult, list[str]]:
+    """Check and identify the runs of a rig; return the result and the findings about the data."""
+    from ..identification import identify as run_identification
+
+    findings = check_recordings_before_fit(recordings, machine, None if force else folder, log)
+    log_time_estimate(recordings, machine, log)
+    return run_identification(recordings, machine, held_out=hold_out, log=log), findings
+
+
+def _write_rig(
+    result: IdentificationResult, findings: list[str], folder: Path, out: Path, log: _Log
+) -> Exception | None:
+    """Write the files of a result to a folder, for `out`; return the error of the report, which loses no result."""
+    from ..identification import write_result
+    from ..identification.report import build_report
+
+    with output_batch(folder):
+        write_result(result, folder, findings, proposed_formulas(result, log))
+        try:
+            build_report(folder, out)
+        except Exception as error:
+            remove_file(folder / "report.html")  # of an older result
+            return error
+    return None
+
+
+class _Rig(NamedTuple):
+    """What a worker gets: a folder of runs, the folder for the result, and the runs."""
+
+    runs_dir: Path
+    out: Path
+    recordings: list[Recording]
+
+
+class _IdentifiedRig(NamedTuple):
+    """What a worker returns: the verdict or an error, and the files of the result by name."""
+
+    message: str
+    files: dict[str, bytes]
+    exit_code: int = 0
+
+
+def _identify_rigs(fit: _Fit, rigs: list[_Rig], jobs: int, ray: str | None) -> None:
+    """Identify rigs in worker processes; the errors of some end the command after the others are complete."""
+    errors: list[_IdentifiedRig] = []
+    done = 0
+    with progress_bar("identifying") as progress:
+
+        def write(index: int, identified: _IdentifiedRig) -> None:
+            nonlocal done
+            done += 1
+            out, name = rigs[index].out, rigs[index].runs_dir.name
+            if identified.files:
+                with output_batch(out):
+                    remove_file(out / "report.html")  # of an older result; the new one may lack it
+                    write_files(out, identified.files)
+            if identified.exit_code:
+                errors.append(identified)
+                print(plain_text(f"hframe: {name}: {identified.message}"), file=sys.stderr)
+            else:
+                log(f"{name}: {identified.message}; wrote {out} ({done} of {len(rigs)})")
+            progress(done, len(rigs))
+
+        progress(0, len(rigs))
+        run = partial(_identify_in_worker, fit, not console.is_terminal)
+        for _ in map_tasks(run, rigs, jobs=jobs, ray=ray, completed=write):
+            pass
+    if errors:
+        raise typer.Exit(min(identified.exit_code for identified in errors))
+
+
+def _identify_in_worker(fit: _Fit, show_progress: bool, rig: _Rig) -> _IdentifiedRig:
+    """Identify a rig in a temporary folder."""
+    from ..identification.report import verdict_sentence
+
+    def log(line: str) -> None:
+        if show_progress:
+            print(plain_text(f"{rig.runs_dir.name}: {line}"), flush=True)
+
+    try:
+        result, findings = fit(rig.runs_dir, rig.recordings, log)
+        problem, files = files_of(lambda folder: _write_rig(result, findings, folder, rig.out, log))
+        if problem is not None and not isinstance(problem, ImportError):
+            return _IdentifiedRig(describe_failure(problem)[1], files, INTERNAL_ERROR)
+        verdict = verdict_sentence(result.as_json(), list(result.declared.machine.output_channels))
+        return _IdentifiedRig(verdict if problem is None else f"{verdict} No report.html: {problem}", files)
+    except Exception as error:  # the other rigs must not be lost
+        code, line = describe_failure(error)
+        return _IdentifiedRig(line, {}, code)
 
 
 @app.command()

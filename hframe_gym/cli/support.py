@@ -1,4 +1,4 @@
-"""Support for the `hframe` commands: one-line error messages, help texts from the registries, and printed tables."""
+"""Support for the `hframe` commands: one-line error messages, checks of arguments, progress, and steps of a fit."""
 
 from __future__ import annotations
 
@@ -6,16 +6,14 @@ import errno
 import sys
 import time
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from typer.core import TyperCommand
-
 from ..errors import InputError
-from ..registry import PLUGIN_VARIABLE, load_plugins
+from ..registry import PLUGIN_VARIABLE
 from .app import plain_text
 
 if TYPE_CHECKING:
@@ -29,52 +27,6 @@ FULL_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 INPUT_AT_FAULT, INTERNAL_ERROR = 2, 1
 FAULT_FOUND = 1  # exit code of `hframe check` where the recordings have a fault
 DEBUG_VARIABLE = "HFRAME_DEBUG"  # if set, errors keep their traceback
-
-
-def registered_choices() -> dict[str, str]:
-    """List the names that the commands accept for agents, algorithms, controllers, randomizations, sensors and tasks.
-
-    Returns:
-        Names separated by commas, by the placeholder in the help texts, for example {"tasks": "reach, track"}.
-    """
-    from ..agents import recipe_names, shipped_agent_names
-    from ..controllers import CONTROLLERS
-    from ..envs import RANDOMIZATION_PRESETS, SENSOR_PRESETS, TASKS
-    from ..evaluation import PROTOCOLS
-
-    load_plugins()
-    algorithms = sorted({name.rpartition("_")[0] for name in recipe_names()})
-    choices: dict[str, Iterable[str]] = {
-        "agents": shipped_agent_names(),
-        "algorithms": algorithms,
-        "controllers": CONTROLLERS,
-        "protocols": PROTOCOLS,
-        "randomizations": RANDOMIZATION_PRESETS,
-        "sensors": SENSOR_PRESETS,
-        "tasks": TASKS,
-    }
-    return {placeholder: ", ".join(names) for placeholder, names in choices.items()}
-
-
-class CommandWithChoices(TyperCommand):
-    """Typer command whose help texts may contain placeholders of `registered_choices`, for example {tasks}.
-
-    They are replaced when the help is printed, so that no other command waits for the imports of the registries.
-    """
-
-    def format_help(self, ctx: Any, formatter: Any) -> None:
-        """Replace the placeholders in the help texts of all options, then write the help page.
-
-        Args:
-            ctx: Click context of the command.
-            formatter: Click formatter that receives the text.
-        """
-        choices = registered_choices()
-        for parameter in self.params:
-            help_text = getattr(parameter, "help", None)
-            if help_text:
-                parameter.help = help_text.format(**choices)  # type: ignore[attr-defined]
-        super().format_help(ctx, formatter)
 
 
 def require_folder(path: Path) -> Path:
@@ -92,6 +44,22 @@ def require_folder(path: Path) -> Path:
     if path.exists() and not path.is_dir():
         raise InputError(f"--out {path}: is a file, but must be a folder")
     return path
+
+
+def rig_folders(folder: Path) -> list[Path]:
+    """List the folders of runs in a folder of rigs.
+
+    Args:
+        folder: Folder of runs, or of one folder of runs per rig.
+
+    Returns:
+        Folders in alphabetical order; none if the folder itself has runs.
+    """
+    from ..recordings import recording_files
+
+    if not folder.is_dir() or recording_files(folder):
+        return []
+    return sorted(path for path in folder.iterdir() if path.is_dir() and recording_files(path))
 
 
 def require_several_runs(recordings: Sequence[Recording], folder: Path) -> None:

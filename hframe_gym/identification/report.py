@@ -28,12 +28,13 @@ _NOTICEABLE_ERROR = 1.3  # Remaining error over noise from which the report says
 _MAX_NOISE_RATIO = 50.0  # Simulation error over noise beyond which the simulation drifted, if a force error exists.
 
 
-def build_report(folder: Path) -> Path:
+def build_report(folder: Path, final_folder: Path | None = None) -> Path:
     """Draw the plots of an identification result and write report.html.
 
     Args:
         folder: Folder that `hframe identify` wrote; the plots are written to its folder plots/. Page and plots become
             visible together; inside `output_batch` of the folder, at the end of the batch.
+        final_folder: Folder that the commands on the page name, if the files are moved there. Default: `folder`.
 
     Returns:
         Path of report.html.
@@ -62,7 +63,7 @@ def build_report(folder: Path) -> Path:
         "parameters": _parameter_rows(machine, saved.declared),
         "determined": _determined_sums(report, machine),
         "left": _remaining_error(report),
-        "steps": _next_steps(saved, folder),
+        "steps": _next_steps(saved, final_folder or folder),
         "slow": slow_fractions(curves),
         "panels": panels,
     }

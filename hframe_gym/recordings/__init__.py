@@ -8,7 +8,7 @@ from .machine_file import load_machine, machine_to_dict, save_machine
 from .machine_schema import TABLES, Table, field_descriptions, field_units, machine_json_schema, table_summary
 from .machine_template import TEMPLATES, MachineOptions, new_machine, write_machine_template
 from .recording import Recording, load_recording, load_recordings, run_name, write_trajectory
-from .table_file import read_path
+from .table_file import read_path, recording_files
 
 __all__ = [
     "GAP_PERIODS",
@@ -36,6 +36,7 @@ __all__ = [
     "parse_factor",
     "read_mapping_file",
     "read_path",
+    "recording_files",
     "run_name",
     "save_machine",
     "table_summary",

@@ -25,6 +25,7 @@ from .table_file import (
     ForeignFormatError,
     import_command,
     read_table,
+    recording_files,
     refuse_decreasing_times,
     refuse_rows,
 )
@@ -99,9 +100,7 @@ def load_recordings(
     if not path.is_dir():
         advice = f"is a file, give the folder of runs; a log becomes runs with {import_command(path)}"
         raise InputError(f"{path}: {advice if path.exists() else 'no such folder'}")
-    files = sorted(
-        p for p in path.iterdir() if p.name.endswith(SUFFIXES) and not p.name.startswith(".") and p.is_file()
-    )
+    files = recording_files(path)
     if not files:
         advice = f"; logs of other formats become runs with {import_command(path)}" if any(path.iterdir()) else ""
         raise InputError(f"{path}: no recordings ({', '.join(SUFFIXES)}) in this folder{advice}")

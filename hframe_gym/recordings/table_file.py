@@ -55,6 +55,21 @@ def read_table(
     return table
 
 
+def recording_files(folder: Path) -> list[Path]:
+    """List the recordings of a folder.
+
+    Args:
+        folder: Folder of the runs; files with other endings than .csv, .csv.gz and .parquet, and hidden files, are
+            ignored.
+
+    Returns:
+        Files in alphabetical order.
+    """
+    return sorted(
+        p for p in folder.iterdir() if p.name.endswith(SUFFIXES) and not p.name.startswith(".") and p.is_file()
+    )
+
+
 def import_command(path: Path) -> str:
     """Return the command that converts a log to recordings, for messages.
 

@@ -1,0 +1,101 @@
+"""Training of several seeds at a time, in local processes or on Ray."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from ..atomic_files import newest, output_batch
+from ..distributed import files_of, map_tasks, write_files
+from ..errors import InputError
+from ..machine import Machine
+from ..recordings import load_machine
+from .agent_files import sign_checkpoint
+from .optional_dependencies import require_training_packages
+from .recipe import Recipe, load_recipe
+from .training import RESUME_FILES, Log, Progress, train
+
+
+def train_seeds(
+    algorithm: str | Recipe,
+    machine: str | Path | Machine = "hframe",
+    task: str = "reach",
+    steps: int | None = None,
+    seeds: Sequence[int] = (0, 1, 2),
+    out: str | Path = "agents",
+    log: Log = print,
+    progress: Progress = lambda done, total: None,
+    randomize: str | None = None,
+    *,
+    jobs: int = 1,
+    ray: str | None = None,
+    show_curves: bool = True,
+) -> dict[int, dict[str, Any]]:
+    """Train one agent per seed; each is the agent that `train` gives with this seed, bit for bit.
+
+    A worker trains on one core in a temporary folder. This process writes an agent when its training is complete; what
+    is not complete is lost with this process. A run whose worker dies begins again.
+
+    Args:
+        algorithm: A recipe, or the first part of the name of a recipe in the package.
+        machine: Machine to train on, a preset name or the path of a machine.json.
+        task: "reach" or "track".
+        steps: Environment steps of each run. Default: the recipe's.
+        seeds: Seeds of the runs, all different.
+        out: Folder for the agents: the agent of seed N in its folder seed_N, a single one in `out` itself.
+        log: Function that receives one line of text when a run is complete.
+        progress: Function that receives the number of complete runs and of all runs, after each run.
+        randomize: Randomization of the machine's parameters in place of the recipe's.
+        jobs: Number of local processes, as for `map_tasks`.
+        ray: Address of a Ray cluster, as for `map_tasks`.
+        show_curves: Let the workers print a line after each evaluation.
+
+    Returns:
+        Contents of card.json by seed.
+
+    Raises:
+        InputError: If an argument is wrong, the cluster cannot be reached, or another process writes to `out`.
+        ImportError: If the extra `agents`, or `ray` where it is needed, is not installed.
+    """
+    if len(set(seeds)) < len(seeds):
+        raise InputError(f"seeds {', '.join(map(str, seeds))}: one is given twice")
+    require_training_packages()
+    recipe = algorithm if isinstance(algorithm, Recipe) else load_recipe(algorithm, task)
+    folders, done = [Path(out) / f"seed_{seed}" for seed in seeds] if len(seeds) > 1 else [Path(out)], 0
+
+    def write(index: int, trained: tuple[dict[str, Any], dict[str, bytes]]) -> None:
+        nonlocal done
+        done += 1
+        with output_batch(folders[index]):
+            write_files(folders[index], trained[1])
+            for name in trained[1].keys() & RESUME_FILES[1:]:  # another installation signs with another key
+                sign_checkpoint(newest(folders[index] / name))
+        log(f"seed {seeds[index]}: wrote {folders[index]} ({done} of {len(seeds)})")
+        progress(done, len(seeds))
+
+    run = partial(_train_in_worker, recipe, load_machine(machine), task, steps, randomize, show_curves)
+    results = map_tasks(run, seeds, jobs=jobs, ray=ray, completed=write)
+    return {seed: card for seed, (card, _) in zip(seeds, results, strict=True)}
+
+
+def _train_in_worker(
+    recipe: Recipe,
+    machine: Machine,
+    task: str,
+    steps: int | None,
+    randomize: str | None,
+    show_curve: bool,
+    seed: int,
+) -> tuple[dict[str, Any], dict[str, bytes]]:
+    """Train one seed in a temporary folder; return its card and all files."""
+
+    def log(line: str) -> None:
+        if show_curve:
+            print(f"seed {seed}: {line}", flush=True)
+
+    def run(folder: Path) -> dict[str, Any]:
+        return train(recipe, machine, task, steps, seed, out=folder, log=log, randomize=randomize)
+
+    return files_of(run)
