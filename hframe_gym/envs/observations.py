@@ -206,8 +206,8 @@ class ObservationBuilder:
         limits, boxes = (sensors.low, sensors.high), (self._box, self._goal_box)
         position = self._position.belts, self._position.direct, self._position.scale
         out = observation["observation"], observation["achieved_goal"]
-        index = self._rows(first, last)
-        _write_measurements(sensors.measurements, self._simulator.period, *limits, *position, *boxes, index, *out)
+        rows = first * LANES, min(last * LANES, self._simulator.count)
+        _write_measurements(sensors.measurements, self._simulator.period, *limits, *position, *boxes, *rows, *out)
 
     def write_tool(self, first: int, last: int, tool: NDArray[np.float32]) -> None:
         """Write the true tool positions of the environments in blocks first to last - 1.
@@ -231,33 +231,45 @@ def _write_measurements(
     scale: Any,
     box: Any,
     goal_box: Any,
-    index: Any,
+    first: int,
+    last: int,
     out: Any,
     achieved: Any,
 ) -> None:
-    """Write observations out (B, 2 n) and achieved (B, axes) of environments index (k,) from measurements (B, 2, n).
+    """Write observations out (B, 2 n) and achieved (B, axes) of environments first..last-1; measurements (2, n, B).
 
-    achieved is the measurement of an axis itself where that is strictly inside its range (B, n), else the position that
+    achieved is the measurement of an axis itself where that is strictly inside its range (n, B), else the position that
     the other sensors give on unstretched belts. All are clipped to box (2, 2 n) and goal_box (axes, 2).
     """
-    n = measurements.shape[2]
-    for i in range(index.shape[0]):
-        b = index[i]
+    n, rows = measurements.shape[1], slice(first, last)
+    values = np.empty(last - first)
+    for j in range(n):
+        now, before = measurements[0, j, rows], measurements[1, j, rows]
+        _clip(now, box[0, j], box[1, j], out[rows, j])
+        for i in range(len(values)):
+            values[i] = (now[i] - before[i]) / period
+        _clip(values, box[0, n + j], box[1, n + j], out[rows, n + j])
+    for axis in range(achieved.shape[1]):
+        values[:] = 0.0
         for j in range(n):
-            measurement = measurements[b, 0, j]
-            out[b, j] = np.float32(min(box[1, j], max(box[0, j], measurement)))
-            rate = (measurement - measurements[b, 1, j]) / period
-            out[b, n + j] = np.float32(min(box[1, n + j], max(box[0, n + j], rate)))
-        for axis in range(achieved.shape[1]):
-            position = 0.0
-            undetermined = True
-            for j in range(n):
-                position += belts[axis, j] * measurements[b, 0, j]
-                undetermined = undetermined and belts[axis, j] == 0.0
-            j = direct[axis]
-            if j >= 0 and (undetermined or range_low[b, j] < measurements[b, 0, j] < range_high[b, j]):
-                position = scale[axis] * measurements[b, 0, j]
-            achieved[b, axis] = np.float32(min(goal_box[axis, 1], max(goal_box[axis, 0], position)))
+            now = measurements[0, j, rows]
+            for i in range(len(values)):
+                values[i] += belts[axis, j] * now[i]
+        j = direct[axis]
+        if j >= 0:
+            now, low, high = measurements[0, j, rows], range_low[j, rows], range_high[j, rows]
+            undetermined = not belts[axis].any()
+            for i in range(len(values)):
+                inside = (low[i] < now[i]) & (now[i] < high[i])
+                values[i] = scale[axis] * now[i] if undetermined | inside else values[i]
+        _clip(values, goal_box[axis, 0], goal_box[axis, 1], achieved[rows, axis])
+
+
+@compiled
+def _clip(values: Any, low: float, high: float, out: Any) -> None:
+    """Write values (k,), limited to [low, high], to out (k,) as float32."""
+    for i in range(len(values)):
+        out[i] = np.float32(min(high, max(low, values[i])))
 
 
 @compiled
