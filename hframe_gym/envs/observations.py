@@ -21,12 +21,14 @@ from .batched_simulator import BatchedSimulator
 from .counter_rng import compiled
 from .machine_sampler import MachineSampler
 from .measurements import SensorArray
+from .rewards import Evaluation, evaluate_rows
 from .sensors import PositionFromSensors
 from .spaces import MARGIN, SignalSpec, bounds_of, privileged_signals, sensor_signals, state_signals, workspace_of
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Observation = dict[str, NDArray[np.float32]]
+_FLOAT32 = np.dtype(np.float32)  # saves its construction in every step
 
 
 class StateView(NamedTuple):
@@ -160,8 +162,8 @@ class ObservationBuilder:
                 entries of the key) for `count` environments.
             tool: Array for true tool positions, m, shape (count, axes); see `tool_array`.
         """
-        observation = {key: np.empty(shape, np.float32) for key, shape in self._shapes.items()}
-        return observation, self.tool_array(observation)
+        observation = {key: np.empty(shape, _FLOAT32) for key, shape in self._shapes.items()}
+        return observation, self.tool_array(observation) if self.measured else observation["achieved_goal"]
 
     def tool_array(self, observation: Observation) -> NDArray[np.float32]:
         """Choose the array into which `write` puts the true tool positions.
@@ -176,27 +178,56 @@ class ObservationBuilder:
         achieved = observation["achieved_goal"]
         return np.empty_like(achieved) if self.measured else achieved
 
-    def write(self, first: int, last: int, observation: Observation, tool: NDArray[np.float32]) -> int:
-        """Write the observations of the environments in blocks first to last - 1.
+    def write(
+        self,
+        first: int,
+        last: int,
+        observation: Observation,
+        tool: NDArray[np.float32],
+        evaluation: Evaluation | None = None,
+    ) -> int:
+        """Write the observations of the environments in blocks first to last - 1, and what a step needs besides them.
 
         Args:
             first: Index of the first block; block i holds environments i * LANES to (i + 1) * LANES - 1.
             last: Index after the last block.
             observation: Output, arrays from `blank`, shape (count, entries of the key); other rows are not changed.
             tool: Output, true tool positions, m, shape (count, axes), from `tool_array`.
+            evaluation: Built-in reward, and output of distances and rewards by the goals in `observation`. None: not
+                written.
 
         Returns:
             Index of an environment whose state is not finite, or -1 if all are finite.
         """
-        observe = self._observe
-        if self._sensors is None:
-            broken = observe(first, last, self._state, observation["observation"], tool)
-        else:
-            broken = observe(first, last, self._tool, tool, tool)
+        simulator = self._simulator
+        broken: int
+        if self._sensors is not None:
+            broken = self._observe(first, last, self._tool, tool, tool)
             self._write_measurements(self._sensors, first, last, observation)
+            if evaluation is not None:
+                goals = tool, observation["achieved_goal"], True, observation["desired_goal"]
+                evaluate_rows(*goals, first * LANES, min(last * LANES, simulator.count), *evaluation)
+        elif evaluation is None:
+            broken = self._observe(first, last, self._state, observation["observation"], tool)
+        else:  # one call for both: calls are most of a step of one environment
+            kind, band, distance, reward = evaluation
+            broken = _observe_and_evaluate(
+                simulator.state,
+                simulator.units_per_travel,
+                *self._state,
+                first,
+                last,
+                observation["observation"],
+                tool,
+                observation["desired_goal"],
+                kind,
+                band,
+                distance,
+                reward,
+            )
         if self.privileged:
             rows = observation["privileged"]
-            broken = max(broken, observe(first, last, self._all_state, rows, tool))
+            broken = max(broken, self._observe(first, last, self._all_state, rows, tool))
             block_rows = slice(first * LANES, last * LANES)
             rows[block_rows, len(self._all_state.rows) :] = self._parameters[block_rows]
         return broken
@@ -304,4 +335,27 @@ def _observe(state: Any, units: Any, entries: Any, box: Any, first: int, last: i
             for lane in range(LANES):
                 if broken < 0 and not math.isfinite(values[count, lane]):
                     broken = begin + lane
+    return broken
+
+
+@compiled
+def _observe_and_evaluate(
+    state: Any,
+    units: Any,
+    entries: Any,
+    box: Any,
+    first: int,
+    last: int,
+    out: Any,
+    tool: Any,
+    desired: Any,
+    kind: int,
+    band: float,
+    distance: Any,
+    reward: Any,
+) -> int:
+    """Do `_observe` and then `evaluate_rows` for the same environments, which observe the true tool position."""
+    broken: int = _observe(state, units, entries, box, first, last, out, tool)
+    end = min(last * LANES, tool.shape[0])
+    evaluate_rows(tool, tool, False, desired, first * LANES, end, kind, band, distance, reward)
     return broken
