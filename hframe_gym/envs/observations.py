@@ -210,20 +210,11 @@ class ObservationBuilder:
         elif evaluation is None:
             broken = self._observe(first, last, self._state, observation["observation"], tool)
         else:  # one call for both: calls are most of a step of one environment
+            state, units, (entries, box) = simulator.state, simulator.units_per_travel, self._state
+            out, desired = observation["observation"], observation["desired_goal"]
             kind, band, distance, reward = evaluation
             broken = _observe_and_evaluate(
-                simulator.state,
-                simulator.units_per_travel,
-                *self._state,
-                first,
-                last,
-                observation["observation"],
-                tool,
-                observation["desired_goal"],
-                kind,
-                band,
-                distance,
-                reward,
+                state, units, entries, box, first, last, out, tool, desired, kind, band, distance, reward
             )
         if self.privileged:
             rows = observation["privileged"]
@@ -234,11 +225,11 @@ class ObservationBuilder:
 
     def _write_measurements(self, sensors: SensorArray, first: int, last: int, observation: Observation) -> None:
         """Write `observation` and `achieved_goal` of blocks first..last-1 from measurements."""
-        limits, boxes = (sensors.low, sensors.high), (self._box, self._goal_box)
         position = self._position.belts, self._position.direct, self._position.scale
-        out = observation["observation"], observation["achieved_goal"]
+        limits, boxes = (sensors.low, sensors.high), (self._box, self._goal_box)
         rows = first * LANES, min(last * LANES, self._simulator.count)
-        _write_measurements(sensors.measurements, self._simulator.period, *limits, *position, *boxes, *rows, *out)
+        out = observation["observation"], observation["achieved_goal"]
+        _write_measurements(sensors.measurements, self._simulator.period, limits, position, boxes, rows, *out)
 
     def write_tool(self, first: int, last: int, tool: NDArray[np.float32]) -> None:
         """Write the true tool positions of the environments in blocks first to last - 1.
@@ -253,27 +244,17 @@ class ObservationBuilder:
 
 @compiled
 def _write_measurements(
-    measurements: Any,
-    period: float,
-    range_low: Any,
-    range_high: Any,
-    belts: Any,
-    direct: Any,
-    scale: Any,
-    box: Any,
-    goal_box: Any,
-    first: int,
-    last: int,
-    out: Any,
-    achieved: Any,
+    measurements: Any, period: float, limits: Any, position: Any, boxes: Any, index: Any, out: Any, achieved: Any
 ) -> None:
-    """Write observations out (B, 2 n) and achieved (B, axes) of environments first..last-1; measurements (2, n, B).
+    """Write observations out (B, 2 n) and achieved (B, axes) of environments index[0]..index[1]-1 from measurements.
 
-    achieved is the measurement of an axis itself where that is strictly inside its range (n, B), else the position that
-    the other sensors give on unstretched belts. All are clipped to box (2, 2 n) and goal_box (axes, 2).
+    measurements (2, n, B); limits: lower and upper end of the ranges, (n, B) each; position: `PositionFromSensors`.
+    achieved is the measurement of an axis itself where that is strictly inside its range, else the position that the
+    other sensors give on unstretched belts. All are clipped to boxes: (2, 2 n) for out, (axes, 2) for achieved.
     """
-    n, rows = measurements.shape[1], slice(first, last)
-    values = np.empty(last - first)
+    (range_low, range_high), (belts, direct, scale), (box, goal_box) = limits, position, boxes
+    n, rows = measurements.shape[1], slice(index[0], index[1])
+    values = np.empty(index[1] - index[0])
     for j in range(n):
         now, before = measurements[0, j, rows], measurements[1, j, rows]
         _clip(now, box[0, j], box[1, j], out[rows, j])
@@ -354,7 +335,7 @@ def _observe_and_evaluate(
     distance: Any,
     reward: Any,
 ) -> int:
-    """Do `_observe` and then `evaluate_rows` for the same environments, which observe the true tool position."""
+    """Do `_observe`, and `evaluate_rows` for the same environments and their true tool positions."""
     broken: int = _observe(state, units, entries, box, first, last, out, tool)
     end = min(last * LANES, tool.shape[0])
     evaluate_rows(tool, tool, False, desired, first * LANES, end, kind, band, distance, reward)
