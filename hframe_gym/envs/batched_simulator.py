@@ -189,7 +189,7 @@ class BatchedSimulator:
         # The unused lanes of the last block repeat the last machine, with voltages of zero.
         repeats = self._unused if index[-1] == self.count - 1 else 0
         _put(index, state, repeats, self.state)
-        _put(index, values[:, : len(self.machine.parameters)], repeats, self.parameters)
+        _put(index, np.ascontiguousarray(values[:, : len(self.machine.parameters)]), repeats, self.parameters)
         _put(index, units_per_travel(self.machine, values), repeats, self.units_per_travel)
         self.actuators.begin(index, values)
         kernel, delay_line = self._kernel, self._delay_line
