@@ -52,7 +52,7 @@ class Curve(Protocol):
 
     @property
     def data(self) -> CurveData:
-        """The curve as `write_points` takes it: vertices x, y, m, shape (n, 2), and their arc lengths, m, shape (n,)."""
+        """Curve for `write_points`: vertices x, y, m, shape (n, 2), and their arc lengths, m, shape (n,)."""
 
     @property
     def extent(self) -> Array:
@@ -94,7 +94,7 @@ class Circle(Curve):
 
     @property
     def data(self) -> CurveData:
-        """The circle as `write_points` takes it: radius, m, no vertices, shape (0, 2), and arc lengths, m, shape (2,)."""
+        """Circle for `write_points`: radius, m, no vertices, shape (0, 2), and arc lengths, m, shape (2,)."""
         return CurveData(self.radius, True, np.zeros((0, 2)), np.array([0.0, self.length]))
 
     @property
