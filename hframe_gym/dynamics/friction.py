@@ -151,10 +151,10 @@ def friction_force(v, f, coulomb):  # type: ignore[no-untyped-def]
 
 @inlined
 def update_speed(v, f, coulomb, decay, gain):  # type: ignore[no-untyped-def]
-    """Advance the speed by one step of length h, and detect where the coordinate comes to rest within the step.
+    """Advance the speed by one step of length h as if the coordinate did not come to rest within the step.
 
-    Operands are SIMD registers, shape (LANES,), with one value per machine ("lane"). In lanes that come to rest, the
-    returned speed is invalid; `stop_or_reverse` gives it.
+    Operands are SIMD registers, shape (LANES,), with one value per machine ("lane"). Where the result has the opposite
+    sign of v, the coordinate comes to rest and the result is invalid; `stop_or_reverse` gives the speed instead.
 
     Args:
         v: Speed before the step, m/s.
@@ -164,11 +164,9 @@ def update_speed(v, f, coulomb, decay, gain):  # type: ignore[no-untyped-def]
         gain: Speed gained per unit of force, h / m * decay_integral(b h / m), s/kg.
 
     Returns:
-        after: Speed after the step, m/s, one value per lane.
-        stopped: Mask: True in the lanes whose speed changes its sign within the step.
+        Speed after the step, m/s, one value per lane.
     """
-    after = fma(gain, f - friction_force(v, f, coulomb), decay * v)
-    return after, after * v < 0.0
+    return fma(gain, f - friction_force(v, f, coulomb), decay * v)
 
 
 @inlined
@@ -177,7 +175,7 @@ def stop_or_reverse(v, f, coulomb, viscous, viscous_after, mass, per_mass, h):  
 
     The coordinate decelerates to rest in the time `stop`. Then it stays at rest if |f| <= F, or reverses for the
     remaining time. Operands are SIMD registers, shape (LANES,), with one value per machine ("lane"); the result is
-    valid only in lanes where `update_speed` reports a stop.
+    valid only in lanes where `update_speed` changes the sign of the speed.
 
     Args:
         v: Speed before the step, m/s.

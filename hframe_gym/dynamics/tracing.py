@@ -14,6 +14,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
+from .elementwise import where
 from .expressions import Expression, Statement, simplified
 
 
@@ -257,3 +258,20 @@ class Trace:
         variables = [self.variable("guarded", i, self.expression(value)) for i, value in enumerate(values)]
         with self.block("if any_of({}):", condition):
             return [self.assign(v, value) for v, value in zip(variables, update(variables), strict=True)]
+
+
+def first_of(conditions: Sequence[Any], values: Sequence[Any], otherwise: Any) -> Any:
+    """Select for every machine the value that belongs to the first of some conditions that holds.
+
+    Args:
+        conditions: Expressions of conditions, one truth value per machine (SIMD lane).
+        values: Expression or number for each condition; further ones are ignored.
+        otherwise: Expression or number for machines where no condition holds.
+
+    Returns:
+        Expression of the selected values; `otherwise` itself without conditions.
+    """
+    selected = otherwise
+    for condition, value in reversed(list(zip(conditions, values, strict=False))):
+        selected = where(condition, value, selected)
+    return selected

@@ -170,8 +170,7 @@ class ActuatorModel:
         """Set the converters of k environments for new episodes and clear the voltages that dead times still delay.
 
         Args:
-            index: Indices of the environments, shape (k,). Indices from `count` on are unused places in the last block
-                of LANES environments (LANES: number of machines that the processor simulates at once).
+            index: Indices of the environments, shape (k,).
             values: All N parameters of these environments, SI, in the column order of the parameter table, shape
                 (k, N).
         """
@@ -200,11 +199,10 @@ class ActuatorModel:
             last: Index after the last block.
             clipped: Number of clipped action entries in each running episode, shape (environments,); updated in place.
         """
-        converters = self._rated, self._converters, self._quantized
+        commanded = self.inputs if self._commanded is None else self._commanded
+        _convert(actions, self._rated, self._converters, self._quantized, first, last, commanded, clipped)
         if self._commanded is None:
-            _convert(actions, *converters, first, last, self.inputs, clipped)
             return
-        _convert(actions, *converters, first, last, self._commanded, clipped)
         self._history[first:last, 0] = self._commanded[first:last]
         _delay(self._history, self.delays, self._period, self._period / self._steps, first, last, self.inputs)
 

@@ -2,15 +2,14 @@
 
 State and parameters stay in the SIMD layout of the compiled simulation kernel (code generated for a machine), arrays
 (blocks, rows, LANES): machine b is lane b % LANES of block b // LANES. Unused lanes of the last block repeat the last
-machine. Positions and velocities are belt travel, m and m/s: the coordinate if linear, radius * angle if rotary.
-Compiled functions work on blocks first to last - 1, run without the interpreter lock and use only arithmetic that
-rounds alike everywhere, so that a machine gets the same bits in any batch, lane or thread.
+machine, without voltage. Positions and velocities are belt travel, m and m/s: the coordinate if linear, radius * angle
+if rotary. Compiled functions work on blocks first to last - 1, run without the interpreter lock and use only arithmetic
+that rounds alike everywhere, so that a machine gets the same bits in any batch, lane or thread.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -27,8 +26,8 @@ from .measurements import DelayLine
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
-# Fewer blocks are done before a second thread would have started.
-BLOCKS_FOR_THREADS = 64
+# Fewer machines are done before a second thread would have started.
+COUNT_FOR_THREADS = 512
 
 
 def _parameter_values(machine: Machine, name: str, values: Array) -> Array:
@@ -136,7 +135,7 @@ class BatchedSimulator:
         self.steps = max(1, int(np.ceil(period / longest_step - 1e-6)))
         self.h = period / self.steps
         self.blocks = -(-count // LANES)
-        self._unused = np.arange(count, self.blocks * LANES)  # lanes of the last block without a machine
+        self._unused = self.blocks * LANES - count  # lanes of the last block without a machine
         self._n = len(machine.coordinates)
         self._tool = [machine.coordinate_names.index(name) for name in machine.tool_axes]
         # Travel of every coordinate at rest with unstretched belts per meter of each axis, (n, axes).
@@ -183,18 +182,15 @@ class BatchedSimulator:
             position: Tool positions, m, shape (k, axes).
             values: All N parameters in the order of the parameter space (`ParameterSpace.names`), SI, shape (k, N).
         """
-        if index[-1] == self.count - 1:
-            # The unused lanes of the last block repeat the last machine.
-            source = np.minimum(np.arange(len(index) + len(self._unused)), len(index) - 1)
-            index = np.concatenate([index, self._unused])
-            position, values = position[source], values[source]
         # At rest, the travel of every coordinate is a linear function of the tool position; the rest of the state is 0.
         state = np.zeros((len(index), self.state.shape[1]))
         for axis, travel in enumerate(self._rest.T):
             state[:, : self._n] += position[:, axis, None] * travel
-        _put(index, state, self.state)
-        _put(index, np.ascontiguousarray(values[:, : len(self.machine.parameters)]), self.parameters)
-        _put(index, units_per_travel(self.machine, values), self.units_per_travel)
+        # The unused lanes of the last block repeat the last machine, with voltages of zero.
+        repeats = self._unused if index[-1] == self.count - 1 else 0
+        _put(index, state, repeats, self.state)
+        _put(index, np.ascontiguousarray(values[:, : len(self.machine.parameters)]), repeats, self.parameters)
+        _put(index, units_per_travel(self.machine, values), repeats, self.units_per_travel)
         self.actuators.begin(index, values)
         kernel, delay_line = self._kernel, self._delay_line
         for first, last in block_ranges(index):
@@ -225,17 +221,19 @@ class BatchedSimulator:
             NotFiniteError: If a state is not finite; the message names the environment.
         """
         self.actuators.begin_period()
-        advance_range = partial(self._advance_period, actions, clipped, finish)
-        if self.blocks < BLOCKS_FOR_THREADS:
-            broken = [advance_range(0, self.blocks)]
+        if self.count < COUNT_FOR_THREADS:
+            broken = self._advance_period(actions, clipped, finish, 0, self.blocks)
         else:
-            broken = []
-            in_parallel(lambda first, last: broken.append(advance_range(first, last)), self.blocks)
+            results: list[int] = []
+            in_parallel(
+                lambda first, last: results.append(self._advance_period(actions, clipped, finish, first, last)),
+                self.blocks,
+            )
+            broken = min((b for b in results if b >= 0), default=-1)
         self._steps_done += self.steps
-        if max(broken) >= 0:
-            first_broken = min(b for b in broken if b >= 0)
+        if broken >= 0:
             raise NotFiniteError(
-                f"environment {first_broken}: the motion of machine {self.machine.name!r} is not finite; its "
+                f"environment {broken}: the motion of machine {self.machine.name!r} is not finite; its "
                 "parameters are impossible, or it needs a smaller longest_step"
             )
 
@@ -250,16 +248,13 @@ class BatchedSimulator:
         """Advance blocks first..last-1 by one control period; arguments and result are those of `advance`, `finish`."""
         self.actuators.command(actions, first, last, clipped)
         if self._delay_line is None:
-            self._advance_blocks(self.actuators.inputs, self.steps, first, last)
+            inputs, h, steps = self.actuators.inputs, self.h, self.steps
+            self._kernel.advance_blocks(self.state, self.parameters, self._derived, inputs, h, steps, first, last)
             if self._sensors:
                 self._kernel.read_blocks(self.state, self.parameters, first, last, self.readings)
         else:
             self._advance_with_delay_line(self._delay_line, first, last)
         return finish(first, last)
-
-    def _advance_blocks(self, inputs: Array, steps: int, first: int, last: int) -> None:
-        """Advance blocks first..last-1 by steps of the integrator."""
-        self._kernel.advance_blocks(self.state, self.parameters, self._derived, inputs, self.h, steps, first, last)
 
     def _advance_with_delay_line(self, delay_line: DelayLine, first: int, last: int) -> None:
         """Advance blocks first..last-1 by one control period and record their readings after every step."""
@@ -268,7 +263,7 @@ class BatchedSimulator:
         for step in range(self.steps):
             row = step * drives if self._kernel.delayed else 0
             voltages = np.ascontiguousarray(inputs[:, row : row + drives])
-            self._advance_blocks(voltages, 1, first, last)
+            self._kernel.advance_blocks(self.state, self.parameters, self._derived, voltages, self.h, 1, first, last)
             self._kernel.read_blocks(self.state, self.parameters, first, last, self._undelayed)
             delay_line.record(self._undelayed, self._steps_done + step + 1, first, last)
         delay_line.read(self._steps_done + self.steps, first, last, self.readings)
@@ -342,8 +337,13 @@ class BatchedSimulator:
 
 
 @compiled
-def _put(index: Any, rows: Any, table: Any) -> None:
-    """Write rows (k, n) into the lanes of machines index (k,) of table (blocks, n or more, LANES)."""
-    for i in range(index.shape[0]):
+def _put(index: Any, rows: Any, repeats: int, table: Any) -> None:
+    """Write rows (k, n) into the lanes of machines index (k,) of table (blocks, n or more, LANES).
+
+    The last row goes to as many further lanes as `repeats` says.
+    """
+    for i in range(index.shape[0] + repeats):
+        row = min(i, index.shape[0] - 1)
+        b = index[row] + i - row
         for j in range(rows.shape[1]):
-            table[index[i] // LANES, j, index[i] % LANES] = rows[i, j]
+            table[b // LANES, j, b % LANES] = rows[row, j]

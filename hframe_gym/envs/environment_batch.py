@@ -25,10 +25,10 @@ from .observation_format import ObservationFormat
 from .observations import Observation, ObservationBuilder
 from .rewards import (
     BuiltinReward,
+    Evaluation,
     PenalizedReward,
     as_reward,
     distances,
-    evaluate_rows,
     outside_workspace,
 )
 from .sensors import as_sensors
@@ -232,37 +232,33 @@ class EnvironmentBatch:
         """
         self.references.advance()
         observation, tool = self._blank()
-        count = self.count
+        count, builtin = self.count, self._builtin
         contour = np.empty(count) if self._has_path else None
         result = StepResult(observation, np.empty(count), np.zeros(count, np.bool_), np.empty(count), contour)
-        self.simulator.advance(actions, self.clipped, partial(self._finish_blocks, result, tool))
-        if self._builtin is None:
+        evaluation = None if builtin is None else (builtin.kind, builtin.band, result.distance, result.reward)
+        self.simulator.advance(actions, self.clipped, partial(self._finish_blocks, result, tool, evaluation))
+        if builtin is None:
             result.distance[:] = distances(tool, observation["desired_goal"])
             result.reward[:] = self.rewards.of_step(observation)
         if self._ends:
             result.terminated[:] = outside_workspace(tool, self._edges)
         return result
 
-    def _finish_blocks(self, result: StepResult, tool: NDArray[np.float32], first: int, last: int) -> int:
+    def _finish_blocks(
+        self, result: StepResult, tool: NDArray[np.float32], evaluation: Evaluation | None, first: int, last: int
+    ) -> int:
         """Write what follows from the new states of blocks first..last-1 to result and to tool (count, axes), m.
 
         Return the index of an environment whose state is not finite, or -1.
         """
-        observation, builtin = result.observation, self._builtin
-        begin, end = first * LANES, min(last * LANES, self.count)
-        measured = self.observations.measured
-        if measured:
+        if self.observations.measured:
             self.observations.measure(first, last, self.elapsed)
-        broken = self.observations.write(first, last, observation, tool)
         if self.references.moving:
-            self.references.write(slice(begin, end), observation)
+            rows = slice(first * LANES, min(last * LANES, self.count))
+            self.references.write(rows, result.observation)
+        broken = self.observations.write(first, last, result.observation, tool, evaluation)
         if result.contour is not None and broken < 0:
-            rows = slice(begin, end)
             result.contour[rows] = self.references.contour(rows, self.simulator.tools(first, last))
-        if builtin is not None:
-            achieved, desired = observation["achieved_goal"], observation["desired_goal"]
-            errors = result.distance, result.reward
-            evaluate_rows(tool, achieved, measured, desired, builtin.kind, builtin.band, begin, end, *errors)
         return broken
 
     def restart(self, index: Index, result: StepResult) -> None:

@@ -158,7 +158,8 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
         observation = self._first(self.batch.observe())
         info = self._info(self.batch.distance(_ONLY).item(), self.batch.contour(_ONLY))
         self._trail.clear()
-        self._update_picture()
+        if self.render_mode is not None:
+            self._update_picture()
         return observation, info
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -182,7 +183,8 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
         result = self.batch.step(self.batch.check_actions(np.asarray(action)[None]))
         arrays = result.observation
         observation = self._first(arrays) if self._formats else {key: v[0] for key, v in arrays.items()}
-        self._update_picture()
+        if self.render_mode is not None:
+            self._update_picture()
         info = self._info(result.distance.item(), result.contour)
         return observation, result.reward.item(), result.terminated.item(), False, info
 
@@ -229,8 +231,7 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     def _update_picture(self) -> None:
         """Extend the trail of the picture, and update the window in mode "human"."""
-        if self.render_mode is not None:
-            self._trail.append(tool_point(self.batch, 0))
+        self._trail.append(tool_point(self.batch, 0))
         if self.render_mode == "human":
             self.render()
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..dynamics import LANES
 from ..machine import SENSOR_KINDS, Machine, Sensor, SensorKind
-from .counter_rng import compiled, normal_pair
+from .counter_rng import compiled, normal_pair, normal_pairs
 from .sensors import sensor_range_names
 
 Array = NDArray[np.float64]
@@ -38,9 +38,9 @@ class SensorArray:
         column: Function that returns the column of a parameter in the `values` of `begin`, given its full name.
 
     Attributes:
-        measurements: Last measurement (row 0) and the one before (row 1), in the channels' units, shape (count, 2, n).
-        low: Lower end of each sensor's range, in the channels' units, -inf without a range, shape (count, n).
-        high: Upper end of each sensor's range, in the channels' units, inf without a range, shape (count, n).
+        measurements: Last measurement (row 0) and the one before (row 1), in the channels' units, shape (2, n, count).
+        low: Lower end of each sensor's range, in the channels' units, -inf without a range, shape (n, count).
+        high: Upper end of each sensor's range, in the channels' units, inf without a range, shape (n, count).
     """
 
     def __init__(self, machine: Machine, sensors: tuple[Sensor, ...], count: int, column: Callable[[str], int]) -> None:
@@ -54,11 +54,11 @@ class SensorArray:
         ]
         kinds = [SENSOR_KINDS.get(s.kind) for s in sensors]
         self._custom = {j: kind for j, kind in enumerate(kinds) if kind.measure is not SensorKind.measure}
-        size = (count, len(sensors))
+        size = (len(sensors), count)
         self._noise, self._resolution = np.zeros(size), np.zeros(size)
         self.low, self.high = np.full(size, -np.inf), np.full(size, np.inf)
         self._keys = np.zeros(count, np.uint64)
-        self.measurements = np.zeros((count, 2, len(sensors)))
+        self.measurements = np.zeros((2, *size))
 
     def begin(self, index: Index, keys: NDArray[np.uint64], values: Array) -> None:
         """Set noise, resolution and range of the sensors for new episodes of k environments.
@@ -71,10 +71,10 @@ class SensorArray:
         """
         self._keys[index] = keys
         for j, (noise, resolution) in enumerate(self._device_columns):
-            self._noise[index, j], self._resolution[index, j] = values[:, noise], values[:, resolution]
+            self._noise[j, index], self._resolution[j, index] = values[:, noise], values[:, resolution]
             limits = self._range_columns[j]
             if limits is not None:
-                self.low[index, j], self.high[index, j] = values[:, limits[0]], values[:, limits[1]]
+                self.low[j, index], self.high[j, index] = values[:, limits[0]], values[:, limits[1]]
 
     def measure(self, readings: Array, index: Index, elapsed: NDArray[np.int64], *, fresh: bool) -> None:
         """Write the new measurements of k environments to row 0 of `measurements`; the previous ones move to row 1.
@@ -93,10 +93,10 @@ class SensorArray:
             ideal, normals = np.empty(len(index)), np.empty(len(index))
             channel = _FIRST_CUSTOM_CHANNEL + 2 * j
             _ideal_and_normal(readings, self._rows[j], self._keys, elapsed, index, channel, ideal, normals)
-            value = kind.measure(ideal, self._noise[index, j], self._resolution[index, j], normals)
-            self.measurements[index, 0, j] = np.clip(value, self.low[index, j], self.high[index, j])
+            value = kind.measure(ideal, self._noise[j, index], self._resolution[j, index], normals)
+            self.measurements[0, j, index] = np.clip(value, self.low[j, index], self.high[j, index])
             if fresh:
-                self.measurements[index, 1, j] = self.measurements[index, 0, j]
+                self.measurements[1, j, index] = self.measurements[0, j, index]
 
 
 @compiled
@@ -113,30 +113,82 @@ def _measure(
     fresh: bool,
     measurements: Any,
 ) -> None:
-    """Write measurements (B, 2, n) of environments index (k,) from readings (blocks, sensors, LANES).
+    """Write measurements (2, n, B) of environments index (k,) from readings (blocks, sensors, LANES).
 
-    A measurement is the reading plus noise, rounded to the resolution (0: not), each (B, n). A reading at an end of the
-    range low, high (B, n) has no noise, and noise does not lead out of the range.
+    A measurement is the reading plus noise, rounded to the resolution (0: not), each (n, B). A reading at an end of the
+    range low, high (n, B) has no noise, and noise does not lead out of the range.
     """
-    for i in range(index.shape[0]):
-        b = index[i]
-        block, lane = b // LANES, b % LANES
-        spare, has_spare = 0.0, False
+    # A step measures all environments of some blocks, in loops that the compiler vectorizes; a reset any of them.
+    begin = 0
+    while begin < len(index):
+        end = begin + 1
+        while end < len(index) and index[end] == index[end - 1] + 1:
+            end += 1
+        run = slice(index[begin], index[end - 1] + 1)
+        count = end - begin
+        values, normals, spares, has_spare = (
+            np.empty(count),
+            np.empty(count),
+            np.empty(count),
+            np.zeros(count, np.bool_),
+        )
         for j in range(rows.shape[0]):
-            value = readings[block, rows[j], lane]
-            if noise[b, j] > 0.0:
-                if has_spare:
-                    normal = spare
-                else:
-                    normal, spare = normal_pair(keys[b], elapsed[b], j)
-                has_spare = not has_spare
-                if low[b, j] < value < high[b, j]:
-                    value += noise[b, j] * normal
-            if resolution[b, j] > 0.0:
-                value = np.rint(value / resolution[b, j]) * resolution[b, j]
-            value = min(high[b, j], max(low[b, j], value))
-            measurements[b, 1, j] = value if fresh else measurements[b, 0, j]
-            measurements[b, 0, j] = value
+            _read(readings, rows[j], index[begin], values)
+            if _next_normals(noise[j, run], keys[run], elapsed[run], j, normals, spares, has_spare):
+                _add_noise(noise[j, run], normals, low[j, run], high[j, run], values)
+            _round(resolution[j, run], low[j, run], high[j, run], values)
+            measurements[1, j, run] = values if fresh else measurements[0, j, run]
+            measurements[0, j, run] = values
+        begin = end
+
+
+@compiled
+def _read(readings: Any, row: int, first: int, values: Any) -> None:
+    """Write the readings (blocks, sensors, LANES) of one sensor, environments from first on, to values (k,)."""
+    for i in range(len(values)):
+        values[i] = readings[(first + i) // LANES, row, (first + i) % LANES]
+
+
+@compiled
+def _next_normals(noise: Any, keys: Any, elapsed: Any, channel: int, normals: Any, spares: Any, has_spare: Any) -> bool:
+    """Write a normal number for each environment to normals (k,) if the sensor has noise (k,); return whether it has.
+
+    Normal numbers come in pairs. The second of a pair, in spares (k,) where has_spare (k,), is for the next sensor with
+    noise of the environment.
+    """
+    noisy = new = 0
+    for i in range(len(noise)):
+        noisy += noise[i] > 0.0
+        new += (noise[i] > 0.0) & (not has_spare[i])
+    if new > 0:
+        seconds = np.empty(len(noise))
+        normal_pairs(keys, elapsed, channel, normals, seconds)
+        for i in range(len(noise)):
+            normals[i] = spares[i] if has_spare[i] else normals[i]
+            spares[i] = spares[i] if has_spare[i] else seconds[i]
+    elif noisy > 0:
+        normals[:] = spares
+    for i in range(len(noise)):
+        has_spare[i] = has_spare[i] != (noise[i] > 0.0)
+    return noisy > 0
+
+
+@compiled
+def _add_noise(noise: Any, normals: Any, low: Any, high: Any, values: Any) -> None:
+    """Add noise (k,) times normals (k,) to values (k,) that are strictly inside low, high (k,)."""
+    for i in range(len(values)):
+        inside = (low[i] < values[i]) & (values[i] < high[i]) & (noise[i] > 0.0)
+        values[i] = values[i] + noise[i] * normals[i] if inside else values[i]
+
+
+@compiled
+def _round(resolution: Any, low: Any, high: Any, values: Any) -> None:
+    """Round values (k,) to the resolution (k,), where it is not 0, and limit them to low, high (k,)."""
+    for i in range(len(values)):
+        rounded = np.rint(values[i] / resolution[i]) * resolution[i]
+        values[i] = rounded if resolution[i] > 0.0 else values[i]
+    for i in range(len(values)):
+        values[i] = min(high[i], max(low[i], values[i]))
 
 
 @compiled

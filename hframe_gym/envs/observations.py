@@ -21,12 +21,14 @@ from .batched_simulator import BatchedSimulator
 from .counter_rng import compiled
 from .machine_sampler import MachineSampler
 from .measurements import SensorArray
+from .rewards import Evaluation, evaluate_rows
 from .sensors import PositionFromSensors
 from .spaces import MARGIN, SignalSpec, bounds_of, privileged_signals, sensor_signals, state_signals, workspace_of
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Observation = dict[str, NDArray[np.float32]]
+_FLOAT32 = np.dtype(np.float32)  # saves its construction in every step
 
 
 class StateView(NamedTuple):
@@ -160,8 +162,8 @@ class ObservationBuilder:
                 entries of the key) for `count` environments.
             tool: Array for true tool positions, m, shape (count, axes); see `tool_array`.
         """
-        observation = {key: np.empty(shape, np.float32) for key, shape in self._shapes.items()}
-        return observation, self.tool_array(observation)
+        observation = {key: np.empty(shape, _FLOAT32) for key, shape in self._shapes.items()}
+        return observation, self.tool_array(observation) if self.measured else observation["achieved_goal"]
 
     def tool_array(self, observation: Observation) -> NDArray[np.float32]:
         """Choose the array into which `write` puts the true tool positions.
@@ -176,38 +178,58 @@ class ObservationBuilder:
         achieved = observation["achieved_goal"]
         return np.empty_like(achieved) if self.measured else achieved
 
-    def write(self, first: int, last: int, observation: Observation, tool: NDArray[np.float32]) -> int:
-        """Write the observations of the environments in blocks first to last - 1.
+    def write(
+        self,
+        first: int,
+        last: int,
+        observation: Observation,
+        tool: NDArray[np.float32],
+        evaluation: Evaluation | None = None,
+    ) -> int:
+        """Write the observations of the environments in blocks first to last - 1, and what a step needs besides them.
 
         Args:
             first: Index of the first block; block i holds environments i * LANES to (i + 1) * LANES - 1.
             last: Index after the last block.
             observation: Output, arrays from `blank`, shape (count, entries of the key); other rows are not changed.
             tool: Output, true tool positions, m, shape (count, axes), from `tool_array`.
+            evaluation: Built-in reward, and output of distances and rewards by the goals in `observation`. None: not
+                written.
 
         Returns:
             Index of an environment whose state is not finite, or -1 if all are finite.
         """
-        observe = self._observe
-        if self._sensors is None:
-            broken = observe(first, last, self._state, observation["observation"], tool)
-        else:
-            broken = observe(first, last, self._tool, tool, tool)
+        simulator = self._simulator
+        broken: int
+        if self._sensors is not None:
+            broken = self._observe(first, last, self._tool, tool, tool)
             self._write_measurements(self._sensors, first, last, observation)
+            if evaluation is not None:
+                goals = tool, observation["achieved_goal"], True, observation["desired_goal"]
+                evaluate_rows(*goals, first * LANES, min(last * LANES, simulator.count), *evaluation)
+        elif evaluation is None:
+            broken = self._observe(first, last, self._state, observation["observation"], tool)
+        else:  # one call for both: calls are most of a step of one environment
+            state, units, (entries, box) = simulator.state, simulator.units_per_travel, self._state
+            out, desired = observation["observation"], observation["desired_goal"]
+            kind, band, distance, reward = evaluation
+            broken = _observe_and_evaluate(
+                state, units, entries, box, first, last, out, tool, desired, kind, band, distance, reward
+            )
         if self.privileged:
             rows = observation["privileged"]
-            broken = max(broken, observe(first, last, self._all_state, rows, tool))
+            broken = max(broken, self._observe(first, last, self._all_state, rows, tool))
             block_rows = slice(first * LANES, last * LANES)
             rows[block_rows, len(self._all_state.rows) :] = self._parameters[block_rows]
         return broken
 
     def _write_measurements(self, sensors: SensorArray, first: int, last: int, observation: Observation) -> None:
         """Write `observation` and `achieved_goal` of blocks first..last-1 from measurements."""
-        limits, boxes = (sensors.low, sensors.high), (self._box, self._goal_box)
         position = self._position.belts, self._position.direct, self._position.scale
+        limits, boxes = (sensors.low, sensors.high), (self._box, self._goal_box)
+        rows = first * LANES, min(last * LANES, self._simulator.count)
         out = observation["observation"], observation["achieved_goal"]
-        index = self._rows(first, last)
-        _write_measurements(sensors.measurements, self._simulator.period, *limits, *position, *boxes, index, *out)
+        _write_measurements(sensors.measurements, self._simulator.period, limits, position, boxes, rows, *out)
 
     def write_tool(self, first: int, last: int, tool: NDArray[np.float32]) -> None:
         """Write the true tool positions of the environments in blocks first to last - 1.
@@ -222,42 +244,44 @@ class ObservationBuilder:
 
 @compiled
 def _write_measurements(
-    measurements: Any,
-    period: float,
-    range_low: Any,
-    range_high: Any,
-    belts: Any,
-    direct: Any,
-    scale: Any,
-    box: Any,
-    goal_box: Any,
-    index: Any,
-    out: Any,
-    achieved: Any,
+    measurements: Any, period: float, limits: Any, position: Any, boxes: Any, index: Any, out: Any, achieved: Any
 ) -> None:
-    """Write observations out (B, 2 n) and achieved (B, axes) of environments index (k,) from measurements (B, 2, n).
+    """Write observations out (B, 2 n) and achieved (B, axes) of environments index[0]..index[1]-1 from measurements.
 
-    achieved is the measurement of an axis itself where that is strictly inside its range (B, n), else the position that
-    the other sensors give on unstretched belts. All are clipped to box (2, 2 n) and goal_box (axes, 2).
+    measurements (2, n, B); limits: lower and upper end of the ranges, (n, B) each; position: `PositionFromSensors`.
+    achieved is the measurement of an axis itself where that is strictly inside its range, else the position that the
+    other sensors give on unstretched belts. All are clipped to boxes: (2, 2 n) for out, (axes, 2) for achieved.
     """
-    n = measurements.shape[2]
-    for i in range(index.shape[0]):
-        b = index[i]
+    (range_low, range_high), (belts, direct, scale), (box, goal_box) = limits, position, boxes
+    n, rows = measurements.shape[1], slice(index[0], index[1])
+    values = np.empty(index[1] - index[0])
+    for j in range(n):
+        now, before = measurements[0, j, rows], measurements[1, j, rows]
+        _clip(now, box[0, j], box[1, j], out[rows, j])
+        for i in range(len(values)):
+            values[i] = (now[i] - before[i]) / period
+        _clip(values, box[0, n + j], box[1, n + j], out[rows, n + j])
+    for axis in range(achieved.shape[1]):
+        values[:] = 0.0
         for j in range(n):
-            measurement = measurements[b, 0, j]
-            out[b, j] = np.float32(min(box[1, j], max(box[0, j], measurement)))
-            rate = (measurement - measurements[b, 1, j]) / period
-            out[b, n + j] = np.float32(min(box[1, n + j], max(box[0, n + j], rate)))
-        for axis in range(achieved.shape[1]):
-            position = 0.0
-            undetermined = True
-            for j in range(n):
-                position += belts[axis, j] * measurements[b, 0, j]
-                undetermined = undetermined and belts[axis, j] == 0.0
-            j = direct[axis]
-            if j >= 0 and (undetermined or range_low[b, j] < measurements[b, 0, j] < range_high[b, j]):
-                position = scale[axis] * measurements[b, 0, j]
-            achieved[b, axis] = np.float32(min(goal_box[axis, 1], max(goal_box[axis, 0], position)))
+            now = measurements[0, j, rows]
+            for i in range(len(values)):
+                values[i] += belts[axis, j] * now[i]
+        j = direct[axis]
+        if j >= 0:
+            now, low, high = measurements[0, j, rows], range_low[j, rows], range_high[j, rows]
+            undetermined = not belts[axis].any()
+            for i in range(len(values)):
+                inside = (low[i] < now[i]) & (now[i] < high[i])
+                values[i] = scale[axis] * now[i] if undetermined | inside else values[i]
+        _clip(values, goal_box[axis, 0], goal_box[axis, 1], achieved[rows, axis])
+
+
+@compiled
+def _clip(values: Any, low: float, high: float, out: Any) -> None:
+    """Write values (k,), limited to [low, high], to out (k,) as float32."""
+    for i in range(len(values)):
+        out[i] = np.float32(min(high, max(low, values[i])))
 
 
 @compiled
@@ -292,4 +316,27 @@ def _observe(state: Any, units: Any, entries: Any, box: Any, first: int, last: i
             for lane in range(LANES):
                 if broken < 0 and not math.isfinite(values[count, lane]):
                     broken = begin + lane
+    return broken
+
+
+@compiled
+def _observe_and_evaluate(
+    state: Any,
+    units: Any,
+    entries: Any,
+    box: Any,
+    first: int,
+    last: int,
+    out: Any,
+    tool: Any,
+    desired: Any,
+    kind: int,
+    band: float,
+    distance: Any,
+    reward: Any,
+) -> int:
+    """Do `_observe`, and `evaluate_rows` for the same environments and their true tool positions."""
+    broken: int = _observe(state, units, entries, box, first, last, out, tool)
+    end = min(last * LANES, tool.shape[0])
+    evaluate_rows(tool, tool, False, desired, first * LANES, end, kind, band, distance, reward)
     return broken

@@ -24,6 +24,8 @@ from .counter_rng import compiled
 Array: TypeAlias = NDArray[np.float64]
 Positions: TypeAlias = NDArray[np.float32]
 Reward: TypeAlias = Callable[[Positions, Positions], Array]
+# The last arguments of `evaluate_rows`: kind and band of a built-in reward, and the arrays for distances and rewards.
+Evaluation: TypeAlias = tuple[int, float, Array, Array]
 RewardLike: TypeAlias = Literal["dense", "sparse"] | str | Reward
 
 REWARDS: Registry[Callable[[float], Reward]] = Registry("reward")
@@ -58,10 +60,10 @@ def evaluate_rows(
     achieved: Any,
     measured: bool,
     desired: Any,
-    kind: int,
-    band: float,
     first: int,
     last: int,
+    kind: int,
+    band: float,
     distance: Any,
     reward: Any,
 ) -> None:
@@ -72,10 +74,10 @@ def evaluate_rows(
         achieved: Tool positions that the reward uses, true or measured, m, shape (n, axes).
         measured: Whether `achieved` is measured, so that it can differ from `tool`.
         desired: Goal positions, m, shape (n, axes).
-        kind: Built-in reward: 0 dense, 1 sparse (`BuiltinReward.kind`).
-        band: Distance to the goal within which the sparse reward is 0, m.
         first: Index of the first row.
         last: Index after the last row.
+        kind: Built-in reward: 0 dense, 1 sparse (`BuiltinReward.kind`).
+        band: Distance to the goal within which the sparse reward is 0, m.
         distance: Output, distance from `tool` to `desired`, m, shape (n,); other rows are not changed.
         reward: Output, rewards, dimensionless, of `achieved` and `desired`, shape (n,); other rows are not changed.
     """
@@ -112,7 +114,7 @@ def distances(achieved: Positions, desired: Positions) -> Array:
         Distances, m, float64, shape (n,).
     """
     distance, reward = np.empty(len(achieved)), np.empty(len(achieved))
-    evaluate_rows(achieved, achieved, False, desired, _DENSE, 0.0, 0, len(achieved), distance, reward)
+    evaluate_rows(achieved, achieved, False, desired, 0, len(achieved), _DENSE, 0.0, distance, reward)
     return distance
 
 
@@ -141,7 +143,7 @@ class BuiltinReward:
             Rewards, shape (n,).
         """
         distance, reward = np.empty(len(achieved)), np.empty(len(achieved))
-        evaluate_rows(achieved, achieved, False, desired, self.kind, self.band, 0, len(achieved), distance, reward)
+        evaluate_rows(achieved, achieved, False, desired, 0, len(achieved), self.kind, self.band, distance, reward)
         return reward
 
 

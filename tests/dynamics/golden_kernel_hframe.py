@@ -158,16 +158,16 @@ def advance(state, parameters, derived, inputs, external_forces, h, steps):
     last_weight_3 = load(derived, 39)
     first_weight_3 = load(derived, 38)
     viscous_0 = load(derived, 4)
-    mass_0 = load(derived, 0)
-    per_mass_0 = load(derived, 1)
     viscous_1 = load(derived, 14)
-    mass_1 = load(derived, 10)
-    per_mass_1 = load(derived, 11)
     viscous_2 = load(derived, 24)
-    mass_2 = load(derived, 20)
-    per_mass_2 = load(derived, 21)
     viscous_3 = load(derived, 34)
+    mass_0 = load(derived, 0)
+    mass_1 = load(derived, 10)
+    mass_2 = load(derived, 20)
     mass_3 = load(derived, 30)
+    per_mass_0 = load(derived, 1)
+    per_mass_1 = load(derived, 11)
+    per_mass_2 = load(derived, 21)
     per_mass_3 = load(derived, 31)
     for step in range(steps):
         # 1. forces at the half-way point, and the acceleration
@@ -219,31 +219,48 @@ def advance(state, parameters, derived, inputs, external_forces, h, steps):
         corrected_drive_and_belts_2 = half_drive_and_belts_2 + (corrected_tension_change_2 - corrected_tension_change_0)
         corrected_drive_and_belts_3 = half_drive_and_belts_3 + (corrected_tension_change_1 - corrected_tension_change_2)
         # 3. exact flow with friction
-        next_speed_0, stopped_0 = update_speed(speed_0, corrected_drive_and_belts_0, coulomb_0, decay_0, speed_gain_0)
+        next_speed_0 = update_speed(speed_0, corrected_drive_and_belts_0, coulomb_0, decay_0, speed_gain_0)
+        crossing_0 = next_speed_0 * speed_0
         next_travel_0 = fma(last_weight_0, next_speed_0, fma(first_weight_0, speed_0, travel_0))
-        next_speed_1, stopped_1 = update_speed(speed_1, corrected_drive_and_belts_1, coulomb_1, decay_1, speed_gain_1)
+        next_speed_1 = update_speed(speed_1, corrected_drive_and_belts_1, coulomb_1, decay_1, speed_gain_1)
+        crossing_1 = next_speed_1 * speed_1
         next_travel_1 = fma(last_weight_1, next_speed_1, fma(first_weight_1, speed_1, travel_1))
-        next_speed_2, stopped_2 = update_speed(speed_2, corrected_drive_and_belts_2, coulomb_2, decay_2, speed_gain_2)
+        next_speed_2 = update_speed(speed_2, corrected_drive_and_belts_2, coulomb_2, decay_2, speed_gain_2)
+        crossing_2 = next_speed_2 * speed_2
         next_travel_2 = fma(last_weight_2, next_speed_2, fma(first_weight_2, speed_2, travel_2))
-        next_speed_3, stopped_3 = update_speed(speed_3, corrected_drive_and_belts_3, coulomb_3, decay_3, speed_gain_3)
+        next_speed_3 = update_speed(speed_3, corrected_drive_and_belts_3, coulomb_3, decay_3, speed_gain_3)
+        crossing_3 = next_speed_3 * speed_3
         next_travel_3 = fma(last_weight_3, next_speed_3, fma(first_weight_3, speed_3, travel_3))
         # 4. coordinates that stop within the step
-        if any_of(stopped_0):
-            speed_after_stop_0, traveled_0 = stop_or_reverse(speed_0, corrected_drive_and_belts_0, coulomb_0, viscous_0, viscous_0, mass_0, per_mass_0, h)
-            next_speed_0 = where(stopped_0, speed_after_stop_0, next_speed_0)
-            next_travel_0 = where(stopped_0, travel_0 + traveled_0, next_travel_0)
-        if any_of(stopped_1):
-            speed_after_stop_1, traveled_1 = stop_or_reverse(speed_1, corrected_drive_and_belts_1, coulomb_1, viscous_1, viscous_1, mass_1, per_mass_1, h)
-            next_speed_1 = where(stopped_1, speed_after_stop_1, next_speed_1)
-            next_travel_1 = where(stopped_1, travel_1 + traveled_1, next_travel_1)
-        if any_of(stopped_2):
-            speed_after_stop_2, traveled_2 = stop_or_reverse(speed_2, corrected_drive_and_belts_2, coulomb_2, viscous_2, viscous_2, mass_2, per_mass_2, h)
-            next_speed_2 = where(stopped_2, speed_after_stop_2, next_speed_2)
-            next_travel_2 = where(stopped_2, travel_2 + traveled_2, next_travel_2)
-        if any_of(stopped_3):
-            speed_after_stop_3, traveled_3 = stop_or_reverse(speed_3, corrected_drive_and_belts_3, coulomb_3, viscous_3, viscous_3, mass_3, per_mass_3, h)
-            next_speed_3 = where(stopped_3, speed_after_stop_3, next_speed_3)
-            next_travel_3 = where(stopped_3, travel_3 + traveled_3, next_travel_3)
+        while any_of(0.0 > minimum(minimum(minimum(crossing_0, crossing_1), crossing_2), crossing_3)):
+            stops_0 = crossing_0 < 0.0
+            stops_1 = crossing_1 < 0.0
+            stops_2 = crossing_2 < 0.0
+            stops_3 = crossing_3 < 0.0
+            stopping_coordinate = where(stops_0, 0.0, where(stops_1, 1.0, where(stops_2, 2.0, where(stops_3, 3.0, -1.0))))
+            stopping_speed = where(stops_0, speed_0, where(stops_1, speed_1, where(stops_2, speed_2, speed_3)))
+            stopping_force = where(stops_0, corrected_drive_and_belts_0, where(stops_1, corrected_drive_and_belts_1, where(stops_2, corrected_drive_and_belts_2, corrected_drive_and_belts_3)))
+            stopping_coulomb = where(stops_0, coulomb_0, where(stops_1, coulomb_1, where(stops_2, coulomb_2, coulomb_3)))
+            stopping_viscous = where(stops_0, viscous_0, where(stops_1, viscous_1, where(stops_2, viscous_2, viscous_3)))
+            stopping_mass = where(stops_0, mass_0, where(stops_1, mass_1, where(stops_2, mass_2, mass_3)))
+            stopping_per_mass = where(stops_0, per_mass_0, where(stops_1, per_mass_1, where(stops_2, per_mass_2, per_mass_3)))
+            speed_after_stop, traveled = stop_or_reverse(stopping_speed, stopping_force, stopping_coulomb, stopping_viscous, stopping_viscous, stopping_mass, stopping_per_mass, h)
+            turn_0 = stopping_coordinate == 0.0
+            crossing_0 = where(turn_0, 0.0, crossing_0)
+            next_speed_0 = where(turn_0, speed_after_stop, next_speed_0)
+            next_travel_0 = where(turn_0, travel_0 + traveled, next_travel_0)
+            turn_1 = stopping_coordinate == 1.0
+            crossing_1 = where(turn_1, 0.0, crossing_1)
+            next_speed_1 = where(turn_1, speed_after_stop, next_speed_1)
+            next_travel_1 = where(turn_1, travel_1 + traveled, next_travel_1)
+            turn_2 = stopping_coordinate == 2.0
+            crossing_2 = where(turn_2, 0.0, crossing_2)
+            next_speed_2 = where(turn_2, speed_after_stop, next_speed_2)
+            next_travel_2 = where(turn_2, travel_2 + traveled, next_travel_2)
+            turn_3 = stopping_coordinate == 3.0
+            crossing_3 = where(turn_3, 0.0, crossing_3)
+            next_speed_3 = where(turn_3, speed_after_stop, next_speed_3)
+            next_travel_3 = where(turn_3, travel_3 + traveled, next_travel_3)
         # 5. the new state
         speed_0 = next_speed_0
         speed_1 = next_speed_1

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hframe_gym.dynamics import in_blocks, kernel, kernel_for, kernel_source_text, share_kernel, simulate_batch
+from hframe_gym.dynamics import LANES, in_blocks, kernel, kernel_for, kernel_source_text, share_kernel, simulate_batch
 from hframe_gym.dynamics.kernel import cache_folder, rollout_kernel
 from hframe_gym.dynamics.simulation import parameter_batch
 from hframe_gym.effects import EFFECTS
@@ -99,12 +99,12 @@ def test_code_is_not_cached_in_a_temporary_folder_that_others_can_write(
 
 
 def test_blocks_repeat_the_last_machine_in_spare_lanes() -> None:
-    """11 machines need two blocks of 8 lanes."""
-    values = np.arange(22.0).reshape(11, 2)
+    """Three machines more than a block holds need two blocks."""
+    values = np.arange(2.0 * (LANES + 3)).reshape(-1, 2)
     blocks = in_blocks(values)
-    assert blocks.shape == (2, 2, 8)
-    np.testing.assert_array_equal(blocks[1, :, 2], values[10])
-    np.testing.assert_array_equal(blocks[1, :, 7], values[10])
+    assert blocks.shape == (2, 2, LANES)
+    np.testing.assert_array_equal(blocks[1, :, 2], values[-1])
+    np.testing.assert_array_equal(blocks[1, :, LANES - 1], values[-1])
 
 
 def test_shared_kernel_simulates_each_effect_to_the_bit(hframe: Machine, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from hframe_gym.dynamics import LANES
 from hframe_gym.envs import HFrameVectorEnv
 from hframe_gym.envs.end_stops import END_STOP, with_end_stops
 
@@ -20,7 +21,7 @@ def test_the_machine_s_parameters_come_first(hframe):
 
 
 def test_a_neighbor_at_an_end_stop_changes_no_bit():
-    count = 8
+    count = LANES  # one block
 
     def histories(start):
         envs = HFrameVectorEnv(count, randomize="default", max_episode_steps=None)

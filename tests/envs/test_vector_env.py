@@ -92,7 +92,7 @@ def run(n, steps, seed=3, **options):
 
 @pytest.mark.parametrize("threads", ["2", "3"])
 def test_the_thread_count_changes_no_bit(monkeypatch, threads):
-    monkeypatch.setattr(simulator_module, "BLOCKS_FOR_THREADS", 1)
+    monkeypatch.setattr(simulator_module, "COUNT_FOR_THREADS", 1)
     monkeypatch.setenv("HFRAME_THREADS", "1")
     alone = run(70, 90)
     monkeypatch.setenv("HFRAME_THREADS", threads)

@@ -96,6 +96,17 @@ class Task(ABC):
             Goal positions, m, shape (n, axes) or (n, m, axes).
         """
 
+    def write_goals(self, plan: Array, elapsed_s: Array, ahead_s: Array, goals: NDArray[np.float32]) -> None:
+        """Compute the goals of n episodes now and ahead, as `goal` does; a task may override it to be faster.
+
+        Args:
+            plan: Plans from `begin` or `aim`, in the task's format, shape (n, plan_size).
+            elapsed_s: Times since the reset, s, not negative, shape (n,).
+            ahead_s: Times from `elapsed_s` to the goals, s, shape (m,).
+            goals: Output, goal positions, m, shape (n, m, axes).
+        """
+        goals[:] = self.goal(plan, elapsed_s[:, None] + ahead_s)
+
     def aim(self, target: Array) -> Array:
         """Make plans whose goals are given targets (option `target` of an environment's `reset`).
 
@@ -190,7 +201,10 @@ class ReferenceTrajectories:
         self.moving = bool(task.ahead_s) or task.metrics == "track"
         self._plans = np.zeros((count, task.plan_size))
         self._fixed_goals = np.zeros((count, axes), np.float32)  # goals at reset; all there is if goals do not move
-        self._times = np.array([0.0, *task.ahead_s])
+        # Times from now of the goals in an observation, s, by key.
+        self._ahead_s = {"desired_goal": np.zeros(1)}
+        if task.ahead_s:
+            self._ahead_s["preview"] = np.array(task.ahead_s)
 
     @property
     def elapsed(self) -> NDArray[np.int64]:
@@ -255,12 +269,12 @@ class ReferenceTrajectories:
         if not self.moving:
             observation["desired_goal"][index] = self._fixed_goals[index]
             return
-        times = self._elapsed_s(index)[:, None] + self._times
-        goals = self._task.goal(self._plans[index], times).reshape(len(times), -1)
-        axes = self._fixed_goals.shape[1]
-        observation["desired_goal"][index] = goals[:, :axes]
-        if "preview" in observation:
-            observation["preview"][index] = goals[:, axes:]
+        plans, elapsed_s = self._plans[index], self._elapsed_s(index)
+        for key, ahead_s in self._ahead_s.items():
+            rows = observation[key][index]  # a view of consecutive rows, a copy of others
+            self._task.write_goals(plans, elapsed_s, ahead_s, rows.reshape(len(plans), len(ahead_s), -1))
+            if not isinstance(index, slice):
+                observation[key][index] = rows
 
     def path(self, b: int, elapsed_s: Array) -> NDArray[np.float32]:
         """Compute the goals of one environment at n times, for example to draw its path.

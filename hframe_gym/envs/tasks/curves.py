@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,22 @@ SEGMENTS = 8192
 COARSE_VERTICES = 128  # vertices that a wide search for the nearest point tries first
 
 
+class CurveData(NamedTuple):
+    """A curve as compiled functions take it.
+
+    Attributes:
+        radius: Radius of a circle, m; 0 for a curve of straight segments.
+        closed: Whether the last point of the curve equals the first.
+        vertices: Vertices x, y of the segments, m, shape (n, 2); empty for a circle.
+        vertex_s: Arc length of every vertex, m, shape (n,); of a circle 0 and its circumference.
+    """
+
+    radius: float
+    closed: bool
+    vertices: Array
+    vertex_s: Array
+
+
 class Curve(Protocol):
     """Interface of a plane curve of finite length, parametrized by its arc length."""
 
@@ -33,6 +49,10 @@ class Curve(Protocol):
     @property
     def closed(self) -> bool:
         """Whether the last point of the curve equals the first."""
+
+    @property
+    def data(self) -> CurveData:
+        """Curve for `write_points`: vertices x, y, m, shape (n, 2), and their arc lengths, m, shape (n,)."""
 
     @property
     def extent(self) -> Array:
@@ -73,6 +93,11 @@ class Circle(Curve):
     closed: bool = True
 
     @property
+    def data(self) -> CurveData:
+        """Circle for `write_points`: radius, m, no vertices, shape (0, 2), and arc lengths, m, shape (2,)."""
+        return CurveData(self.radius, True, np.zeros((0, 2)), np.array([0.0, self.length]))
+
+    @property
     def length(self) -> float:
         """Circumference of the circle, m."""
         return 2.0 * math.pi * self.radius
@@ -91,8 +116,7 @@ class Circle(Curve):
         Returns:
             Points x, y, m, shape (n, 2).
         """
-        points: Array = _points_on_circle(s, self.radius, self.length)
-        return points
+        return _new_points(self, s)
 
     def distance(self, points: Array, s: Array) -> Array:
         """Compute the distances of n points to the circle, | |p| - radius |.
@@ -118,6 +142,7 @@ class Polyline:
         vertex_s: Arc length of every vertex, repeated ones included, m, shape (n,).
         length: Total length, m.
         closed: Whether the last vertex equals the first.
+        data: The curve for compiled functions.
         extent: Lowest and highest coordinate, rows x and y, m, shape (2, 2).
 
     Raises:
@@ -134,6 +159,7 @@ class Polyline:
         self.length = float(self._s[-1])
         self.closed = bool(np.all(vertices[0] == vertices[-1]))
         self.extent = np.stack([vertices.min(axis=0), vertices.max(axis=0)], axis=1)
+        self.data = CurveData(0.0, self.closed, self._vertices, self._s)
 
     def _wrapped(self, s: Array) -> Array:
         """Return arc lengths within [0, length]: modulo the length if closed, else clipped."""
@@ -148,8 +174,7 @@ class Polyline:
         Returns:
             Points x, y, m, shape (n, 2).
         """
-        points: Array = _points_on_segments(self._vertices, self._s, self._wrapped(s))
-        return points
+        return _new_points(self, s)
 
     def distance(self, points: Array, s: Array) -> Array:
         """Compute the distances of n points to the part of the curve near s.
@@ -172,15 +197,36 @@ class Polyline:
         return result
 
 
+def _new_points(curve: Curve, s: Array) -> Array:
+    """Return the points (n, 2) of a curve at arc lengths s (n,)."""
+    points = np.empty((len(s), 2))
+    write_points(s, curve.data, *points.T)
+    return points
+
+
 @compiled
-def _points_on_circle(s: Any, radius: float, length: float) -> Any:
-    """Return the points (n, 2) at arc lengths s (n,) on a circle."""
-    out = np.empty((len(s), 2))
-    turns_per_meter = 1.0 / length
+def write_points(s: Any, curve: Any, x: Any, y: Any) -> None:
+    """Compute the points of a curve at n arc lengths, as `Curve.point` does.
+
+    Args:
+        s: Arc lengths from the start of the curve, m, any real number, shape (n,).
+        curve: `CurveData` of the curve.
+        x: Output, first coordinate of the points, m, shape (n,).
+        y: Output, second coordinate of the points, m, shape (n,).
+    """
+    length = curve.vertex_s[-1]
+    if curve.radius > 0.0:
+        turns_per_meter = 1.0 / length
+        for i in range(len(s)):
+            cosine, sine = cos_sin_of_turns(s[i] * turns_per_meter)
+            x[i], y[i] = curve.radius * cosine, curve.radius * sine
+        return
     for i in range(len(s)):
-        cosine, sine = cos_sin_of_turns(s[i] * turns_per_meter)
-        out[i, 0], out[i, 1] = radius * cosine, radius * sine
-    return out
+        wrapped = s[i] % length if curve.closed else min(length, max(0.0, s[i]))
+        k = _segment(curve.vertex_s, wrapped)
+        fraction = (wrapped - curve.vertex_s[k]) / (curve.vertex_s[k + 1] - curve.vertex_s[k])
+        begin, end = curve.vertices[k], curve.vertices[k + 1]
+        x[i], y[i] = begin[0] + fraction * (end[0] - begin[0]), begin[1] + fraction * (end[1] - begin[1])
 
 
 @compiled
@@ -193,18 +239,6 @@ def _segment(vertex_s: Any, s: float) -> int:
         return k
     after: Any = np.searchsorted(vertex_s, s, "right")
     return int(min(segments - 1, max(0, after - 1)))
-
-
-@compiled
-def _points_on_segments(vertices: Any, vertex_s: Any, s: Any) -> Any:
-    """Return the points (n, 2) at arc lengths s (n,), within [0, length], on straight segments."""
-    out = np.empty((len(s), 2))
-    for i in range(len(s)):
-        k = _segment(vertex_s, s[i])
-        fraction = (s[i] - vertex_s[k]) / (vertex_s[k + 1] - vertex_s[k])
-        for axis in range(2):
-            out[i, axis] = vertices[k, axis] + fraction * (vertices[k + 1, axis] - vertices[k, axis])
-    return out
 
 
 @compiled

@@ -9,15 +9,17 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...errors import InputError
 from ...recordings import read_path
 from ..counter_rng import compiled
 from .base import TASKS, Array, Metrics, Task
-from .curves import SHAPES, Curve, Polyline
+from .curves import SHAPES, Curve, Polyline, write_points
 
 # Columns of a plan: index of the path, its center (m), direction (+1 or -1), arc length at the start (m), speed (m/s).
 PATH, CENTER, DIRECTION, START, SPEED = 0, slice(1, 3), 3, 4, 5
+_EPISODES = 64  # that are computed together
 
 
 @TASKS.register("track")
@@ -108,6 +110,11 @@ class Track(Task):
             return Polyline(points), time_s
         except ValueError as error:
             raise InputError(f"{self.path}: {error}") from None
+
+    @property
+    def _times(self) -> Array | None:
+        """Times of the points of a path file, s, where it has any."""
+        return self._from_file[1] if self._is_file else None
 
     @property
     def _is_file(self) -> bool:
@@ -213,6 +220,22 @@ class Track(Task):
         _translate(out, plan[:, CENTER])
         return out.reshape(*elapsed_s.shape, 2)
 
+    def write_goals(self, plan: Array, elapsed_s: Array, ahead_s: Array, goals: NDArray[np.float32]) -> None:
+        """Compute the goals of n episodes now and ahead; one curve without times takes a compiled function.
+
+        Args:
+            plan: Plans from `begin`, shape (n, 6), in the units stated there.
+            elapsed_s: Times since the reset, s, not negative, shape (n,).
+            ahead_s: Times from `elapsed_s` to the goals, s, shape (m,).
+            goals: Output, goal positions x, y, m, shape (n, m, 2).
+        """
+        if len(self._curves) > 1 or self._times is not None:
+            super().write_goals(plan, elapsed_s, ahead_s, goals)
+            return
+        curve = self._curves[0]
+        length = np.inf if curve.closed else curve.length
+        _write_goals(plan, elapsed_s, ahead_s, self.lead_s, length, curve.data, goals)
+
     def contour(self, plan: Array, points: Array, elapsed_s: Array) -> Array:
         """Compute the contour error: the distance of one point per episode to the path, near the present goal.
 
@@ -238,9 +261,8 @@ class Track(Task):
 
     def _arc_length(self, curve: Curve, plan: Array, elapsed_s: Array) -> Array:
         """Return the arc lengths (n, m) of the goals, m, at times elapsed_s (n, m), s."""
-        timed = self._from_file if self._is_file else None
-        if timed is not None and timed[1] is not None:
-            return np.interp(elapsed_s, timed[1], timed[0].vertex_s)
+        if self._times is not None:
+            return np.interp(elapsed_s, self._times, self._from_file[0].vertex_s)
         length = np.inf if curve.closed else curve.length
         s: Array = arc_lengths(plan, elapsed_s, self.lead_s, length)
         return s
@@ -260,6 +282,39 @@ def _speed_up(t: float, speed: float, lead_s: float) -> float:
     """Return the distance, m, after time t, s, from rest to speed."""
     u = min(1.0, t / lead_s)
     return speed * (lead_s * u * u * u * (1.0 - 0.5 * u) + max(t - lead_s, 0.0))
+
+
+@compiled
+def _traveled(t: float, speed: float, duration: float, lead_s: float, length: float) -> float:
+    """Return the distance, m, at time t, s, of a goal that travels the length of its path in the given duration."""
+    # The second half of an open path is the first half reversed in time; a closed path has no second half.
+    if t < 0.5 * duration:
+        return _speed_up(t, speed, lead_s)
+    return length - _speed_up(max(duration - t, 0.0), speed, lead_s)
+
+
+@compiled
+def _write_goals(plan: Any, elapsed_s: Any, ahead_s: Any, lead_s: float, length: float, curve: Any, goals: Any) -> None:
+    """Write the goals (n, m, 2) at times elapsed_s (n,) + ahead_s (m,) along a `CurveData`, by plans (n, 6).
+
+    A few episodes at a time, so that intermediate values stay in the cache, in loops that the compiler vectorizes.
+    """
+    s, speed, duration, points = np.empty(_EPISODES), np.empty(_EPISODES), np.empty(_EPISODES), np.empty((2, _EPISODES))
+    for first in range(0, len(plan), _EPISODES):
+        rows = slice(first, min(first + _EPISODES, len(plan)))
+        some, now_s = plan[rows], elapsed_s[rows]
+        for i in range(len(some)):
+            speed[i] = min(some[i, SPEED], length / lead_s)
+            duration[i] = length / speed[i] + lead_s
+        for j in range(len(ahead_s)):
+            for i in range(len(some)):
+                s[i] = _traveled(now_s[i] + ahead_s[j], speed[i], duration[i], lead_s, length)
+            for i in range(len(some)):
+                s[i] = s[i] * some[i, DIRECTION] + some[i, START]
+            write_points(s[: len(some)], curve, points[0], points[1])
+            for i in range(len(some)):
+                goals[first + i, j, 0] = points[0, i] + some[i, 1]
+                goals[first + i, j, 1] = points[1, i] + some[i, 2]
 
 
 @compiled
@@ -284,11 +339,6 @@ def arc_lengths(plan: Any, elapsed_s: Any, lead_s: float, length: float) -> Any:
         speed = min(plan[i, SPEED], length / lead_s)
         duration = length / speed + lead_s
         for j in range(elapsed_s.shape[1]):
-            t = elapsed_s[i, j]
-            # The second half of an open path is the first half reversed in time; a closed path has no second half.
-            if t < 0.5 * duration:
-                s = _speed_up(t, speed, lead_s)
-            else:
-                s = length - _speed_up(max(duration - t, 0.0), speed, lead_s)
+            s = _traveled(elapsed_s[i, j], speed, duration, lead_s, length)
             out[i, j] = s * plan[i, DIRECTION] + plan[i, START]
     return out
