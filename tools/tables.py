@@ -366,6 +366,33 @@ def faults(results: dict[str, Any]) -> str:
     return markdown(["", "tried", "times", "failed", "result"], rows, "---")
 
 
+def fuzzing(results: dict[str, Any]) -> str:
+    """Format how many damaged files each reader got, how many it refused, and what they cost."""
+    header = [
+        "files",
+        "mutated",
+        "refused",
+        "tracebacks and the like",
+        "crashes and hangs",
+        "longest, processor s",
+        "MB",
+    ]
+    readers = results["readers"]
+    rows = [
+        [
+            *(name, f"{r['cases']}", f"{r['refused']}", f"{r['failures']}", f"{r['hangs_or_crashes']}"),
+            *(f"{r['slowest_cpu_s']:.1f}", f"{r['peak_MB']:.0f}"),
+        ]
+        for name, r in readers.items()
+    ]
+    sums = [f"{sum(r[key] for r in readers.values())}" for key in ("cases", "refused", "failures", "hangs_or_crashes")]
+    largest = [
+        f"{max(r['slowest_cpu_s'] for r in readers.values()):.1f}",
+        f"{max(r['peak_MB'] for r in readers.values()):.0f}",
+    ]
+    return markdown(header, [*rows, ["all", *sums, *largest]])
+
+
 def env_soak(results: dict[str, Any]) -> str:
     """Format the extremes of the long runs of the environment."""
     parts = {name: part for name, part in results.items() if isinstance(part, dict) and "largest_energy_J" in part}
@@ -473,6 +500,7 @@ TABLES: dict[str, Callable[[dict[str, Any]], str]] = {
     "env_speed": env_speed,
     "env_soak": env_soak,
     "faults": faults,
+    "fuzzing": fuzzing,
     "her": her,
     "bound": bound,
     "controllers": controllers,
