@@ -93,7 +93,7 @@ def train(
             bar.update(bar_task, completed=done, total=total)
 
         run_training(algorithm, declared, task, steps, seeds[0], resume, out, log, progress, randomize, trust)
-    log(f"wrote {out}")
+    log(f"wrote {out}. Next: hframe evaluate {out} pid --machine {machine} --task {task} --html --out {out / 'scores'}")
 
 
 def _train_seeds(out: Path, **options: Any) -> None:
@@ -147,6 +147,7 @@ def evaluate(
     if protocol is not None:
         _evaluate_by_protocol(context, list(dict.fromkeys(controllers)), protocol, out, ray)
         return
+    from ..controllers import CONTROLLERS
     from ..recordings import load_machine
     from .tables import score_table, unknown_bound_reasons
 
@@ -162,6 +163,8 @@ def evaluate(
             log(reason)
         for file in _write_evaluation(out, scores, recorded, warned if html else None, declared.name):
             log(f"wrote {file}")
+    if all(name in CONTROLLERS for name in scores["controllers"]):  # no agent among them
+        log(f"Next: hframe train ppo --machine {machine} --task {task} --out FOLDER, then evaluate FOLDER too")
 
 
 def _evaluate_all(

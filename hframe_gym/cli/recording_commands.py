@@ -148,7 +148,9 @@ def check(
         write_findings(findings, json)
         log(f"wrote {json}")
     if any(finding.severity == "fault" for finding in findings):
+        log("Next: correct what the faults name, and check again; `hframe identify` stops at faults without --force")
         raise typer.Exit(FAULT_FOUND)
+    log(f"Next: hframe identify {runs_dir} --machine {machine} --out {Path('out', runs_dir.name)}")
 
 
 @app.command(cls=CommandWithChoices)
@@ -183,6 +185,7 @@ def identify(
     Example:  hframe identify examples/rig_a --out out/rig_a
     """
     from ..identification.report import verdict_sentence
+    from ..identification.saved_result import next_command
     from ..recordings import load_machine
     from .tables import identification_table
 
@@ -204,6 +207,7 @@ def identify(
     if problem is not None and not isinstance(problem, ImportError):
         raise problem
     log(f"wrote {out / 'report.html'}" if problem is None else f"report.html not written: {problem}")
+    log(f"Next: {next_command(result.verdict, result.after.machine, out).replace('RUNS', str(runs_dir))}")
 
 
 def _load_runs(folder: Path, machine: Machine, max_rows: int) -> list[Recording]:

@@ -15,7 +15,7 @@ from ..machine import Machine
 from ..web_page import number, write_page
 from .parameter_diagnostics import parameter_doubts, sum_text
 from .plots import TABLE_FAMILY, readable_unit, report_panels, save_plots, slow_fractions
-from .saved_result import SavedResult, load_result
+from .saved_result import SavedResult, load_result, next_command
 
 Array = NDArray[np.float64]
 _VERDICTS = {  # heading and tone of the page
@@ -301,12 +301,10 @@ def _next_steps(saved: SavedResult, folder: Path) -> list[dict[str, str]]:
             "Check wiring, units and clock of the recordings, and record slow and fast motion over the full travel; "
             "then look for a physical cause of the dependence in the section Residual force."
         )
-        return [*steps, {"text": text, "command": "hframe check RUNS"}]
+        return [*steps, {"text": text, "command": next_command(report["verdict"], saved.machine, folder)}]
     which = "corrected" if report["effects"] else "refitted"
     text = f'Design and compare controllers on the {which} machine; in Python: gym.make("HFrame-v0", machine=...).'
-    randomize = " --randomize identified" if saved.machine.uncertainty else ""
-    command = f"hframe evaluate pid --machine {folder / 'machine.json'}{randomize} --html --out {folder / 'control'}"
-    return [*steps, {"text": text, "command": command}]
+    return [*steps, {"text": text, "command": next_command(report["verdict"], saved.machine, folder)}]
 
 
 def _parameter_rows(machine: Machine, declared: Machine) -> list[dict[str, str]]:

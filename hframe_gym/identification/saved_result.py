@@ -283,3 +283,20 @@ def _check_curves(saved: SavedResult, path: Path) -> None:
         coordinate = name.partition(" of ")[2]
         if name.startswith("coverage/") and coordinate and coordinate not in saved.machine.coordinate_names:
             raise _damaged(path, f"array {name}: machine.json has no coordinate {coordinate}")
+
+
+def next_command(verdict: str, machine: Machine, folder: Path) -> str:
+    """Return the command that usually follows an identification.
+
+    Args:
+        verdict: "effect_found", "no_effect" or "unexplained".
+        machine: Corrected or refitted machine, with its uncertainty where it is known.
+        folder: Folder of the result.
+
+    Returns:
+        Command line: evaluate a controller on the machine, or check the recordings again.
+    """
+    if verdict == "unexplained":
+        return "hframe check RUNS"
+    randomize = " --randomize identified" if machine.uncertainty else ""
+    return f"hframe evaluate pid --machine {folder / 'machine.json'}{randomize} --html --out {folder / 'control'}"
