@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 
 from ..controllers import (
     CONTROLLERS,
-    AdaptiveController,
     EpisodeStarts,
     MotionModel,
     ParameterFilter,
@@ -34,8 +33,6 @@ from ..machine import Machine
 Array = NDArray[np.float64]
 Observation = Mapping[str, NDArray[Any]]
 
-# What an adaptive base adds to the observation: attributes of `AdaptiveController` in the order of its `feature_sizes`.
-ADAPTIVE_FEATURES = ("expected_friction", "estimates")
 LARGEST_HELD = 0.12  # largest action that is held, of the rated voltage: twice what Coulomb friction takes
 
 
@@ -118,7 +115,8 @@ class ResidualAction:
         if base and base not in CONTROLLERS:
             raise InputError(f"base controller {base!r} is unknown; choose one of {', '.join(CONTROLLERS)}")
         self.base = CONTROLLERS.get(base)(machine, period) if base else None
-        self._adaptive_base = self.base if isinstance(self.base, AdaptiveController) else None
+        # Attributes of an adaptive base that it adds to the observation, with their numbers of columns.
+        self._base_features: dict[str, int] = getattr(self.base, "feature_sizes", {})
         self._drives = len(machine.drives)
         axes = machine.tool_axes
         first = len({*axes, *(drive.coordinate for drive in machine.drives)})  # after all positions
@@ -139,8 +137,8 @@ class ResidualAction:
 
         Returns:
             Observation space of the policy: the given keys and `last_observation`, `last_action`; with a base
-            controller also `base_action`; with an `AdaptiveController` as base also `expected_friction` and
-            `estimates`.
+            controller also `base_action`; with one that has `feature_sizes` also these attributes: of an
+            `AdaptiveController` `expected_friction` and `estimates`, of a `PredictiveController` `estimates`.
         """
         action_box = spaces.Box(-1.0, 1.0, (self._drives,), np.float32)
         added: dict[str, spaces.Space[Any]] = {
@@ -149,9 +147,8 @@ class ResidualAction:
         }
         if self.base:
             added["base_action"] = action_box
-        if self._adaptive_base:
-            for key, size in zip(ADAPTIVE_FEATURES, self._adaptive_base.feature_sizes.values(), strict=True):
-                added[key] = spaces.Box(-np.inf, np.inf, (size,), np.float32)
+        for key, size in self._base_features.items():
+            added[key] = spaces.Box(-np.inf, np.inf, (size,), np.float32)
         if self._filter:
             added["estimates"] = spaces.Box(-np.inf, np.inf, (self._filter.size,), np.float32)
         return spaces.Dict({**observation_space.spaces, **added})
@@ -209,14 +206,12 @@ class ResidualAction:
                 batch of environments.
             last_action: Voltages divided by the rated voltages, shape (batch, drives).
             base_action: Action of the base controller, which the policy corrects, likewise; only with a base.
-            expected_friction: Attribute of this name of an `AdaptiveController`, and likewise `estimates`; only if it
-                is the base.
+            expected_friction: Attribute of this name of the base, and likewise `estimates`; only if it has them.
         """
         added: dict[str, NDArray[Any]] = {"last_observation": self._last_state, "last_action": self._last_action}
         if self.base:
             added["base_action"] = self._base_action
-        if self._adaptive_base:
-            added |= {key: getattr(self._adaptive_base, key) for key in ADAPTIVE_FEATURES}
+        added |= {key: getattr(self.base, key) for key in self._base_features}
         if self._filter:
             added["estimates"] = self._filter.estimates
         return {key: values.astype(np.float32) for key, values in added.items()}

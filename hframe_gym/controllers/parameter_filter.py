@@ -39,7 +39,11 @@ LEAST_TRAVEL_NOISE, LEAST_RATE_NOISE = 2e-6, 1e-3
 FINE_DIFFERENCE, FINE_STEP = 0.01, 5e-4
 WINDOW = 6  # periods
 REPEATED_PERIODS = 4  # periods at the beginning in which the estimates change much; they take two iterations
+NOISE_MEMORY = 0.97  # fraction of the estimated noise that remains after an iteration
 LARGEST_CHANGE = 0.5  # of a logarithm in an iteration
+# Fractions of the rated voltage: what the simulation lacks at first, and its change per period for each multiple of the
+# smallest noise beyond 1 (standard deviations). Where the simulation is exact, nothing is lacking.
+OFFSET_STD, OFFSET_WALK, LARGEST_WALK = 1e-5, 2e-3, 2e-2
 
 
 class ParameterFilter:
@@ -131,11 +135,12 @@ class ParameterWindow:
         period: Control period, s.
 
     Attributes:
-        columns: Columns of the estimated parameters in `Machine.parameters`, shape (size,).
-        size: Number of estimates, 2 n + 2 b.
+        columns: Columns of the estimated parameters in `Machine.parameters`, shape (2 n + 2 b,).
+        size: Number of estimates, 2 n + 2 b + drives.
         estimates: Logarithms of the ratios of actual to declared values (0.1: about 10 % above), limited to 1.2, shape
-            (B, size): n Coulomb friction forces, n masses, b axial stiffnesses EA, b lengths. Zero at the start of an
-            episode. The last two are known only together, as the stiffness of each belt.
+            (B, size): n Coulomb friction forces, n masses, b axial stiffnesses EA, b lengths; then for each drive the
+            voltage that the simulation lacks, as a fraction of the rated voltage. Zero at the start of an episode. EA
+            and length are known only together, as the stiffness of each belt.
         noise_ratio: Estimated noise of the states in multiples of the smallest assumed one, at least 1, shape (B,).
     """
 
@@ -153,11 +158,12 @@ class ParameterWindow:
         ]
         chosen = [(names.index(name), std) for group, std in groups for name in group]
         self.columns = np.array([column for column, _ in chosen])
-        self._prior_information = np.diag([std**-2.0 for _, std in chosen])
+        self.size = len(chosen) + len(model.rated)
+        self._offsets = slice(len(chosen), self.size)
+        self._prior_information = np.diag([std**-2.0 for _, std in chosen] + [OFFSET_STD**-2.0] * len(model.rated))
         self._nominal = np.array(list(machine.parameters.values()))
         self._units = np.tile(machine.travel_per_unit, 2)
         self._noise = np.repeat([LEAST_TRAVEL_NOISE, LEAST_RATE_NOISE], len(model.mass))
-        self.size = len(chosen)
         self._resize(0)
 
     def _resize(self, batch: int) -> None:
@@ -212,6 +218,7 @@ class ParameterWindow:
         remaining = (difference - np.einsum("bkai,bi->bka", H, change)) ** 2 * self._valid.T[:, :, None]
         entries = np.maximum(self._valid.sum(axis=0) * difference.shape[2], 1.0)
         ratio = np.maximum(1.0, np.sqrt(remaining.sum(axis=(1, 2)) / entries))
+        ratio = np.maximum(ratio, NOISE_MEMORY * self.noise_ratio)  # a tool at rest says little about the noise
         self.noise_ratio = np.where(chosen, ratio, self.noise_ratio)
         change = np.clip(change, -LARGEST_CHANGE, LARGEST_CHANGE) * chosen[:, None]
         self.estimates = np.clip(self.estimates + change, -LARGEST, LARGEST)
@@ -226,6 +233,15 @@ class ParameterWindow:
         self._information = self._information + np.einsum("bai,baj->bij", weighted, H)
         explained = difference + np.einsum("bai,bi->ba", H, self.estimates)
         self._informed = self._informed + np.einsum("bai,ba->bi", weighted, explained)
+        inexact = np.flatnonzero(self.noise_ratio > 1.0)
+        if len(inexact):
+            covariance = np.linalg.inv(self._information[inexact])
+            expected = np.einsum("bij,bj->bi", covariance, self._informed[inexact])
+            walk = np.minimum(OFFSET_WALK * (self.noise_ratio[inexact] - 1.0), LARGEST_WALK)
+            for column in range(self._offsets.start, self.size):
+                covariance[:, column, column] += walk**2
+            self._information[inexact] = np.linalg.inv(covariance)
+            self._informed[inexact] = np.einsum("bij,bj->bi", self._information[inexact], expected)
 
     def _linearized(self, chosen: slice) -> tuple[Array, Array]:
         """Return measured minus simulated states of periods (B, W, 2 n) and the derivatives of the simulated ones.
@@ -242,10 +258,11 @@ class ParameterWindow:
             return np.broadcast_to(rows, (variants, *rows.shape)).reshape(-1, rows.shape[-1])
 
         every = np.broadcast_to(changed[:, None], (variants, periods, batch, self.size)).reshape(-1, self.size)
+        volts = (repeated(actions) + every[:, self._offsets]) * self._model.rated
         motion = simulate_batch(
             self._model.machine,
             self._time_s,
-            np.repeat(repeated(actions * self._model.rated)[:, None], 2, axis=1),
+            np.repeat(volts[:, None], 2, axis=1),
             parameters=self.parameters(every),
             start=repeated(before / self._units),
             longest_step=FINE_STEP,
@@ -267,5 +284,10 @@ class ParameterWindow:
             Parameters in the order of `Machine.parameters`, SI, shape (B, P).
         """
         parameters = np.tile(self._nominal, (len(estimates), 1))
-        parameters[:, self.columns] *= np.exp(estimates)
+        parameters[:, self.columns] *= np.exp(estimates[:, : len(self.columns)])
         return parameters
+
+    @property
+    def offset(self) -> Array:
+        """Voltages that the simulation lacks, V, shape (B, drives): what undeclared forces amount to at the drives."""
+        return self.estimates[:, self._offsets] * self._model.rated

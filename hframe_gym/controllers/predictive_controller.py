@@ -1,13 +1,13 @@
 """Predictive controller: it identifies the machine within the first periods of an episode, and plans with the result.
 
 Estimation   `ParameterWindow` compares every measured state with simulations of the period before.
-Moves        A plan of voltages within their limits brings the tool to its goal in the fewest periods (`ArrivalPlanner`),
-             planned anew from the measured state every period. Simulations correct the last periods of the approach and
-             what remains at the goal (`PlanRefinement`).
-Paths        A plan over the previewed goals minimizes the errors along and across the path. Every period it is shifted
-             by one period, simulated from the measured state, and corrected by the linear model (real-time iteration).
-Disturbance  The difference between measured and predicted state, as a force, is low-pass filtered and added to the plans
-             where the estimates cannot explain it: states are inexact, or the machine has effects that are not declared.
+Moves        A plan of voltages within their limits brings the tool to its goal in the fewest periods
+             (`ArrivalPlanner`), planned anew from the measured state every period. Simulations correct the last periods
+             of the approach and what remains at the goal (`PlanRefinement`).
+Paths        A plan over the previewed goals minimizes the distances to them. Every period it is shifted by one period,
+             simulated from the measured state, and corrected by the linear model (real-time iteration).
+Disturbance  Where the simulation cannot explain the measured states, because they are inexact or the machine has
+             effects that are not declared, the estimator also varies a voltage at each drive.
 
 There is no training. The controller is much slower than the others, 0.1 to 1 ms per machine and period.
 
@@ -51,6 +51,8 @@ class PredictiveController(FullStateController):
 
     Attributes:
         estimator: Estimator of the parameters.
+        feature_sizes: Number of columns of `estimates`, by name; a learned policy on top of this controller observes
+            them.
 
     Raises:
         InputError: If the machine does not have one drive per axis of its tool, x or y has no range, or the period is
@@ -72,6 +74,8 @@ class PredictiveController(FullStateController):
         self._refinement = PlanRefinement(self._plain, period, REFINED_PERIODS + PERIODS_BEYOND)
         self._coulomb = [list(machine.parameters).index(f"{c}.coulomb") for c in machine.coordinate_names]
         self._tracker: _PathPlanner | None = None  # created when the length of the preview is known
+        self.feature_sizes = {"estimates": self.estimator.size}
+        self._gain_source: tuple[bool, Array] = (False, np.zeros((0, 0, 0)))  # whether the goal moves, and A
         self._resize(0)
 
     def _resize(self, batch: int) -> None:
@@ -131,12 +135,34 @@ class PredictiveController(FullStateController):
         """
         self._dead_time.replace_last(actions * self.model.rated)
 
+    @property
+    def estimates(self) -> Array:
+        """Estimates of friction, masses, belts and lacking voltages, see `ParameterWindow`, shape (B, size)."""
+        return self.estimator.estimates
+
+    def gain(self) -> Array:
+        """Compute the derivative of the last voltages by the state, without limits and refinement.
+
+        Training by gradients needs it, where a policy corrects this controller.
+
+        Returns:
+            Gains, V/m and Vs/m, shape (B, drives, 2 n).
+        """
+        moving, A = self._gain_source
+        if moving and self._tracker is not None:
+            return self._tracker.gain()
+        return self._planner.gain(A, self._arrival)
+
     def _reach(self, state: Array, goals: Array, parameters: Array) -> Array:
-        """Return commanded voltages (B, drives) for states (B, 2 n), constant goals (B, 1, axes) and parameters (B, P)."""
+        """Return commanded voltages (B, drives) for states (B, 2 n), goals (B, 1, axes) and parameters (B, P)."""
         goal = goals[:, 0]
         error = state - self.model.goal_state(goal)
-        force = self._friction(state, error, parameters) + self.model.effect_force(state, self._elapsed * self.period)
-        self._planner.predict(self._linear.matrices(parameters, goal), error, force)
+        elapsed_s = self._elapsed.astype(np.float64) * self.period
+        force = self._friction(state, error, parameters) + self.model.effect_force(state, elapsed_s)
+        force += self.estimator.offset @ self.model.drive.T
+        matrices = self._linear.matrices(parameters, goal)
+        self._gain_source = (False, matrices[0])
+        self._planner.predict(matrices, error, force)
         plan = self._arrival_plan()
         commands = self._inversion.command(plan.volts.reshape(-1, plan.volts.shape[2])).reshape(plan.volts.shape)
         volts = commands[:, 0]
@@ -148,11 +174,11 @@ class PredictiveController(FullStateController):
         return volts
 
     def _friction(self, state: Array, error: Array, parameters: Array) -> Array:
-        """Return the friction force (B, n), N, that acts until the arrival: against the motion, or the way to the goal."""
+        """Return the friction force (B, n), N, that acts until the arrival, against the motion or the way ahead."""
         n = len(self.model.mass)
         moving = np.tanh(state[:, n:] / FRICTION_SPEED)
         ahead = -np.tanh(error[:, :n] / FRICTION_TRAVEL)
-        level = self.model.coulomb * _ratio(parameters[:, self._coulomb], self._declared(self._coulomb))
+        level: Array = self.model.coulomb * _ratio(parameters[:, self._coulomb], self._declared(self._coulomb))
         return -level * (moving + (1.0 - np.abs(moving)) * ahead)
 
     def _declared(self, columns: list[int]) -> Array:
@@ -192,9 +218,11 @@ class PredictiveController(FullStateController):
         shifted = np.concatenate([previous[:, 1:], np.zeros_like(previous[:, :1])], axis=1)
         plans = [np.where(np.isnan(shifted), planned, shifted), planned]
         count = int(self._elapsed.max(initial=0))
+        offset = self.estimator.offset[rows, None]
+        plans = [volts + offset for volts in plans]
         best = self._refinement.improve(state[rows], parameters[rows], goal[rows], plans, self._arrival[rows], count)
-        self._refined[rows] = best
-        return best[:, 0]
+        self._refined[rows] = best - offset
+        return best[:, 0] - offset[:, 0]
 
     def _track(self, state: Array, goals: Array, parameters: Array) -> Array:
         """Return commanded voltages (B, drives) for goals (B, 1 + P, axes), m, now and at the end of each period."""
@@ -202,7 +230,10 @@ class PredictiveController(FullStateController):
         horizon = min(goals.shape[1] - 1, max(1, round(HORIZON_S / self.period)))
         if self._tracker is None or self._tracker.horizon != horizon:
             self._tracker = _PathPlanner(self._linear, self._grid, self._plain, self.period, horizon)
-        return self._tracker.command(state, goals[:, : horizon + 1], parameters, self._inversion, self._starts.mask)
+        offset, self._gain_source = self.estimator.offset, (True, np.zeros((0, 0, 0)))
+        return self._tracker.command(
+            state, goals[:, : horizon + 1], parameters, offset, self._inversion, self._starts.mask
+        )
 
 
 class _PathPlanner:
@@ -227,15 +258,18 @@ class _PathPlanner:
         self._difference = np.eye(entries) - np.eye(entries, k=-len(self._rated))
         self._volts = np.zeros((0, horizon, len(self._rated)))  # plan of the last period, V
         self._parameters, self._points = np.zeros((0, 0)), np.zeros(0, np.intp)
-        self._response = np.zeros((0, 0, 0))
+        self._response = self._by_state = np.zeros((0, 0, 0))
 
-    def command(self, state: Array, goals: Array, parameters: Array, inversion: InputInversion, starts: Mask) -> Array:
+    def command(
+        self, state: Array, goals: Array, parameters: Array, offset: Array, inversion: InputInversion, starts: Mask
+    ) -> Array:
         """Return the commanded voltages of the present period, V, shape (B, drives).
 
         Args:
             state: Belt travel and its velocity, m and m/s, shape (B, 2 n).
             goals: Tool goals now and at the ends of the next H periods, m, shape (B, 1 + H, axes).
             parameters: Parameters of the machines, SI, shape (B, P).
+            offset: Voltages that act beside the commanded ones, V, shape (B, drives).
             inversion: Characteristics of the drives.
             starts: True for machines whose episode starts, shape (B,).
         """
@@ -250,7 +284,7 @@ class _PathPlanner:
         R, D = self._response, CHANGE_WEIGHT * self._difference
         normal = R.transpose(0, 2, 1) @ R + D.T @ D
         commands = inversion.command(volts.reshape(-1, len(self._rated))).reshape(volts.shape)
-        samples = self._simulation.tool(state, parameters, commands)
+        samples = self._simulation.tool(state, parameters, commands + offset[:, None])
         ends = samples[:, samples.shape[1] // self.horizon - 1 :: samples.shape[1] // self.horizon]
         error = (ends - goals[:, 1:]).reshape(batch, -1)
         change = volts.reshape(batch, -1) @ D.T - CHANGE_WEIGHT * last
@@ -261,19 +295,30 @@ class _PathPlanner:
 
     def _update_response(self, parameters: Array, points: NDArray[np.intp]) -> None:
         """Compute the response of the tool at the ends of the periods to the voltages (B, axes H, drives H) anew."""
-        known = len(self._parameters) == len(parameters)
-        if known and np.array_equal(points, self._points):
-            if np.abs(parameters / np.where(self._parameters, self._parameters, 1.0) - 1.0).max() < ESTIMATES_CHANGED:
+        if len(self._parameters) == len(parameters) and np.array_equal(points, self._points):
+            change = parameters / np.where(self._parameters, self._parameters, 1.0) - 1.0
+            if np.abs(change).max() < ESTIMATES_CHANGED:
                 return
         self._parameters, self._points = parameters, points
         A, pulse, _ = self._linear.matrices(parameters, self._grid.points[points])
         H, axes, drives = self.horizon, len(self._tool), len(self._rated)
         response = np.zeros((len(parameters), H, axes, H, drives))
+        power, by_state = A, []
         for lag in range(H):
             for period in range(H - lag):
                 response[:, period + lag, :, period] = pulse[:, self._tool]
-            pulse = A @ pulse
+            by_state.append(power[:, self._tool])
+            pulse, power = A @ pulse, A @ power
         self._response = response.reshape(len(parameters), axes * H, drives * H)
+        self._by_state = np.concatenate(by_state, axis=1)
+
+    def gain(self) -> Array:
+        """Return the derivative of the first voltages by the state, V/m and Vs/m, shape (B, drives, 2 n)."""
+        R, D = self._response, CHANGE_WEIGHT * self._difference
+        normal = R.transpose(0, 2, 1) @ R + D.T @ D
+        gains = -np.linalg.solve(normal, R.transpose(0, 2, 1) @ self._by_state)[:, : len(self._rated)]
+        inside = np.abs(self._volts[:, 0]) < self._rated
+        return np.asarray(gains * inside[:, :, None])
 
 
 def _ratio(values: Array, declared: Array) -> Array:

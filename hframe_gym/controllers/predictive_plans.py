@@ -1,6 +1,6 @@
 """Plans of a predictive controller: linear models of batches of different machines, and voltages that arrive in time.
 
-`LinearMotion`     Discrete-time linear models of B machines with different parameters.
+`LinearMotion`     Linear models of B different machines.
 `ArrivalPlanner`   Voltages within their limits that bring the tool to its goal in K periods and keep it there, by a
                    quadratic program with limits for each machine; the belts come to rest after the tool.
 `PlanRefinement`   Correction of the last periods of such a plan by simulations, which contain static friction: it
@@ -8,7 +8,8 @@
 
 References:
     Boyd and Vandenberghe (2004), Convex Optimization, section 5.5 (the dual problem).
-    Diehl, Bock and Schloder (2005), A real-time iteration scheme for nonlinear optimization in optimal feedback control.
+    Diehl, Bock and Schloeder (2005), A real-time iteration scheme for nonlinear optimization in optimal feedback
+    control.
 """
 
 from __future__ import annotations
@@ -20,15 +21,14 @@ from numpy.typing import NDArray
 
 from ..dynamics import mode_frequencies, simulate_batch
 from ..machine import Machine
+from .finite_horizon_control import state_scale
 from .motion_model import MotionModel
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
-# Lengths and speeds that cost as much as each other: in the plan's units, a state is of similar size in all entries.
-VELOCITY_SCALE_S = 0.01  # s
 TAYLOR_DEGREE, HALVINGS = 8, 7  # of the matrix exponential; the period over 2^7 is far below that of any belt mode
-# Arrival: unit of the tool's errors, m, weight of the belts' motion at the end of the plan, and of the voltages, each as
-# a fraction of the limit. The tool's error counts most.
+# Arrival: unit of the tool's errors, m, weight of the belts' motion at the end of the plan, and of the voltages as
+# fractions of their limits. The tool's error counts most.
 TOOL_UNIT, REST_WEIGHT, EFFORT_WEIGHT = 1e-4, 0.1, 1e-2
 REST_MODE_PERIODS = 1.2  # time in which the tool is held at its goal in the plan, in periods of the slowest belt mode
 NEWTON_STEPS, STEP_LENGTHS, CONVERGED = 10, (1.0, 0.4, 0.1), 1e-7
@@ -58,20 +58,11 @@ class LinearMotion:
         self._extension = machine.belt_matrix / units  # belt extension per belt travel, (belts, n)
         rows = [machine.coefficients(belt.length) for belt in machine.belts]
         self._lengthening = np.reshape(rows, (len(machine.belts), len(units)))
-        self._stiffness, self._lengths = ([names.index(f"{b.name}.{p}") for b in machine.belts] for p in _BELT)
+        self._stiffness, self._lengths = (
+            [names.index(f"{belt.name}.{kind}") for belt in machine.belts] for kind in ("EA", "rest_length")
+        )
         self._masses = [names.index(f"{name}.mass") for name in machine.coordinate_names]
         self._nominal = np.array(list(machine.parameters.values()))
-
-    def mass(self, parameters: Array) -> Array:
-        """Return the masses of the coordinates, of rotary ones inertia / radius^2.
-
-        Args:
-            parameters: Parameters of B machines in the order of `Machine.parameters`, SI, shape (B, P).
-
-        Returns:
-            Masses, kg, shape (B, n).
-        """
-        return self._model.mass * parameters[:, self._masses] / self._nominal[self._masses]
 
     def matrices(self, parameters: Array, position: Array) -> tuple[Array, Array, Array]:
         """Linearize the machines without Coulomb friction and effects, and discretize them with zero-order hold.
@@ -89,7 +80,7 @@ class LinearMotion:
         travel = position @ model.rigid.T
         length = parameters[:, self._lengths] + travel @ self._lengthening.T
         stiffness = parameters[:, self._stiffness] / length  # N/m, (B, belts)
-        mass = self.mass(parameters)
+        mass = model.mass * parameters[:, self._masses] / self._nominal[self._masses]  # kg, (B, n)
         rates = np.zeros((len(parameters), 3 * n + drives, 3 * n + drives))
         rates[:, :n, n : 2 * n] = np.eye(n)
         rates[:, n : 2 * n, :n] = -np.einsum("bk,ki,kj->bij", stiffness, self._extension, self._extension)
@@ -107,9 +98,6 @@ class LinearMotion:
             discrete = discrete @ discrete
         discrete = discrete[:, : 2 * n]
         return discrete[:, :, : 2 * n], discrete[:, :, 2 * n : 2 * n + drives], discrete[:, :, 2 * n + drives :]
-
-
-_BELT = ("EA", "rest_length")
 
 
 class ArrivalPlan(NamedTuple):
@@ -131,18 +119,15 @@ class ArrivalPlanner:
         model: Model of the machine with its declared parameters, n coordinates.
         period: Control period, s.
         longest: Largest number of periods until the tool arrives.
-
-    Attributes:
-        hold: Number of periods after the arrival that are planned.
     """
 
     def __init__(self, model: MotionModel, period: float, longest: int) -> None:
         self._model, self._longest = model, longest
         modes = [frequency for frequency in mode_frequencies(model.machine) if frequency > 0.0]
         slowest = REST_MODE_PERIODS / min(modes) if modes else 0.0
-        self.hold = max(3, int(np.ceil(slowest / period - 0.3)))
+        self._hold = max(3, int(np.ceil(slowest / period - 0.3)))  # planned periods after the arrival
         self._tool = [model.machine.coordinate_names.index(axis) for axis in model.axes]
-        self._scale = np.repeat([1.0, 1.0 / VELOCITY_SCALE_S], len(model.mass))
+        self._scale = state_scale(2 * len(model.mass))
 
     def predict(self, matrices: tuple[Array, Array, Array], error: Array, force: Array) -> None:
         """Compute what all plans of the present period need.
@@ -157,7 +142,7 @@ class ArrivalPlanner:
         pulse, push = matrices[1] / scale[:, None], np.einsum("bij,bj->bi", matrices[2] / scale[:, None], force)
         state = error / scale
         pulses, states, pushes = [pulse], [state], [np.zeros_like(push), push]
-        for _ in range(self._longest + self.hold):
+        for _ in range(self._longest + self._hold):
             pulses.append(A @ pulses[-1])
             states.append(np.einsum("bij,bj->bi", A, states[-1]))
             pushes.append(np.einsum("bij,bj->bi", A, pushes[-1]))
@@ -175,24 +160,53 @@ class ArrivalPlanner:
             `ArrivalPlan`: voltages, V, shape (B, periods, drives), and largest error, m, shape (B,).
         """
         rated, axes, batch = self._model.rated, len(self._tool), len(arrival)
-        end = arrival + self.hold
+        # Residuals are R a + c for actions a within [-1, 1].
+        R, c = self._residuals(arrival)
+        actions = _least_squares_within_limits(R, c)
+        residual = (np.einsum("bij,bj->bi", R, actions) + c)[:, : self._hold * axes] * TOOL_UNIT
+        distance = np.linalg.norm(residual.reshape(batch, self._hold, axes), axis=2).max(axis=1)
+        volts = np.zeros((batch, self._longest + self._hold, len(rated)))
+        periods = actions.shape[1] // len(rated)
+        volts[:, :periods] = actions.reshape(batch, periods, len(rated)) * rated
+        return ArrivalPlan(volts, distance)
+
+    def gain(self, A: Array, arrival: Indices) -> Array:
+        """Compute the derivative of a plan's first voltages by the present state.
+
+        Args:
+            A: System matrices of the machines, as given to `predict`, shape (B, 2 n, 2 n).
+            arrival: Number K of periods until the arrival, shape (B,).
+
+        Returns:
+            Gains, V/m and Vs/m, shape (B, drives, 2 n).
+        """
+        R, c = self._residuals(arrival)
+        free = np.abs(_least_squares_within_limits(R, c)) < 1.0
+        R = R / np.sqrt(EFFORT_WEIGHT)
+        scaled, powers = A / self._scale[:, None] * self._scale, [np.broadcast_to(np.eye(A.shape[1]), A.shape)]
+        for _ in range(int(arrival.max()) + self._hold):
+            powers.append(scaled @ powers[-1])
+        power, each = np.stack(powers, axis=1), np.arange(len(arrival))
+        rows = [power[each, arrival + after][:, self._tool] for after in range(self._hold)]
+        by_state = np.concatenate([*rows, REST_WEIGHT * power[each, arrival + self._hold]], axis=1) / TOOL_UNIT
+        normal = (R * free[:, None]) @ R.transpose(0, 2, 1) + np.eye(R.shape[1])
+        drives = len(self._model.rated)
+        first = (R * free[:, None])[:, :, :drives].transpose(0, 2, 1)
+        actions = -first @ np.linalg.solve(normal, by_state) / np.sqrt(EFFORT_WEIGHT)
+        return actions * self._model.rated[:, None] / self._scale
+
+    def _residuals(self, arrival: Indices) -> tuple[Array, Array]:
+        """Return R (B, rows, actions) and c (B, rows) of the residuals R a + c of plans with an arrival (B,)."""
+        end = arrival + self._hold
         rows, constants = [], []
-        for after in range(self.hold):
+        for after in range(self._hold):
             response, free = self._response(arrival + after, end.max(), arrival)
             rows.append(response[:, self._tool] / TOOL_UNIT)
             constants.append(free[:, self._tool] / TOOL_UNIT)
         response, free = self._response(end, end.max(), arrival)
         rows.append(response * (REST_WEIGHT / TOOL_UNIT))
         constants.append(free * (REST_WEIGHT / TOOL_UNIT))
-        # Residuals are R a + c for actions a within [-1, 1].
-        R = np.concatenate(rows, axis=1) * np.tile(rated, end.max())
-        c = np.concatenate(constants, axis=1)
-        actions = _least_squares_within_limits(R, c)
-        residual = (np.einsum("bij,bj->bi", R, actions) + c)[:, : self.hold * axes] * TOOL_UNIT
-        distance = np.linalg.norm(residual.reshape(batch, self.hold, axes), axis=2).max(axis=1)
-        volts = np.zeros((batch, self._longest + self.hold, len(rated)))
-        volts[:, : end.max()] = actions.reshape(batch, -1, len(rated)) * rated
-        return ArrivalPlan(volts, distance)
+        return np.concatenate(rows, axis=1) * np.tile(self._model.rated, end.max()), np.concatenate(constants, axis=1)
 
     def _response(self, time: Indices, periods: int, arrival: Indices) -> tuple[Array, Array]:
         """Return the response (B, 2 n, periods * drives) of the state at times (B,), in periods, and the state at 0 V.
@@ -221,24 +235,22 @@ def _least_squares_within_limits(R: Array, c: Array) -> Array:
         inner = np.where(value < limit, 0.5 * value**2, limit * value - 0.5 * limit**2).sum(axis=1)
         return np.asarray(inner - (c * multipliers).sum(axis=1) + 0.5 * (multipliers**2).sum(axis=1))
 
-    multipliers = np.linalg.solve(R @ transposed + identity, c[..., None])[..., 0]
+    multipliers = np.asarray(np.linalg.solve(R @ transposed + identity, c[..., None])[..., 0], np.float64)
     best = dual(multipliers)
     for _ in range(NEWTON_STEPS):
         value = np.einsum("bij,bi->bj", R, multipliers)
         slope = np.einsum("bij,bj->bi", R, np.clip(value, -limit, limit)) - c + multipliers
         if np.abs(slope).max() < CONVERGED:
             break
-        inside = np.abs(value) < limit
-        step = -np.linalg.solve((R * inside[:, None]) @ transposed + identity, slope[..., None])[..., 0]
+        inside = (np.abs(value) < limit)[:, None]
+        step = -np.linalg.solve((R * inside) @ transposed + identity, slope[..., None])[..., 0]
         start = multipliers
         for length in STEP_LENGTHS:
-            trial = start + length * step
+            trial = np.asarray(start + length * step, np.float64)
             cost = dual(trial)
-            better = cost < best
-            multipliers = np.where(better[:, None], trial, multipliers)
-            best = np.where(better, cost, best)
-    value = -np.einsum("bij,bi->bj", R, multipliers)
-    return np.asarray(np.clip(value, -limit, limit) / limit)
+            multipliers = np.asarray(np.where((cost < best)[:, None], trial, multipliers), np.float64)
+            best = np.minimum(cost, best)
+    return np.asarray(-np.clip(np.einsum("bij,bi->bj", R, multipliers), -limit, limit) / limit)
 
 
 class PlanRefinement:
@@ -303,9 +315,9 @@ class PlanRefinement:
 
         def residuals(volts: Array, repeats: int = 1) -> Array:
             """Return the errors of the tool in SAMPLE_UNIT, (B * repeats, samples, axes)."""
-            rows = [np.repeat(array, repeats, axis=0) for array in (state, parameters, goal, counted)]
-            error = (self.tool(rows[0], rows[1], volts) - rows[2][:, None]) / SAMPLE_UNIT
-            return np.asarray(error * rows[3][..., None])
+            start, values, end = (np.repeat(array, repeats, axis=0) for array in (state, parameters, goal))
+            error = (self.tool(start, values, volts) - end[:, None]) / SAMPLE_UNIT
+            return np.asarray(error * np.repeat(counted, repeats, axis=0)[..., None])
 
         best, remaining, cost = plans[0], np.zeros(0), np.full(batch, np.inf)
 
