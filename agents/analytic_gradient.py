@@ -39,6 +39,7 @@ from .differentiable_episode import (
     path_errors,
     reach_cost,
 )
+from .residual_action import LARGEST_TRANSFER
 from .sb3_adapters import ResidualActionVecEnv
 
 LARGEST_NORM = 1.0  # of the gradient by the weights
@@ -203,7 +204,12 @@ class AnalyticPolicyGradient:
         goal, observation = entries["desired_goal"], entries["observation"]
         distance = torch.linalg.vector_norm(goal - observation[:, : goal.shape[1]], dim=1)
         speed = torch.linalg.vector_norm(observation[:, self.mapping.tool_speeds], dim=1)
-        return self.mapping.combine(limited(output), distance, speed, entries["last_action"])
+        transfers = None
+        if self.mapping.bank:
+            gains = torch.from_numpy(self.mapping.bank.gains(goal.numpy())).float()
+            error = observation - torch.from_numpy(self.mapping.bank.at_rest(goal.numpy())).float()
+            transfers = torch.einsum("bkij,bj->bki", gains, error).clip(-LARGEST_TRANSFER, LARGEST_TRANSFER)
+        return self.mapping.combine(limited(output), distance, speed, entries["last_action"], transfers)
 
     def _base_action(self, entries: Mapping[str, Any], state: Any) -> Any:
         """Return the actions (B, drives) of the base controller as a linear function of the state (B, 2 n), or zero."""

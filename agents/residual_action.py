@@ -1,6 +1,6 @@
 """Residual action: base controller plus policy output, scaled by an authority that shrinks near the goal.
 
-    action = base + held * last action + authority * output
+    action = base + held * last action + authority * output + sum of weight * transfer voltage
     authority = min(most, least + distance / full_at_m + speed / full_at_m_s)
     held = max(0, 1 - distance / hold_m - speed / hold_m_s), 0 by default
 
@@ -13,7 +13,7 @@ Training and the finished agent use this one implementation.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,7 +24,9 @@ from numpy.typing import NDArray
 from ..controllers import (
     CONTROLLERS,
     EpisodeStarts,
+    MinimumEnergyTransfers,
     MotionModel,
+    OperatingPointGrid,
     ParameterFilter,
 )
 from ..errors import InputError
@@ -34,6 +36,11 @@ Array = NDArray[np.float64]
 Observation = Mapping[str, NDArray[Any]]
 
 LARGEST_HELD = 0.12  # largest action that is held, of the rated voltage: twice what Coulomb friction takes
+# Belt stiffness and masses for which transfers are designed beside the declared ones, as factors on these.
+BANK = ((0.7, 0.95), (0.7, 1.15), (1.3, 0.95), (1.3, 1.15))
+LAST_TRANSFERS = 5  # number of the shortest transfers, those of the arrival, that are designed for the bank
+LARGEST_TRANSFER = 1.2  # limit of the voltages of a transfer, of the rated voltage
+WEIGHT_SCALE = 5.0  # a weight grows by exp(WEIGHT_SCALE) while its output grows by 1
 
 
 @dataclass(frozen=True)
@@ -83,6 +90,72 @@ class Authority:
         return (1.0 - distance / self.hold_m - speed / self.hold_m_s).clip(min=0.0)[:, None]
 
 
+class TransferBank:
+    """Voltages of minimum-energy transfers of K durations and designs, for a goal at rest.
+
+    Args:
+        machine: Machine for which the transfers are designed.
+        period: Control period, s.
+        transfers: Durations in periods beyond the shortest transfer, ascending.
+
+    Attributes:
+        size: Number K of transfers.
+    """
+
+    def __init__(self, machine: Machine, period: float, transfers: Sequence[int]) -> None:
+        self._model = MotionModel(machine)
+        self._grid = OperatingPointGrid(machine)
+        gains = [MinimumEnergyTransfers(self._model, period).gains[:, list(transfers), 0]]
+        for stiffness, mass in BANK:
+            factors = {".EA": stiffness, ".mass": mass}
+            changed = {
+                name: factor * value
+                for name, value in machine.parameters.items()
+                for suffix, factor in factors.items()
+                if name.endswith(suffix)
+            }
+            designed = MinimumEnergyTransfers(MotionModel(machine.replace(changed)), period)
+            gains.append(designed.gains[:, list(transfers[:LAST_TRANSFERS]), 0])
+        self._gains = np.concatenate(gains, axis=1) / self._model.rated[:, None]  # (points, K, drives, 2 n)
+        self._of_observation = self._model.state({"observation": np.eye(self._gains.shape[3])})
+        self.size = self._gains.shape[1]
+
+    def gains(self, goal: NDArray[Any]) -> Array:
+        """Return the gains on the entries of `observation` at goals.
+
+        Args:
+            goal: Tool positions of the goals, m, shape (batch, axes).
+
+        Returns:
+            Gains, fractions of the rated voltage per unit of the entry, shape (batch, K, drives, entries).
+        """
+        return self._gains[self._grid.nearest(np.asarray(goal, np.float64))] @ self._of_observation.T
+
+    def at_rest(self, goal: NDArray[Any]) -> Array:
+        """Return the observations at rest at goals.
+
+        Args:
+            goal: Tool positions of the goals, m, shape (batch, axes).
+
+        Returns:
+            `observation` with full state, m, rad, m/s and rad/s, shape (batch, entries).
+        """
+        return self._model.observation(self._model.goal_state(goal))
+
+    def voltages(self, observation: NDArray[Any], goal: NDArray[Any]) -> Array:
+        """Compute the first voltages of the transfers.
+
+        Args:
+            observation: `observation` with full state, shape (batch, entries).
+            goal: Goals, m, shape (batch, axes).
+
+        Returns:
+            Voltages divided by the rated voltages, limited to LARGEST_TRANSFER, shape (batch, K, drives).
+        """
+        volts = np.einsum("bkij,bj->bki", self.gains(goal), observation - self.at_rest(goal))
+        return np.asarray(volts.clip(-LARGEST_TRANSFER, LARGEST_TRANSFER))
+
+
 class ResidualAction:
     """Conversion of policy outputs to actions, action = base + authority * output, for a batch of environments.
 
@@ -95,6 +168,7 @@ class ResidualAction:
         period: Control period, s.
         base: Name of a registered controller whose action the policy corrects; None: the policy acts alone.
         estimates: Whether to estimate friction, masses and belts without a base, for the observation `estimates`.
+        transfers: Durations of transfers whose voltages the policy weights, see `TransferBank`; empty: none.
         **authority: Keyword arguments of `Authority`, which limits the policy's part of the action.
 
     Attributes:
@@ -102,6 +176,7 @@ class ResidualAction:
         period: As given, s.
         tool_speeds: Columns of `observation` with the tool velocity along its axes.
         base: Controller whose action the policy corrects, or None.
+        bank: Transfers whose voltages the policy weights, or None.
 
     Raises:
         InputError: If no controller is registered under the name of the base. Agents are data: their files cannot name
@@ -109,7 +184,13 @@ class ResidualAction:
     """
 
     def __init__(
-        self, machine: Machine, period: float, base: str | None = None, estimates: bool = False, **authority: float
+        self,
+        machine: Machine,
+        period: float,
+        base: str | None = None,
+        estimates: bool = False,
+        transfers: Sequence[int] = (),
+        **authority: float,
     ) -> None:
         self.authority, self.period = Authority(**authority), period
         if base and base not in CONTROLLERS:
@@ -117,6 +198,7 @@ class ResidualAction:
         self.base = CONTROLLERS.get(base)(machine, period) if base else None
         # Attributes of an adaptive base that it adds to the observation, with their numbers of columns.
         self._base_features: dict[str, int] = getattr(self.base, "feature_sizes", {})
+        self.bank = TransferBank(machine, period, transfers) if transfers else None
         self._drives = len(machine.drives)
         axes = machine.tool_axes
         first = len({*axes, *(drive.coordinate for drive in machine.drives)})  # after all positions
@@ -128,6 +210,11 @@ class ResidualAction:
         self._last_state: NDArray[Any] = np.zeros((0, 0))  # and of the previous period
         self._last_action = self._base_action = np.zeros((0, 0))  # (batch, drives)
         self._distance = self._speed = np.zeros(0)  # m and m/s, (batch,)
+        self._transfers: Array | None = None  # voltages of the bank, (batch, K, drives)
+
+    def action_space(self) -> spaces.Box:
+        """Return the space of the policy's outputs: one for each drive, and one for each transfer of the bank."""
+        return spaces.Box(-1.0, 1.0, (self._drives + (self.bank.size if self.bank else 0),), np.float32)
 
     def observation_space(self, observation_space: spaces.Dict) -> spaces.Dict:
         """Extend the observation space of an environment by the keys that `augment` adds.
@@ -194,6 +281,8 @@ class ResidualAction:
         goal = observation["desired_goal"]
         self._distance = np.linalg.norm(goal - state[:, : goal.shape[1]], axis=1)
         self._speed = np.linalg.norm(state[:, self.tool_speeds], axis=1)
+        if self.bank:
+            self._transfers = self.bank.voltages(state, goal)
         if self.base:
             self._base_action = np.clip(self.base.act(observation), -1.0, 1.0)
         return {**observation, **self.history()}
@@ -229,24 +318,31 @@ class ResidualAction:
             Voltages divided by the rated voltages, limited to [-1, 1], shape (batch, drives).
         """
         base_action = self._base_action if self.base else 0.0
-        action = self.combine(output, self._distance, self._speed, self._last_action) + base_action
+        action = self.combine(output, self._distance, self._speed, self._last_action, self._transfers) + base_action
         self.replace_last_action(np.clip(action, -1.0, 1.0))
         return self._last_action
 
-    def combine(self, output: Any, distance: Any, speed: Any, last_action: Any) -> Any:
+    def combine(self, output: Any, distance: Any, speed: Any, last_action: Any, transfers: Any = None) -> Any:
         """Add policy outputs, scaled by the authority, to the held part of the last actions; without base and limits.
 
         Args:
-            output: Policy outputs, array or torch tensor of shape (batch, drives).
+            output: Policy outputs, array or torch tensor of shape (batch, drives), with a bank (batch, drives + K).
             distance: Distances to the goal, m, shape (batch,).
             speed: Tool speeds, m/s, shape (batch,).
             last_action: Actions of the previous period, shape (batch, drives).
+            transfers: Voltages of the bank's K transfers, divided by the rated ones, shape (batch, K, drives).
 
         Returns:
-            held * last action + authority * output, of the same type, shape (batch, drives).
+            held * last action + authority * output + weighted transfers, of the same type, shape (batch, drives).
         """
         held = self.authority.held(distance, speed) * last_action.clip(-LARGEST_HELD, LARGEST_HELD)
-        return held + self.authority(distance, speed) * output
+        action = held + self.authority(distance, speed) * output[:, : self._drives]
+        if transfers is None:
+            return action
+        weights = 2.0 ** (
+            WEIGHT_SCALE / np.log(2.0) * output[:, self._drives :]
+        )  # a softmax, by type-independent means
+        return action + (weights[..., None] * transfers).sum(1) / weights.sum(1)[:, None]
 
     def replace_last_action(self, actions: Array) -> None:
         """Record the actions that were applied, for the next observation and for the base controller.

@@ -111,7 +111,7 @@ class MinimumEnergyTransfers:
     def _design(self, A: Array, B: Array) -> Array:
         """Compute `gains` from A (points, 2 n, 2 n) and B (points, 2 n, inputs)."""
         states = A.shape[1]
-        scale = state_scale(states)
+        scale = _state_scale(states)
         A = A / scale[:, None] * scale
         scaled_B = B / scale[:, None]
         W = np.zeros_like(A)
@@ -179,7 +179,7 @@ class MinimumEnergyTransfers:
         error = self.model.goal_state(start) - self.model.goal_state(goal)
         N = int(self.select(error, goal, (-limit[None], limit[None]), np.array([self.shortest])).periods[0])
         A, B = self._matrices[int(self.grid.nearest(goal)[0])]
-        scale = state_scale(len(A))
+        scale = _state_scale(len(A))
         A, B = A / scale[:, None] * scale, B / scale[:, None]
         powers = [np.eye(len(A))]
         for _ in range(N):
@@ -332,13 +332,6 @@ def _matvec(matrices: Array, vectors: Array) -> Array:
     return np.asarray(np.einsum("bij,bj->bi", matrices, vectors))
 
 
-def state_scale(states: int) -> Array:
-    """Return units in which positions and velocities have similar size, so that problems are well conditioned.
-
-    Args:
-        states: Number of entries of the state, 2 n.
-
-    Returns:
-        Units of the n positions, m, and of the n velocities, m/s, shape (2 n,).
-    """
+def _state_scale(states: int) -> Array:
+    """Return units (2 n,) in which positions and velocities have similar size, so that W_N is well conditioned."""
     return np.repeat([1.0, 1.0 / VELOCITY_SCALE_S], states // 2)

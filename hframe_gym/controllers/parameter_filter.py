@@ -156,7 +156,7 @@ class ParameterWindow:
             ([f"{name}.EA" for name in belts], STIFFNESS_STD),
             ([f"{name}.rest_length" for name in belts], LENGTH_STD),
         ]
-        chosen = [(names.index(name), std) for group, std in groups for name in group]
+        chosen = [(names.index(name), std) for group, std in groups for name in group if name in names]
         self.columns = np.array([column for column, _ in chosen])
         self.size = len(chosen) + len(model.rated)
         self._offsets = slice(len(chosen), self.size)
@@ -233,7 +233,7 @@ class ParameterWindow:
         self._information = self._information + np.einsum("bai,baj->bij", weighted, H)
         explained = difference + np.einsum("bai,bi->ba", H, self.estimates)
         self._informed = self._informed + np.einsum("bai,ba->bi", weighted, explained)
-        inexact = np.flatnonzero(self.noise_ratio > 1.0)
+        inexact = np.flatnonzero((self.noise_ratio > 1.0) & (self._valid[0] > 0.0))
         if len(inexact):
             covariance = np.linalg.inv(self._information[inexact])
             expected = np.einsum("bij,bj->bi", covariance, self._informed[inexact])

@@ -14,14 +14,15 @@ References:
 
 from __future__ import annotations
 
+import dataclasses
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..dynamics import mode_frequencies, simulate_batch
+from ..dynamics import Equations, MotionPoint, mode_frequencies, simulate_batch
 from ..machine import Machine
-from .finite_horizon_control import state_scale
+from .finite_horizon_control import VELOCITY_SCALE_S
 from .motion_model import MotionModel
 
 Array = NDArray[np.float64]
@@ -52,17 +53,9 @@ class LinearMotion:
     """
 
     def __init__(self, model: MotionModel, period: float) -> None:
-        machine, names = model.machine, list(model.machine.parameters)
         self._model, self._period = model, period
-        units = machine.travel_per_unit
-        self._extension = machine.belt_matrix / units  # belt extension per belt travel, (belts, n)
-        rows = [machine.coefficients(belt.length) for belt in machine.belts]
-        self._lengthening = np.reshape(rows, (len(machine.belts), len(units)))
-        self._stiffness, self._lengths = (
-            [names.index(f"{belt.name}.{kind}") for belt in machine.belts] for kind in ("EA", "rest_length")
-        )
-        self._masses = [names.index(f"{name}.mass") for name in machine.coordinate_names]
-        self._nominal = np.array(list(machine.parameters.values()))
+        self._machine = dataclasses.replace(model.machine, effects=())
+        self._extension = model.machine.belt_matrix / model.machine.travel_per_unit  # per belt travel, (belts, n)
 
     def matrices(self, parameters: Array, position: Array) -> tuple[Array, Array, Array]:
         """Linearize the machines without Coulomb friction and effects, and discretize them with zero-order hold.
@@ -77,10 +70,11 @@ class LinearMotion:
             E: Input matrices of a force on each coordinate, m/N and m/(Ns), shape (B, 2 n, n).
         """
         model, n, drives = self._model, len(self._model.mass), len(self._model.rated)
+        equations = Equations(self._machine, dict(zip(model.machine.parameters, parameters.T, strict=True)))
         travel = position @ model.rigid.T
-        length = parameters[:, self._lengths] + travel @ self._lengthening.T
-        stiffness = parameters[:, self._stiffness] / length  # N/m, (B, belts)
-        mass = model.mass * parameters[:, self._masses] / self._nominal[self._masses]  # kg, (B, n)
+        belts = equations.belt_states(MotionPoint(list(travel.T), list(np.zeros_like(travel).T)))
+        values = [belt.stiffness for belt in belts] + [equations.mass(i) for i in range(n)]
+        stiffness, mass = np.split(np.array([value + np.zeros(len(parameters)) for value in values]).T, [len(belts)], 1)
         rates = np.zeros((len(parameters), 3 * n + drives, 3 * n + drives))
         rates[:, :n, n : 2 * n] = np.eye(n)
         rates[:, n : 2 * n, :n] = -np.einsum("bk,ki,kj->bij", stiffness, self._extension, self._extension)
@@ -127,7 +121,7 @@ class ArrivalPlanner:
         slowest = REST_MODE_PERIODS / min(modes) if modes else 0.0
         self._hold = max(3, int(np.ceil(slowest / period - 0.3)))  # planned periods after the arrival
         self._tool = [model.machine.coordinate_names.index(axis) for axis in model.axes]
-        self._scale = state_scale(2 * len(model.mass))
+        self._scale = np.repeat([1.0, 1.0 / VELOCITY_SCALE_S], len(model.mass))
 
     def predict(self, matrices: tuple[Array, Array, Array], error: Array, force: Array) -> None:
         """Compute what all plans of the present period need.
