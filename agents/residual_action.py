@@ -28,6 +28,7 @@ from ..controllers import (
     MotionModel,
     OperatingPointGrid,
     ParameterFilter,
+    ParameterWindow,
 )
 from ..errors import InputError
 from ..machine import Machine
@@ -167,7 +168,8 @@ class ResidualAction:
         machine: Machine for which the base controller is designed.
         period: Control period, s.
         base: Name of a registered controller whose action the policy corrects; None: the policy acts alone.
-        estimates: Whether to estimate friction, masses and belts without a base, for the observation `estimates`.
+        estimates: Whether to estimate friction, masses and belts without a base, for the observation `estimates`: by a
+            `ParameterFilter`, or with "window" by a `ParameterWindow`.
         transfers: Durations of transfers whose voltages the policy weights, see `TransferBank`; empty: none.
         **authority: Keyword arguments of `Authority`, which limits the policy's part of the action.
 
@@ -179,7 +181,8 @@ class ResidualAction:
         bank: Transfers whose voltages the policy weights, or None.
 
     Raises:
-        InputError: If no controller is registered under the name of the base. Agents are data: their files cannot name
+        InputError: If `estimates` is invalid, or no controller is registered under the name of the base. Agents are
+            data: their files cannot name
             a module to import.
     """
 
@@ -188,7 +191,7 @@ class ResidualAction:
         machine: Machine,
         period: float,
         base: str | None = None,
-        estimates: bool = False,
+        estimates: bool | str = False,
         transfers: Sequence[int] = (),
         **authority: float,
     ) -> None:
@@ -204,7 +207,10 @@ class ResidualAction:
         first = len({*axes, *(drive.coordinate for drive in machine.drives)})  # after all positions
         self.tool_speeds = slice(first, first + len(axes))
         self._model = MotionModel(machine) if estimates else None
-        self._filter = ParameterFilter(self._model, period) if self._model else None
+        if estimates not in (False, True, "window"):
+            raise InputError(f'estimates is {estimates!r}; choose true, false or "window"')
+        estimator = ParameterWindow if estimates == "window" else ParameterFilter
+        self._filter = estimator(self._model, period) if self._model else None
         self._starts = EpisodeStarts()
         self._state: NDArray[Any] = np.zeros((0, 0))  # `observation` of this period, (batch, entries)
         self._last_state: NDArray[Any] = np.zeros((0, 0))  # and of the previous period

@@ -39,7 +39,6 @@ LEAST_TRAVEL_NOISE, LEAST_RATE_NOISE = 2e-6, 1e-3
 FINE_DIFFERENCE, FINE_STEP = 0.01, 5e-4
 WINDOW = 6  # periods
 REPEATED_PERIODS = 4  # periods at the beginning in which the estimates change much; they take two iterations
-NOISE_MEMORY = 0.97  # fraction of the estimated noise that remains after an iteration
 LARGEST_CHANGE = 0.5  # of a logarithm in an iteration
 # Fractions of the rated voltage: what the simulation lacks at first, and its change per period for each multiple of the
 # smallest noise beyond 1 (standard deviations). Where the simulation is exact, nothing is lacking.
@@ -218,7 +217,6 @@ class ParameterWindow:
         remaining = (difference - np.einsum("bkai,bi->bka", H, change)) ** 2 * self._valid.T[:, :, None]
         entries = np.maximum(self._valid.sum(axis=0) * difference.shape[2], 1.0)
         ratio = np.maximum(1.0, np.sqrt(remaining.sum(axis=(1, 2)) / entries))
-        ratio = np.maximum(ratio, NOISE_MEMORY * self.noise_ratio)  # a tool at rest says little about the noise
         self.noise_ratio = np.where(chosen, ratio, self.noise_ratio)
         change = np.clip(change, -LARGEST_CHANGE, LARGEST_CHANGE) * chosen[:, None]
         self.estimates = np.clip(self.estimates + change, -LARGEST, LARGEST)
