@@ -39,7 +39,7 @@ from .differentiable_episode import (
     path_errors,
     reach_cost,
 )
-from .residual_action import LARGEST_TRANSFER
+from .features import LARGEST_WEIGHTED
 from .sb3_adapters import ResidualActionVecEnv
 
 LARGEST_NORM = 1.0  # of the gradient by the weights
@@ -208,7 +208,7 @@ class AnalyticPolicyGradient:
         if self.mapping.bank:
             gains = torch.from_numpy(self.mapping.bank.gains(goal.numpy())).float()
             error = observation - torch.from_numpy(self.mapping.bank.at_rest(goal.numpy())).float()
-            transfers = torch.einsum("bkij,bj->bki", gains, error).clip(-LARGEST_TRANSFER, LARGEST_TRANSFER)
+            transfers = torch.einsum("bkij,bj->bki", gains, error).clip(-LARGEST_WEIGHTED, LARGEST_WEIGHTED)
         return self.mapping.combine(limited(output), distance, speed, entries["last_action"], transfers)
 
     def _base_action(self, entries: Mapping[str, Any], state: Any) -> Any:

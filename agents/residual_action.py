@@ -24,23 +24,17 @@ from numpy.typing import NDArray
 from ..controllers import (
     CONTROLLERS,
     EpisodeStarts,
-    MinimumEnergyTransfers,
     MotionModel,
-    OperatingPointGrid,
     ParameterFilter,
-    ParameterWindow,
 )
 from ..errors import InputError
 from ..machine import Machine
+from .features import TransferBank
 
 Array = NDArray[np.float64]
 Observation = Mapping[str, NDArray[Any]]
 
 LARGEST_HELD = 0.12  # largest action that is held, of the rated voltage: twice what Coulomb friction takes
-# Belt stiffness and masses for which transfers are designed beside the declared ones, as factors on these.
-BANK = ((0.7, 0.95), (0.7, 1.15), (1.3, 0.95), (1.3, 1.15))
-LAST_TRANSFERS = 5  # number of the shortest transfers, those of the arrival, that are designed for the bank
-LARGEST_TRANSFER = 1.2  # limit of the voltages of a transfer, of the rated voltage
 WEIGHT_SCALE = 5.0  # a weight grows by exp(WEIGHT_SCALE) while its output grows by 1
 
 
@@ -91,72 +85,6 @@ class Authority:
         return (1.0 - distance / self.hold_m - speed / self.hold_m_s).clip(min=0.0)[:, None]
 
 
-class TransferBank:
-    """Voltages of minimum-energy transfers of K durations and designs, for a goal at rest.
-
-    Args:
-        machine: Machine for which the transfers are designed.
-        period: Control period, s.
-        transfers: Durations in periods beyond the shortest transfer, ascending.
-
-    Attributes:
-        size: Number K of transfers.
-    """
-
-    def __init__(self, machine: Machine, period: float, transfers: Sequence[int]) -> None:
-        self._model = MotionModel(machine)
-        self._grid = OperatingPointGrid(machine)
-        gains = [MinimumEnergyTransfers(self._model, period).gains[:, list(transfers), 0]]
-        for stiffness, mass in BANK:
-            factors = {".EA": stiffness, ".mass": mass}
-            changed = {
-                name: factor * value
-                for name, value in machine.parameters.items()
-                for suffix, factor in factors.items()
-                if name.endswith(suffix)
-            }
-            designed = MinimumEnergyTransfers(MotionModel(machine.replace(changed)), period)
-            gains.append(designed.gains[:, list(transfers[:LAST_TRANSFERS]), 0])
-        self._gains = np.concatenate(gains, axis=1) / self._model.rated[:, None]  # (points, K, drives, 2 n)
-        self._of_observation = self._model.state({"observation": np.eye(self._gains.shape[3])})
-        self.size = self._gains.shape[1]
-
-    def gains(self, goal: NDArray[Any]) -> Array:
-        """Return the gains on the entries of `observation` at goals.
-
-        Args:
-            goal: Tool positions of the goals, m, shape (batch, axes).
-
-        Returns:
-            Gains, fractions of the rated voltage per unit of the entry, shape (batch, K, drives, entries).
-        """
-        return self._gains[self._grid.nearest(np.asarray(goal, np.float64))] @ self._of_observation.T
-
-    def at_rest(self, goal: NDArray[Any]) -> Array:
-        """Return the observations at rest at goals.
-
-        Args:
-            goal: Tool positions of the goals, m, shape (batch, axes).
-
-        Returns:
-            `observation` with full state, m, rad, m/s and rad/s, shape (batch, entries).
-        """
-        return self._model.observation(self._model.goal_state(goal))
-
-    def voltages(self, observation: NDArray[Any], goal: NDArray[Any]) -> Array:
-        """Compute the first voltages of the transfers.
-
-        Args:
-            observation: `observation` with full state, shape (batch, entries).
-            goal: Goals, m, shape (batch, axes).
-
-        Returns:
-            Voltages divided by the rated voltages, limited to LARGEST_TRANSFER, shape (batch, K, drives).
-        """
-        volts = np.einsum("bkij,bj->bki", self.gains(goal), observation - self.at_rest(goal))
-        return np.asarray(volts.clip(-LARGEST_TRANSFER, LARGEST_TRANSFER))
-
-
 class ResidualAction:
     """Conversion of policy outputs to actions, action = base + authority * output, for a batch of environments.
 
@@ -168,8 +96,7 @@ class ResidualAction:
         machine: Machine for which the base controller is designed.
         period: Control period, s.
         base: Name of a registered controller whose action the policy corrects; None: the policy acts alone.
-        estimates: Whether to estimate friction, masses and belts without a base, for the observation `estimates`: by a
-            `ParameterFilter`, or with "window" by a `ParameterWindow`.
+        estimates: Whether to estimate friction, masses and belts without a base, for the observation `estimates`.
         transfers: Durations of transfers whose voltages the policy weights, see `TransferBank`; empty: none.
         **authority: Keyword arguments of `Authority`, which limits the policy's part of the action.
 
@@ -181,8 +108,7 @@ class ResidualAction:
         bank: Transfers whose voltages the policy weights, or None.
 
     Raises:
-        InputError: If `estimates` is invalid, or no controller is registered under the name of the base. Agents are
-            data: their files cannot name
+        InputError: If no controller is registered under the name of the base. Agents are data: their files cannot name
             a module to import.
     """
 
@@ -191,7 +117,7 @@ class ResidualAction:
         machine: Machine,
         period: float,
         base: str | None = None,
-        estimates: bool | str = False,
+        estimates: bool = False,
         transfers: Sequence[int] = (),
         **authority: float,
     ) -> None:
@@ -207,10 +133,7 @@ class ResidualAction:
         first = len({*axes, *(drive.coordinate for drive in machine.drives)})  # after all positions
         self.tool_speeds = slice(first, first + len(axes))
         self._model = MotionModel(machine) if estimates else None
-        if estimates not in (False, True, "window"):
-            raise InputError(f'estimates is {estimates!r}; choose true, false or "window"')
-        estimator = ParameterWindow if estimates == "window" else ParameterFilter
-        self._filter = estimator(self._model, period) if self._model else None
+        self._filter = ParameterFilter(self._model, period) if self._model else None
         self._starts = EpisodeStarts()
         self._state: NDArray[Any] = np.zeros((0, 0))  # `observation` of this period, (batch, entries)
         self._last_state: NDArray[Any] = np.zeros((0, 0))  # and of the previous period

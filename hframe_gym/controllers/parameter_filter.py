@@ -42,7 +42,9 @@ REPEATED_PERIODS = 4  # periods at the beginning in which the estimates change m
 LARGEST_CHANGE = 0.5  # of a logarithm in an iteration
 # Fractions of the rated voltage: what the simulation lacks at first, and its change per period for each multiple of the
 # smallest noise beyond 1 (standard deviations). Where the simulation is exact, nothing is lacking.
-OFFSET_STD, OFFSET_WALK, LARGEST_WALK = 1e-5, 2e-3, 2e-2
+OFFSET_STD, OFFSET_WALK, LARGEST_WALK, LARGEST_OFFSET = 1e-5, 2e-3, 2e-2, 0.3
+LIMIT_STD = 4.0  # limit of a logarithm in prior standard deviations: a belt must not become shorter than zero
+LARGEST_DIFFERENCE = 1e6  # in multiples of the smallest noise; a simulation with bad parameters may diverge
 
 
 class ParameterFilter:
@@ -54,7 +56,7 @@ class ParameterFilter:
 
     Attributes:
         size: Number of estimates, 2 n + b.
-        estimates: Logarithms of the ratios of actual to declared values (0.1: about 10 % above), limited to 1.2, shape
+        estimates: Logarithms of the ratios of actual to declared values (0.1: about 10 % above), limited, shape
             (B, size): n Coulomb friction forces, n masses, b axial stiffnesses EA. Zero at the start of an episode.
     """
 
@@ -136,7 +138,7 @@ class ParameterWindow:
     Attributes:
         columns: Columns of the estimated parameters in `Machine.parameters`, shape (2 n + 2 b,).
         size: Number of estimates, 2 n + 2 b + drives.
-        estimates: Logarithms of the ratios of actual to declared values (0.1: about 10 % above), limited to 1.2, shape
+        estimates: Logarithms of the ratios of actual to declared values (0.1: about 10 % above), limited, shape
             (B, size): n Coulomb friction forces, n masses, b axial stiffnesses EA, b lengths; then for each drive the
             voltage that the simulation lacks, as a fraction of the rated voltage. Zero at the start of an episode. EA
             and length are known only together, as the stiffness of each belt.
@@ -159,7 +161,10 @@ class ParameterWindow:
         self.columns = np.array([column for column, _ in chosen])
         self.size = len(chosen) + len(model.rated)
         self._offsets = slice(len(chosen), self.size)
-        self._prior_information = np.diag([std**-2.0 for _, std in chosen] + [OFFSET_STD**-2.0] * len(model.rated))
+        deviations = np.array([std for _, std in chosen] + [OFFSET_STD] * len(model.rated))
+        self._prior_information = np.diag(deviations**-2.0)
+        self._limits = np.minimum(LARGEST, LIMIT_STD * deviations)
+        self._limits[self._offsets] = LARGEST_OFFSET
         self._nominal = np.array(list(machine.parameters.values()))
         self._units = np.tile(machine.travel_per_unit, 2)
         self._noise = np.repeat([LEAST_TRAVEL_NOISE, LEAST_RATE_NOISE], len(model.mass))
@@ -219,7 +224,7 @@ class ParameterWindow:
         ratio = np.maximum(1.0, np.sqrt(remaining.sum(axis=(1, 2)) / entries))
         self.noise_ratio = np.where(chosen, ratio, self.noise_ratio)
         change = np.clip(change, -LARGEST_CHANGE, LARGEST_CHANGE) * chosen[:, None]
-        self.estimates = np.clip(self.estimates + change, -LARGEST, LARGEST)
+        self.estimates = np.clip(self.estimates + change, -self._limits, self._limits)
 
     def _absorb_oldest(self) -> None:
         """Add what the oldest period of the window says to the earlier information, before it is dropped."""
@@ -268,8 +273,9 @@ class ParameterWindow:
             parallel=False,
         )
         end = np.concatenate([motion.positions[:, -1], motion.velocities[:, -1]], axis=1) * self._units
-        simulated = (end / self._noise).reshape(variants, periods, batch, states)
-        difference = (after / self._noise - simulated[0]).transpose(1, 0, 2)
+        simulated = (end / self._noise).reshape(variants, periods, batch, states) - after / self._noise
+        simulated = np.clip(np.nan_to_num(simulated), -LARGEST_DIFFERENCE, LARGEST_DIFFERENCE)
+        difference = -simulated[0].transpose(1, 0, 2)
         return difference, ((simulated[1:] - simulated[0]) / FINE_DIFFERENCE).transpose(2, 1, 3, 0)
 
     def parameters(self, estimates: Array) -> Array:

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from hframe_gym.agents.residual_action import BANK, LARGEST_HELD, Authority, ResidualAction
+from hframe_gym.agents.features import BANK
+from hframe_gym.agents.residual_action import LARGEST_HELD, Authority, ResidualAction
 from hframe_gym.controllers import CONTROLLERS
 from hframe_gym.envs import HFrameVectorEnv, observation_space
 from hframe_gym.errors import InputError
@@ -95,3 +96,8 @@ def test_outputs_weight_the_voltages_of_transfers():
     assert action(2) == pytest.approx(longest, abs=1e-3)
     at_goal = rest_observation(MACHINE, (0.1, 0.0), (0.1, 0.0))
     assert np.abs(mapping.bank.voltages(at_goal["observation"], at_goal["desired_goal"])).max() < 1e-3
+
+
+def test_transfers_that_the_machine_lacks_are_refused():
+    with pytest.raises(InputError, match=r"transfers are .* has those of 0 to"):
+        ResidualAction(MACHINE, 0.01, transfers=[0, 999])
