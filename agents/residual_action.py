@@ -142,7 +142,11 @@ class ResidualAction:
         self._transfers: Array | None = None  # voltages of the bank, (batch, K, drives)
 
     def action_space(self) -> spaces.Box:
-        """Return the space of the policy's outputs: one for each drive, and one for each transfer of the bank."""
+        """Build the space of the policy's outputs.
+
+        Returns:
+            Box from -1 to 1 with one entry for each drive, and one for each transfer of the bank.
+        """
         return spaces.Box(-1.0, 1.0, (self._drives + (self.bank.size if self.bank else 0),), np.float32)
 
     def observation_space(self, observation_space: spaces.Dict) -> spaces.Dict:

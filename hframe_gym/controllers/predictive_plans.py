@@ -127,7 +127,8 @@ class ArrivalPlanner:
         """Compute what all plans of the present period need.
 
         Args:
-            matrices: Linear models, as `LinearMotion.matrices` returns them.
+            matrices: Linear models A, B and E as `LinearMotion.matrices` returns them, in m, s, V and N, of the shapes
+                (B, 2 n, 2 n), (B, 2 n, drives) and (B, 2 n, n).
             error: State minus goal state: belt travel of the n coordinates and its velocity, m and m/s, shape (B, 2 n).
             force: Force on each coordinate until the tool arrives, for example friction, N, shape (B, n).
         """
