@@ -213,7 +213,7 @@ class Agent(Controller):
             raise InputError(f"{path / 'agent.json'}: features do not fit the machine in machine.json")
         policy = algorithm.MultiInputPolicy(
             mapping.observation_space(space) if mapping else space,
-            action_space(machine),
+            mapping.action_space() if mapping else action_space(machine),
             lambda _: 0.0,  # learning rate, which only training uses
             **policy_keywords(card["settings"]["policy"], card["features"]),
         )

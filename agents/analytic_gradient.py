@@ -39,6 +39,7 @@ from .differentiable_episode import (
     path_errors,
     reach_cost,
 )
+from .features import LARGEST_WEIGHTED
 from .sb3_adapters import ResidualActionVecEnv
 
 LARGEST_NORM = 1.0  # of the gradient by the weights
@@ -71,7 +72,8 @@ class AnalyticPolicyGradient:
         generators: Generators of all random numbers that do not come from torch or the environment.
 
     Raises:
-        InputError: If there is no action mapping or it has a base controller, whose derivatives are not known.
+        InputError: If there is no action mapping, or it has a base controller without the method `gain`, so that its
+            derivatives are not known.
     """
 
     def __init__(
@@ -90,8 +92,10 @@ class AnalyticPolicyGradient:
         averaging: float,
     ) -> None:
         inner: Any = getattr(env, "venv", None)
-        if not isinstance(env, ResidualActionVecEnv) or env.mapping.base:
-            raise InputError("analytic gradients need an [actuation] without a base controller")
+        if not isinstance(env, ResidualActionVecEnv) or (env.mapping.base and not hasattr(env.mapping.base, "gain")):
+            raise InputError(
+                "analytic gradients need an [actuation] without a base controller, or with base predictive"
+            )
         torch.manual_seed(seed)
         self.env, self.mapping = env, env.mapping
         self._envs = inner.envs
@@ -104,6 +108,9 @@ class AnalyticPolicyGradient:
         self._discount, self._limit, self._averaging = discount, limit, averaging
         space: Any = env.observation_space
         self._trained: Any = MultiInputPolicy(space, env.action_space, lambda _: 0.0, **policy_kwargs)
+        if self.mapping.base:  # the first policy is its base
+            for parameter in self._trained.action_net.parameters():
+                parameter.data.zero_()
         self.policy = copy.deepcopy(self._trained)
         self._optimizer = torch.optim.Adam(self._trained.parameters())
         self.num_timesteps, self._updates = 0, 0
@@ -174,7 +181,7 @@ class AnalyticPolicyGradient:
                 entries["observation"] = (state @ self._observed).float()
                 if last_observation is not None:
                     entries |= {"last_observation": last_observation, "last_action": last_action}
-                action = self._action(entries)
+                action = limited(self._action(entries) + self._base_action(entries, state))
                 self.mapping.replace_last_action(action.detach().numpy().astype(np.float64))
                 last_observation, last_action = entries["observation"], action
                 volts = action.double() * torch.from_numpy(model.rated)
@@ -191,13 +198,28 @@ class AnalyticPolicyGradient:
         return path_cost(by_period) * len(costs) if moving else by_period.sum(1)
 
     def _action(self, entries: Mapping[str, Any]) -> Any:
-        """Compute the actions (B, drives) of the policy that is trained, limited to [-1, 1]."""
+        """Compute the part (B, drives) of the actions of the policy that is trained."""
         policy = self._trained
         output = policy.action_net(policy.mlp_extractor.forward_actor(policy.extract_features(entries)))
         goal, observation = entries["desired_goal"], entries["observation"]
         distance = torch.linalg.vector_norm(goal - observation[:, : goal.shape[1]], dim=1)
         speed = torch.linalg.vector_norm(observation[:, self.mapping.tool_speeds], dim=1)
-        return limited(self.mapping.combine(limited(output), distance, speed, entries["last_action"]))
+        transfers = None
+        if self.mapping.bank:
+            gains = torch.from_numpy(self.mapping.bank.gains(goal.numpy())).float()
+            error = observation - torch.from_numpy(self.mapping.bank.at_rest(goal.numpy())).float()
+            transfers = torch.einsum("bkij,bj->bki", gains, error).clip(-LARGEST_WEIGHTED, LARGEST_WEIGHTED)
+        return self.mapping.combine(limited(output), distance, speed, entries["last_action"], transfers)
+
+    def _base_action(self, entries: Mapping[str, Any], state: Any) -> Any:
+        """Return the actions (B, drives) of the base controller as a linear function of the state (B, 2 n), or zero."""
+        base: Any = self.mapping.base
+        if base is None:
+            return 0.0
+        if not torch.is_grad_enabled():
+            return entries["base_action"]
+        gain = torch.from_numpy(base.gain() / self._model.rated[:, None])
+        return entries["base_action"] + torch.einsum("bij,bj->bi", gain, state - state.detach()).float()
 
     def save(self, path: str | Path) -> None:
         """Write the state of the training to a file that `load` reads without executing code.

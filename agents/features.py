@@ -8,6 +8,8 @@ for several scales: linear well below a scale, logarithmic above it. Errors ente
 (as belt travel), now and extrapolated one control period ahead. Every v is linear in the observation z, so all
 features are one matrix product followed by one logarithm: gain * sign(z M) * log(1 + |z M|).
 
+`TransferBank` gives voltages of linear feedback laws that a policy may weight (see residual_action.py).
+
 This module needs NumPy only; sb3_adapters.py evaluates the features in torch.
 """
 
@@ -21,6 +23,7 @@ from numpy.typing import NDArray
 
 from ..controllers import MinimumEnergyTransfers, MotionModel, OperatingPointGrid, PreviewGains
 from ..controllers.finite_horizon_control import VOLTAGE_CHANGE_WEIGHT
+from ..errors import InputError
 from ..machine import Machine, rest_state
 
 Array = NDArray[np.float64]
@@ -40,6 +43,11 @@ EXTRAPOLATION_S = 0.01  # s, one control period
 LARGEST_ERROR = 0.5  # m
 LARGEST_SPEED = 1.5  # m/s
 LARGEST_STRETCH = 0.01  # m
+
+# Belt stiffness and masses for which transfers are designed beside the declared ones, as factors on these.
+BANK = ((0.7, 0.95), (0.7, 1.15), (1.3, 0.95), (1.3, 1.15))
+LAST_TRANSFERS = 5  # number of the shortest transfers, those of the arrival, that are designed for the bank
+LARGEST_WEIGHTED = 1.2  # limit of the voltages of a transfer, of the rated voltage
 
 # Observation keys in the order in which they are concatenated; absent keys are skipped. The weights of a trained agent
 # depend on this order.
@@ -204,3 +212,79 @@ def _scaled_columns(columns: Array, scales: Sequence[float], largest: float) -> 
     """Return the columns divided by each scale, and the gains at which the value `largest` gives a feature of 1."""
     gains = [np.full(columns.shape[1], 1.0 / np.log1p(largest / scale)) for scale in scales]
     return np.hstack([columns / scale for scale in scales]), np.concatenate(gains)
+
+
+class TransferBank:
+    """Voltages of minimum-energy transfers of K durations and designs, for a goal at rest.
+
+    Args:
+        machine: Machine for which the transfers are designed.
+        period: Control period, s.
+        transfers: Durations in periods beyond the shortest transfer, ascending.
+
+    Attributes:
+        size: Number K of transfers.
+
+    Raises:
+        InputError: If the machine has no transfer of a duration.
+    """
+
+    def __init__(self, machine: Machine, period: float, transfers: Sequence[int]) -> None:
+        self._model = MotionModel(machine)
+        self._grid = OperatingPointGrid(machine)
+        designed = MinimumEnergyTransfers(self._model, period)
+        if not 0 <= min(transfers) <= max(transfers) <= designed.longest - designed.shortest:
+            raise InputError(
+                f"transfers are {list(transfers)}; machine {machine.name!r} has those of 0 to "
+                f"{designed.longest - designed.shortest} periods beyond the shortest"
+            )
+        gains = [designed.gains[:, list(transfers), 0]]
+        for stiffness, mass in BANK:
+            factors = {".EA": stiffness, ".mass": mass}
+            changed = {
+                name: factor * value
+                for name, value in machine.parameters.items()
+                for suffix, factor in factors.items()
+                if name.endswith(suffix)
+            }
+            variant = MinimumEnergyTransfers(MotionModel(machine.replace(changed)), period)
+            last = np.minimum(transfers[:LAST_TRANSFERS], variant.longest - variant.shortest)
+            gains.append(variant.gains[:, last, 0])
+        self._gains = np.concatenate(gains, axis=1) / self._model.rated[:, None]  # (points, K, drives, 2 n)
+        self._of_observation = self._model.state({"observation": np.eye(self._gains.shape[3])})
+        self.size = self._gains.shape[1]
+
+    def gains(self, goal: NDArray[Any]) -> Array:
+        """Return the gains on the entries of `observation` at goals.
+
+        Args:
+            goal: Tool positions of the goals, m, shape (batch, axes).
+
+        Returns:
+            Gains, fractions of the rated voltage per unit of the entry, shape (batch, K, drives, entries).
+        """
+        return self._gains[self._grid.nearest(np.asarray(goal, np.float64))] @ self._of_observation.T
+
+    def at_rest(self, goal: NDArray[Any]) -> Array:
+        """Return the observations at rest at goals.
+
+        Args:
+            goal: Tool positions of the goals, m, shape (batch, axes).
+
+        Returns:
+            `observation` with full state, m, rad, m/s and rad/s, shape (batch, entries).
+        """
+        return self._model.observation(self._model.goal_state(goal))
+
+    def voltages(self, observation: NDArray[Any], goal: NDArray[Any]) -> Array:
+        """Compute the first voltages of the transfers.
+
+        Args:
+            observation: `observation` with full state, shape (batch, entries).
+            goal: Goals, m, shape (batch, axes).
+
+        Returns:
+            Voltages divided by the rated voltages, limited to LARGEST_WEIGHTED, shape (batch, K, drives).
+        """
+        volts = np.einsum("bkij,bj->bki", self.gains(goal), observation - self.at_rest(goal))
+        return np.asarray(volts.clip(-LARGEST_WEIGHTED, LARGEST_WEIGHTED))

@@ -1,6 +1,6 @@
 """Residual action: base controller plus policy output, scaled by an authority that shrinks near the goal.
 
-    action = base + held * last action + authority * output
+    action = base + held * last action + authority * output + sum of weight * transfer voltage
     authority = min(most, least + distance / full_at_m + speed / full_at_m_s)
     held = max(0, 1 - distance / hold_m - speed / hold_m_s), 0 by default
 
@@ -13,7 +13,7 @@ Training and the finished agent use this one implementation.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,20 +23,19 @@ from numpy.typing import NDArray
 
 from ..controllers import (
     CONTROLLERS,
-    AdaptiveController,
     EpisodeStarts,
     MotionModel,
     ParameterFilter,
 )
 from ..errors import InputError
 from ..machine import Machine
+from .features import TransferBank
 
 Array = NDArray[np.float64]
 Observation = Mapping[str, NDArray[Any]]
 
-# What an adaptive base adds to the observation: attributes of `AdaptiveController` in the order of its `feature_sizes`.
-ADAPTIVE_FEATURES = ("expected_friction", "estimates")
 LARGEST_HELD = 0.12  # largest action that is held, of the rated voltage: twice what Coulomb friction takes
+WEIGHT_SCALE = 5.0  # a weight grows by exp(WEIGHT_SCALE) while its output grows by 1
 
 
 @dataclass(frozen=True)
@@ -98,6 +97,7 @@ class ResidualAction:
         period: Control period, s.
         base: Name of a registered controller whose action the policy corrects; None: the policy acts alone.
         estimates: Whether to estimate friction, masses and belts without a base, for the observation `estimates`.
+        transfers: Durations of transfers whose voltages the policy weights, see `TransferBank`; empty: none.
         **authority: Keyword arguments of `Authority`, which limits the policy's part of the action.
 
     Attributes:
@@ -105,6 +105,7 @@ class ResidualAction:
         period: As given, s.
         tool_speeds: Columns of `observation` with the tool velocity along its axes.
         base: Controller whose action the policy corrects, or None.
+        bank: Transfers whose voltages the policy weights, or None.
 
     Raises:
         InputError: If no controller is registered under the name of the base. Agents are data: their files cannot name
@@ -112,13 +113,21 @@ class ResidualAction:
     """
 
     def __init__(
-        self, machine: Machine, period: float, base: str | None = None, estimates: bool = False, **authority: float
+        self,
+        machine: Machine,
+        period: float,
+        base: str | None = None,
+        estimates: bool = False,
+        transfers: Sequence[int] = (),
+        **authority: float,
     ) -> None:
         self.authority, self.period = Authority(**authority), period
         if base and base not in CONTROLLERS:
             raise InputError(f"base controller {base!r} is unknown; choose one of {', '.join(CONTROLLERS)}")
         self.base = CONTROLLERS.get(base)(machine, period) if base else None
-        self._adaptive_base = self.base if isinstance(self.base, AdaptiveController) else None
+        # Attributes of an adaptive base that it adds to the observation, with their numbers of columns.
+        self._base_features: dict[str, int] = getattr(self.base, "feature_sizes", {})
+        self.bank = TransferBank(machine, period, transfers) if transfers else None
         self._drives = len(machine.drives)
         axes = machine.tool_axes
         first = len({*axes, *(drive.coordinate for drive in machine.drives)})  # after all positions
@@ -130,6 +139,15 @@ class ResidualAction:
         self._last_state: NDArray[Any] = np.zeros((0, 0))  # and of the previous period
         self._last_action = self._base_action = np.zeros((0, 0))  # (batch, drives)
         self._distance = self._speed = np.zeros(0)  # m and m/s, (batch,)
+        self._transfers: Array | None = None  # voltages of the bank, (batch, K, drives)
+
+    def action_space(self) -> spaces.Box:
+        """Build the space of the policy's outputs.
+
+        Returns:
+            Box from -1 to 1 with one entry for each drive, and one for each transfer of the bank.
+        """
+        return spaces.Box(-1.0, 1.0, (self._drives + (self.bank.size if self.bank else 0),), np.float32)
 
     def observation_space(self, observation_space: spaces.Dict) -> spaces.Dict:
         """Extend the observation space of an environment by the keys that `augment` adds.
@@ -139,8 +157,8 @@ class ResidualAction:
 
         Returns:
             Observation space of the policy: the given keys and `last_observation`, `last_action`; with a base
-            controller also `base_action`; with an `AdaptiveController` as base also `expected_friction` and
-            `estimates`.
+            controller also `base_action`; with one that has `feature_sizes` also these attributes: of an
+            `AdaptiveController` `expected_friction` and `estimates`, of a `PredictiveController` `estimates`.
         """
         action_box = spaces.Box(-1.0, 1.0, (self._drives,), np.float32)
         added: dict[str, spaces.Space[Any]] = {
@@ -149,9 +167,8 @@ class ResidualAction:
         }
         if self.base:
             added["base_action"] = action_box
-        if self._adaptive_base:
-            for key, size in zip(ADAPTIVE_FEATURES, self._adaptive_base.feature_sizes.values(), strict=True):
-                added[key] = spaces.Box(-np.inf, np.inf, (size,), np.float32)
+        for key, size in self._base_features.items():
+            added[key] = spaces.Box(-np.inf, np.inf, (size,), np.float32)
         if self._filter:
             added["estimates"] = spaces.Box(-np.inf, np.inf, (self._filter.size,), np.float32)
         return spaces.Dict({**observation_space.spaces, **added})
@@ -197,6 +214,8 @@ class ResidualAction:
         goal = observation["desired_goal"]
         self._distance = np.linalg.norm(goal - state[:, : goal.shape[1]], axis=1)
         self._speed = np.linalg.norm(state[:, self.tool_speeds], axis=1)
+        if self.bank:
+            self._transfers = self.bank.voltages(state, goal)
         if self.base:
             self._base_action = np.clip(self.base.act(observation), -1.0, 1.0)
         return {**observation, **self.history()}
@@ -209,14 +228,12 @@ class ResidualAction:
                 batch of environments.
             last_action: Voltages divided by the rated voltages, shape (batch, drives).
             base_action: Action of the base controller, which the policy corrects, likewise; only with a base.
-            expected_friction: Attribute of this name of an `AdaptiveController`, and likewise `estimates`; only if it
-                is the base.
+            expected_friction: Attribute of this name of the base, and likewise `estimates`; only if it has them.
         """
         added: dict[str, NDArray[Any]] = {"last_observation": self._last_state, "last_action": self._last_action}
         if self.base:
             added["base_action"] = self._base_action
-        if self._adaptive_base:
-            added |= {key: getattr(self._adaptive_base, key) for key in ADAPTIVE_FEATURES}
+        added |= {key: getattr(self.base, key) for key in self._base_features}
         if self._filter:
             added["estimates"] = self._filter.estimates
         return {key: values.astype(np.float32) for key, values in added.items()}
@@ -234,24 +251,31 @@ class ResidualAction:
             Voltages divided by the rated voltages, limited to [-1, 1], shape (batch, drives).
         """
         base_action = self._base_action if self.base else 0.0
-        action = self.combine(output, self._distance, self._speed, self._last_action) + base_action
+        action = self.combine(output, self._distance, self._speed, self._last_action, self._transfers) + base_action
         self.replace_last_action(np.clip(action, -1.0, 1.0))
         return self._last_action
 
-    def combine(self, output: Any, distance: Any, speed: Any, last_action: Any) -> Any:
+    def combine(self, output: Any, distance: Any, speed: Any, last_action: Any, transfers: Any = None) -> Any:
         """Add policy outputs, scaled by the authority, to the held part of the last actions; without base and limits.
 
         Args:
-            output: Policy outputs, array or torch tensor of shape (batch, drives).
+            output: Policy outputs, array or torch tensor of shape (batch, drives), with a bank (batch, drives + K).
             distance: Distances to the goal, m, shape (batch,).
             speed: Tool speeds, m/s, shape (batch,).
             last_action: Actions of the previous period, shape (batch, drives).
+            transfers: Voltages of the bank's K transfers, divided by the rated ones, shape (batch, K, drives).
 
         Returns:
-            held * last action + authority * output, of the same type, shape (batch, drives).
+            held * last action + authority * output + weighted transfers, of the same type, shape (batch, drives).
         """
         held = self.authority.held(distance, speed) * last_action.clip(-LARGEST_HELD, LARGEST_HELD)
-        return held + self.authority(distance, speed) * output
+        action = held + self.authority(distance, speed) * output[:, : self._drives]
+        if transfers is None:
+            return action
+        weights = 2.0 ** (
+            WEIGHT_SCALE / np.log(2.0) * output[:, self._drives :]
+        )  # a softmax, by type-independent means
+        return action + (weights[..., None] * transfers).sum(1) / weights.sum(1)[:, None]
 
     def replace_last_action(self, actions: Array) -> None:
         """Record the actions that were applied, for the next observation and for the base controller.

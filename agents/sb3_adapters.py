@@ -118,7 +118,8 @@ class ResidualActionVecEnv(VecEnvWrapper):
     def __init__(self, environment: HFrameVecEnv, mapping: ResidualAction) -> None:
         inner_space = environment.observation_space
         assert isinstance(inner_space, spaces.Dict)
-        super().__init__(environment, observation_space=mapping.observation_space(inner_space))
+        outputs = mapping.action_space()
+        super().__init__(environment, observation_space=mapping.observation_space(inner_space), action_space=outputs)
         self.mapping = mapping
 
     def __getstate__(self) -> dict[str, Any]:

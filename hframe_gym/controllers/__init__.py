@@ -6,6 +6,9 @@ finite_horizon_control  point-to-point transfers, and tracking of a previewed go
 input_compensation      dead time and static nonlinearities of the drives
 model_based_controller  all of these as one controller (`pid`)
 adaptive_controller     gain scheduling on estimates of friction, masses and belt stiffness (`adaptive-pid`)
+parameter_filter        estimators that compare measured with simulated states
+predictive_controller   plans with identified parameters (`predictive`)
+predictive_plans        its plans
 textbook_pid            the baseline (`textbook-pid`)
 state_estimator         full state and parameters from sensors
 estimation_model        parameters and measurement equation of the state estimator
@@ -28,7 +31,8 @@ from .finite_horizon_control import MinimumEnergyTransfers, PreviewGains, Previe
 from .input_compensation import DeadTime, InputInversion
 from .model_based_controller import ModelBasedController
 from .motion_model import MotionModel, OperatingPointGrid
-from .parameter_filter import ParameterFilter
+from .parameter_filter import ParameterFilter, ParameterWindow
+from .predictive_controller import PredictiveController
 from .state_estimator import StateEstimator
 from .textbook_pid import TextbookPID
 
@@ -48,6 +52,8 @@ __all__ = [
     "OperatingPointGrid",
     "OutputFeedbackController",
     "ParameterFilter",
+    "ParameterWindow",
+    "PredictiveController",
     "PreviewGains",
     "PreviewTracker",
     "StateEstimator",

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from hframe_gym.agents.features import BANK
 from hframe_gym.agents.residual_action import LARGEST_HELD, Authority, ResidualAction
 from hframe_gym.controllers import CONTROLLERS
 from hframe_gym.envs import HFrameVectorEnv, observation_space
@@ -73,3 +74,30 @@ def test_the_base_controller_builds_on_the_action_that_was_applied():
 def test_the_base_controller_of_an_agent_file_imports_no_module():
     with pytest.raises(InputError, match="base controller 'antigravity:pid' is unknown"):
         ResidualAction(MACHINE, 0.01, base="antigravity:pid")
+
+
+def test_outputs_weight_the_voltages_of_transfers():
+    mapping = ResidualAction(MACHINE, 0.01, least=0.0, full_at_m=np.inf, transfers=[0, 4, 20])
+    outputs = mapping.action_space().shape[0]
+    assert outputs == 2 + 3 + 3 * len(BANK)
+    observation = rest_observation(MACHINE, (0.1, 0.0), (0.095, 0.0))
+    shortest, longer, longest = mapping.bank.voltages(observation["observation"], observation["desired_goal"])[0, :3]
+    assert np.abs(shortest).max() > np.abs(longer).max() > np.abs(longest).max() > 0.0
+
+    def action(index):
+        mapping.reset()
+        mapping.augment(observation)
+        output = -np.ones((1, outputs))
+        output[0, 2 + index] = 1.0
+        return mapping.action(output)[0]
+
+    # exp(2 * WEIGHT_SCALE) is a weight of 20 000 to 1.
+    assert action(1) == pytest.approx(longer, abs=1e-3)
+    assert action(2) == pytest.approx(longest, abs=1e-3)
+    at_goal = rest_observation(MACHINE, (0.1, 0.0), (0.1, 0.0))
+    assert np.abs(mapping.bank.voltages(at_goal["observation"], at_goal["desired_goal"])).max() < 1e-3
+
+
+def test_transfers_that_the_machine_lacks_are_refused():
+    with pytest.raises(InputError, match=r"transfers are .* has those of 0 to"):
+        ResidualAction(MACHINE, 0.01, transfers=[0, 999])

@@ -1,0 +1,326 @@
+"""Predictive controller: it identifies the machine within the first periods of an episode, and plans with the result.
+
+Estimation   `ParameterWindow` compares every measured state with simulations of the period before.
+Moves        A plan of voltages within their limits brings the tool to its goal in the fewest periods
+             (`ArrivalPlanner`), planned anew from the measured state every period. Simulations correct the last periods
+             of the approach and what remains at the goal (`PlanRefinement`).
+Paths        A plan over the previewed goals minimizes the distances to them. Every period it is shifted by one period,
+             simulated from the measured state, and corrected by the linear model (real-time iteration).
+Disturbance  Where the simulation cannot explain the measured states, because they are inexact or the machine has
+             effects that are not declared, the estimator also varies a voltage at each drive.
+
+There is no training. The controller takes 0.1 to 0.4 ms per machine and period in batches, and 1.5 to 6 ms for one.
+
+References:
+    Rawlings, Mayne and Diehl (2017), Model Predictive Control: Theory, Computation, and Design.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..machine import Machine
+from .base import CONTROLLERS, Feedback, FullStateController, Mask
+from .finite_horizon_control import HORIZON_S, LONGEST_MARGIN, MAX_TRANSFER_S
+from .input_compensation import DeadTime, InputInversion
+from .motion_model import MotionModel, OperatingPointGrid
+from .parameter_filter import ParameterWindow
+from .predictive_plans import ArrivalPlan, ArrivalPlanner, LinearMotion, PlanRefinement
+
+Array = NDArray[np.float64]
+LONGEST_PERIODS = 60  # until the tool arrives; a longer way is planned again on the way
+FRICTION_SPEED, FRICTION_TRAVEL = 0.02, 1e-3  # m/s and m, over which the expected direction of friction changes
+ARRIVED = 1.2e-4  # m, predicted error of a plan that arrives in time
+LATER = (-1, 0, 1, 2, 3)  # periods by which the arrival may change from one period to the next, in the order tried
+REFINED_PERIODS, PERIODS_BEYOND = 3, 3  # periods until the arrival from which a plan is refined, and length beyond it
+CHANGE_WEIGHT = 1e-5  # m/V, tool error that is as costly as a voltage change of 1 V along a path
+ESTIMATES_CHANGED = 2e-3  # change of an estimate after which linear models are computed again
+SAME_DIRECTION = 0.9  # cosine of the angle between segments of a path without a corner
+
+
+@CONTROLLERS.register("predictive")
+class PredictiveController(FullStateController):
+    """Model-predictive controller that identifies friction, masses and belts during the episode.
+
+    Args:
+        machine: Machine model with its declared parameters.
+        period: Control period, s.
+
+    Attributes:
+        estimator: Estimator of the parameters.
+        feature_sizes: Number of columns of `estimates`, by name; a learned policy on top of this controller observes
+            them.
+
+    Raises:
+        InputError: If the machine does not have one drive per axis of its tool, x or y has no range, or the period is
+            not positive.
+    """
+
+    feedback: ClassVar[Feedback] = "estimated_state"
+
+    def __init__(self, machine: Machine, period: float = 0.01) -> None:
+        super().__init__(machine, period)
+        self._dead_time, self._inversion = DeadTime(machine, period), InputInversion(machine)
+        self._plain = self._dead_time.machine_without_delay
+        self.estimator = ParameterWindow(MotionModel(self._plain), period)
+        self._linear, self._grid = LinearMotion(self.model, period), OperatingPointGrid(machine)
+        top_speed = self.model.top_speed()
+        longest_s = LONGEST_MARGIN * np.sum(self._grid.span / top_speed) if top_speed.min() > 0.0 else MAX_TRANSFER_S
+        self._longest = min(LONGEST_PERIODS, int(np.ceil(longest_s / period)))
+        self._planner = ArrivalPlanner(self.model, period, self._longest)
+        self._refinement = PlanRefinement(self._plain, period, REFINED_PERIODS + PERIODS_BEYOND)
+        self._coulomb = [list(machine.parameters).index(f"{c}.coulomb") for c in machine.coordinate_names]
+        self._tracker: _PathPlanner | None = None  # created when the length of the preview is known
+        self.feature_sizes = {"estimates": self.estimator.size}
+        self._gain_source: tuple[bool, Array] = (False, np.zeros((0, 0, 0)))  # whether the goal moves, and A
+        self._resize(0)
+
+    def _resize(self, batch: int) -> None:
+        """Allocate the memory of B machines."""
+        drives = len(self.model.rated)
+        self._state = np.zeros((batch, 2 * len(self.model.mass)))
+        self._arrival = np.zeros(batch, np.intp)  # periods until the arrival; 0 before the first plan
+        self._settling = np.zeros(batch, np.bool_)
+        self._refined = np.full((batch, self._refinement.periods, drives), np.nan)  # V; NaN: no such plan yet
+        self._elapsed = np.zeros(batch, np.intp)
+
+    def act_on_state(self, state: Array, goals: Array) -> Array:
+        """Compute the actions for the control period that starts now from the states and goals of B simulated machines.
+
+        Args:
+            state: Belt travel (radius * angle of a rotary coordinate, position of a linear one) of the n coordinates
+                and its velocity, m and m/s, shape (B, 2 n).
+            goals: Tool goals, m, shape (B, 1 + P, axes): the present goal, then those at the ends of the next P
+                periods. P = 0 means that the goal does not move.
+
+        Returns:
+            Voltages divided by the rated voltages, in [-1, 1], shape (B, drives).
+
+        Raises:
+            InputError: If the preview ends within the dead time of the drives.
+        """
+        if self._starts.resize(len(state)):
+            self._resize(len(state))
+        starts = self._starts.mask
+        self._dead_time.reset(starts)
+        self._arrival[starts], self._settling[starts], self._refined[starts], self._elapsed[starts] = (
+            0,
+            False,
+            np.nan,
+            0,
+        )
+        actions = self._dead_time.mean_arrived() / self.model.rated
+        self.estimator.update(self._state, state, actions, starts)
+        parameters = self.estimator.parameters(self.estimator.estimates)
+        predicted = self._dead_time.predict(state)
+        volts = (
+            self._track(predicted, goals, parameters)
+            if goals.shape[1] > 1
+            else self._reach(predicted, goals, parameters)
+        )
+        volts = np.clip(volts, -self.model.rated, self.model.rated)
+        self._dead_time.send(volts)
+        self._state, self._elapsed = state, self._elapsed + 1
+        self._starts.clear()
+        return volts / self.model.rated
+
+    def replace_last_action(self, actions: Array) -> None:
+        """Record the actions that were applied instead of those that `act` returned last.
+
+        Args:
+            actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (B, drives) for B machines.
+        """
+        self._dead_time.replace_last(actions * self.model.rated)
+
+    @property
+    def estimates(self) -> Array:
+        """Estimates of friction, masses, belts and lacking voltages, see `ParameterWindow`, shape (B, size)."""
+        return self.estimator.estimates
+
+    def gain(self) -> Array:
+        """Compute the derivative of the last voltages by the state, without limits and refinement.
+
+        Training by gradients needs it, where a policy corrects this controller.
+
+        Returns:
+            Gains, V/m and Vs/m, shape (B, drives, 2 n).
+        """
+        moving, A = self._gain_source
+        if moving and self._tracker is not None:
+            return self._tracker.gain()
+        return self._planner.gain(A, self._arrival)
+
+    def _reach(self, state: Array, goals: Array, parameters: Array) -> Array:
+        """Return commanded voltages (B, drives) for states (B, 2 n), goals (B, 1, axes) and parameters (B, P)."""
+        goal = goals[:, 0]
+        error = state - self.model.goal_state(goal)
+        elapsed_s = self._elapsed.astype(np.float64) * self.period
+        force = self._friction(state, error, parameters) + self.model.effect_force(state, elapsed_s)
+        force += self.estimator.offset @ self.model.drive.T
+        matrices = self._linear.matrices(parameters, goal)
+        self._gain_source = (False, matrices[0])
+        self._planner.predict(matrices, error, force)
+        plan = self._arrival_plan()
+        commands = self._inversion.command(plan.volts.reshape(-1, plan.volts.shape[2])).reshape(plan.volts.shape)
+        volts = commands[:, 0]
+        self._settling |= self._arrival <= 1
+        chosen = self._settling | (self._arrival <= REFINED_PERIODS)
+        if chosen.any():
+            rows = np.flatnonzero(chosen)
+            volts[rows] = self._refine(rows, state, parameters, goal, commands)
+        return volts
+
+    def _friction(self, state: Array, error: Array, parameters: Array) -> Array:
+        """Return the friction force (B, n), N, that acts until the arrival, against the motion or the way ahead."""
+        n = len(self.model.mass)
+        moving = np.tanh(state[:, n:] / FRICTION_SPEED)
+        ahead = -np.tanh(error[:, :n] / FRICTION_TRAVEL)
+        level: Array = self.model.coulomb * _ratio(parameters[:, self._coulomb], self._declared(self._coulomb))
+        return -level * (moving + (1.0 - np.abs(moving)) * ahead)
+
+    def _declared(self, columns: list[int]) -> Array:
+        """Return the declared values of parameters."""
+        return np.array(list(self.machine.parameters.values()))[columns]
+
+    def _arrival_plan(self) -> ArrivalPlan:
+        """Return plans with the earliest arrival, and update the periods until the arrival."""
+        new = self._arrival == 0
+        if new.any():
+            # Bisection, because a later arrival is possible wherever an earlier one is.
+            low, high = np.ones(len(new), np.intp), np.full(len(new), self._longest)
+            while np.any(low < high):
+                middle = (low + high) // 2
+                arrives = self._planner.plan(middle).error < ARRIVED
+                low, high = np.where(arrives | (low == high), low, middle + 1), np.where(arrives, middle, high)
+            self._arrival[new] = high[new] + 1
+        expected = np.maximum(self._arrival - 1, 1)
+        volts, error, found = np.zeros(0), np.zeros(0), np.zeros(len(new), np.bool_)
+        for later in LATER:
+            arrival = np.clip(expected + later, 1, self._longest)
+            plan = self._planner.plan(arrival)
+            chosen = ~found & ((plan.error < ARRIVED) | (later == LATER[-1]))
+            volts = np.where(chosen[:, None, None], plan.volts, volts) if len(volts) else plan.volts
+            error = np.where(chosen, plan.error, error) if len(error) else plan.error
+            self._arrival = np.where(chosen, arrival, self._arrival)
+            found |= chosen
+            if found.all():
+                break
+        return ArrivalPlan(volts, error)
+
+    def _refine(self, rows: NDArray[np.intp], state: Array, parameters: Array, goal: Array, commands: Array) -> Array:
+        """Return the first commanded voltages (rows, drives) of refined plans, and store the plans."""
+        previous, periods = self._refined[rows], self._refinement.periods
+        planned = np.zeros(previous.shape)
+        planned[:, : commands.shape[1]] = commands[rows, :periods]
+        shifted = np.concatenate([previous[:, 1:], np.zeros_like(previous[:, :1])], axis=1)
+        plans = [np.where(np.isnan(shifted), planned, shifted), planned]
+        count = int(self._elapsed.max(initial=0))
+        offset = self.estimator.offset[rows, None]
+        plans = [volts + offset for volts in plans]
+        best = self._refinement.improve(state[rows], parameters[rows], goal[rows], plans, self._arrival[rows], count)
+        self._refined[rows] = best - offset
+        return best[:, 0] - offset[:, 0]
+
+    def _track(self, state: Array, goals: Array, parameters: Array) -> Array:
+        """Return commanded voltages (B, drives) for goals (B, 1 + P, axes), m, now and at the end of each period."""
+        goals = self._dead_time.delayed_goals(goals)
+        horizon = min(goals.shape[1] - 1, max(1, round(HORIZON_S / self.period)))
+        if self._tracker is None or self._tracker.horizon != horizon:
+            self._tracker = _PathPlanner(self._linear, self._grid, self._plain, self.period, horizon)
+        offset, self._gain_source = self.estimator.offset, (True, np.zeros((0, 0, 0)))
+        return self._tracker.command(
+            state, goals[:, : horizon + 1], parameters, offset, self._inversion, self._starts.mask
+        )
+
+
+class _PathPlanner:
+    """Planner of the motion along a previewed path for B machines with different parameters.
+
+    Args:
+        linear: Linear models of the machines.
+        grid: Operating points at which they are linearized.
+        machine: Machine that is simulated.
+        period: Control period, s.
+        horizon: Number of previewed goals, H.
+    """
+
+    def __init__(
+        self, linear: LinearMotion, grid: OperatingPointGrid, machine: Machine, period: float, horizon: int
+    ) -> None:
+        self._linear, self._grid, self.horizon = linear, grid, horizon
+        self._simulation = PlanRefinement(machine, period, horizon)
+        self._rated = np.array([d.rated_voltage for d in machine.drives])
+        self._tool = [machine.coordinate_names.index(axis) for axis in machine.tool_axes]
+        entries = horizon * len(self._rated)
+        self._difference = np.eye(entries) - np.eye(entries, k=-len(self._rated))
+        self._volts = np.zeros((0, horizon, len(self._rated)))  # plan of the last period, V
+        self._parameters, self._points = np.zeros((0, 0)), np.zeros(0, np.intp)
+        self._response = self._by_state = np.zeros((0, 0, 0))
+
+    def command(
+        self, state: Array, goals: Array, parameters: Array, offset: Array, inversion: InputInversion, starts: Mask
+    ) -> Array:
+        """Return the commanded voltages of the present period, V, shape (B, drives).
+
+        Args:
+            state: Belt travel and its velocity, m and m/s, shape (B, 2 n).
+            goals: Tool goals now and at the ends of the next H periods, m, shape (B, 1 + H, axes).
+            parameters: Parameters of the machines, SI, shape (B, P).
+            offset: Voltages that act beside the commanded ones, V, shape (B, drives).
+            inversion: Characteristics of the drives.
+            starts: True for machines whose episode starts, shape (B,).
+        """
+        if len(self._volts) != len(state):
+            self._volts = np.zeros((len(state), self.horizon, len(self._rated)))
+        self._volts[starts] = 0.0
+        self._update_response(parameters, self._grid.nearest(goals[:, 0]))
+        batch, entries = len(state), self._difference.shape[0]
+        last = np.zeros((batch, entries))
+        last[:, : len(self._rated)] = self._volts[:, 0]
+        volts = np.concatenate([self._volts[:, 1:], self._volts[:, -1:]], axis=1)
+        R, D = self._response, CHANGE_WEIGHT * self._difference
+        normal = R.transpose(0, 2, 1) @ R + D.T @ D
+        commands = inversion.command(volts.reshape(-1, len(self._rated))).reshape(volts.shape)
+        samples = self._simulation.tool(state, parameters, commands + offset[:, None])
+        ends = samples[:, samples.shape[1] // self.horizon - 1 :: samples.shape[1] // self.horizon]
+        error = (ends - goals[:, 1:]).reshape(batch, -1)
+        change = volts.reshape(batch, -1) @ D.T - CHANGE_WEIGHT * last
+        gradient = np.einsum("bij,bi->bj", R, error) + change @ D
+        volts = volts - np.linalg.solve(normal, gradient[..., None]).reshape(volts.shape)
+        self._volts = np.clip(volts, -self._rated, self._rated)
+        return inversion.command(self._volts[:, 0])
+
+    def _update_response(self, parameters: Array, points: NDArray[np.intp]) -> None:
+        """Compute the response of the tool at the ends of the periods to the voltages (B, axes H, drives H) anew."""
+        if len(self._parameters) == len(parameters) and np.array_equal(points, self._points):
+            change = parameters / np.where(self._parameters, self._parameters, 1.0) - 1.0
+            if np.abs(change).max() < ESTIMATES_CHANGED:
+                return
+        self._parameters, self._points = parameters, points
+        A, pulse, _ = self._linear.matrices(parameters, self._grid.points[points])
+        H, axes, drives = self.horizon, len(self._tool), len(self._rated)
+        response = np.zeros((len(parameters), H, axes, H, drives))
+        power, by_state = A, []
+        for lag in range(H):
+            for period in range(H - lag):
+                response[:, period + lag, :, period] = pulse[:, self._tool]
+            by_state.append(power[:, self._tool])
+            pulse, power = A @ pulse, A @ power
+        self._response = response.reshape(len(parameters), axes * H, drives * H)
+        self._by_state = np.concatenate(by_state, axis=1)
+
+    def gain(self) -> Array:
+        """Return the derivative of the first voltages by the state, V/m and Vs/m, shape (B, drives, 2 n)."""
+        R, D = self._response, CHANGE_WEIGHT * self._difference
+        normal = R.transpose(0, 2, 1) @ R + D.T @ D
+        gains = -np.linalg.solve(normal, R.transpose(0, 2, 1) @ self._by_state)[:, : len(self._rated)]
+        inside = np.abs(self._volts[:, 0]) < self._rated
+        return np.asarray(gains * inside[:, :, None])
+
+
+def _ratio(values: Array, declared: Array) -> Array:
+    """Return values (B, k) over declared values (k,), 1 where these are zero."""
+    return values / np.where(declared, declared, 1.0) + (declared == 0.0)

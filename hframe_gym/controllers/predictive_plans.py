@@ -1,0 +1,343 @@
+"""Plans of a predictive controller: linear models of batches of different machines, and voltages that arrive in time.
+
+`LinearMotion`     Linear models of B different machines.
+`ArrivalPlanner`   Voltages within their limits that bring the tool to its goal in K periods and keep it there, by a
+                   quadratic program with limits for each machine; the belts come to rest after the tool.
+`PlanRefinement`   Correction of the last periods of such a plan by simulations, which contain static friction: it
+                   decides where a tool stops that approaches its goal by a tenth of a millimeter.
+
+References:
+    Boyd and Vandenberghe (2004), Convex Optimization, section 5.5 (the dual problem).
+    Diehl, Bock and Schloeder (2005), A real-time iteration scheme for nonlinear optimization in optimal feedback
+    control.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..dynamics import Equations, MotionPoint, mode_frequencies, simulate_batch
+from ..machine import Machine
+from .finite_horizon_control import VELOCITY_SCALE_S
+from .motion_model import MotionModel
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+TAYLOR_DEGREE, HALVINGS = 8, 7  # of the matrix exponential; the period over 2^7 is far below that of any belt mode
+# Arrival: unit of the tool's errors, m, weight of the belts' motion at the end of the plan, and of the voltages as
+# fractions of their limits. The tool's error counts most.
+TOOL_UNIT, REST_WEIGHT, EFFORT_WEIGHT = 1e-4, 0.1, 1e-2
+REST_MODE_PERIODS = 1.2  # time in which the tool is held at its goal in the plan, in periods of the slowest belt mode
+NEWTON_STEPS, STEP_LENGTHS, CONVERGED = 10, (1.0, 0.4, 0.1), 1e-7
+# Refinement: steps of the differences, V, which reach across static friction; error per sample that costs about as much
+# as a larger one, in SAMPLE_UNIT; damping of the tried corrections with their lengths.
+VOLTAGE_STEPS = (0.1, 0.2, 0.4)
+SAMPLE_UNIT, ROBUST_UNITS, LARGE_WEIGHT = 2e-5, 10.0, 0.02
+CORRECTIONS = ((1e-2, 1.0), (1e-2, 0.5), (1.0, 1.0), (30.0, 1.0))
+REFINEMENTS, SAMPLES = 2, 4  # iterations per period, and samples of the tool per period
+INTEGRATION_STEP = 5e-4  # s, that of the environments
+
+
+class LinearMotion:
+    """Discrete-time linear models of B machines with different parameters, for voltages that are held over a period.
+
+    The state is belt travel (radius * angle of a rotary coordinate) of n coordinates and its velocity.
+
+    Args:
+        model: Model of the machine with its declared parameters.
+        period: Control period, s.
+    """
+
+    def __init__(self, model: MotionModel, period: float) -> None:
+        self._model, self._period = model, period
+        self._machine = dataclasses.replace(model.machine, effects=())
+        self._extension = model.machine.belt_matrix / model.machine.travel_per_unit  # per belt travel, (belts, n)
+
+    def matrices(self, parameters: Array, position: Array) -> tuple[Array, Array, Array]:
+        """Linearize the machines without Coulomb friction and effects, and discretize them with zero-order hold.
+
+        Args:
+            parameters: Parameters of B machines in the order of `Machine.parameters`, SI, shape (B, P).
+            position: Tool positions of the linearization, m, shape (B, axes).
+
+        Returns:
+            A: System matrices, shape (B, 2 n, 2 n).
+            B: Input matrices of the voltages, m/V and m/(Vs), shape (B, 2 n, drives).
+            E: Input matrices of a force on each coordinate, m/N and m/(Ns), shape (B, 2 n, n).
+        """
+        model, n, drives = self._model, len(self._model.mass), len(self._model.rated)
+        equations = Equations(self._machine, dict(zip(model.machine.parameters, parameters.T, strict=True)))
+        travel = position @ model.rigid.T
+        belts = equations.belt_states(MotionPoint(list(travel.T), list(np.zeros_like(travel).T)))
+        values = [belt.stiffness for belt in belts] + [equations.mass(i) for i in range(n)]
+        stiffness, mass = np.split(np.array([value + np.zeros(len(parameters)) for value in values]).T, [len(belts)], 1)
+        rates = np.zeros((len(parameters), 3 * n + drives, 3 * n + drives))
+        rates[:, :n, n : 2 * n] = np.eye(n)
+        rates[:, n : 2 * n, :n] = -np.einsum("bk,ki,kj->bij", stiffness, self._extension, self._extension)
+        rates[:, n : 2 * n, n : 2 * n] = -np.diag(model.viscous)
+        rates[:, n : 2 * n, 2 * n : 2 * n + drives] = model.drive
+        rates[:, n : 2 * n, 2 * n + drives :] = np.eye(n)
+        rates[:, n : 2 * n] /= mass[:, :, None]
+        # Matrix exponential by a Taylor series and repeated squaring.
+        power = step = rates * (self._period / 2**HALVINGS)
+        discrete = np.eye(rates.shape[1]) + step
+        for degree in range(2, TAYLOR_DEGREE + 1):
+            power = power @ step / degree
+            discrete = discrete + power
+        for _ in range(HALVINGS):
+            discrete = discrete @ discrete
+        discrete = discrete[:, : 2 * n]
+        return discrete[:, :, : 2 * n], discrete[:, :, 2 * n : 2 * n + drives], discrete[:, :, 2 * n + drives :]
+
+
+class ArrivalPlan(NamedTuple):
+    """Plans of B machines.
+
+    Attributes:
+        volts: Motor voltages of the periods from now on, V, shape (B, periods, drives); zero after the end of a plan.
+        error: Largest predicted distance of the tool to its goal from its arrival on, m, shape (B,).
+    """
+
+    volts: Array
+    error: Array
+
+
+class ArrivalPlanner:
+    """Planner of motions to a goal at rest, for B machines with different parameters.
+
+    Args:
+        model: Model of the machine with its declared parameters, n coordinates.
+        period: Control period, s.
+        longest: Largest number of periods until the tool arrives.
+    """
+
+    def __init__(self, model: MotionModel, period: float, longest: int) -> None:
+        self._model, self._longest = model, longest
+        modes = [frequency for frequency in mode_frequencies(model.machine) if frequency > 0.0]
+        slowest = REST_MODE_PERIODS / min(modes) if modes else 0.0
+        self._hold = max(3, int(np.ceil(slowest / period - 0.3)))  # planned periods after the arrival
+        self._tool = [model.machine.coordinate_names.index(axis) for axis in model.axes]
+        self._scale = np.repeat([1.0, 1.0 / VELOCITY_SCALE_S], len(model.mass))
+
+    def predict(self, matrices: tuple[Array, Array, Array], error: Array, force: Array) -> None:
+        """Compute what all plans of the present period need.
+
+        Args:
+            matrices: Linear models A, B and E as `LinearMotion.matrices` returns them, in m, s, V and N, of the shapes
+                (B, 2 n, 2 n), (B, 2 n, drives) and (B, 2 n, n).
+            error: State minus goal state: belt travel of the n coordinates and its velocity, m and m/s, shape (B, 2 n).
+            force: Force on each coordinate until the tool arrives, for example friction, N, shape (B, n).
+        """
+        scale = self._scale
+        A = matrices[0] / scale[:, None] * scale
+        pulse, push = matrices[1] / scale[:, None], np.einsum("bij,bj->bi", matrices[2] / scale[:, None], force)
+        state = error / scale
+        pulses, states, pushes = [pulse], [state], [np.zeros_like(push), push]
+        for _ in range(self._longest + self._hold):
+            pulses.append(A @ pulses[-1])
+            states.append(np.einsum("bij,bj->bi", A, states[-1]))
+            pushes.append(np.einsum("bij,bj->bi", A, pushes[-1]))
+        self._pulses = np.stack(pulses, axis=1)  # A^j B, (B, periods, 2 n, drives)
+        self._free = np.stack(states, axis=1)  # A^j e, (B, periods, 2 n)
+        self._pushed = np.cumsum(np.stack(pushes, axis=1), axis=1)  # sum of A^i E f for i < j
+
+    def plan(self, arrival: Indices) -> ArrivalPlan:
+        """Compute the voltages with which the tool is closest to its goal from the end of period K on.
+
+        Args:
+            arrival: Number K of periods until the arrival, 1 or more, shape (B,).
+
+        Returns:
+            `ArrivalPlan`: voltages, V, shape (B, periods, drives), and largest error, m, shape (B,).
+        """
+        rated, axes, batch = self._model.rated, len(self._tool), len(arrival)
+        # Residuals are R a + c for actions a within [-1, 1].
+        R, c = self._residuals(arrival)
+        actions = _least_squares_within_limits(R, c)
+        residual = (np.einsum("bij,bj->bi", R, actions) + c)[:, : self._hold * axes] * TOOL_UNIT
+        distance = np.linalg.norm(residual.reshape(batch, self._hold, axes), axis=2).max(axis=1)
+        volts = np.zeros((batch, self._longest + self._hold, len(rated)))
+        periods = actions.shape[1] // len(rated)
+        volts[:, :periods] = actions.reshape(batch, periods, len(rated)) * rated
+        return ArrivalPlan(volts, distance)
+
+    def gain(self, A: Array, arrival: Indices) -> Array:
+        """Compute the derivative of a plan's first voltages by the present state.
+
+        Args:
+            A: System matrices of the machines, as given to `predict`, shape (B, 2 n, 2 n).
+            arrival: Number K of periods until the arrival, shape (B,).
+
+        Returns:
+            Gains, V/m and Vs/m, shape (B, drives, 2 n).
+        """
+        R, c = self._residuals(arrival)
+        free = np.abs(_least_squares_within_limits(R, c)) < 1.0
+        R = R / np.sqrt(EFFORT_WEIGHT)
+        scaled, powers = A / self._scale[:, None] * self._scale, [np.broadcast_to(np.eye(A.shape[1]), A.shape)]
+        for _ in range(int(arrival.max()) + self._hold):
+            powers.append(scaled @ powers[-1])
+        power, each = np.stack(powers, axis=1), np.arange(len(arrival))
+        rows = [power[each, arrival + after][:, self._tool] for after in range(self._hold)]
+        by_state = np.concatenate([*rows, REST_WEIGHT * power[each, arrival + self._hold]], axis=1) / TOOL_UNIT
+        normal = (R * free[:, None]) @ R.transpose(0, 2, 1) + np.eye(R.shape[1])
+        drives = len(self._model.rated)
+        first = (R * free[:, None])[:, :, :drives].transpose(0, 2, 1)
+        actions = -first @ np.linalg.solve(normal, by_state) / np.sqrt(EFFORT_WEIGHT)
+        return actions * self._model.rated[:, None] / self._scale
+
+    def _residuals(self, arrival: Indices) -> tuple[Array, Array]:
+        """Return R (B, rows, actions) and c (B, rows) of the residuals R a + c of plans with an arrival (B,)."""
+        end = arrival + self._hold
+        rows, constants = [], []
+        for after in range(self._hold):
+            response, free = self._response(arrival + after, end.max(), arrival)
+            rows.append(response[:, self._tool] / TOOL_UNIT)
+            constants.append(free[:, self._tool] / TOOL_UNIT)
+        response, free = self._response(end, end.max(), arrival)
+        rows.append(response * (REST_WEIGHT / TOOL_UNIT))
+        constants.append(free * (REST_WEIGHT / TOOL_UNIT))
+        return np.concatenate(rows, axis=1) * np.tile(self._model.rated, end.max()), np.concatenate(constants, axis=1)
+
+    def _response(self, time: Indices, periods: int, arrival: Indices) -> tuple[Array, Array]:
+        """Return the response (B, 2 n, periods * drives) of the state at times (B,), in periods, and the state at 0 V.
+
+        The force acts until the arrival (B,).
+        """
+        each = np.arange(len(time))
+        lag = time[:, None] - 1 - np.arange(periods)
+        pulses = np.where((lag >= 0)[..., None, None], self._pulses[each[:, None], np.maximum(lag, 0)], 0.0)
+        response = pulses.transpose(0, 2, 1, 3).reshape(len(time), pulses.shape[2], -1)
+        free = self._free[each, time] + self._pushed[each, time] - self._pushed[each, np.maximum(time - arrival, 0)]
+        return response, free
+
+
+def _least_squares_within_limits(R: Array, c: Array) -> Array:
+    """Return a within [-1, 1] that minimizes |R a + c|^2 + EFFORT_WEIGHT |a|^2 for each machine, shape (B, columns).
+
+    Newton's method on the dual problem, which has as many unknowns as R has rows and no limits.
+    """
+    limit = np.sqrt(EFFORT_WEIGHT)  # of the scaled unknowns v = limit * a
+    R = R / limit
+    transposed, identity = R.transpose(0, 2, 1), np.eye(R.shape[1])
+
+    def dual(multipliers: Array) -> Array:
+        value = np.abs(np.einsum("bij,bi->bj", R, multipliers))
+        inner = np.where(value < limit, 0.5 * value**2, limit * value - 0.5 * limit**2).sum(axis=1)
+        return np.asarray(inner - (c * multipliers).sum(axis=1) + 0.5 * (multipliers**2).sum(axis=1))
+
+    multipliers = np.asarray(np.linalg.solve(R @ transposed + identity, c[..., None])[..., 0], np.float64)
+    best = dual(multipliers)
+    for _ in range(NEWTON_STEPS):
+        value = np.einsum("bij,bi->bj", R, multipliers)
+        slope = np.einsum("bij,bj->bi", R, np.clip(value, -limit, limit)) - c + multipliers
+        if np.abs(slope).max() < CONVERGED:
+            break
+        inside = (np.abs(value) < limit)[:, None]
+        step = -np.linalg.solve((R * inside) @ transposed + identity, slope[..., None])[..., 0]
+        start = multipliers
+        for length in STEP_LENGTHS:
+            trial = np.asarray(start + length * step, np.float64)
+            cost = dual(trial)
+            multipliers = np.asarray(np.where((cost < best)[:, None], trial, multipliers), np.float64)
+            best = np.minimum(cost, best)
+    return np.asarray(-np.clip(np.einsum("bij,bi->bj", R, multipliers), -limit, limit) / limit)
+
+
+class PlanRefinement:
+    """Improvement of plans of a few periods by simulations of B machines.
+
+    Args:
+        machine: Machine that is simulated, with its effects.
+        period: Control period, s.
+        periods: Number of periods of a plan, P.
+    """
+
+    def __init__(self, machine: Machine, period: float, periods: int) -> None:
+        self._machine, self.periods = machine, periods
+        self._time_s = np.linspace(0.0, period * periods, periods * SAMPLES + 1)
+        self._units = np.tile(machine.travel_per_unit, 2)
+        self._rated = np.array([d.rated_voltage for d in machine.drives])
+        self._tool = [machine.coordinate_names.index(axis) for axis in machine.tool_axes]
+        self._entries = periods * len(self._rated)
+
+    def tool(self, state: Array, parameters: Array, volts: Array) -> Array:
+        """Simulate the tool under given voltages.
+
+        Args:
+            state: Belt travel of n coordinates and its velocity, m and m/s, shape (B, 2 n).
+            parameters: Parameters in the order of `Machine.parameters`, SI, shape (B, P).
+            volts: Commanded voltages of each period, V, shape (B, periods, drives).
+
+        Returns:
+            Tool positions at SAMPLES times per period, the last of which is its end, m, shape (B, samples, axes).
+        """
+        inputs = np.repeat(volts, SAMPLES, axis=1)
+        motion = simulate_batch(
+            self._machine,
+            self._time_s[: inputs.shape[1] + 1],
+            np.concatenate([inputs, inputs[:, -1:]], axis=1),
+            parameters=parameters,
+            start=state / self._units,
+            longest_step=INTEGRATION_STEP,
+            readings=False,
+            parallel=False,
+        )
+        return np.asarray(motion.positions[:, 1:, self._tool])
+
+    def improve(
+        self, state: Array, parameters: Array, goal: Array, plans: list[Array], arrival: Indices, count: int
+    ) -> Array:
+        """Choose the best of several plans and improve it, so that the tool stays close to its goal from K on.
+
+        Args:
+            state: Belt travel of n coordinates and its velocity, m and m/s, shape (B, 2 n).
+            parameters: Parameters in the order of `Machine.parameters`, SI, shape (B, P).
+            goal: Tool goals, m, shape (B, axes).
+            plans: Commanded voltages of each period, V, each of shape (B, periods, drives).
+            arrival: Number K of periods until the tool should have arrived, shape (B,).
+            count: Number of the period in the episode, which alternates the steps of the differences.
+
+        Returns:
+            Commanded voltages of the best plan, V, shape (B, periods, drives).
+        """
+        batch, entries = len(state), self._entries
+        counted = np.arange(1, self.periods * SAMPLES + 1) >= arrival[:, None] * SAMPLES  # (B, samples)
+
+        def residuals(volts: Array, repeats: int = 1) -> Array:
+            """Return the errors of the tool in SAMPLE_UNIT, (B * repeats, samples, axes)."""
+            start, values, end = (np.repeat(array, repeats, axis=0) for array in (state, parameters, goal))
+            error = (self.tool(start, values, volts) - end[:, None]) / SAMPLE_UNIT
+            return np.asarray(error * np.repeat(counted, repeats, axis=0)[..., None])
+
+        best, remaining, cost = plans[0], np.zeros(0), np.full(batch, np.inf)
+
+        def consider(volts: Array) -> None:
+            nonlocal best, remaining, cost
+            residual = residuals(volts)
+            distance = np.linalg.norm(residual, axis=2)
+            costs = (distance / (1.0 + distance / ROBUST_UNITS) + LARGE_WEIGHT * distance).sum(axis=1)
+            better = (costs < cost)[:, None, None]
+            best, cost = np.where(better, volts, best), np.minimum(costs, cost)
+            remaining = np.where(better, residual, remaining) if len(remaining) else residual
+
+        for plan in plans:
+            consider(plan)
+        for iteration in range(REFINEMENTS):
+            turn = count * REFINEMENTS + iteration + np.arange(entries)
+            steps = np.take(VOLTAGE_STEPS, turn % len(VOLTAGE_STEPS)) * np.where(turn % 2, 1.0, -1.0)
+            changed = np.repeat(best.reshape(batch, 1, entries), entries, axis=1) + np.diag(steps)
+            shifted = residuals(changed.reshape(-1, *best.shape[1:]), entries).reshape(batch, entries, -1)
+            J = (shifted - remaining.reshape(batch, 1, -1)) / steps[:, None]
+            robust = (1.0 + np.linalg.norm(remaining, axis=2, keepdims=True) / ROBUST_UNITS) ** -2.0
+            weighted = J * np.broadcast_to(robust, remaining.shape).reshape(batch, 1, -1)
+            H, gradient = weighted @ J.transpose(0, 2, 1), weighted @ remaining.reshape(batch, -1, 1)
+            start = best
+            for damping, length in CORRECTIONS:
+                change = np.linalg.solve(H + damping * np.eye(entries), gradient)[..., 0].reshape(best.shape)
+                consider(np.clip(start - length * change, -self._rated, self._rated))
+        return best
