@@ -6,6 +6,7 @@ import dataclasses
 import io
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -549,3 +550,13 @@ def test_a_single_run_cannot_be_identified_and_the_message_says_how_to_cut_it(
     command = f"hframe import {tmp_path / 'run_01.csv.gz'} --out RUNS --split-at-rests"
     assert_refused(result, "has the single run 'run_01' of", command)
     assert not (tmp_path / "out").exists()
+
+
+def test_a_scorecard_of_one_axis_has_its_positions(hframe_command: Command, tmp_path: Path) -> None:
+    words = ("evaluate", "pid", "--machine", "axis", "--episodes", 2, "--html", "--out", tmp_path)
+    code, out, _ = hframe_command(*words)
+    assert code == 0
+    assert re.search(
+        r"Path of the tool under pid, from -?\d+ mm to the goal at -?\d+ mm", (tmp_path / "scorecard.html").read_text()
+    )
+    assert "Next: hframe train ppo --machine axis --task reach" in out

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..atomic_files import atomic_file
 from ..web_page import SERIES, Panel, color, legend_above, number, plot_style
@@ -123,6 +124,12 @@ def _plot_voltages(axes: Any, episodes: Episodes, episode: int) -> None:
     legend_above(axes)
 
 
+def _point(position: NDArray[np.float64]) -> str:
+    """Format a position, one or two coordinates in mm: "12" or "(12, -3)"."""
+    texts = [f"{value:.0f}" for value in position]
+    return texts[0] if len(texts) == 1 else f"({', '.join(texts)})"
+
+
 def episode_panels(name: str, episodes: Episodes, episode: int = 0) -> list[Panel]:
     """Describe the three plots of an episode for a page: tool path, distance over time, voltages.
 
@@ -136,8 +143,8 @@ def episode_panels(name: str, episodes: Episodes, episode: int = 0) -> list[Pane
     """
     start, goal = 1e3 * episodes.position[episode, 0], 1e3 * episodes.goal[episode, -1]
     final_mm = 1e3 * float(episodes.goal_error[episode, -1])
-    route = f"from ({start[0]:.0f}, {start[1]:.0f}) mm"
-    route += f" to the goal at ({goal[0]:.0f}, {goal[1]:.0f}) mm" if episodes.contour is None else " along the path"
+    route = f"from {_point(start)} mm"
+    route += f" to the goal at {_point(goal)} mm" if episodes.contour is None else " along the path"
     largest = float(np.abs(episodes.volts[episode]).max())
     return [
         Panel(

@@ -18,7 +18,13 @@ from .dataset import Dataset
 from .effect_size import depend_on_same_variable, effect_force, force_difference
 from .estimation import Fit
 from .machine_validation import validation_fault
-from .model_error import fit_with_model_error, leave_one_out_gain, long_run_variance, residue_force
+from .model_error import (
+    fit_with_model_error,
+    leave_one_out_gain,
+    long_run_variance,
+    minimum_gain,
+    residue_force,
+)
 from .prediction import SEARCH_BANDWIDTH
 from .trial_fits import (
     converge,
@@ -273,12 +279,20 @@ class EffectSearch:
 
     def _too_small(self, without: Fit, with_effect: Fit, effect: AppliedEffect) -> str:
         """Return that an effect is smaller than what remains unexplained beside it, "" if it is larger."""
-        size, residue = effect_force(with_effect.machine, effect, self._data), residue_force(with_effect, self._data)
-        if effect.definition.structure:  # no force at the machine's coordinates: what it takes from the unexplained one
-            size = math.sqrt(max(residue_force(without, self._data) ** 2 - residue**2, 0.0))
+        size, residue = self._forces(without, with_effect, effect)
+        if self._criteria.min_promised_force_ratio * residue <= size < self._criteria.min_force_ratio * residue:
+            # In doubt, what remains is measured by the observer that is then needed.
+            size, residue = self._forces(without, fit_with_model_error(with_effect, self._data), effect)
         if size >= self._criteria.min_force_ratio * residue:
             return ""
         return f"has a force of {1e3 * size:.2g} mN, where {1e3 * residue:.2g} mN remain unexplained"
+
+    def _forces(self, without: Fit, with_effect: Fit, effect: AppliedEffect) -> tuple[float, float]:
+        """Return the force of an effect and the force that remains unexplained beside it, N."""
+        size, residue = effect_force(with_effect.machine, effect, self._data), residue_force(with_effect, self._data)
+        if effect.definition.structure:  # no force at the machine's coordinates: what it takes from the unexplained one
+            size = math.sqrt(max(residue_force(without, self._data) ** 2 - residue**2, 0.0))
+        return size, residue
 
     def _form_error(self, without: Fit, with_effect: Fit, effect: AppliedEffect) -> str:
         """Return that an effect may be an error in the form of a larger one, "" if nothing speaks for that."""
@@ -329,21 +343,3 @@ def _rivals(trials: list[Fit], current: Fit, data: Dataset, criteria: SelectionC
     margin = _margin(current, best.cost, data, criteria)
     close = (t.machine.effects[-1] for t in trials[1:] if t.cost - best.cost < margin)
     return tuple(e for e in close if e.label != best.machine.effects[-1].label)
-
-
-def minimum_gain(current: Fit, criteria: SelectionCriteria) -> float:
-    """Return the smallest reduction of chi-squared per sample for which an effect is selected.
-
-    Args:
-        current: Fit without the effect. The bandwidth of the observer that corrects its predictions decides between the
-            limits of one-step prediction (60 rad/s) and of simulation or slower observers.
-        criteria: Decision thresholds, which raise the result for short recordings and large residuals.
-
-    Returns:
-        Required reduction of chi-squared per sample, dimensionless.
-    """
-    # Three limits: for the kind of prediction, for the total of few samples, for a fraction of the error beyond noise.
-    wide = current.bandwidth >= SEARCH_BANDWIDTH
-    min_gain = criteria.min_gain_one_step if wide else criteria.min_gain_simulation
-    excess = current.chi2 - 1.0
-    return max(min_gain, criteria.min_total_gain / current.count, criteria.min_gain_fraction * excess)

@@ -321,3 +321,21 @@ def at_bandwidth(fitted: Fit, bandwidth: float, data: Dataset) -> Fit:
         return fitted
     step = search_step(bandwidth)
     return fit(fitted.machine, fitted.free, data, bandwidth, theta=fitted.theta, longest_step=step)
+
+
+def minimum_gain(current: Fit, criteria: SelectionCriteria) -> float:
+    """Return the smallest reduction of chi-squared per sample for which an effect is selected.
+
+    Args:
+        current: Fit without the effect. The bandwidth of the observer that corrects its predictions decides between the
+            limits of one-step prediction (60 rad/s) and of simulation or slower observers.
+        criteria: Decision thresholds, which raise the result for short recordings and large residuals.
+
+    Returns:
+        Required reduction of chi-squared per sample, dimensionless.
+    """
+    # Three limits: for the kind of prediction, for the total of few samples, for a fraction of the error beyond noise.
+    wide = current.bandwidth >= SEARCH_BANDWIDTH
+    min_gain = criteria.min_gain_one_step if wide else criteria.min_gain_simulation
+    excess = current.chi2 - 1.0
+    return max(min_gain, criteria.min_total_gain / current.count, criteria.min_gain_fraction * excess)

@@ -87,8 +87,11 @@ def identify(
     data, unused = with_known_positions(all_runs.with_runs([r.name for r in recordings if r.name not in held_names]))
     log(f"fitting {machine.name} to {len(data.runs)} runs, {len(validation.runs)} held out")
     outcome = search_effects(machine, data, criteria, log)
-    after = outcome.after
-    differing = contradicting_held_out_runs(after, refine_encoder_offsets(held_out_runs, after.machine, outcome.data))
+    differing = _contradicting_held_out_runs(outcome, held_out_runs)
+    if outcome.contradiction and differing:
+        log(f"{', '.join(differing)} contradicts these runs as well; searching in all fitted runs")
+        outcome = search_effects(machine, data, criteria, log, leave_out=False)
+        differing = _contradicting_held_out_runs(outcome, held_out_runs)
     agreeing = held_out_runs.with_runs([run.name for run in held_out_runs.runs if run.name not in differing])
     outcome = _without_unconfirmed(outcome, agreeing, log)
     unused += (_CONTRADICTION.format(outcome.contradiction),) if outcome.contradiction else ()
@@ -96,6 +99,12 @@ def identify(
     result = _result(outcome, machine, ranges, validation, as_measured, criteria)
     log(f"verdict: {result.verdict}")
     return dataclasses.replace(result, seconds=time.perf_counter() - began, excluded=(*unused, *excluded))
+
+
+def _contradicting_held_out_runs(outcome: SearchOutcome, held_out_runs: Dataset) -> tuple[str, ...]:
+    """Return the names of the held-out runs that contradict the machine which explains the fitted runs."""
+    refined = refine_encoder_offsets(held_out_runs, outcome.after.machine, outcome.data)
+    return contradicting_held_out_runs(outcome.after, refined)
 
 
 def _refuse_unusable(recordings: Sequence[Recording], held_names: Sequence[str]) -> None:

@@ -16,6 +16,7 @@ from .model_error import contradicting_run, explains, fit_with_model_error, poli
 from .nonparametric import add_tables
 from .prediction import SEARCH_BANDWIDTH, SIMULATION
 from .result import Verdict
+from .trial_fits import converge
 
 
 class SearchOutcome(NamedTuple):
@@ -44,7 +45,9 @@ class SearchOutcome(NamedTuple):
     contradiction: str | None = None
 
 
-def search_effects(machine: Machine, data: Dataset, criteria: SelectionCriteria, log: Log) -> SearchOutcome:
+def search_effects(
+    machine: Machine, data: Dataset, criteria: SelectionCriteria, log: Log, *, leave_out: bool = True
+) -> SearchOutcome:
     """Refit a machine and search for the effects that it lacks.
 
     A run that contradicts the others is left out if no effect explains both, although the others are explained to
@@ -56,12 +59,13 @@ def search_effects(machine: Machine, data: Dataset, criteria: SelectionCriteria,
         data: Runs to fit.
         criteria: Decision thresholds.
         log: Called with a line of text at each stage.
+        leave_out: Whether a run that contradicts the others may be left out.
 
     Returns:
         Verdict, fits and effects.
     """
     all_runs = _Search(machine, data, criteria, log)
-    suspect = contradicting_run(all_runs.base, data)
+    suspect = contradicting_run(all_runs.base, data) if leave_out else None
     if suspect is None:
         return all_runs.run()
     log(f"{suspect} contradicts the other runs; searching for effects without it first")
@@ -71,7 +75,7 @@ def search_effects(machine: Machine, data: Dataset, criteria: SelectionCriteria,
         return all_runs.run()
     log(f"searching for an effect that explains {suspect}")
     after, effects = outcome.after, outcome.selected
-    wide = fit(after.machine, after.free, data, SEARCH_BANDWIDTH, theta=after.theta)
+    wide = converge(fit(after.machine, after.free, data, SEARCH_BANDWIDTH, theta=after.theta), data, thorough=True)
     start = polish(fit_with_model_error(wide, data), data)
     one_more = dataclasses.replace(criteria, max_effects=len(effects) + 1)
     extended = EffectSearch(data, all_runs.before.machine, one_more, log).run(start, effects)
@@ -150,8 +154,10 @@ class _Search:
             current = polish(current, data)
             current, effects = search.run(fit_with_model_error(current, data), effects)
         if effects:
-            current = polish(current, data)
-            current, effects = search.prune(current, effects)
+            current, effects = search.prune(polish(current, data), effects)
+            simulated = refined_in_simulation(current, data)
+            if simulated.bandwidth != current.bandwidth:  # without the error that an observer causes
+                current, effects = search.prune(simulated, effects)
         return current, effects, tuple(search.considered.values())
 
     def _with_tables(self, selected: Selection) -> Selection | None:

@@ -27,8 +27,9 @@ from hframe_gym.identification import (
     search,
 )
 from hframe_gym.identification.effect_size import depend_on_same_variable, force_size
-from hframe_gym.identification.forward_selection import EffectSearch, minimum_gain
+from hframe_gym.identification.forward_selection import EffectSearch
 from hframe_gym.identification.free_parameters import FreeParameter
+from hframe_gym.identification.model_error import minimum_gain
 from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect, Machine
 
 pytestmark = pytest.mark.unit
@@ -393,6 +394,7 @@ class ScriptedSearch:
             "fit": lambda machine, free, data, bandwidth, theta=None: fit_with(*machine.effects, chi2=script.before),
             "default_free_parameters": lambda machine: (),
             "polish": lambda fitted, data: fitted,
+            "converge": lambda fitted, data, thorough: fitted,
             "fit_with_model_error": lambda fitted, data: fitted,
             "refine_encoder_offsets": lambda data, machine: data,
             # The simulation has no say: it is as bad with the effects as without.
