@@ -18,12 +18,12 @@ def test_shipped_agents_are_found_by_name_and_by_prefix(name, expected, task):
 
 
 def test_names_of_the_shipped_agents():
-    assert shipped_agent_names() == ("apg", "ppo", "residual", "sac")
+    assert shipped_agent_names() == ("apg", "apg_mix", "apg_predictive", "apg_wide", "ppo", "residual", "sac")
 
 
 def test_unknown_shipped_agent_is_refused_with_a_list():
     with pytest.raises(
-        InputError, match="no shipped agent 'pp' for the task reach; choose one of: apg-seed0, ppo-seed0, "
+        InputError, match="no shipped agent 'pp' for the task reach; choose one of: apg-seed0, apg_mix-seed0, "
     ):
         shipped_agent_folder("pp", "reach")
 

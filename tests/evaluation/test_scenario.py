@@ -108,7 +108,7 @@ def test_pid_settles_from_rig_sensors() -> None:
 @pytest.mark.parametrize(
     ("name", "scenario", "message"),
     [
-        ("nobody", Scenario(), "controller 'nobody' is unknown; choose pid, adaptive-pid, textbook-pid"),
+        ("nobody", Scenario(), "controller 'nobody' is unknown; choose pid, adaptive-pid, predictive, textbook-pid"),
         ("no_such_module:p", Scenario(), "cannot import 'no_such_module'"),
         ("textbook-pid", Scenario(sensors="rig"), "needs the full state"),
         ("adaptive-pid", Scenario(sensors="rig"), "needs the full state"),
