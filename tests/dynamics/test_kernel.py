@@ -127,3 +127,14 @@ def test_shared_kernel_simulates_each_effect_to_the_bit(hframe: Machine, monkeyp
         if machine in shared:  # the others have effects that do more than add a term
             assert rollout_kernel(machine, parameter_batch(machine), forced=False)[0] is shared_kernel.kernel
             assert np.array_equal(readings(machine), expected), machine.effects[-1:]
+
+
+def test_every_effect_of_a_coordinate_has_a_kernel_on_a_single_axis() -> None:
+    """With one coordinate, an effect may replace a force by a constant, for example dry friction by zero."""
+    axis = BUILTIN_MACHINES["axis"]()
+    for effect in EFFECTS.values():
+        if effect.site != "coordinate" or not effect.possible_sites(axis) or effect.structure:
+            continue
+        values = {p.name: min(max(0.5, p.lower), p.upper) for p in effect.parameters}
+        text = kernel_source_text(axis.with_effects(effect.at("x", **values)))
+        assert "def " in text, effect.name
