@@ -212,7 +212,9 @@ def prediction_error(run: PreparedRecording, data: Dataset, measurements: Array,
     return error
 
 
-def residuals(run: PreparedRecording, data: Dataset, measurements: Array, rows_per_block: int = 1) -> Array:
+def residuals(
+    run: PreparedRecording, data: Dataset, measurements: Array, rows_per_block: int = 1, *, fitted: bool = True
+) -> Array:
     """Return measured minus predicted values, divided by the standard deviations of the sensors' noise.
 
     The constant part that an error of the sensors' zeros explains is subtracted, see `prediction_error`.
@@ -223,6 +225,7 @@ def residuals(run: PreparedRecording, data: Dataset, measurements: Array, rows_p
         measurements: Predicted measurements of a batch of predictions, m or rad, shape (batch, n, sensors).
         rows_per_block: How many consecutive rows are summed into one and divided by the root of that number. White
             noise keeps its size, and so do inner products of residuals that change more slowly, with fewer rows.
+        fitted: As in `prediction_error`.
 
     Returns:
         Residuals, dimensionless, shape (batch, n // rows_per_block * sensors); zero where a value was not measured or
@@ -231,7 +234,7 @@ def residuals(run: PreparedRecording, data: Dataset, measurements: Array, rows_p
     measured = np.isfinite(run.outputs)
     counted = measured if run.rows is None else measured & run.rows[:, None]
     with np.errstate(over="ignore", invalid="ignore"):  # parameters that make a machine diverge cost infinitely much
-        error = prediction_error(run, data, measurements, fitted=True)
+        error = prediction_error(run, data, measurements, fitted=fitted)
         error *= counted / run.noise
     batch, rows, sensors = error.shape
     if rows_per_block > 1:

@@ -26,7 +26,6 @@ from .rest_measurement import (
     InitialState,
     behind_belts,
     count_resting_rows,
-    max_fitted_zero_means,
     max_zero_means,
     sensor_zero_error,
 )
@@ -124,8 +123,7 @@ def _initial_state(machine: Machine, recording: Recording) -> InitialState:
     refined = bool(machine.effects) and bool(initial.offset_known.any())
     initial = dataclasses.replace(initial, offsets_refined=refined)
     state = model_initial_state(machine, initial)
-    behind = behind_belts(machine)
-    fitted_means = max_fitted_zero_means(behind, quanta, initial.measured_at_rest)
+    max_means = max_zero_means(behind_belts(machine), quanta)
 
     def errors(states: Array, outputs: Array) -> Array:
         """Return measured minus simulated values, 0 where not measured, shape (B, n, sensors)."""
@@ -138,14 +136,13 @@ def _initial_state(machine: Machine, recording: Recording) -> InitialState:
         """Return errors without those of the zeros, in units of the noise, shape (B, n * sensors)."""
         error = errors(states, usable.outputs)
         measured = np.isfinite(usable.outputs)
-        error = np.where(measured, error - sensor_zero_error(error, measured, rows, fitted_means), 0.0)
+        error = np.where(measured, error - sensor_zero_error(error, measured, rows, max_means), 0.0)
         return np.asarray((error / np.where(noise > 0.0, noise, np.inf)).reshape(len(states), -1))
 
     state = most_probable_start(machine, initial, state, weighted_errors)
     error = errors(state, recording.outputs)
     if not np.isfinite(error).all():
         return dataclasses.replace(initial, state=state)
-    max_means = max_zero_means(behind, quanta)
     offset = sensor_zero_error(error, np.isfinite(recording.outputs), rows, max_means)[0, 0]
     return dataclasses.replace(initial, state=state, offset=offset)
 

@@ -173,7 +173,7 @@ def most_probable_initial_state(machine: Machine, run: PreparedRecording, data: 
 
     def errors(states: Array) -> Array:
         motion = predict(machine, run, SIMULATION, period=data.period, initial_state=states, longest_step=POLISH_STEP)
-        return residuals(run, data, motion.readings)
+        return residuals(run, data, motion.readings, fitted=False)  # as `recording_simulation` does for a single run
 
     return most_probable_start(machine, run.initial, run.initial_state(machine), errors)
 

@@ -92,7 +92,7 @@ def test_encoders_locate_a_start_that_a_laser_does_not_measure(hframe: Machine, 
     run.outputs[:, 1] -= lag
     initial = initial_state_of_recording(limited, run)
     # The belts are stretched by 30 um; the encoders cannot tell this from the position.
-    np.testing.assert_allclose(initial.state[:2], (0.09, 0.01), atol=60e-6)
+    np.testing.assert_allclose(initial.state[:2], (0.09, 0.01), atol=45e-6)
 
 
 def test_dropped_samples_and_outliers_do_not_count(hframe: Machine, session: list[Recording]) -> None:
