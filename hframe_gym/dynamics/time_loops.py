@@ -220,8 +220,7 @@ def rollout(
         time: Sample times, s, shape (n,).
         inputs: Voltages, V, shape (1 or B, n, INPUTS), held until the next sample.
         parameters: Machine parameters, SI, shape (B, PARAMETERS).
-        start: Belt travel (radius * angle), m, its rate, m/s, and effect states at the first sample, shape
-            (B, STATES - 1).
+        start: Belt travel (radius * angle), m, its rate, m/s, and effect states at first, shape (B, STATES - 1).
         measured: Measurements for output injection, m or rad, shape (1 or B, n, SENSORS), NaN where not measured; empty
             for a simulation without injection.
         gains: Gains of the output injection (m and m/s per m or rad), shape (2 * COORDINATES, SENSORS).
