@@ -26,13 +26,11 @@ from ..atomic_files import atomic_file
 from ..dynamics import simulate_batch
 from ..dynamics.simulation import Motion
 from ..machine import AppliedEffect, Machine
-from .candidates import effect_parameters
-from .dataset import Dataset, TypicalScales
-from .estimation import Fit, fit, with_uncertainty
+from .dataset import Dataset
+from .estimation import Fit, with_uncertainty
 from .linearization import NormalEquations, forward_differences
-from .model_error import search_step
 from .prediction import POLISH_STEP, SEARCH_STEP
-from .trial_fits import typical_scales
+from .trial_fits import fit_in_place_of
 
 Array = NDArray[np.float64]
 
@@ -123,36 +121,10 @@ def design_discriminating_experiment(
     alternatives = [r for r in rivals if r.label not in present and not r.definition.structure]
     if not alternatives or present[label].definition.structure:
         return None
-    rival_machine = fit_rival(current, label, alternatives[0], data, typical_scales(current, data))
-    if rival_machine is None:
+    rival_fit = fit_in_place_of(current, label, alternatives[0], data)
+    if not math.isfinite(rival_fit.cost):
         return None
-    return separate_machines(corrected, rival_machine, (label, alternatives[0].label), data)
-
-
-def fit_rival(current: Fit, label: str, rival: AppliedEffect, data: Dataset, scale: TypicalScales) -> Machine | None:
-    """Fit the machine again with a rival effect (deviation from the nominal model) in place of an identified one.
-
-    Args:
-        current: Fit of the machine with all selected effects, among them the one to replace.
-        label: Label (name@site) of the effect to replace.
-        rival: Effect that replaces it, with its starting values.
-        data: Runs to fit (times, voltages, measurements, SI).
-        scale: Typical sizes on this machine, which set the scales and priors of the rival's parameters.
-
-    Returns:
-        The fitted machine with its uncertainty; None if it diverges.
-    """
-    remaining = tuple(e for e in current.machine.effects if e.label != label)
-    machine = current.machine.replace(effects=remaining, uncertainty=None).with_effects(rival)
-    kept = [f for f in current.free if f.name in machine.parameters and not f.name.startswith(f"{label}.")]
-    # The fit continues from the parameters of the other effects; the rival's start at their given values (theta = 0).
-    kept_theta = [t for f, t in zip(current.free, current.theta, strict=True) if f in kept]
-    names = {f.name for f in kept}
-    added = [f for f in effect_parameters(rival, machine, scale) if f.name not in names]
-    theta = np.concatenate([kept_theta, np.zeros(len(added))])
-    step = search_step(current.bandwidth)
-    rival_fit = fit(machine, kept + added, data, current.bandwidth, theta=theta, longest_step=step)
-    return with_uncertainty(rival_fit, data) if math.isfinite(rival_fit.cost) else None
+    return separate_machines(corrected, with_uncertainty(rival_fit, data), (label, alternatives[0].label), data)
 
 
 def separate_machines(

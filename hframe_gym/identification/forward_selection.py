@@ -26,6 +26,7 @@ from .model_error import (
     residue_force,
 )
 from .prediction import SEARCH_BANDWIDTH
+from .rivals import close_rivals, more_likely_rival, simplest_first
 from .trial_fits import (
     converge,
     replacement_fit,
@@ -146,13 +147,13 @@ class EffectSearch:
             if self._worth_structures(current, trials) and not tried:
                 last_bandwidth, last_excess = current.bandwidth, excess
                 trials += structural_trial_fits(current, trials, data, enough, criteria)
-            trials = _simplest_first(trials, current, data, criteria)
+            trials = simplest_first(trials, current, data, criteria)
             best = self._best(current, trials, enough)
             if best is None:
                 break
             trials = [best, *(t for t in trials if t.machine.effects[-1].label != best.machine.effects[-1].label)]
             effect, gain = best.machine.effects[-1], (current.cost - best.cost) / data.count  # the new effect is last
-            rivals = _rivals(trials, current, data, criteria)
+            rivals = close_rivals(trials, current, data, criteria)
             rival_names = (*(e.label for e in rivals), *effect.definition.equivalent)
             selected = (*selected, SelectedEffect(effect, rival_names, gain, current.machine, rivals))
             current, selected = self._exchange(fit_with_model_error(best, data), selected)
@@ -207,6 +208,28 @@ class EffectSearch:
             self._log(f"  {effect.label} is not selected: it {doubt}")
             self.considered[effect.label] = ConsideredEffect(effect, fitted.machine, current.machine, doubt)
         return None
+
+    def settle_rivals(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection:
+        """Replace effects (deviations from the model) by rivals that are more likely beside all other effects.
+
+        When an effect is selected, others are missing, and a wide observer hides what distinguishes it from its rivals.
+
+        Args:
+            current: Fit of the machine with all selected effects.
+            selected: All selected effects, with their rivals.
+
+        Returns:
+            `Selection` of the fit with the more likely effects, and these with their fitted parameters.
+        """
+        for old in selected:
+            better = more_likely_rival(current, old.effect.label, old.rival_effects, self._data, self._criteria)
+            if better is None:
+                continue
+            effect = better.machine.effects[-1]
+            self._log(f"  {effect.label} replaces {old.effect.label}: it is more likely beside all effects")
+            new = SelectedEffect(effect, effect.definition.equivalent, old.gain, old.machine_without)
+            return self.settle_rivals(better, (*(s for s in selected if s is not old), new))
+        return current, tuple(s.with_values(current.machine) for s in selected)
 
     def prune(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection:
         """Remove effects (deviations from the model) that fail a test in the machine with all others, weakest first.
@@ -320,26 +343,3 @@ def describe_gain(before: Fit, after: Fit) -> str:
         Text that continues a sentence whose subject is the effect.
     """
     return f"reduces chi-squared per sample from {before.chi2:.4g} to {after.chi2:.4g} ({before.mode})"
-
-
-def _margin(current: Fit, best_cost: float, data: Dataset, criteria: SelectionCriteria) -> float:
-    """Return the difference of cost from the best trial within which another one explains the data as well."""
-    gain = current.cost - best_cost
-    return max(criteria.rival_gain_margin * data.count, (1.0 - criteria.rival_gain_fraction) * gain)
-
-
-def _simplest_first(trials: list[Fit], current: Fit, data: Dataset, criteria: SelectionCriteria) -> list[Fit]:
-    """Return the trials in the order of their cost; among those as good as the best, fewest parameters first."""
-    ranked = sorted(trials, key=lambda trial: trial.cost)
-    if not ranked:
-        return ranked
-    limit = ranked[0].cost + _margin(current, ranked[0].cost, data, criteria)
-    return sorted(ranked, key=lambda trial: (trial.cost > limit, len(trial.free) if trial.cost <= limit else 0))
-
-
-def _rivals(trials: list[Fit], current: Fit, data: Dataset, criteria: SelectionCriteria) -> tuple[AppliedEffect, ...]:
-    """Return the effects of the trials that explain the data as well as the first one."""
-    best = trials[0]
-    margin = _margin(current, best.cost, data, criteria)
-    close = (t.machine.effects[-1] for t in trials[1:] if t.cost - best.cost < margin)
-    return tuple(e for e in close if e.label != best.machine.effects[-1].label)

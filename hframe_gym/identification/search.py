@@ -159,6 +159,7 @@ class _Search:
             current = polish(current, data)
             current, effects = search.run(fit_with_model_error(current, data), effects)
         if effects:
+            current, effects = search.settle_rivals(current, effects)
             current, effects = search.prune(polish(current, data), effects)
             simulated = refined_in_simulation(current, data)
             if simulated.bandwidth != current.bandwidth:  # without the error that an observer causes

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..dynamics import share_kernel
-from ..machine import Machine
+from ..machine import AppliedEffect, Machine
 from .candidates import candidates, effect_parameters
 from .criteria import SelectionCriteria
 from .dataset import Dataset, TypicalScales, scales_of_motion
@@ -154,6 +154,32 @@ def replacement_fit(
         return None
     share_kernel(reduced.machine, [best.candidate.applied(best.amounts)])
     return converge(fit_with_candidate(reduced, best, scales, data), data, thorough=False)
+
+
+def fit_in_place_of(current: Fit, label: str, rival: AppliedEffect, data: Dataset) -> Fit:
+    """Fit the machine again with a rival effect (deviation from the nominal model) in place of another one.
+
+    Args:
+        current: Fit of the machine with all selected effects, among them the one to replace.
+        label: Label (name@site) of the effect to replace.
+        rival: Effect that replaces it, with its starting values.
+        data: Runs to fit (times, voltages, measurements, SI).
+
+    Returns:
+        Fit (machine, parameters theta, shape (k,), cost) at the bandwidth of the given one; its cost is infinite if the
+        machine diverges.
+    """
+    remaining = tuple(e for e in current.machine.effects if e.label != label)
+    machine = current.machine.replace(effects=remaining, uncertainty=None).with_effects(rival)
+    kept = [f for f in current.free if f.name in machine.parameters and not f.name.startswith(f"{label}.")]
+    # The fit continues from the parameters of the other effects; the rival's start at their given values (theta = 0).
+    kept_theta = [t for f, t in zip(current.free, current.theta, strict=True) if f in kept]
+    names = {f.name for f in kept}
+    scales = typical_scales(current, data)
+    added = [f for f in effect_parameters(rival, machine, scales) if f.name not in names]
+    theta = np.concatenate([kept_theta, np.zeros(len(added))])
+    step = search_step(current.bandwidth)
+    return fit(machine, (*kept, *added), data, current.bandwidth, theta=theta, longest_step=step)
 
 
 def _promising(

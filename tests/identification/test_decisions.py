@@ -24,6 +24,7 @@ from hframe_gym.identification import (
     held_out,
     hold_out,
     model_error,
+    rivals,
     search,
 )
 from hframe_gym.identification.effect_size import depend_on_same_variable, force_size
@@ -127,18 +128,18 @@ def test_of_trials_as_good_as_the_best_the_simplest_comes_first() -> None:
         fit_with(effect, chi2=chi2, free=free)
         for effect, chi2, free in ((PUSH, 1.0, 5), (DRAG, 1.029, 3), (SPRING, 1.031, 1))
     )
-    order = forward_selection._simplest_first([poor, best, simple], current, DATA, CRITERIA)
+    order = rivals.simplest_first([poor, best, simple], current, DATA, CRITERIA)
     assert order == [simple, best, poor]
-    assert forward_selection._simplest_first([], current, DATA, CRITERIA) == []
+    assert rivals.simplest_first([], current, DATA, CRITERIA) == []
     # 3 % of the gain is the margin; of a small gain it is 0.002 per sample.
-    assert forward_selection._margin(current, 1.0 * COUNT, DATA, CRITERIA) == pytest.approx(0.03 * COUNT)
-    assert forward_selection._margin(current, 1.99 * COUNT, DATA, CRITERIA) == pytest.approx(0.002 * COUNT)
+    assert rivals._margin(current, 1.0 * COUNT, DATA, CRITERIA) == pytest.approx(0.03 * COUNT)
+    assert rivals._margin(current, 1.99 * COUNT, DATA, CRITERIA) == pytest.approx(0.002 * COUNT)
 
 
 def test_rivals_are_other_effects_within_the_margin() -> None:
     current, best = fit_with(chi2=2.0), fit_with(PUSH, chi2=1.0)
     close, same, far = fit_with(DRAG, chi2=1.029), fit_with(PUSH, chi2=1.001), fit_with(SPRING, chi2=1.031)
-    assert forward_selection._rivals([best, same, close, far], current, DATA, CRITERIA) == (DRAG,)
+    assert rivals.close_rivals([best, same, close, far], current, DATA, CRITERIA) == (DRAG,)
 
 
 # -- doubts ------------------------------------------------------------------------------------------------------------
@@ -148,6 +149,25 @@ def doubt(scripted: Scripted, without: float = 1.4, with_effect: float = 1.2, *e
     """Return the doubt about the last effect of a trial."""
     present = effects or (PUSH,)
     return scripted.search()._doubt(fit_with(*present[:-1], chi2=without), fit_with(*present, chi2=with_effect))
+
+
+@pytest.mark.parametrize(("loss", "found"), [(1.5, True), (1.99, False)])
+def test_a_rival_that_is_more_likely_replaces_an_effect(
+    monkeypatch: pytest.MonkeyPatch, loss: float, found: bool
+) -> None:
+    """Chance may explain a difference of 30 long-run variances, here 0.015 per value."""
+    current, other = fit_with(PUSH, chi2=2.0), fit_with(DRAG, chi2=loss)
+    losses = {id(current): 2.0, id(other): loss}
+    replaced: Mapping[str, Callable[..., Any]] = {
+        "information_loss": lambda fitted, data: losses[id(fitted)],
+        "fit_in_place_of": lambda current, label, rival, data: other,
+        "fit_with_model_error": lambda fitted, data: fitted,
+        "long_run_variance": lambda fitted, data: 0.015 * COUNT / CRITERIA.min_chance_gain,
+    }
+    for name, function in replaced.items():
+        monkeypatch.setattr(rivals, name, function)
+    assert rivals.more_likely_rival(current, PUSH.label, (DRAG,), DATA, CRITERIA) is (other if found else None)
+    assert rivals.more_likely_rival(current, PUSH.label, (PUSH,), DATA, CRITERIA) is None  # the machine has it
 
 
 def test_an_effect_without_doubt(scripted: Scripted) -> None:
@@ -386,6 +406,9 @@ class ScriptedSearch:
             def run(self, current: Fit, chosen: tuple[SelectedEffect, ...] = ()) -> Any:
                 found = script.effects or chosen
                 return fit_with(*(s.effect for s in found), chi2=script.after), found
+
+            def settle_rivals(self, current: Fit, chosen: tuple[SelectedEffect, ...]) -> Any:
+                return current, chosen
 
             def prune(self, current: Fit, chosen: tuple[SelectedEffect, ...]) -> Any:
                 return current, chosen if script.pruned is None else script.pruned
