@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..controllers import MinimumEnergyTransfers, MotionModel, OperatingPointGrid, PreviewGains
+from ..controllers import MinimumEnergyTransfers, MotionModel, OperatingPointGrid, PreviewGains, scaled_machine
 from ..controllers.finite_horizon_control import VOLTAGE_CHANGE_WEIGHT
 from ..errors import InputError
 from ..machine import Machine, rest_state
@@ -240,14 +240,7 @@ class TransferBank:
             )
         gains = [designed.gains[:, list(transfers), 0]]
         for stiffness, mass in BANK:
-            factors = {".EA": stiffness, ".mass": mass}
-            changed = {
-                name: factor * value
-                for name, value in machine.parameters.items()
-                for suffix, factor in factors.items()
-                if name.endswith(suffix)
-            }
-            variant = MinimumEnergyTransfers(MotionModel(machine.replace(changed)), period)
+            variant = MinimumEnergyTransfers(MotionModel(scaled_machine(machine, stiffness, mass)), period)
             last = np.minimum(transfers[:LAST_TRANSFERS], variant.longest - variant.shortest)
             gains.append(variant.gains[:, last, 0])
         self._gains = np.concatenate(gains, axis=1) / self._model.rated[:, None]  # (points, K, drives, 2 n)

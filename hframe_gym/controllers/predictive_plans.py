@@ -3,8 +3,8 @@
 `LinearMotion`     Linear models of B different machines.
 `ArrivalPlanner`   Voltages within their limits that bring the tool to its goal in K periods and keep it there, by a
                    quadratic program with limits for each machine; the belts come to rest after the tool.
-`PlanRefinement`   Correction of the last periods of such a plan by simulations, which contain static friction: it
-                   decides where a tool stops that approaches its goal by a tenth of a millimeter.
+`PlanSimulation`   Simulation of plans, and correction of the last periods of a plan by simulations. They contain static
+                   friction, which decides where a tool stops that approaches its goal by a tenth of a millimeter.
 
 References:
     Boyd and Vandenberghe (2004), Convex Optimization, section 5.5 (the dual problem).
@@ -118,13 +118,12 @@ class ArrivalPlanner:
     def __init__(self, model: MotionModel, period: float, longest: int) -> None:
         self._model, self._longest = model, longest
         modes = [frequency for frequency in mode_frequencies(model.machine) if frequency > 0.0]
-        slowest = REST_MODE_PERIODS / min(modes) if modes else 0.0
-        self._hold = max(3, int(np.ceil(slowest / period - 0.3)))  # planned periods after the arrival
-        self._tool = [model.machine.coordinate_names.index(axis) for axis in model.axes]
+        rest_s = REST_MODE_PERIODS / min(modes) if modes else 0.0
+        self._hold = max(3, int(np.ceil(rest_s / period - 0.3)))  # planned periods after the arrival
         self._scale = np.repeat([1.0, 1.0 / VELOCITY_SCALE_S], len(model.mass))
 
     def predict(self, matrices: tuple[Array, Array, Array], error: Array, force: Array) -> None:
-        """Compute what all plans of the present period need.
+        """Predict the motion at 0 V and the responses to voltages, from which `plan` and `gain` choose.
 
         Args:
             matrices: Linear models A, B and E as `LinearMotion.matrices` returns them, in m, s, V and N, of the shapes
@@ -141,6 +140,7 @@ class ArrivalPlanner:
             pulses.append(A @ pulses[-1])
             states.append(np.einsum("bij,bj->bi", A, states[-1]))
             pushes.append(np.einsum("bij,bj->bi", A, pushes[-1]))
+        self._A = A
         self._pulses = np.stack(pulses, axis=1)  # A^j B, (B, periods, 2 n, drives)
         self._free = np.stack(states, axis=1)  # A^j e, (B, periods, 2 n)
         self._pushed = np.cumsum(np.stack(pushes, axis=1), axis=1)  # sum of A^i E f for i < j
@@ -154,7 +154,7 @@ class ArrivalPlanner:
         Returns:
             `ArrivalPlan`: voltages, V, shape (B, periods, drives), and largest error, m, shape (B,).
         """
-        rated, axes, batch = self._model.rated, len(self._tool), len(arrival)
+        rated, axes, batch = self._model.rated, len(self._model.tool), len(arrival)
         # Residuals are R a + c for actions a within [-1, 1].
         R, c = self._residuals(arrival)
         actions = _least_squares_within_limits(R, c)
@@ -165,24 +165,23 @@ class ArrivalPlanner:
         volts[:, :periods] = actions.reshape(batch, periods, len(rated)) * rated
         return ArrivalPlan(volts, distance)
 
-    def gain(self, A: Array, arrival: Indices) -> Array:
+    def gain(self, arrival: Indices) -> Array:
         """Compute the derivative of a plan's first voltages by the present state.
 
         Args:
-            A: System matrices of the machines, as given to `predict`, shape (B, 2 n, 2 n).
             arrival: Number K of periods until the arrival, shape (B,).
 
         Returns:
             Gains, V/m and Vs/m, shape (B, drives, 2 n).
         """
         R, c = self._residuals(arrival)
-        free = np.abs(_least_squares_within_limits(R, c)) < 1.0
+        free = np.abs(_least_squares_within_limits(R, c)) < 1.0  # voltages that are not at their limits
         R = R / np.sqrt(EFFORT_WEIGHT)
-        scaled, powers = A / self._scale[:, None] * self._scale, [np.broadcast_to(np.eye(A.shape[1]), A.shape)]
+        powers = [np.broadcast_to(np.eye(self._A.shape[1]), self._A.shape)]
         for _ in range(int(arrival.max()) + self._hold):
-            powers.append(scaled @ powers[-1])
+            powers.append(self._A @ powers[-1])
         power, each = np.stack(powers, axis=1), np.arange(len(arrival))
-        rows = [power[each, arrival + after][:, self._tool] for after in range(self._hold)]
+        rows = [power[each, arrival + after][:, self._model.tool] for after in range(self._hold)]
         by_state = np.concatenate([*rows, REST_WEIGHT * power[each, arrival + self._hold]], axis=1) / TOOL_UNIT
         normal = (R * free[:, None]) @ R.transpose(0, 2, 1) + np.eye(R.shape[1])
         drives = len(self._model.rated)
@@ -192,12 +191,12 @@ class ArrivalPlanner:
 
     def _residuals(self, arrival: Indices) -> tuple[Array, Array]:
         """Return R (B, rows, actions) and c (B, rows) of the residuals R a + c of plans with an arrival (B,)."""
-        end = arrival + self._hold
+        end, tool = arrival + self._hold, self._model.tool
         rows, constants = [], []
         for after in range(self._hold):
             response, free = self._response(arrival + after, end.max(), arrival)
-            rows.append(response[:, self._tool] / TOOL_UNIT)
-            constants.append(free[:, self._tool] / TOOL_UNIT)
+            rows.append(response[:, tool] / TOOL_UNIT)
+            constants.append(free[:, tool] / TOOL_UNIT)
         response, free = self._response(end, end.max(), arrival)
         rows.append(response * (REST_WEIGHT / TOOL_UNIT))
         constants.append(free * (REST_WEIGHT / TOOL_UNIT))
@@ -248,8 +247,8 @@ def _least_squares_within_limits(R: Array, c: Array) -> Array:
     return np.asarray(-np.clip(np.einsum("bij,bi->bj", R, multipliers), -limit, limit) / limit)
 
 
-class PlanRefinement:
-    """Improvement of plans of a few periods by simulations of B machines.
+class PlanSimulation:
+    """Simulation of plans of voltages for B machines, and improvement of plans by simulations.
 
     Args:
         machine: Machine that is simulated, with its effects.
@@ -300,7 +299,7 @@ class PlanRefinement:
             goal: Tool goals, m, shape (B, axes).
             plans: Commanded voltages of each period, V, each of shape (B, periods, drives).
             arrival: Number K of periods until the tool should have arrived, shape (B,).
-            count: Number of the period in the episode, which alternates the steps of the differences.
+            count: Number of the period in the episode; the steps of the finite differences vary with it.
 
         Returns:
             Commanded voltages of the best plan, V, shape (B, periods, drives).
