@@ -59,12 +59,13 @@ class _Actuation(_Table):
 
 
 class _Settings(_Table):
-    """Recipe of the training; only the parts that rebuild the policy are checked."""
+    """Recipe of the training; only the parts that are used after it are checked."""
 
     model_config = ConfigDict(extra="ignore", strict=True)
 
     policy: _Policy
     actuation: _Actuation
+    env: dict[str, Any] = {}
 
 
 class _Features(_Table):
