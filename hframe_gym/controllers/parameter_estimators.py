@@ -3,8 +3,8 @@
 Unlike `MomentumFilter`, which balances mean forces, these estimators compare the measured state with the simulated one,
 so that belt modes and friction that reverses within a period do not disturb them. They estimate every belt separately.
 
-ParameterEstimator What both have in common: the estimated parameters, and the simulations from which the derivatives of
-                   a period's final state by the estimates follow.
+ParameterEstimator What both have in common: the estimated parameters, and the simulations that give the derivatives of
+                   a period's final state with respect to the estimates.
 ParameterFilter    Extended Kalman filter: each period is linearized once, at the estimates of its time. Its errors stay
                    at a few percent even where states are measured exactly, because an early period is never revised.
 ParameterWindow    Moving-horizon estimation: the last periods are linearized anew in every update, so that estimates
@@ -25,7 +25,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..dynamics import simulate_batch
+from ..dynamics import rollout
 from .base import Mask
 from .estimation_model import ParameterRatios
 from .motion_model import MotionModel
@@ -58,7 +58,7 @@ class ParameterEstimator(ABC):
         prior_offset_std: Prior standard deviation of a missing voltage at every drive, as a fraction of the rated
             voltage; None: no such voltages are estimated (class attribute).
         state_std: Standard deviations of measured minus simulated belt travel, m, and its rate, m/s (class attribute).
-        difference: Step of the finite differences by the estimates, dimensionless (class attribute).
+        difference: Change of an estimate for the finite differences, dimensionless (class attribute).
         integration_step: Largest step of the simulations, s (class attribute).
         size: Number of estimates.
         estimates: Logarithms of the ratios of actual to declared values (0.1: about 10 % above), limited, in the order
@@ -144,17 +144,17 @@ class ParameterEstimator(ABC):
         actions = np.tile(actions, (variants, 1))
         if self.prior_offset_std is not None:
             actions = actions + varied[:, self._offsets]
-        motion = simulate_batch(
+        states = rollout(
             self._model.machine,
             self._time_s,
             np.repeat((actions * self._model.rated)[:, None], 2, axis=1),
+            velocities=True,
             parameters=self.parameters(varied),
             start=np.tile(before / self._travel_per_unit, (variants, 1)),
             longest_step=self.integration_step,
-            readings=False,
             parallel=False,
         )
-        end = np.concatenate([motion.positions[:, -1], motion.velocities[:, -1]], axis=1) * self._travel_per_unit
+        end = states[:, -1] * self._travel_per_unit
         return np.asarray((end / self._state_unit).reshape(variants, *before.shape))
 
 

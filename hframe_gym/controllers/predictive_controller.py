@@ -137,9 +137,9 @@ class PredictiveController(FullStateController):
         return self.estimator.estimates
 
     def gain(self) -> Array:
-        """Compute the derivative of the last voltages by the state, without limits and refinement.
+        """Compute the derivative of the last voltages with respect to the state, without the refinement by simulations.
 
-        Training by gradients needs it, where a policy corrects this controller.
+        The analytic policy gradient needs it for a policy that corrects this controller.
 
         Returns:
             Gains, V/m and Vs/m, shape (B, drives, 2 n).
@@ -303,7 +303,7 @@ class _PathPlanner:
         self._by_state = np.concatenate(by_state, axis=1)
 
     def gain(self) -> Array:
-        """Return the derivative of the first voltages by the state, V/m and Vs/m, shape (B, drives, 2 n)."""
+        """Return the derivative of the first voltages with respect to the state, V/m and Vs/m, (B, drives, 2 n)."""
         R, D = self._response, CHANGE_WEIGHT * self._difference
         normal = R.transpose(0, 2, 1) @ R + D.T @ D
         gains = -np.linalg.solve(normal, R.transpose(0, 2, 1) @ self._by_state)[:, : len(self._rated)]

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..dynamics import Equations, MotionPoint, mode_frequencies, simulate_batch
+from ..dynamics import Equations, MotionPoint, mode_frequencies, rollout
 from ..machine import Machine
 from .finite_horizon_control import VELOCITY_SCALE_S
 from .motion_model import MotionModel
@@ -166,7 +166,7 @@ class ArrivalPlanner:
         return ArrivalPlan(volts, distance)
 
     def gain(self, arrival: Indices) -> Array:
-        """Compute the derivative of a plan's first voltages by the present state.
+        """Compute the derivative of a plan's first voltages with respect to the present state.
 
         Args:
             arrival: Number K of periods until the arrival, shape (B,).
@@ -276,17 +276,16 @@ class PlanSimulation:
             Tool positions at SAMPLES times per period, the last of which is its end, m, shape (B, samples, axes).
         """
         inputs = np.repeat(volts, SAMPLES, axis=1)
-        motion = simulate_batch(
+        positions = rollout(
             self._machine,
             self._time_s[: inputs.shape[1] + 1],
             np.concatenate([inputs, inputs[:, -1:]], axis=1),
             parameters=parameters,
             start=state / self._units,
             longest_step=INTEGRATION_STEP,
-            readings=False,
             parallel=False,
         )
-        return np.asarray(motion.positions[:, 1:, self._tool])
+        return np.asarray(positions[:, 1:, self._tool])
 
     def improve(
         self, state: Array, parameters: Array, goal: Array, plans: list[Array], arrival: Indices, count: int

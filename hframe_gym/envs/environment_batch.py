@@ -19,10 +19,10 @@ from ..errors import InputError
 from .actuators import with_actuators
 from .batched_simulator import BatchedSimulator, block_ranges
 from .config import EnvConfig, as_machine
-from .counter_rng import compiled
 from .machine_sampler import MachineSampler
 from .observation_format import ObservationFormat
 from .observations import Observation, ObservationBuilder
+from .random_numbers import compiled
 from .rewards import (
     BuiltinReward,
     Evaluation,

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..registry import Registry
-from .counter_rng import compiled
+from .random_numbers import compiled
 
 Array: TypeAlias = NDArray[np.float64]
 Positions: TypeAlias = NDArray[np.float32]

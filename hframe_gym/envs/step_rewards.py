@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from .counter_rng import compiled
 from .observation_format import ObservationFormat
+from .random_numbers import compiled
 from .rewards import REWARDS, Array, PenalizedReward, Positions, Reward, distances, row_distance
 
 PROGRESS_SCALE = 1e-3  # m; below this distance, coming closer pays less and less

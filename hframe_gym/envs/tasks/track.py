@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ...errors import InputError
 from ...recordings import read_path
-from ..counter_rng import compiled
+from ..random_numbers import compiled
 from .base import TASKS, Array, Metrics, Task
 from .curves import SHAPES, Curve, Polyline, write_points
 
