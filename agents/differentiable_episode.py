@@ -82,12 +82,12 @@ class SimulatedPeriod:
         """Simulate one period, and again with every entry of state and voltages changed by a random step.
 
         Args:
-            state: As for `outputs`, shape (B, 2 n).
-            volts: As for `outputs`, V, shape (B, d).
-            parameters: As for `outputs`, shape (B, P).
+            state: Belt travel (radius * angle if rotary) of the coordinates and its rate, m and m/s, shape (B, 2 n).
+            volts: Voltages of the drives, V, shape (B, d).
+            parameters: Parameters of the machines in the order of `Machine.parameters`, SI, shape (B, P).
 
         Returns:
-            outputs: Result of `outputs`, shape (B, o).
+            outputs: Final state and tool positions, as the method `outputs` returns them, m and m/s, shape (B, o).
             derivatives: Difference quotients of the outputs with respect to the entries of state and voltages, shape
                 (2 n + d, B, o).
         """

@@ -59,7 +59,7 @@ class Authority:
 
         Args:
             distance: Distances to the goal, m, array or torch tensor of shape (batch,).
-            speed: Tool speeds, m/s, likewise.
+            speed: Tool speeds, m/s, of the same type and shape.
 
         Returns:
             min(most, least + distance / full_at_m + speed / full_at_m_s), of the same type, shape (batch, 1).
@@ -71,7 +71,7 @@ class Authority:
 
         Args:
             distance: Distances to the goal, m, array or torch tensor of shape (batch,).
-            speed: Tool speeds, m/s, likewise.
+            speed: Tool speeds, m/s, of the same type and shape.
 
         Returns:
             max(0, 1 - distance / hold_m - speed / hold_m_s), of the same type, shape (batch, 1); 0 without `hold_m`.
@@ -223,8 +223,10 @@ class ResidualAction:
             last_observation: `observation` of the previous period, m, rad, m/s and rad/s, shape (batch, entries) for a
                 batch of environments.
             last_action: Voltages divided by the rated voltages, shape (batch, drives).
-            base_action: Action of the base controller, which the policy corrects, likewise; only with a base.
-            expected_friction: Attribute of this name of the base, and likewise `estimates`; only if it has them.
+            base_action: Action of the base controller, which the policy corrects, shape (batch, drives); only with a
+                base.
+            expected_friction, estimates: Attributes of these names of the base controller, shape (batch, size); only if
+                it has them. Without a base, `estimates` of a `ParameterFilter` if the recipe asks for them.
         """
         added: dict[str, NDArray[Any]] = {"last_observation": self._last_observation, "last_action": self._last_action}
         if self.base:

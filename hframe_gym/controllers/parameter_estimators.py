@@ -87,13 +87,13 @@ class ParameterEstimator(ABC):
         self.estimates = np.zeros((0, self.size))
 
     def update(self, before: Array, after: Array, actions: Array, starts: Mask) -> None:
-        """Update the estimates by the control period that has ended.
+        """Update the estimates with the measured states of the control period that has ended.
 
         Args:
-            before: States at its start: belt travel (radius * angle of a rotary coordinate) of the n coordinates of B
-                machines and its velocity, m and m/s, shape (B, 2 n).
-            after: States at its end, m and m/s, shape (B, 2 n).
-            actions: Voltages applied in it, divided by the rated voltages, shape (B, drives).
+            before: States at the start of the period: belt travel (radius * angle of a rotary coordinate) of the n
+                coordinates of B machines and its velocity, m and m/s, shape (B, 2 n).
+            after: States at the end of the period, m and m/s, shape (B, 2 n).
+            actions: Voltages applied in the period, divided by the rated voltages, shape (B, drives).
             starts: True for machines whose episode starts with `after`, shape (B,); their estimates are set to zero.
         """
         if len(self.estimates) != len(starts):

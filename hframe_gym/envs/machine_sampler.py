@@ -94,7 +94,7 @@ def _effect_and_belt_bounds(machine: Machine) -> dict[str, tuple[float, float]]:
 
 
 class RuleSampler:
-    """Sample parameters by the rules for startup, or by those for reset.
+    """Sample parameters by the rules that apply once per seed ("startup"), or by those that apply at every reset.
 
     Args:
         space: Names, nominal values and limits of all N parameters.
@@ -275,7 +275,7 @@ class MachineSampler:
         self._keys, self._episodes = np.zeros(count, np.uint64), np.zeros(count, np.int64)
 
     def seed(self, b: int, generator: np.random.Generator) -> None:
-        """Seed one environment; its next reset applies the startup rules again.
+        """Seed one environment; its next reset also samples the parameters that are randomized once per seed.
 
         Args:
             b: Index of the environment, 0 to count - 1.

@@ -1,7 +1,7 @@
 """Random numbers of episodes, and joint normal samples of parameters from them.
 
-Uniform and normal random numbers are counter-based: each number is a hash of (key, step, channel). The key of an episode
-is derived from one 64-bit number of its environment's generator and the number of the episode. Everything else that is
+Uniform and normal random numbers are counter-based: each is a hash of (key, step, channel). The key of an episode is
+derived from one 64-bit number of its environment's generator and the number of the episode. Everything else that is
 random in the episode follows from the key, independently of evaluation order, batch size, SIMD lane and thread.
 Logarithm, sine and cosine are polynomials, because those of the C library differ between systems.
 

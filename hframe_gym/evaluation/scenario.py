@@ -172,8 +172,8 @@ def environments_of(scenario: Scenario, **options: Unpack[EnvOptions]) -> HFrame
     Returns:
         The environments, which are not reset yet.
     """
-    options = {"machine": scenario.machine, "randomize": scenario.randomize, "drives": scenario.drives, **options}
-    return HFrameVectorEnv(scenario.episodes, max_episode_steps=None, task=scenario.controller_task, **options)
+    common = EnvOptions(machine=scenario.machine, task=scenario.controller_task, randomize=scenario.randomize)
+    return HFrameVectorEnv(scenario.episodes, max_episode_steps=None, **common | {"drives": scenario.drives} | options)
 
 
 def episode_conditions(scenario: Scenario) -> EpisodeConditions:
