@@ -146,10 +146,11 @@ class MeasurementModel:
         equations = Equations(unlimited)
         zeros = np.zeros(len(names))
         readings = [np.array(equations.sensor_readings(q), np.float64) for q in (zeros, *np.eye(len(names)))]
-        rows = (np.stack(readings[1:], axis=1) - readings[0][:, None]) / machine.travel_per_unit
-        lengths = np.linalg.norm(rows, axis=1)  # channel's unit per travel
-        self._unit = 1.0 / np.where(lengths > 0.0, lengths, 1.0)  # m per channel's unit
-        positions = rows * self._unit[:, None]
+        # Sensitivity of each channel to the travel of each coordinate, in the channel's unit per m, (channels, n).
+        sensitivity = (np.stack(readings[1:], axis=1) - readings[0][:, None]) / machine.travel_per_unit
+        norm = np.linalg.norm(sensitivity, axis=1)
+        self._unit = 1.0 / np.where(norm > 0.0, norm, 1.0)  # m per channel's unit
+        positions = sensitivity * self._unit[:, None]
         # To first order in a sensor's delay d, it measures travel - d * velocity.
         delays = np.array(equations.measurement_delays(), np.float64)
         self.matrix: Array = np.hstack([positions, -delays[:, None] * positions])

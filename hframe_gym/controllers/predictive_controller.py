@@ -13,6 +13,8 @@ There is no training. The controller takes 0.1 to 0.4 ms per machine and period 
 
 References:
     Rawlings, Mayne and Diehl (2017), Model Predictive Control: Theory, Computation, and Design.
+    Diehl, Bock and Schloeder (2005), A real-time iteration scheme for nonlinear optimization in optimal feedback
+    control.
 """
 
 from __future__ import annotations
@@ -63,12 +65,12 @@ class PredictiveController(FullStateController):
     def __init__(self, machine: Machine, period: float = 0.01) -> None:
         super().__init__(machine, period)
         self._dead_time, self._inversion = DeadTime(machine, period), InputInversion(machine)
-        self._prompt_machine = self._dead_time.machine_without_delay
-        self.estimator = ParameterWindow(MotionModel(self._prompt_machine), period)
+        self._prompt_model = MotionModel(self._dead_time.machine_without_delay)
+        self.estimator = ParameterWindow(self._prompt_model, period)
         self._linear, self._grid = LinearMotion(self.model, period), OperatingPointGrid(machine)
         self._longest = min(LONGEST_PERIODS, int(np.ceil(longest_transfer_s(self.model, self._grid) / period)))
         self._arrival_planner = ArrivalPlanner(self.model, period, self._longest)
-        self._simulation = PlanSimulation(self._prompt_machine, period, REFINED_PERIODS + PERIODS_BEYOND)
+        self._simulation = PlanSimulation(self._prompt_model, period, REFINED_PERIODS + PERIODS_BEYOND)
         self._path_planner: _PathPlanner | None = None  # created when the length of the preview is known
         self._follows_path = False  # whether the goal moved in the last period
         self._coulomb_columns = [list(machine.parameters).index(f"{c}.coulomb") for c in machine.coordinate_names]
@@ -220,7 +222,7 @@ class PredictiveController(FullStateController):
         goals = self._dead_time.delayed_goals(goals)
         horizon = min(goals.shape[1] - 1, max(1, round(HORIZON_S / self.period)))
         if self._path_planner is None or self._path_planner.horizon != horizon:
-            self._path_planner = _PathPlanner(self._linear, self._grid, self._prompt_machine, self.period, horizon)
+            self._path_planner = _PathPlanner(self._linear, self._grid, self._prompt_model, self.period, horizon)
         return self._path_planner.command(
             state, goals[:, : horizon + 1], parameters, self.estimator.offset, self._inversion, self._starts.mask
         )
@@ -232,18 +234,17 @@ class _PathPlanner:
     Args:
         linear: Linear models of the machines.
         grid: Operating points at which they are linearized.
-        machine: Machine that is simulated.
+        model: Model of the machine that is simulated.
         period: Control period, s.
         horizon: Number of previewed goals, H.
     """
 
     def __init__(
-        self, linear: LinearMotion, grid: OperatingPointGrid, machine: Machine, period: float, horizon: int
+        self, linear: LinearMotion, grid: OperatingPointGrid, model: MotionModel, period: float, horizon: int
     ) -> None:
         self._linear, self._grid, self.horizon = linear, grid, horizon
-        self._simulation = PlanSimulation(machine, period, horizon)
-        self._rated = np.array([d.rated_voltage for d in machine.drives])
-        self._tool = [machine.coordinate_names.index(axis) for axis in machine.tool_axes]
+        self._simulation = PlanSimulation(model, period, horizon)
+        self._rated, self._tool = model.rated, model.tool
         entries = horizon * len(self._rated)
         self._difference = np.eye(entries) - np.eye(entries, k=-len(self._rated))
         self._volts = np.zeros((0, horizon, len(self._rated)))  # plan of the last period, V

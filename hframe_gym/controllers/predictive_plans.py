@@ -8,8 +8,6 @@
 
 References:
     Boyd and Vandenberghe (2004), Convex Optimization, section 5.5 (the dual problem).
-    Diehl, Bock and Schloeder (2005), A real-time iteration scheme for nonlinear optimization in optimal feedback
-    control.
 """
 
 from __future__ import annotations
@@ -21,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..dynamics import Equations, MotionPoint, mode_frequencies, rollout
-from ..machine import Machine
 from .finite_horizon_control import VELOCITY_SCALE_S
 from .motion_model import MotionModel
 
@@ -82,16 +79,20 @@ class LinearMotion:
         rates[:, n : 2 * n, 2 * n : 2 * n + drives] = model.drive
         rates[:, n : 2 * n, 2 * n + drives :] = np.eye(n)
         rates[:, n : 2 * n] /= mass[:, :, None]
-        # Matrix exponential by a Taylor series and repeated squaring.
-        power = step = rates * (self._period / 2**HALVINGS)
-        discrete = np.eye(rates.shape[1]) + step
-        for degree in range(2, TAYLOR_DEGREE + 1):
-            power = power @ step / degree
-            discrete = discrete + power
-        for _ in range(HALVINGS):
-            discrete = discrete @ discrete
-        discrete = discrete[:, : 2 * n]
+        discrete = _exponential(rates * self._period)[:, : 2 * n]
         return discrete[:, :, : 2 * n], discrete[:, :, 2 * n : 2 * n + drives], discrete[:, :, 2 * n + drives :]
+
+
+def _exponential(matrices: Array) -> Array:
+    """Return the exponentials of many small matrices (B, m, m), by a Taylor series and repeated squaring."""
+    power = step = matrices / 2**HALVINGS
+    result = np.eye(step.shape[1]) + step
+    for degree in range(2, TAYLOR_DEGREE + 1):
+        power = power @ step / degree
+        result = result + power
+    for _ in range(HALVINGS):
+        result = result @ result
+    return result
 
 
 class ArrivalPlan(NamedTuple):
@@ -251,18 +252,14 @@ class PlanSimulation:
     """Simulation of plans of voltages for B machines, and improvement of plans by simulations.
 
     Args:
-        machine: Machine that is simulated, with its effects.
+        model: Model of the machine that is simulated, with its effects.
         period: Control period, s.
         periods: Number of periods of a plan, P.
     """
 
-    def __init__(self, machine: Machine, period: float, periods: int) -> None:
-        self._machine, self.periods = machine, periods
+    def __init__(self, model: MotionModel, period: float, periods: int) -> None:
+        self._model, self.periods = model, periods
         self._time_s = np.linspace(0.0, period * periods, periods * SAMPLES + 1)
-        self._units = np.tile(machine.travel_per_unit, 2)
-        self._rated = np.array([d.rated_voltage for d in machine.drives])
-        self._tool = [machine.coordinate_names.index(axis) for axis in machine.tool_axes]
-        self._entries = periods * len(self._rated)
 
     def tool(self, state: Array, parameters: Array, volts: Array) -> Array:
         """Simulate the tool under given voltages.
@@ -277,15 +274,15 @@ class PlanSimulation:
         """
         inputs = np.repeat(volts, SAMPLES, axis=1)
         positions = rollout(
-            self._machine,
+            self._model.machine,
             self._time_s[: inputs.shape[1] + 1],
             np.concatenate([inputs, inputs[:, -1:]], axis=1),
             parameters=parameters,
-            start=state / self._units,
+            start=state / np.tile(self._model.machine.travel_per_unit, 2),
             longest_step=INTEGRATION_STEP,
             parallel=False,
         )
-        return np.asarray(positions[:, 1:, self._tool])
+        return np.asarray(positions[:, 1:, self._model.tool])
 
     def improve(
         self, state: Array, parameters: Array, goal: Array, plans: list[Array], arrival: Indices, count: int
@@ -303,7 +300,7 @@ class PlanSimulation:
         Returns:
             Commanded voltages of the best plan, V, shape (B, periods, drives).
         """
-        batch, entries = len(state), self._entries
+        batch, rated, entries = len(state), self._model.rated, self.periods * len(self._model.rated)
         counted = np.arange(1, self.periods * SAMPLES + 1) >= arrival[:, None] * SAMPLES  # (B, samples)
 
         def residuals(volts: Array, repeats: int = 1) -> Array:
@@ -312,30 +309,40 @@ class PlanSimulation:
             error = (self.tool(start, values, volts) - end[:, None]) / SAMPLE_UNIT
             return np.asarray(error * np.repeat(counted, repeats, axis=0)[..., None])
 
-        best, remaining, cost = plans[0], np.zeros(0), np.full(batch, np.inf)
-
-        def consider(volts: Array) -> None:
-            nonlocal best, remaining, cost
+        def tried(volts: Array) -> _TriedPlan:
             residual = residuals(volts)
             distance = np.linalg.norm(residual, axis=2)
-            costs = (distance / (1.0 + distance / ROBUST_UNITS) + LARGE_WEIGHT * distance).sum(axis=1)
-            better = (costs < cost)[:, None, None]
-            best, cost = np.where(better, volts, best), np.minimum(costs, cost)
-            remaining = np.where(better, residual, remaining) if len(remaining) else residual
+            cost = distance / (1.0 + distance / ROBUST_UNITS) + LARGE_WEIGHT * distance
+            return _TriedPlan(volts, residual, cost.sum(axis=1))
 
-        for plan in plans:
-            consider(plan)
+        best = tried(plans[0])
+        for plan in plans[1:]:
+            best = best.or_better(tried(plan))
         for iteration in range(REFINEMENTS):
             turn = count * REFINEMENTS + iteration + np.arange(entries)
             steps = np.take(VOLTAGE_STEPS, turn % len(VOLTAGE_STEPS)) * np.where(turn % 2, 1.0, -1.0)
-            changed = np.repeat(best.reshape(batch, 1, entries), entries, axis=1) + np.diag(steps)
-            shifted = residuals(changed.reshape(-1, *best.shape[1:]), entries).reshape(batch, entries, -1)
-            J = (shifted - remaining.reshape(batch, 1, -1)) / steps[:, None]
-            robust = (1.0 + np.linalg.norm(remaining, axis=2, keepdims=True) / ROBUST_UNITS) ** -2.0
-            weighted = J * np.broadcast_to(robust, remaining.shape).reshape(batch, 1, -1)
-            H, gradient = weighted @ J.transpose(0, 2, 1), weighted @ remaining.reshape(batch, -1, 1)
-            start = best
+            changed = np.repeat(best.volts.reshape(batch, 1, entries), entries, axis=1) + np.diag(steps)
+            shifted = residuals(changed.reshape(-1, *best.volts.shape[1:]), entries).reshape(batch, entries, -1)
+            J = (shifted - best.residual.reshape(batch, 1, -1)) / steps[:, None]
+            robust = (1.0 + np.linalg.norm(best.residual, axis=2, keepdims=True) / ROBUST_UNITS) ** -2.0
+            weighted = J * np.broadcast_to(robust, best.residual.shape).reshape(batch, 1, -1)
+            H, gradient = weighted @ J.transpose(0, 2, 1), weighted @ best.residual.reshape(batch, -1, 1)
+            start = best.volts
             for damping, length in CORRECTIONS:
-                change = np.linalg.solve(H + damping * np.eye(entries), gradient)[..., 0].reshape(best.shape)
-                consider(np.clip(start - length * change, -self._rated, self._rated))
-        return best
+                change = np.linalg.solve(H + damping * np.eye(entries), gradient)[..., 0].reshape(start.shape)
+                best = best.or_better(tried(np.clip(start - length * change, -rated, rated)))
+        return best.volts
+
+
+class _TriedPlan(NamedTuple):
+    """Plans (B, periods, drives), V, with their residuals (B, samples, axes) in SAMPLE_UNIT and costs (B,)."""
+
+    volts: Array
+    residual: Array
+    cost: Array
+
+    def or_better(self, other: _TriedPlan) -> _TriedPlan:
+        """Return for each machine this plan or, if its cost is lower, the other one."""
+        better = (other.cost < self.cost)[:, None, None]
+        volts, residual = np.where(better, other.volts, self.volts), np.where(better, other.residual, self.residual)
+        return _TriedPlan(volts, residual, np.minimum(self.cost, other.cost))
