@@ -184,7 +184,7 @@ def test_masked_reset_starts_a_new_episode(hframe: Machine) -> None:
 
 def test_measurement_that_is_not_finite_is_rejected(hframe: Machine) -> None:
     estimator = StateEstimator(with_rig(hframe, 0.1), PERIOD)
-    with pytest.raises(InputError, match="channel 2 of stage 1 is nan"):
+    with pytest.raises(InputError, match="channel 2 of machine 1 is nan"):
         estimator.update(np.array([[0.0, 0.0, 0.0, 0.0], [0.0, 0.0, np.nan, 0.0]]))
 
 
