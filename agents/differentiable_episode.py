@@ -13,8 +13,8 @@ import torch
 from numpy.typing import NDArray
 
 from ..dynamics import rollout
-from ..envs.end_stops import with_end_stops
 from ..envs.tasks.base import ReferenceTrajectories
+from ..envs.workspace import with_end_stops
 from ..machine import Machine
 
 Array = NDArray[np.float64]

@@ -23,7 +23,8 @@ from .measurements import SensorArray
 from .random_numbers import compiled
 from .rewards import Evaluation, evaluate_rows
 from .sensors import PositionFromSensors
-from .spaces import MARGIN, SignalSpec, bounds_of, privileged_signals, sensor_signals, state_signals, workspace_of
+from .spaces import MARGIN, SignalSpec, bounds_of, privileged_signals, sensor_signals, state_signals
+from .workspace import workspace_of
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
