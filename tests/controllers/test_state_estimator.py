@@ -51,6 +51,7 @@ def true_states(machine: Machine, motion: Trajectory) -> np.ndarray:
     return np.hstack([motion.positions, motion.velocities]) * np.tile(machine.travel_per_unit, 2)
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("span", [np.inf, 0.1])
 def test_settles_randomized_machines_from_measurements(hframe: Machine, span: float) -> None:
     start, goal = random_points(48, 1), random_points(48, 2)
