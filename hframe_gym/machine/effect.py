@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -39,6 +40,7 @@ HOOKS = (
     "measurement",
     "measurement_delay",
     "next_state",
+    "initial_spread",
 )
 
 
@@ -54,6 +56,9 @@ class EffectParameter:
         scale: Typical size of the parameter, relative to the typical value of its unit on the machine (for example
             the Coulomb friction for N).
         grid: Initial values of a search, relative to the same typical value.
+        largest: Largest value that a search may give the parameter, relative to the same typical value. Beyond it the
+            effect cannot be told from another one: a hysteresis over a distance that the motion hardly covers is a
+            spring.
         role: "amplitude" is zero where the effect is absent. "phase" shifts the sine of the amplitude, so that both
             together are linear. "period" (m or rad) and "rate" (rad per position) are searched on a grid that follows
             from the distance traveled. "fixed" is not fitted. "shape" is everything else.
@@ -65,6 +70,7 @@ class EffectParameter:
     upper: float
     scale: float
     grid: tuple[float, ...] = (0.0,)
+    largest: float = math.inf
     role: Literal["amplitude", "phase", "period", "rate", "shape", "fixed"] = "shape"
 
     @property
@@ -83,7 +89,7 @@ class Effect:
     hook                returns                                                      arguments
     force               force added to the coordinate, N or Nm                       q, v, t, z, u, m, net, friction
     active_region       where the force may differ from zero (default: everywhere)   q, v, t
-    coulomb             change of the Coulomb friction force, N or Nm (sum >= 0)     q, v, t, z, u, level
+    coulomb             change of the Coulomb friction force, N or Nm (sum >= 0)     q, v, t, z, u, level, drive
     friction            dry friction force that replaces Coulomb friction, N or Nm   q, v, t, z, level
     viscous             viscous coefficient of the coordinate, Ns/m or Nms           b, direction (+1 or -1)
     voltage             voltage that reaches the drive, V                            V
@@ -98,15 +104,17 @@ class Effect:
     measurement         measured value of a sensor, in its unit                      r, across
     measurement_delay   delay of a sensor, s
     next_state          state of the effect after the time dt                        z, dq, dt, v, level, i
+    initial_spread      standard deviation of the state when a recording begins,     level
+                        after motion that was not recorded (default: it is zero)
 
     Symbols: q, v: position and speed of the coordinate in its unit; t: time since the machine was switched on, s; u:
     the variable that `against` names; z: the effect's state, zero when the simulation starts; b: viscous coefficient
     without the effect, Ns/m or Nms; direction: sign of the motion; V: voltage, V; level: Coulomb friction force of the
-    coordinate with the effects on it, N or Nm; i: current by Ohm's law, A; s, rate, k: extension (m), its rate (m/s)
-    and stiffness (N/m) of a belt; r: ideal measurement; across: position of the other linear coordinate, m; m: mass of
-    the coordinate, kg or kg m^2; net, friction: net force and friction force (dry and viscous) of the coordinate at the
-    site, where `structure` has added another one, N or Nm; dt: length of a step, s; dq: distance that the coordinate
-    moves in dt; per_radius: 1/radius of the pulley, 1/m.
+    coordinate with the effects on it, N or Nm; drive: force or torque of the drive on its coordinate; i: current by
+    Ohm's law, A; s, rate, k: extension (m), its rate (m/s) and stiffness (N/m) of a belt; r: ideal measurement; across:
+    position of the other linear coordinate, m; m: mass of the coordinate, kg or kg m^2; net, friction: net force and
+    friction force (dry and viscous) of the coordinate at the site, where `structure` has added another one, N or Nm;
+    dt: length of a step, s; dq: distance that the coordinate moves in dt; per_radius: 1/radius of the pulley, 1/m.
 
     Attributes:
         name: Unique name.
@@ -151,6 +159,7 @@ class Effect:
     measurement: Hook | None = None
     measurement_delay: Hook | None = None
     next_state: Hook | None = None
+    initial_spread: Hook | None = None
     structure: Callable[..., Any] | None = None
     fits: Callable[..., bool] | None = None
     fits_site: Callable[..., bool] | None = None

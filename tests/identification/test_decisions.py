@@ -396,7 +396,7 @@ class ScriptedSearch:
             "polish": lambda fitted, data: fitted,
             "converge": lambda fitted, data, thorough: fitted,
             "fit_with_model_error": lambda fitted, data: fitted,
-            "refine_encoder_offsets": lambda data, machine: data,
+            "refine_starts": lambda data, machine: data,
             # The simulation has no say: it is as bad with the effects as without.
             "prediction_cost": lambda machine, data, bandwidth: (
                 COUNT * (script.wide if bandwidth and machine.effects else 10.0)
@@ -453,7 +453,10 @@ def test_known_effects_are_reported_if_they_remove_three_quarters(
 ) -> None:
     """Three quarters of the excess of chi-squared, 10, over the 1.1 that a correct model reaches."""
     scripted_search.effects, scripted_search.after, scripted_search.wide = (selected(PUSH),), 3.0, wide
-    assert scripted_search.run().verdict == verdict
+    outcome = scripted_search.run()
+    assert outcome.verdict == verdict
+    # An effect that was found but is not reported is not forgotten.
+    assert [c.effect for c in outcome.considered] == ([] if verdict == "effect_found" else [PUSH])
 
 
 def test_nothing_is_found_where_nothing_was_selected(scripted_search: ScriptedSearch) -> None:

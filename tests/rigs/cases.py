@@ -99,6 +99,8 @@ SITES: dict[str, tuple[str, ...]] = {
     "position_friction": ("x", "phi2"),
     "friction_slope": ("x",),
     "cogging": ("motor1", "motor2"),
+    "unbalance": ("phi2",),
+    "load_friction": ("motor1",),
     "eccentric_pulley": ("motor2",),
     "belt_play": ("belts",),
     "belt_damping": ("belts",),
