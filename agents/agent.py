@@ -1,7 +1,7 @@
 """A trained policy as a controller, and its files.
 
-A folder holds policy.safetensors (weights), agent.json (how to build the policy) and machine.json (the machine of the
-training). Loading them executes no code from the folder, so an agent may come from an untrusted source.
+A folder holds policy.safetensors (weights), agent.json (how to build the policy) and machine.json (the machine on which
+it was trained). Loading them executes no code from the folder, so an agent may come from an untrusted source.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from .residual_action import ResidualAction, residual_action
 
 SCHEMA = 2
 AGENT_FILES = ("agent.json", "machine.json", "policy.safetensors")
-# Entries of a card that agent.json repeats: what is needed to rebuild the policy, and what it is.
+# Entries of card.json that agent.json repeats: they identify the agent and are needed to build its policy.
 AGENT_KEYS = (
     "schema",
     "name",

@@ -59,12 +59,13 @@ class _Actuation(_Table):
 
 
 class _Settings(_Table):
-    """Recipe of the training; only the parts that rebuild the policy are checked."""
+    """Recipe of the training; only the parts that are used after it are checked."""
 
     model_config = ConfigDict(extra="ignore", strict=True)
 
     policy: _Policy
     actuation: _Actuation
+    env: dict[str, Any] = {}
 
 
 class _Features(_Table):
@@ -112,9 +113,9 @@ def read_card(folder: Path, schema: int, files: tuple[str, ...]) -> dict[str, An
             raise InputError(f"{folder} is not an agent: {name} is missing")
     file = folder / "agent.json"
     card = read_json(file)
-    found = card.get("schema") if isinstance(card, dict) else None
-    if found != schema or isinstance(found, bool):
-        raise InputError(f"{file}: schema is {repr(found)[:40]}, this version reads {schema}")
+    version = card.get("schema") if isinstance(card, dict) else None
+    if version != schema or isinstance(version, bool):
+        raise InputError(f"{file}: schema is {repr(version)[:40]}, this version reads {schema}")
     try:
         _Card.model_validate(card)
     except ValidationError as error:

@@ -1,13 +1,14 @@
 """Analytic policy gradient: train a policy by backpropagation through simulated episodes.
 
 PPO estimates the gradient of the return from the noise of its actions. Here the chain rule computes it: an episode is a
-chain of policy and machine, and backpropagation through time gives the derivatives of its cost by the weights. The
-derivatives of the machine over one control period are finite differences of the compiled simulator: 11 simulations of
-10 ms for a state of 8 and an action of 2 entries, which take about as long as the network.
+chain of policy and machine, and backpropagation through time gives the derivatives of its cost with respect to the
+weights of the policy. The derivatives of the machine over one control period are finite differences of the compiled
+simulator: 11 simulations of 10 ms for a state of 8 and an action of 2 entries, which take about as long as the network.
 
-Static friction makes the motion depend discontinuously on state and voltage, and small errors at the goal grow over
-many periods. Three measures keep the gradient useful: the differences have random steps, which smooths the derivatives;
-the derivative by the state is discounted per period; and it is limited in every episode.
+Static friction makes the motion depend discontinuously on state and voltage, and derivatives grow from period to period
+where the tool is close to its goal. Three measures keep the gradient useful: the steps of the finite differences are
+random, which smooths the derivatives; the derivative with respect to the state is multiplied by a discount in every
+period; and its norm is limited in every period.
 
 Importing this module needs the extra `agents`.
 
@@ -40,16 +41,16 @@ from .differentiable_episode import (
     reach_cost,
 )
 from .features import LARGEST_WEIGHTED
-from .sb3_adapters import ResidualActionVecEnv
+from .sb3_adapters import ResidualActionVecEnv, set_mean_action_to_zero
 
-LARGEST_NORM = 1.0  # of the gradient by the weights
+LARGEST_NORM = 1.0  # of the gradient with respect to the weights
 
 
 class AnalyticPolicyGradient:
     """Analytic policy gradient with the interface that a training run uses of a stable-baselines3 algorithm.
 
-    Every update simulates one episode in each environment. The first periods are not differentiated: their number is
-    random, which saves time and lets later periods, in which the tool arrives, count as much as the first ones.
+    Every update simulates one episode in each environment. A random number of periods at its beginning are not
+    differentiated. This saves time, and lets the later periods, in which the tool arrives, count as much as the first.
 
     Args:
         policy: Name of the policy class; "MultiInputPolicy" is the only one.
@@ -60,13 +61,14 @@ class AnalyticPolicyGradient:
         policy_kwargs: Keyword arguments of the policy class.
         periods: Control periods of an episode.
         skipped: Largest number of periods at the beginning that are not differentiated.
-        discount: Factor per period of the derivative by the state, 0 to 1.
-        limit: Limit of this derivative per episode, in costs of a period per 1 mm and 50 mm/s.
-        averaging: Fraction of the averaged weights that remains in an update, 0 to below 1.
+        discount: Factor by which the derivative with respect to the state is multiplied in every period, 0 to 1.
+        limit: Largest norm of this derivative of an episode's cost, dimensionless, with travel in units of 1 mm and
+            velocity in units of 50 mm/s.
+        averaging: Factor of the exponential moving average of the weights per update, 0 to below 1.
 
     Attributes:
         policy: Policy with averaged weights (exponential moving average), which is evaluated and saved.
-        num_timesteps: Environment steps so far, without the additional simulations of the differences.
+        num_timesteps: Environment steps so far; the simulations for finite differences do not count.
         logger: Logger of stable-baselines3.
         action_space: Space of the actions, drives.
         generators: Generators of all random numbers that do not come from torch or the environment.
@@ -108,9 +110,8 @@ class AnalyticPolicyGradient:
         self._discount, self._limit, self._averaging = discount, limit, averaging
         space: Any = env.observation_space
         self._trained: Any = MultiInputPolicy(space, env.action_space, lambda _: 0.0, **policy_kwargs)
-        if self.mapping.base:  # the first policy is its base
-            for parameter in self._trained.action_net.parameters():
-                parameter.data.zero_()
+        if self.mapping.base:
+            set_mean_action_to_zero(self._trained)
         self.policy = copy.deepcopy(self._trained)
         self._optimizer = torch.optim.Adam(self._trained.parameters())
         self.num_timesteps, self._updates = 0, 0
@@ -156,28 +157,28 @@ class AnalyticPolicyGradient:
         if torch.isfinite(norm):
             self._optimizer.step()
         self._updates += 1
-        # The first weights are random: the average forgets them faster.
+        # The first weights are random: at the beginning the average forgets them faster.
         kept = min(self._averaging, self._updates / (self._updates + 9.0))
         with torch.no_grad():
             for average, weights in zip(self.policy.parameters(), self._trained.parameters(), strict=True):
                 average.lerp_(weights, 1.0 - kept)
 
     def _episode_costs(self, skipped: int) -> Any:
-        """Simulate one episode in each environment; return the costs (B,) of its periods from `skipped` on."""
+        """Simulate one episode in each environment; return its costs (B,) without the first `skipped` periods."""
         self.env.venv.reset()
         self.mapping.reset()
         batch, model = self._envs.batch, self._model
         parameters, references, moving = self._envs.parameters, batch.references, batch.references.moving
         state = torch.from_numpy(model.goal_state(batch.simulator.tools()))
         last_observation, last_action, costs = None, None, []
-        limit = self._limit / len(state)  # the mean over the episodes is differentiated
+        limit = self._limit / len(state)  # because the mean over the episodes is differentiated
         for k in range(self._periods):
             observation = {"observation": model.observation(state.detach().numpy()).astype(np.float32)}
             references.add_blank(observation)
             references.write(slice(None), observation)
             entries: dict[str, Any] = {key: torch.from_numpy(v) for key, v in self.mapping.augment(observation).items()}
             with torch.set_grad_enabled(k >= skipped):
-                # What depends on the state and on earlier actions replaces the arrays of the same values.
+                # Tensors with derivatives with respect to the state and earlier actions replace arrays of equal values.
                 entries["observation"] = (state @ self._observed).float()
                 if last_observation is not None:
                     entries |= {"last_observation": last_observation, "last_action": last_action}
@@ -198,7 +199,7 @@ class AnalyticPolicyGradient:
         return path_cost(by_period) * len(costs) if moving else by_period.sum(1)
 
     def _action(self, entries: Mapping[str, Any]) -> Any:
-        """Compute the part (B, drives) of the actions of the policy that is trained."""
+        """Return the contribution (B, drives) of the trained policy to the actions."""
         policy = self._trained
         output = policy.action_net(policy.mlp_extractor.forward_actor(policy.extract_features(entries)))
         goal, observation = entries["desired_goal"], entries["observation"]

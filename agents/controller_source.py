@@ -6,14 +6,14 @@ declares in the entry-point group `hframe_gym.plugins`.
 
 from __future__ import annotations
 
-import json
 import warnings
 from importlib import resources
 from pathlib import Path
 
 from ..errors import InputError
 from ..evaluation import CONTROLLER_SOURCES, ControllerFiles, ControllerSource, Scenario
-from .agent import AGENT_FILES, Agent
+from .agent import AGENT_FILES, SCHEMA, Agent
+from .agent_files import read_card
 
 
 @CONTROLLER_SOURCES.register("agents")
@@ -36,7 +36,7 @@ class AgentSource(ControllerSource):
             InputError: If the folder holds no agent or its files are damaged.
             ImportError: If the extra `agents` is not installed.
         """
-        folder = Path(name) if Path(name).is_dir() else _find_shipped(name, scenario.task_name)
+        folder = _agent_folder(name, scenario.task_name)
         if folder is None:
             return None
         agent = Agent.load(folder)
@@ -66,14 +66,18 @@ class AgentSource(ControllerSource):
             scenario: Scenario in which the agent will run; its task selects among the agents of the package.
 
         Returns:
-            Name of the folder, files of the agent and the sensors of its training; None if there is no such agent.
+            Name of the folder, files of the agent, and the sensors that its training environment observed; None if
+            there is no such agent.
+
+        Raises:
+            InputError: If the folder holds no agent or its description is damaged.
         """
-        folder = Path(name) if Path(name).is_dir() else _find_shipped(name, scenario.task_name)
+        folder = _agent_folder(name, scenario.task_name)
         if folder is None:
             return None
-        settings = json.loads((folder / "agent.json").read_text("utf-8"))["settings"]
+        environment = read_card(folder, SCHEMA, AGENT_FILES)["settings"].get("env", {})
         files = tuple(folder / file for file in AGENT_FILES)
-        return ControllerFiles(folder.resolve().name, files, str(settings.get("env", {}).get("sensors", "state")))
+        return ControllerFiles(folder.resolve().name, files, str(environment.get("sensors", "state")))
 
 
 def shipped_agent_folder(name: str, task: str) -> Path:
@@ -102,6 +106,11 @@ def shipped_agent_names() -> tuple[str, ...]:
         Names without the suffix "-seedN", sorted, for example ("apg", "ppo", "residual", "sac").
     """
     return tuple(sorted({label.rpartition("-seed")[0] for label in _shipped_folders("*")}))
+
+
+def _agent_folder(name: str, task: str) -> Path | None:
+    """Return the folder that a user's name of an agent means: that folder itself, or the one of a shipped agent."""
+    return Path(name) if Path(name).is_dir() else _find_shipped(name, task)
 
 
 def _find_shipped(name: str, task: str) -> Path | None:

@@ -12,18 +12,20 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from ..dynamics import simulate_batch
-from ..envs.end_stops import with_end_stops
+from ..dynamics import rollout
 from ..envs.tasks.base import ReferenceTrajectories
+from ..envs.workspace import with_end_stops
 from ..machine import Machine
 
 Array = NDArray[np.float64]
 SAMPLES = 2  # samples of the tool position per control period that enter the cost
 INTEGRATION_STEP = 1e-3  # s, twice that of the environment; the gradient needs no higher accuracy
-# Steps of the finite differences: belt travel, m, its rate, m/s, and the range of the voltages, V. Friction takes up to
-# 0.7 V; steps of this size show a policy at rest that a higher voltage moves the tool.
+# Steps of the finite differences: belt travel, m, its rate, m/s, and the range of the voltages, V. Static friction can
+# hold the tool up to 0.7 V. Much smaller steps would not move it, so that a derivative of zero would hide from the
+# policy that a higher voltage does.
 TRAVEL_STEP, RATE_STEP, VOLTAGE_STEPS = 2e-5, 5e-3, (0.05, 0.3)
-# Units of travel, m, and rate, m/s, in which the derivative by the state is limited: typical changes in one period.
+# Units of travel, m, and rate, m/s, in which the derivative with respect to the state is limited: typical changes in
+# one period.
 TRAVEL_UNIT, RATE_UNIT = 1e-3, 0.05
 # Lengths s, m, and weights w of the cost sum w d / (d + s) of a distance d: the reward "dense", with more weight on a
 # few tenths of a millimeter.
@@ -64,30 +66,29 @@ class SimulatedPeriod:
             State at the end of the period, then the tool positions at SAMPLES equally spaced times, the last of which
             is the end, m; shape (B, 2 n + 2 SAMPLES).
         """
-        motion = simulate_batch(
+        states = rollout(
             self._machine,
             self._time_s,
             np.broadcast_to(volts[:, None], (len(volts), len(self._time_s), self._drives)),
+            velocities=True,
             parameters=np.hstack([parameters, np.tile(self._end_stops, (len(parameters), 1))]),
             start=state / self._units,
             longest_step=INTEGRATION_STEP,
-            readings=False,
             parallel=False,
         )
-        end = np.concatenate([motion.positions[:, -1], motion.velocities[:, -1]], axis=1) * self._units
-        return np.hstack([end, motion.positions[:, 1:, self._tool].reshape(len(state), -1)])
+        return np.hstack([states[:, -1] * self._units, states[:, 1:, self._tool].reshape(len(state), -1)])
 
     def differences(self, state: Array, volts: Array, parameters: Array) -> tuple[Array, Array]:
         """Simulate one period, and again with every entry of state and voltages changed by a random step.
 
         Args:
-            state: As for `outputs`, shape (B, 2 n).
-            volts: As for `outputs`, V, shape (B, d).
-            parameters: As for `outputs`, shape (B, P).
+            state: Belt travel (radius * angle if rotary) of the coordinates and its rate, m and m/s, shape (B, 2 n).
+            volts: Voltages of the drives, V, shape (B, d).
+            parameters: Parameters of the machines in the order of `Machine.parameters`, SI, shape (B, P).
 
         Returns:
-            outputs: Result of `outputs`, shape (B, o).
-            derivatives: Difference quotients of the outputs by the entries of state and voltages, shape
+            outputs: Final state and tool positions, as the method `outputs` returns them, m and m/s, shape (B, o).
+            derivatives: Difference quotients of the outputs with respect to the entries of state and voltages, shape
                 (2 n + d, B, o).
         """
         inputs = np.hstack([state, volts])
@@ -152,12 +153,12 @@ class _SquaredContour(torch.autograd.Function):
             assert distance is not None
             return distance**2
 
-        place = points.detach().numpy()
-        steps = CONTOUR_STEP * np.eye(place.shape[1])
+        position = points.detach().numpy()
+        steps = CONTOUR_STEP * np.eye(position.shape[1])
         ctx.slopes = np.stack(
-            [(squares(place + step) - squares(place - step)) / (2.0 * CONTOUR_STEP) for step in steps], axis=1
+            [(squares(position + step) - squares(position - step)) / (2.0 * CONTOUR_STEP) for step in steps], axis=1
         )
-        return torch.from_numpy(squares(place))
+        return torch.from_numpy(squares(position))
 
     @staticmethod
     def backward(ctx: Any, gradient: Any) -> Any:  # type: ignore[override]

@@ -8,7 +8,8 @@ for several scales: linear well below a scale, logarithmic above it. Errors ente
 (as belt travel), now and extrapolated one control period ahead. Every v is linear in the observation z, so all
 features are one matrix product followed by one logarithm: gain * sign(z M) * log(1 + |z M|).
 
-`TransferBank` gives voltages of linear feedback laws that a policy may weight (see residual_action.py).
+`TransferBank` computes the voltages of linear feedback laws, of which a policy can form a weighted mean
+(residual_action.py).
 
 This module needs NumPy only; sb3_adapters.py evaluates the features in torch.
 """
@@ -21,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..controllers import MinimumEnergyTransfers, MotionModel, OperatingPointGrid, PreviewGains
+from ..controllers import MinimumEnergyTransfers, MotionModel, OperatingPointGrid, PreviewGains, scaled_machine
 from ..controllers.finite_horizon_control import VOLTAGE_CHANGE_WEIGHT
 from ..errors import InputError
 from ..machine import Machine, rest_state
@@ -31,10 +32,10 @@ Array = NDArray[np.float64]
 ERROR_SCALES = (1e-1, 1e-2, 1e-3, 1e-4)  # m
 SPEED_SCALES = (0.3, 0.02)  # m/s
 STRETCH_SCALES = (1e-3, 1e-4)  # m
-# Fractions of the rated voltage: full voltage, and about what Coulomb friction takes.
+# Fractions of the rated voltage: full voltage, and about the voltage that overcomes Coulomb friction.
 ACTION_SCALES = (1.0, 0.03)
 FRICTION_VOLTAGE_SCALES = (0.03, 0.003)  # fractions of the rated voltage
-# Fractions of the rated voltage; far from the goal a short transfer takes far more than the rated voltage.
+# Fractions of the rated voltage; far from the goal a short transfer would need far more than the rated voltage.
 TRANSFER_SCALES, LARGEST_TRANSFER = (1.0, 0.05), 30.0
 ESTIMATE_SCALE, LARGEST_ESTIMATE = 0.2, 1.0  # relative deviations from the nominal parameters
 POSITION_SCALE = 0.2  # m
@@ -44,10 +45,10 @@ LARGEST_ERROR = 0.5  # m
 LARGEST_SPEED = 1.5  # m/s
 LARGEST_STRETCH = 0.01  # m
 
-# Belt stiffness and masses for which transfers are designed beside the declared ones, as factors on these.
+# Factors (belt stiffness, masses) on the declared values for which transfers are designed, beside (1, 1).
 BANK = ((0.7, 0.95), (0.7, 1.15), (1.3, 0.95), (1.3, 1.15))
-LAST_TRANSFERS = 5  # number of the shortest transfers, those of the arrival, that are designed for the bank
-LARGEST_WEIGHTED = 1.2  # limit of the voltages of a transfer, of the rated voltage
+BANK_TRANSFERS = 5  # number of the durations, the shortest ones, for which they are designed; they matter at the goal
+LARGEST_WEIGHTED = 1.2  # limit of a transfer's voltages, as a fraction of the rated voltage
 
 # Observation keys in the order in which they are concatenated; absent keys are skipped. The weights of a trained agent
 # depend on this order.
@@ -215,12 +216,15 @@ def _scaled_columns(columns: Array, scales: Sequence[float], largest: float) -> 
 
 
 class TransferBank:
-    """Voltages of minimum-energy transfers of K durations and designs, for a goal at rest.
+    """First voltages of K minimum-energy transfers (motions to rest at the goal) of several durations and designs.
+
+    The transfers are designed for the declared machine, and the shortest ones also for the stiffnesses and masses of
+    `BANK`.
 
     Args:
         machine: Machine for which the transfers are designed.
         period: Control period, s.
-        transfers: Durations in periods beyond the shortest transfer, ascending.
+        transfers: Durations in periods beyond the shortest possible transfer, ascending.
 
     Attributes:
         size: Number K of transfers.
@@ -240,22 +244,15 @@ class TransferBank:
             )
         gains = [designed.gains[:, list(transfers), 0]]
         for stiffness, mass in BANK:
-            factors = {".EA": stiffness, ".mass": mass}
-            changed = {
-                name: factor * value
-                for name, value in machine.parameters.items()
-                for suffix, factor in factors.items()
-                if name.endswith(suffix)
-            }
-            variant = MinimumEnergyTransfers(MotionModel(machine.replace(changed)), period)
-            last = np.minimum(transfers[:LAST_TRANSFERS], variant.longest - variant.shortest)
+            variant = MinimumEnergyTransfers(MotionModel(scaled_machine(machine, stiffness, mass)), period)
+            last = np.minimum(transfers[:BANK_TRANSFERS], variant.longest - variant.shortest)
             gains.append(variant.gains[:, last, 0])
         self._gains = np.concatenate(gains, axis=1) / self._model.rated[:, None]  # (points, K, drives, 2 n)
-        self._of_observation = self._model.state({"observation": np.eye(self._gains.shape[3])})
+        self._of_observation = _state_of_observation(self._model)
         self.size = self._gains.shape[1]
 
     def gains(self, goal: NDArray[Any]) -> Array:
-        """Return the gains on the entries of `observation` at goals.
+        """Return the gains of the transfers to given goals on the entries of `observation`.
 
         Args:
             goal: Tool positions of the goals, m, shape (batch, axes).
@@ -263,10 +260,10 @@ class TransferBank:
         Returns:
             Gains, fractions of the rated voltage per unit of the entry, shape (batch, K, drives, entries).
         """
-        return self._gains[self._grid.nearest(np.asarray(goal, np.float64))] @ self._of_observation.T
+        return self._gains[self._grid.nearest(np.asarray(goal, np.float64))] @ self._of_observation
 
     def at_rest(self, goal: NDArray[Any]) -> Array:
-        """Return the observations at rest at goals.
+        """Return the observations of a machine that is at rest at given goals.
 
         Args:
             goal: Tool positions of the goals, m, shape (batch, axes).
@@ -277,10 +274,10 @@ class TransferBank:
         return self._model.observation(self._model.goal_state(goal))
 
     def voltages(self, observation: NDArray[Any], goal: NDArray[Any]) -> Array:
-        """Compute the first voltages of the transfers.
+        """Compute the voltages of the first period of every transfer from the present state to the goal.
 
         Args:
-            observation: `observation` with full state, shape (batch, entries).
+            observation: `observation` with full state, m, rad, m/s and rad/s, shape (batch, entries).
             goal: Goals, m, shape (batch, axes).
 
         Returns:

@@ -22,8 +22,8 @@ from ..evaluation import BANDS, Episodes, Scenario, rollout, settling_times
 
 Array = NDArray[np.float64]
 PACKAGES = ("hframe_gym", "stable-baselines3", "torch", "numpy", "numba", "gymnasium")
-# Seconds of settling time that one millimeter of final error counts. Agents that settle in no band differ only by their
-# final error; for agents that settle, 0.01 mm counts as little as 0.1 ms, far below the noise of the episodes.
+# Cost of one millimeter of final error in seconds of settling time. Agents that settle in no band differ only in their
+# final error; for agents that settle, 0.01 mm costs as little as 0.1 ms, far below the noise of the episodes.
 SECONDS_PER_MM = 0.01
 
 

@@ -5,8 +5,9 @@
     held = max(0, 1 - distance / hold_m - speed / hold_m_s), 0 by default
 
 With the tool at rest at the goal, 0.1 V moves it by 0.1 mm in one control period. A policy explores with the same noise
-everywhere; the authority makes that noise small at the goal and large far from it. A held action makes the policy's
-output a change of voltage at the goal, so that it integrates against friction. The previous observation and action let
+everywhere; the authority makes that noise small at the goal and large far from it. Where the last action is held, the
+policy's output is a change of the voltage, which accumulates until it overcomes friction, as with an integrator. A
+transfer is a motion that brings the tool to rest at its goal (`TransferBank`). The previous observation and action let
 the policy infer masses and friction, which it cannot observe; a `ParameterFilter` can add estimates of them.
 Training and the finished agent use this one implementation.
 """
@@ -21,12 +22,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from ..controllers import (
-    CONTROLLERS,
-    EpisodeStarts,
-    MotionModel,
-    ParameterFilter,
-)
+from ..controllers import CONTROLLERS, EpisodeStarts, MotionModel, ParameterFilter
 from ..errors import InputError
 from ..machine import Machine
 from .features import TransferBank
@@ -34,8 +30,8 @@ from .features import TransferBank
 Array = NDArray[np.float64]
 Observation = Mapping[str, NDArray[Any]]
 
-LARGEST_HELD = 0.12  # largest action that is held, of the rated voltage: twice what Coulomb friction takes
-WEIGHT_SCALE = 5.0  # a weight grows by exp(WEIGHT_SCALE) while its output grows by 1
+LARGEST_HELD = 0.12  # limit of the held action, fraction of the rated voltage: twice what overcomes Coulomb friction
+WEIGHT_SCALE = 5.0  # the weight of a transfer is proportional to exp(WEIGHT_SCALE * output)
 
 
 @dataclass(frozen=True)
@@ -47,8 +43,8 @@ class Authority:
         most: Upper limit of this fraction, 0 to 1.
         full_at_m: Distance to the goal that increases the fraction by 1, m.
         full_at_m_s: Tool speed that increases the fraction by 1, m/s.
-        hold_m: Distance to the goal from which nothing of the last action is held, m; 0: nothing is held anywhere.
-        hold_m_s: Tool speed from which nothing of the last action is held, m/s.
+        hold_m: Distance to the goal beyond which the last action is not held, m; 0: it is not held anywhere.
+        hold_m_s: Tool speed above which the last action is not held, m/s.
     """
 
     least: float = 1.0
@@ -63,7 +59,7 @@ class Authority:
 
         Args:
             distance: Distances to the goal, m, array or torch tensor of shape (batch,).
-            speed: Tool speeds, m/s, likewise.
+            speed: Tool speeds, m/s, of the same type and shape.
 
         Returns:
             min(most, least + distance / full_at_m + speed / full_at_m_s), of the same type, shape (batch, 1).
@@ -75,7 +71,7 @@ class Authority:
 
         Args:
             distance: Distances to the goal, m, array or torch tensor of shape (batch,).
-            speed: Tool speeds, m/s, likewise.
+            speed: Tool speeds, m/s, of the same type and shape.
 
         Returns:
             max(0, 1 - distance / hold_m - speed / hold_m_s), of the same type, shape (batch, 1); 0 without `hold_m`.
@@ -135,8 +131,8 @@ class ResidualAction:
         self._model = MotionModel(machine) if estimates else None
         self._filter = ParameterFilter(self._model, period) if self._model else None
         self._starts = EpisodeStarts()
-        self._state: NDArray[Any] = np.zeros((0, 0))  # `observation` of this period, (batch, entries)
-        self._last_state: NDArray[Any] = np.zeros((0, 0))  # and of the previous period
+        self._observation: NDArray[Any] = np.zeros((0, 0))  # `observation` of this period, (batch, entries)
+        self._last_observation: NDArray[Any] = np.zeros((0, 0))  # and of the previous period
         self._last_action = self._base_action = np.zeros((0, 0))  # (batch, drives)
         self._distance = self._speed = np.zeros(0)  # m and m/s, (batch,)
         self._transfers: Array | None = None  # voltages of the bank, (batch, K, drives)
@@ -202,15 +198,15 @@ class ResidualAction:
         """
         state = observation["observation"]
         if self._starts.resize(len(state)):
-            self._state, self._last_action = state, np.zeros((len(state), self._drives))
+            self._observation, self._last_action = state, np.zeros((len(state), self._drives))
         starting = self._starts.mask[:, None]  # (batch, 1)
         if self._filter and self._model:
-            before, after = (self._model.state({"observation": rows}) for rows in (self._state, state))
+            before, after = (self._model.state({"observation": rows}) for rows in (self._observation, state))
             self._filter.update(before, after, self._last_action, self._starts.mask)
-        self._last_state = np.where(starting, state, self._state)
+        self._last_observation = np.where(starting, state, self._observation)
         self._last_action = np.where(starting, 0.0, self._last_action)
         self._starts.clear()
-        self._state = state
+        self._observation = state
         goal = observation["desired_goal"]
         self._distance = np.linalg.norm(goal - state[:, : goal.shape[1]], axis=1)
         self._speed = np.linalg.norm(state[:, self.tool_speeds], axis=1)
@@ -227,10 +223,12 @@ class ResidualAction:
             last_observation: `observation` of the previous period, m, rad, m/s and rad/s, shape (batch, entries) for a
                 batch of environments.
             last_action: Voltages divided by the rated voltages, shape (batch, drives).
-            base_action: Action of the base controller, which the policy corrects, likewise; only with a base.
-            expected_friction: Attribute of this name of the base, and likewise `estimates`; only if it has them.
+            base_action: Action of the base controller, which the policy corrects, shape (batch, drives); only with a
+                base.
+            expected_friction, estimates: Attributes of these names of the base controller, shape (batch, size); only if
+                it has them. Without a base, `estimates` of a `ParameterFilter` if the recipe asks for them.
         """
-        added: dict[str, NDArray[Any]] = {"last_observation": self._last_state, "last_action": self._last_action}
+        added: dict[str, NDArray[Any]] = {"last_observation": self._last_observation, "last_action": self._last_action}
         if self.base:
             added["base_action"] = self._base_action
         added |= {key: getattr(self.base, key) for key in self._base_features}
@@ -272,9 +270,8 @@ class ResidualAction:
         action = held + self.authority(distance, speed) * output[:, : self._drives]
         if transfers is None:
             return action
-        weights = 2.0 ** (
-            WEIGHT_SCALE / np.log(2.0) * output[:, self._drives :]
-        )  # a softmax, by type-independent means
+        # exp(WEIGHT_SCALE * output), as a power of 2 because this works for arrays and for tensors.
+        weights = 2.0 ** (WEIGHT_SCALE / np.log(2.0) * output[:, self._drives :])
         return action + (weights[..., None] * transfers).sum(1) / weights.sum(1)[:, None]
 
     def replace_last_action(self, actions: Array) -> None:

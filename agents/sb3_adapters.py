@@ -83,11 +83,13 @@ class LogScaleFeatures(BaseFeaturesExtractor):
 
 
 class TrainingCallback(BaseCallback):
-    """Callback of a training run after each step, and before each rollout, when a checkpoint needs no unfinished data.
+    """Callback of a training run that calls one function after each step and another one before each rollout.
+
+    Before a rollout, the algorithm has learned from all steps so far: a checkpoint then needs no steps of a rollout.
 
     Args:
         after_step: Called after each step of the environments.
-        before_rollout: Called when the steps of the last rollout have been learned from.
+        before_rollout: Called before the first step of each rollout.
     """
 
     def __init__(self, after_step: Callable[[], None], before_rollout: Callable[[], None]) -> None:
@@ -95,12 +97,12 @@ class TrainingCallback(BaseCallback):
         self._after_step, self._before_rollout = after_step, before_rollout
 
     def _on_step(self) -> bool:
-        """Continue after each step."""
+        """Call the function for the end of a step, and continue."""
         self._after_step()
         return True
 
     def _on_rollout_start(self) -> None:
-        """Announce the next rollout."""
+        """Call the function for the start of a rollout."""
         self._before_rollout()
 
 
@@ -179,6 +181,17 @@ def _as_dict(observation: Any) -> Observation:
     return observation
 
 
+def set_mean_action_to_zero(policy: Any) -> None:
+    """Set the last layer of a policy's mean action to zero, so that a residual policy starts as its base controller.
+
+    Args:
+        policy: Policy of PPO, SAC or the analytic policy gradient, which is modified.
+    """
+    layer = policy.action_net if hasattr(policy, "action_net") else policy.actor.mu
+    for parameter in layer.parameters():
+        parameter.data.zero_()
+
+
 def random_state(model: Any) -> dict[str, Any]:
     """Return the states of all generators from which the training of a model draws.
 
@@ -208,5 +221,5 @@ def set_random_state(model: Any, state: dict[str, Any]) -> None:
     np.random.set_state(state["numpy"])  # noqa: NPY002
     torch.set_rng_state(state["torch"])
     model.action_space.np_random.bit_generator.state = state["actions"]
-    for generator, own in zip(getattr(model, "generators", ()), state["algorithm"], strict=True):
-        generator.bit_generator.state = own
+    for generator, generator_state in zip(getattr(model, "generators", ()), state["algorithm"], strict=True):
+        generator.bit_generator.state = generator_state

@@ -1,10 +1,10 @@
-"""Training with stable-baselines3 on the native vector environment, by a recipe.
+"""Train agents on the vector environment with the settings of a recipe, and resume interrupted runs.
 
-A run writes to its folder: the best agent so far by its evaluations (agent.json, machine.json, policy.safetensors), its
+A run writes to its folder the agent with the best evaluation so far (agent.json, machine.json, policy.safetensors), its
 card (card.json, README.md), tensorboard/, and for `resume` checkpoint.zip, replay.pkl and environment.pkl. These three
 are pickles, which execute code when they are loaded: they are signed, and only files that this installation wrote are
-loaded (see agent_files.py). After each evaluation all files but the logs are replaced together, so a run may be killed
-at any time and continues as if it had not been.
+loaded (see agent_files.py). After each evaluation all files but the logs are replaced together. A run may therefore be
+killed at any time; `resume` continues it as if it had not been interrupted.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ from .optional_dependencies import import_optional, require_training_packages, s
 from .recipe import ALGORITHMS, Recipe, load_recipe
 from .residual_action import residual_action
 
-# Environment i of a run with seed s starts at TRAINING_SEED + s * SEED_STRIDE + i; evaluations use episodes that no
-# training run reaches.
+# Environment i of a run with seed s has the seed TRAINING_SEED + s * SEED_STRIDE + i. The seeds of the evaluation
+# episodes are smaller, so that no training run contains these episodes.
 EVALUATION_SEED = 1_000_000
 TRAINING_SEED = 10_000_000
 SEED_STRIDE = 100_000
@@ -184,7 +184,7 @@ class _Run:
             **recipe.algorithm_keywords,
         )
         if "base" in recipe.actuation:
-            _set_mean_action_to_zero(model.policy)
+            import_module("hframe_gym.agents.sb3_adapters").set_mean_action_to_zero(model.policy)
         return model
 
     def _load_checkpoint(self) -> Any:
@@ -315,13 +315,6 @@ def _build_environment(recipe: Recipe, machine: Machine, task: Task) -> Any:
     environment = HFrameVecEnv(**recipe.env, machine=machine, task=task)
     mapping = residual_action(machine, recipe.actuation, recipe.period)
     return ResidualActionVecEnv(environment, mapping) if mapping else environment
-
-
-def _set_mean_action_to_zero(policy: Any) -> None:
-    """Set the layer of PPO's or SAC's mean action to zero, so that a residual policy starts as its base controller."""
-    layer = policy.action_net if hasattr(policy, "action_net") else policy.actor.mu
-    for parameter in layer.parameters():
-        parameter.data.zero_()
 
 
 def _new_card(recipe: Recipe, machine: Machine, task: str, seed: int) -> dict[str, Any]:

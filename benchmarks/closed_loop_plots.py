@@ -10,7 +10,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from benchmarks.results_file import FIGURES
+from benchmarks.results_file import FIGURES, save_figure
 
 COLORS = {"declared": "#c4513d", "refitted": "#e0b04c", "corrected": "#3b7d4f"}
 PANELS = {
@@ -49,5 +49,4 @@ def draw(rigs: dict[str, Any], decides: dict[str, str]) -> None:
     axes[0].set_yticks(np.arange(len(rigs)), [row["hides"].replace(" + ", "\n") for row in rigs.values()], fontsize=8)
     axes[0].invert_yaxis()
     axes[1].legend(ncols=3, fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False)
-    figure.savefig(FIGURES / "closed_loop.png", dpi=150, metadata={"Software": None})
-    plt.close(figure)
+    save_figure(figure, FIGURES / "closed_loop.png")

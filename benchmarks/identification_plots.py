@@ -11,7 +11,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from benchmarks.results_file import FIGURES
+from benchmarks.results_file import FIGURES, save_figure
 from benchmarks.scoring import SCORES
 
 COLORS = dict(zip(SCORES, ("#3b7d4f", "#c9c9c9", "#9fc2a8", "#e0b04c", "#c4513d", "#7a1f12"), strict=True))
@@ -42,7 +42,7 @@ def _counts(rows: list[dict[str, Any]], path: Path) -> None:
     axes.invert_yaxis()
     axes.set_xlabel("rigs")
     axes.legend(ncols=len(SCORES), fontsize=7, loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False)
-    _save(figure, path)
+    save_figure(figure, path)
 
 
 def _errors(rows: list[dict[str, Any]], path: Path) -> None:
@@ -60,7 +60,7 @@ def _errors(rows: list[dict[str, Any]], path: Path) -> None:
     axes.set_xlabel("tool error of the refitted declared machine, um rms")
     axes.set_ylabel("with the identified effects, um rms")
     axes.legend(fontsize=7)
-    _save(figure, path)
+    save_figure(figure, path)
 
 
 def _time(rows: list[dict[str, Any]], path: Path) -> None:
@@ -69,10 +69,4 @@ def _time(rows: list[dict[str, Any]], path: Path) -> None:
     axes.hist([r["cpu_seconds"] for r in rows], bins=30, color="#3b7d4f")
     axes.set_xlabel("identification of one rig, processor seconds")
     axes.set_ylabel("rigs")
-    _save(figure, path)
-
-
-def _save(figure: Any, path: Path) -> None:
-    """Save a figure without a version stamp, so that equal figures give equal files."""
-    figure.savefig(path, dpi=150, metadata={"Software": None})
-    plt.close(figure)
+    save_figure(figure, path)

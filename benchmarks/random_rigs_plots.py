@@ -13,7 +13,7 @@ import numpy as np
 from scipy.stats import norm
 
 from benchmarks.random_rigs_summary import MAX_RELATIVE_STD, Row, split_by_residue
-from benchmarks.results_file import FIGURES
+from benchmarks.results_file import FIGURES, save_figure
 
 _GREEN, _RED, _GRAY, _AMBER = "#3b7d4f", "#c4513d", "0.6", "#e0b04c"
 _RATIO_LIMITS = (0.5, 1e3)  # ratios beyond are drawn at the limit
@@ -52,7 +52,7 @@ def _confusion(counts: dict[str, dict[str, int]], path: Path) -> None:
     axes.set_yticks(range(len(hidden)), hidden, fontsize=6)
     axes.set_xlabel("named family")
     axes.set_ylabel("hidden family")
-    _save(figure, path)
+    save_figure(figure, path)
 
 
 def _detection(detection: dict[str, Any], path: Path) -> None:
@@ -68,7 +68,7 @@ def _detection(detection: dict[str, Any], path: Path) -> None:
     axes.set_yticks(range(len(detection)), list(detection), fontsize=7)
     axes.invert_yaxis()
     axes.set_xlabel("size, % of the full one (green: identified, red: not; bar: half are identified)")
-    _save(figure, path)
+    save_figure(figure, path)
 
 
 def _calibration(rows: list[Row], path: Path) -> None:
@@ -90,7 +90,7 @@ def _calibration(rows: list[Row], path: Path) -> None:
     axes.set_xlabel("level of the reported interval")
     axes.set_ylabel("fraction of true values inside")
     axes.legend(fontsize=7, frameon=False)
-    _save(figure, path)
+    save_figure(figure, path)
 
 
 def _errors(rows: list[Row], path: Path) -> None:
@@ -104,10 +104,4 @@ def _errors(rows: list[Row], path: Path) -> None:
     axes.set_xlabel("error of the true machine on unseen runs, multiples of the noise")
     axes.set_ylabel("error of the identified machine")
     axes.legend(fontsize=7)
-    _save(figure, path)
-
-
-def _save(figure: Any, path: Path) -> None:
-    """Save a figure without a version stamp, so that equal figures give equal files."""
-    figure.savefig(path, dpi=150, metadata={"Software": None})
-    plt.close(figure)
+    save_figure(figure, path)

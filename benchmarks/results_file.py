@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import platform
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 from hframe_gym.atomic_files import write_text
 from hframe_gym.dynamics.simulation import threads
+from hframe_gym.evaluation.protocol_results import installed_versions
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
@@ -19,14 +19,21 @@ _PACKAGES = ("numpy", "numba", "scipy", "gymnasium", "mujoco", "envpool", "stabl
 
 def surroundings() -> dict[str, Any]:
     """Return the processor, the number of cores and the versions on which results depend."""
-    versions = {}
-    for package in _PACKAGES:
-        try:
-            versions[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            continue
     machine = {"processor": platform.machine(), "cores": threads()}
-    return {"python": platform.python_version(), "versions": versions, "machine": machine}
+    return {"python": platform.python_version(), "versions": installed_versions(_PACKAGES), "machine": machine}
+
+
+def save_figure(figure: Any, path: Path) -> None:
+    """Save a matplotlib figure without a version stamp, so that equal figures give equal files, and close it.
+
+    Args:
+        figure: Figure of `matplotlib.pyplot`.
+        path: File.
+    """
+    import matplotlib.pyplot as plt
+
+    figure.savefig(path, dpi=150, metadata={"Software": None})
+    plt.close(figure)
 
 
 def write_results(name: str, content: dict[str, Any], *, seed: int | None) -> Path:

@@ -20,7 +20,6 @@ import pytest
 from rich.console import Console
 from rich.table import Table
 
-from hframe_gym import cli
 from hframe_gym.cli import tables as cli_tables
 from hframe_gym.controllers import CONTROLLERS, ModelBasedController
 from hframe_gym.data_validation import Finding, print_findings
@@ -39,23 +38,6 @@ COMMANDS = (
     *("simulate", "import", "check", "identify", "report", "train", "evaluate", "play", "export"),
     *("machines", "effects", "kernel"),
 )
-
-
-@pytest.fixture
-def hframe_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
-    """Return a function that runs the command in this process: exit code, standard output, standard error."""
-
-    def run(*words: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["hframe", *map(str, words)])
-        try:
-            cli.main()
-            code = 0
-        except SystemExit as stop:
-            code = stop.code if isinstance(stop.code, int) else 0
-        printed = capsys.readouterr()
-        return code, printed.out, printed.err
-
-    return run
 
 
 @pytest.fixture

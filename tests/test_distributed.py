@@ -50,6 +50,7 @@ def fail(seed: int) -> int:
     return seed
 
 
+@pytest.mark.integration
 def test_a_task_whose_worker_dies_is_repeated_and_nothing_is_lost_or_counted_twice(tmp_path: Path) -> None:
     seeds = [5, 3, 8, 1, 9, 2]
     plain = list(map_tasks(draw, seeds))
@@ -63,6 +64,7 @@ def test_a_task_whose_worker_dies_is_repeated_and_nothing_is_lost_or_counted_twi
     assert str(os.getpid()) not in {process for processes in attempts.values() for process in processes}
 
 
+@pytest.mark.integration
 def test_a_task_that_always_kills_its_worker_is_named(tmp_path: Path) -> None:
     task = partial(draw, folder=tmp_path, dies=4, times=99)
     with pytest.raises(InputError, match=r"^task 2 ended 3 worker processes, perhaps for lack of memory"):
@@ -89,6 +91,7 @@ def test_another_version_in_a_worker_is_refused(monkeypatch: pytest.MonkeyPatch)
         list(map_tasks(draw, [0], jobs=2))
 
 
+@pytest.mark.integration
 def test_workers_end_with_a_program_that_is_killed(tmp_path: Path) -> None:
     code = (
         "import sys, time\nfrom pathlib import Path\nfrom hframe_gym.distributed import map_tasks\n"

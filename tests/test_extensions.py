@@ -184,6 +184,7 @@ def run_command(words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     assert not stop.value.code
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("prefix", ["", f"{__name__}:"], ids=["name", "module and name"])
 def test_hframe_evaluate_scores_the_controller_on_the_task(
     machine_path: Path, prefix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -147,7 +147,8 @@ def test_a_method_inherits_the_sections_of_its_base_class(tmp_path: Path) -> Non
     ]
 
 
-def test_the_sample_depends_on_the_seed_only() -> None:
+def test_the_sample_depends_on_the_seed_only(repository: House, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tools.sample_functions.measure", lambda root: repository)
     first, again, other = (draw(house.ROOT, seed, 30) for seed in (12, 12, 13))
     assert [f.name for f in first] == [f.name for f in again]
     assert [f.name for f in first] != [f.name for f in other]

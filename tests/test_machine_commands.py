@@ -9,6 +9,7 @@ import shlex
 import subprocess
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import gymnasium as gym
@@ -27,20 +28,9 @@ PAGE = (ROOT / "docs" / "machine.md").read_text("utf-8")
 
 
 @pytest.fixture
-def machines(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
+def machines(hframe_command: Command) -> Command:
     """Return a function that runs `hframe machines` in this process: exit code, standard output, standard error."""
-
-    def run(*words: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["hframe", "machines", *map(str, words)])
-        try:
-            cli.main()
-            code = 0
-        except SystemExit as stop:
-            code = stop.code if isinstance(stop.code, int) else 0
-        printed = capsys.readouterr()
-        return code, printed.out, printed.err
-
-    return run
+    return partial(hframe_command, "machines")
 
 
 def test_without_a_subcommand_the_built_in_machines_are_listed_within_80_columns(machines: Command) -> None:

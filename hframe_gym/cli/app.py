@@ -36,6 +36,15 @@ MaxRowsOption = Annotated[
 TaskOption = Annotated[str, typer.Option(help="Task: {tasks}, or module:name.")]
 RandomizeOption = Annotated[str, typer.Option(help="Randomization of each episode's machine: {randomizations}.")]
 EpisodesOption = Annotated[int, typer.Option(min=1, max=10**6, help="Number of episodes of each controller.")]
+ControllersArgument = Annotated[
+    list[str],
+    typer.Argument(
+        help="Controllers: {controllers}, a shipped agent ({agents}), the folder of a trained agent, or module:name."
+    ),
+]
+SensorsOption = Annotated[
+    str, typer.Option(help="What controllers observe: {sensors}; state is exact, the others are measurements.")
+]
 PeriodOption = Annotated[float, typer.Option(help="Control period in seconds, 1e-5 to 10.")]
 RecordingsArgument = Annotated[Path, typer.Argument(help="A folder of recordings, one run per file.")]
 RayOption = Annotated[

@@ -16,12 +16,14 @@ from ..locked_folders import locked_folder
 from .app import (
     MAX_SEED,
     CommandWithChoices,
+    ControllersArgument,
     EpisodesOption,
     MachineOption,
     OutOption,
     PeriodOption,
     RandomizeOption,
     RayOption,
+    SensorsOption,
     TaskOption,
     app,
     console,
@@ -108,13 +110,7 @@ def _train_seeds(out: Path, **options: Any) -> None:
 @app.command(cls=CommandWithChoices)
 def evaluate(
     context: typer.Context,
-    controllers: Annotated[
-        list[str],
-        typer.Argument(
-            help="Controllers: {controllers}, a shipped agent ({agents}), the folder of a trained "
-            "agent, or module:name."
-        ),
-    ],
+    controllers: ControllersArgument,
     out: OutOption,
     machine: MachineOption = "hframe",
     task: TaskOption = "reach",
@@ -123,9 +119,7 @@ def evaluate(
         typer.Option(help="Path to follow, for the task track: circle, square, lissajous or a CSV of x_m,y_m."),
     ] = None,
     randomize: RandomizeOption = "default",
-    sensors: Annotated[
-        str, typer.Option(help="What controllers observe: {sensors}; state is exact, the others are measurements.")
-    ] = "state",
+    sensors: SensorsOption = "state",
     period: PeriodOption = 0.01,
     episodes: EpisodesOption = 512,
     seed: Annotated[int, typer.Option(min=0, max=MAX_SEED, help="Seed of starts, goals and parameters.")] = 0,
@@ -246,20 +240,12 @@ def _protocol_result(protocol_name: str, controller: str) -> dict[str, Any]:
 
 @app.command(cls=CommandWithChoices)
 def export(
-    controllers: Annotated[
-        list[str],
-        typer.Argument(
-            help="Controllers: {controllers}, a shipped agent ({agents}), the folder of a trained "
-            "agent, or module:name."
-        ),
-    ],
+    controllers: ControllersArgument,
     out: Annotated[Path, typer.Option(help="Folder of Minari data sets; created if it does not exist.")],
     machine: MachineOption = "hframe",
     task: TaskOption = "reach",
     randomize: RandomizeOption = "none",
-    sensors: Annotated[
-        str, typer.Option(help="What controllers observe: {sensors}; state is exact, the others are measurements.")
-    ] = "state",
+    sensors: SensorsOption = "state",
     period: PeriodOption = 0.01,
     episodes: EpisodesOption = 100,
     seed: Annotated[
@@ -308,7 +294,7 @@ def play(
         str | None, typer.Option(help="Path to follow, for the task track: circle, square, lissajous or a CSV file.")
     ] = None,
     randomize: RandomizeOption = "none",
-    sensors: Annotated[str, typer.Option(help="What controllers observe: {sensors}.")] = "state",
+    sensors: SensorsOption = "state",
     period: PeriodOption = 0.01,
     speed: Annotated[
         float, typer.Option(min=0.001, max=100.0, help="Speed relative to real time; a hand is slower than a motor.")

@@ -6,7 +6,7 @@ finite_horizon_control  point-to-point transfers, and tracking of a previewed go
 input_compensation      dead time and static nonlinearities of the drives
 model_based_controller  all of these as one controller (`pid`)
 adaptive_controller     gain scheduling on estimates of friction, masses and belt stiffness (`adaptive-pid`)
-parameter_filter        estimators that compare measured with simulated states
+parameter_estimators    estimators that compare measured with simulated states
 predictive_controller   plans with identified parameters (`predictive`)
 predictive_plans        its plans
 textbook_pid            the baseline (`textbook-pid`)
@@ -17,7 +17,7 @@ casadi_model            equations of motion for it (extra: bound)
 """
 
 from ..registry import import_modules
-from .adaptive_controller import AdaptiveController, MomentumFilter
+from .adaptive_controller import AdaptiveController, MomentumFilter, scaled_machine
 from .base import (
     CONTROLLERS,
     Controller,
@@ -31,7 +31,7 @@ from .finite_horizon_control import MinimumEnergyTransfers, PreviewGains, Previe
 from .input_compensation import DeadTime, InputInversion
 from .model_based_controller import ModelBasedController
 from .motion_model import MotionModel, OperatingPointGrid
-from .parameter_filter import ParameterFilter, ParameterWindow
+from .parameter_estimators import ParameterFilter, ParameterWindow
 from .predictive_controller import PredictiveController
 from .state_estimator import StateEstimator
 from .textbook_pid import TextbookPID
@@ -59,6 +59,7 @@ __all__ = [
     "StateEstimator",
     "TextbookPID",
     "check_period",
+    "scaled_machine",
 ]
 
 # A new controller in this folder registers itself. The time-optimal bound needs the extra `bound`.

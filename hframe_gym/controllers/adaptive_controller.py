@@ -82,7 +82,7 @@ class AdaptiveController(FullStateController):
     def __init__(self, machine: Machine, period: float = 0.01) -> None:
         super().__init__(machine, period)
         self._bank = [
-            [ModelBasedController(_scaled(machine, stiffness, mass), period) for mass in MASS_RATIOS.tolist()]
+            [ModelBasedController(scaled_machine(machine, stiffness, mass), period) for mass in MASS_RATIOS.tolist()]
             for stiffness in STIFFNESS_RATIOS.tolist()
         ]
         self._dead_time, self._inversion = DeadTime(machine, period), InputInversion(machine)
@@ -216,7 +216,7 @@ class MomentumFilter:
     def __init__(self, model: MotionModel, period: float) -> None:
         n = len(model.mass)
         self.model, self.period = model, period
-        self._tool = [model.machine.coordinate_names.index(axis) for axis in model.axes]
+        self._tool = model.tool
         self._grid = OperatingPointGrid(model.machine)
         units = model.machine.travel_per_unit
         on_grid = stiffness_matrix(model.machine, self._grid.points @ model.rigid.T / units)  # (points, n, n)
@@ -312,16 +312,21 @@ class MomentumFilter:
         return model.voltage(force @ model.rigid)
 
 
-def _scaled(machine: Machine, stiffness_ratio: float, mass_ratio: float) -> Machine:
-    """Return the machine with all EA and all masses multiplied by a ratio."""
-    factors = {".EA": stiffness_ratio, ".mass": mass_ratio}
-    scaled = {
-        name: factors[suffix] * value
-        for name, value in machine.parameters.items()
-        for suffix in factors
-        if name.endswith(suffix)
-    }
-    return machine.replace(scaled)
+def scaled_machine(machine: Machine, stiffness_ratio: float, mass_ratio: float) -> Machine:
+    """Multiply the stiffness of all belts and all masses of a machine by factors.
+
+    Args:
+        machine: Machine, which is not changed.
+        stiffness_ratio: Factor on the tensile stiffness EA of all belts, dimensionless.
+        mass_ratio: Factor on the masses (rotary coordinates: inertias) of all coordinates, dimensionless.
+
+    Returns:
+        Changed copy of the machine.
+    """
+    factors = {"EA": stiffness_ratio, "mass": mass_ratio}
+    values = machine.parameters.items()
+    kinds = {name: name.rpartition(".")[2] for name in machine.parameters}
+    return machine.replace({name: factors[kinds[name]] * value for name, value in values if kinds[name] in factors})
 
 
 def _interpolation_weights(values: Array, grid: Array) -> Array:

@@ -71,7 +71,7 @@ class SymbolicModel:
         return self._rate(state, action, time, self._parameters, self._start)
 
     def current_excess(self, state: Any, action: Any) -> list[Any]:
-        """Return expressions that are not positive where the drives' currents are within their limits.
+        """Return the constraints (expressions <= 0) that keep the drives' currents within their limits.
 
         Args:
             state: Belt travel, m, and its rate, m/s, shape (2 n,).
@@ -85,7 +85,7 @@ class SymbolicModel:
         return [(current(j, point, voltages[j]) / limit) ** 2 - 1.0 for j, limit in self._current_limits]
 
     def static_excess(self, state: Any, time: Any) -> list[Any]:
-        """Return expressions that are not positive where static friction holds each coordinate that is not driven.
+        """Return the constraints (expressions <= 0) under which static friction holds every coordinate without a drive.
 
         Args:
             state: Belt travel, m, and its rate, m/s, shape (2 n,); the rate does not matter.

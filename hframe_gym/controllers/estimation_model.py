@@ -1,8 +1,9 @@
-"""Models of the state estimator: the parameters estimated with the state, and the linear measurement equation."""
+"""What estimators vary and measure: parameters as ratios to declared values, and the linear measurement equation."""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,12 +23,46 @@ LARGEST_RATIO = 4.0  # largest ratio of a parameter to its declared value, or th
 SMALLEST_NOISE_M = 1e-7  # m, floor of the measurement noise in travel, also for sensors declared without noise
 
 
-class AugmentedParameters:
+class ParameterRatios:
+    """Parameters of a machine that are estimated as natural logarithms of their ratios to the declared values.
+
+    A logarithm of 0.1 means about 10 % above the declared value. A parameter cannot change its sign.
+
+    Args:
+        machine: Machine with the declared values.
+        names: Full names of the k estimated parameters, for example "x.mass".
+
+    Attributes:
+        names: As given.
+    """
+
+    def __init__(self, machine: Machine, names: Iterable[str]) -> None:
+        self.names = tuple(names)
+        all_names = list(machine.parameters)
+        self._columns = np.array([all_names.index(name) for name in self.names], np.intp)
+        self._declared = np.array(list(machine.parameters.values()))
+
+    def parameters(self, logarithms: Array) -> Array:
+        """Compute the parameter values of machines: declared values times the estimated ratios.
+
+        Args:
+            logarithms: Natural logarithms of the ratios of the k estimated parameters, shape (B, k) for B simulated
+                machines.
+
+        Returns:
+            All P parameters in the order and units of `Machine.parameters`, shape (B, P). Parameters that are not
+            estimated keep their declared values.
+        """
+        values = np.tile(self._declared, (len(logarithms), 1))
+        values[:, self._columns] *= np.exp(logarithms)
+        return values
+
+
+class AugmentedParameters(ParameterRatios):
     """Parameters of a machine that are estimated with its state: nonzero masses, friction, EA and motor constants.
 
-    Each parameter is estimated as the natural logarithm of its ratio to the declared value, so that it cannot change
-    sign. EA is the tensile stiffness of a belt (modulus times cross section), N; its estimate also absorbs the error of
-    the belt's length.
+    EA is the tensile stiffness of a belt (modulus times cross section), N; its estimate also absorbs the error of the
+    belt's length.
 
     Args:
         machine: Machine with the declared values.
@@ -41,9 +76,7 @@ class AugmentedParameters:
         values = machine.parameters
         components = [*machine.coordinate_names, *(b.name for b in machine.belts), *(d.name for d in machine.drives)]
         candidates = [f"{component}.{key}" for component in components for key in PARAMETER_STD]
-        self.names = tuple(name for name in candidates if values.get(name, 0.0) != 0.0)
-        self._columns = [list(values).index(name) for name in self.names]
-        self._declared = np.array(list(values.values()))
+        super().__init__(machine, (name for name in candidates if values.get(name, 0.0) != 0.0))
         keys = [name.rpartition(".")[2] for name in self.names]
         belts = np.array([key == "EA" for key in keys], np.float64)
         std = np.array([PARAMETER_STD[key] for key in keys], np.float64)
@@ -72,7 +105,7 @@ class AugmentedParameters:
         return np.clip(logarithms, -np.log(LARGEST_RATIO), np.log(LARGEST_RATIO))
 
     def parameters(self, logarithms: Array) -> Array:
-        """Compute the parameter values of machines: declared values times the estimated ratios.
+        """Compute the parameter values of machines: declared values times the estimated ratios, limited to 1/4 ... 4.
 
         Args:
             logarithms: Natural logarithms of the ratios of the k estimated parameters, shape (B, k) for B simulated
@@ -82,9 +115,7 @@ class AugmentedParameters:
             All P parameters in the order and units of `Machine.parameters`, shape (B, P). Parameters that are not
             estimated keep their declared values.
         """
-        values = np.tile(self._declared, (len(logarithms), 1))
-        values[:, self._columns] *= self.ratios(logarithms)
-        return values
+        return super().parameters(self.clip(logarithms))
 
 
 class MeasurementModel:
@@ -115,10 +146,11 @@ class MeasurementModel:
         equations = Equations(unlimited)
         zeros = np.zeros(len(names))
         readings = [np.array(equations.sensor_readings(q), np.float64) for q in (zeros, *np.eye(len(names)))]
-        rows = (np.stack(readings[1:], axis=1) - readings[0][:, None]) / machine.travel_per_unit
-        lengths = np.linalg.norm(rows, axis=1)  # channel's unit per travel
-        self._unit = 1.0 / np.where(lengths > 0.0, lengths, 1.0)  # m per channel's unit
-        positions = rows * self._unit[:, None]
+        # Sensitivity of each channel to the travel of each coordinate, in the channel's unit per m, (channels, n).
+        sensitivity = (np.stack(readings[1:], axis=1) - readings[0][:, None]) / machine.travel_per_unit
+        norm = np.linalg.norm(sensitivity, axis=1)
+        self._unit = 1.0 / np.where(norm > 0.0, norm, 1.0)  # m per channel's unit
+        positions = sensitivity * self._unit[:, None]
         # To first order in a sensor's delay d, it measures travel - d * velocity.
         delays = np.array(equations.measurement_delays(), np.float64)
         self.matrix: Array = np.hstack([positions, -delays[:, None] * positions])

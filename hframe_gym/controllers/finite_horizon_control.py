@@ -57,6 +57,21 @@ DISTURBANCE_TIME_CONSTANT_S = 0.028
 HORIZON_S = 0.1  # s; goals farther ahead do not change the first voltage
 
 
+def longest_transfer_s(model: MotionModel, grid: OperatingPointGrid) -> float:
+    """Estimate the duration of the longest motion in the workspace, with a margin.
+
+    Args:
+        model: Model of the machine.
+        grid: Operating points, which span the workspace.
+
+    Returns:
+        Time along both sides of the workspace at top speed, times `LONGEST_MARGIN`, s; `MAX_TRANSFER_S` if friction
+        leaves no top speed.
+    """
+    top_speed = model.top_speed()
+    return float(LONGEST_MARGIN * np.sum(grid.span / top_speed)) if top_speed.min() > 0.0 else MAX_TRANSFER_S
+
+
 class TransferSelection(NamedTuple):
     """Transfers to rest (motions that end at rest at the goal) selected for B simulated machines.
 
@@ -102,9 +117,8 @@ class MinimumEnergyTransfers:
         mode_period = 1.0 / min(modes) if modes else 0.0
         # Fewer than states / inputs periods cannot bring every state to zero.
         self.shortest = max(-(-states // inputs), round(SHORTEST_MODE_PERIODS * mode_period / period))
-        top_speed = model.top_speed()
-        longest_s = LONGEST_MARGIN * np.sum(self.grid.span / top_speed) if top_speed.min() > 0.0 else MAX_TRANSFER_S
-        self.longest = max(self.shortest + 1, int(np.ceil(min(longest_s, MAX_TRANSFER_S) / period)))
+        longest_s = min(longest_transfer_s(model, self.grid), MAX_TRANSFER_S)
+        self.longest = max(self.shortest + 1, int(np.ceil(longest_s / period)))
         self._matrices = [model.discretize(point, period)[:2] for point in self.grid.points]
         self.gains = self._design(*(np.stack(matrices) for matrices in zip(*self._matrices, strict=True)))
 
@@ -190,8 +204,7 @@ class MinimumEnergyTransfers:
         states = [error[0] / scale]
         for period_volts in volts:
             states.append(A @ states[-1] + B @ period_volts)
-        axes = [self.model.machine.coordinate_names.index(axis) for axis in self.model.axes]
-        return np.array(states)[:, axes] + goal, volts
+        return np.array(states)[:, self.model.tool] + goal, volts
 
 
 class PreviewGains:
@@ -230,10 +243,7 @@ class PreviewGains:
         model: MotionModel, A: Array, B: Array, E: Array, horizon: int, change_weight: float
     ) -> tuple[Array, Array, Array, Array]:
         """Return the gains on state, last voltage, goals and forces at one operating point."""
-        C = np.zeros((len(model.axes), len(A)))
-        for row, axis in enumerate(model.axes):
-            C[row, model.machine.coordinate_names.index(axis)] = 1.0
-        powers = [C]  # C A^j
+        powers = [np.eye(len(A))[model.tool]]  # C A^j
         for _ in range(horizon):
             powers.append(powers[-1] @ A)
 

@@ -73,6 +73,7 @@ class MotionModel:
     Attributes:
         machine: As given.
         axes: Names of the tool's coordinates, ("x", "y") or one name.
+        tool: Indices of these coordinates in the machine's order.
         observed: Coordinate names in the order of a full-state observation.
         rigid: Belt travel of every coordinate per meter of each axis with unstretched belts, m/m, shape (n, axes).
         mass: Mass of every coordinate, of rotary ones inertia / radius^2, kg, shape (n,).
@@ -108,6 +109,7 @@ class MotionModel:
         self._declared = equations = Equations(dataclasses.replace(machine, effects=()))
         memoryless = tuple(e for e in machine.effects if _memoryless(e))
         self._with_effects = Equations(dataclasses.replace(machine, effects=memoryless))
+        self.tool = [names.index(axis) for axis in axes]
         self.mass = np.array([equations.mass(i) for i in range(n)])
         self.coulomb = np.array([equations.coulomb(i) for i in range(n)])
         self.viscous = np.array([equations.viscous(i, 1.0) for i in range(n)])
@@ -174,7 +176,7 @@ class MotionModel:
         Returns:
             Tool positions, m, shape (B, axes).
         """
-        return travel[:, [self.machine.coordinate_names.index(axis) for axis in self.axes]]
+        return travel[:, self.tool]
 
     def elastic_travel(self, travel: Array) -> Array:
         """Subtract from belt travel its value with unstretched belts at the same tool position.
@@ -281,9 +283,8 @@ class MotionModel:
         Returns:
             Belt travel (radius * angle) minus that of unstretched belts, m, shape (B, n); zero at the tool's axes.
         """
-        names = self.machine.coordinate_names
-        tool = [names.index(axis) for axis in self.axes]
-        motors = [i for i in range(len(names)) if i not in tool]
+        tool = self.tool
+        motors = [i for i in range(len(self.mass)) if i not in tool]
         travel = goal @ self.rigid.T
         belts = self._declared.belt_states(MotionPoint(list(travel.T), list(np.zeros_like(travel).T)))
         coupling = np.zeros((len(goal), len(tool), len(motors)))  # force on the tool per motor travel, N/m

@@ -3,9 +3,9 @@
 Estimation   `ParameterWindow` compares every measured state with simulations of the period before.
 Moves        A plan of voltages within their limits brings the tool to its goal in the fewest periods
              (`ArrivalPlanner`), planned anew from the measured state every period. Simulations correct the last periods
-             of the approach and what remains at the goal (`PlanRefinement`).
+             of the approach and what remains at the goal (`PlanSimulation`).
 Paths        A plan over the previewed goals minimizes the distances to them. Every period it is shifted by one period,
-             simulated from the measured state, and corrected by the linear model (real-time iteration).
+             simulated from the measured state, and corrected by the linear model (real-time iteration, `_PathPlanner`).
 Disturbance  Where the simulation cannot explain the measured states, because they are inexact or the machine has
              effects that are not declared, the estimator also varies a voltage at each drive.
 
@@ -13,6 +13,8 @@ There is no training. The controller takes 0.1 to 0.4 ms per machine and period 
 
 References:
     Rawlings, Mayne and Diehl (2017), Model Predictive Control: Theory, Computation, and Design.
+    Diehl, Bock and Schloeder (2005), A real-time iteration scheme for nonlinear optimization in optimal feedback
+    control.
 """
 
 from __future__ import annotations
@@ -24,21 +26,20 @@ from numpy.typing import NDArray
 
 from ..machine import Machine
 from .base import CONTROLLERS, Feedback, FullStateController, Mask
-from .finite_horizon_control import HORIZON_S, LONGEST_MARGIN, MAX_TRANSFER_S
+from .finite_horizon_control import HORIZON_S, longest_transfer_s
 from .input_compensation import DeadTime, InputInversion
 from .motion_model import MotionModel, OperatingPointGrid
-from .parameter_filter import ParameterWindow
-from .predictive_plans import ArrivalPlan, ArrivalPlanner, LinearMotion, PlanRefinement
+from .parameter_estimators import ParameterWindow
+from .predictive_plans import ArrivalPlanner, LinearMotion, PlanSimulation
 
 Array = NDArray[np.float64]
 LONGEST_PERIODS = 60  # until the tool arrives; a longer way is planned again on the way
 FRICTION_SPEED, FRICTION_TRAVEL = 0.02, 1e-3  # m/s and m, over which the expected direction of friction changes
 ARRIVED = 1.2e-4  # m, predicted error of a plan that arrives in time
-LATER = (-1, 0, 1, 2, 3)  # periods by which the arrival may change from one period to the next, in the order tried
+DELAYS = (-1, 0, 1, 2, 3)  # periods by which the arrival may change from one period to the next, in the order tried
 REFINED_PERIODS, PERIODS_BEYOND = 3, 3  # periods until the arrival from which a plan is refined, and length beyond it
 CHANGE_WEIGHT = 1e-5  # m/V, tool error that is as costly as a voltage change of 1 V along a path
 ESTIMATES_CHANGED = 2e-3  # change of an estimate after which linear models are computed again
-SAME_DIRECTION = 0.9  # cosine of the angle between segments of a path without a corner
 
 
 @CONTROLLERS.register("predictive")
@@ -64,28 +65,35 @@ class PredictiveController(FullStateController):
     def __init__(self, machine: Machine, period: float = 0.01) -> None:
         super().__init__(machine, period)
         self._dead_time, self._inversion = DeadTime(machine, period), InputInversion(machine)
-        self._plain = self._dead_time.machine_without_delay
-        self.estimator = ParameterWindow(MotionModel(self._plain), period)
+        self._prompt_model = MotionModel(self._dead_time.machine_without_delay)
+        self.estimator = ParameterWindow(self._prompt_model, period)
         self._linear, self._grid = LinearMotion(self.model, period), OperatingPointGrid(machine)
-        top_speed = self.model.top_speed()
-        longest_s = LONGEST_MARGIN * np.sum(self._grid.span / top_speed) if top_speed.min() > 0.0 else MAX_TRANSFER_S
-        self._longest = min(LONGEST_PERIODS, int(np.ceil(longest_s / period)))
-        self._planner = ArrivalPlanner(self.model, period, self._longest)
-        self._refinement = PlanRefinement(self._plain, period, REFINED_PERIODS + PERIODS_BEYOND)
-        self._coulomb = [list(machine.parameters).index(f"{c}.coulomb") for c in machine.coordinate_names]
-        self._tracker: _PathPlanner | None = None  # created when the length of the preview is known
+        self._longest = min(LONGEST_PERIODS, int(np.ceil(longest_transfer_s(self.model, self._grid) / period)))
+        self._arrival_planner = ArrivalPlanner(self.model, period, self._longest)
+        self._simulation = PlanSimulation(self._prompt_model, period, REFINED_PERIODS + PERIODS_BEYOND)
+        self._path_planner: _PathPlanner | None = None  # created when the length of the preview is known
+        self._follows_path = False  # whether the goal moved in the last period
+        self._coulomb_columns = [list(machine.parameters).index(f"{c}.coulomb") for c in machine.coordinate_names]
+        self._declared_coulomb = np.array(list(machine.parameters.values()))[self._coulomb_columns]
         self.feature_sizes = {"estimates": self.estimator.size}
-        self._gain_source: tuple[bool, Array] = (False, np.zeros((0, 0, 0)))  # whether the goal moves, and A
         self._resize(0)
 
     def _resize(self, batch: int) -> None:
         """Allocate the memory of B machines."""
         drives = len(self.model.rated)
-        self._state = np.zeros((batch, 2 * len(self.model.mass)))
+        self._state = np.zeros((batch, 2 * len(self.model.mass)))  # at the last observation
         self._arrival = np.zeros(batch, np.intp)  # periods until the arrival; 0 before the first plan
-        self._settling = np.zeros(batch, np.bool_)
-        self._refined = np.full((batch, self._refinement.periods, drives), np.nan)  # V; NaN: no such plan yet
-        self._elapsed = np.zeros(batch, np.intp)
+        self._settling = np.zeros(batch, np.bool_)  # whether the tool has arrived
+        self._refined = np.full((batch, self._simulation.periods, drives), np.nan)  # plan, V; NaN: none yet
+        self._elapsed = np.zeros(batch, np.intp)  # periods
+
+    def _begin_episodes(self, starts: Mask) -> None:
+        """Clear the memory of the machines (B,) whose episode starts."""
+        self._dead_time.reset(starts)
+        self._arrival[starts] = 0
+        self._settling[starts] = False
+        self._refined[starts] = np.nan
+        self._elapsed[starts] = 0
 
     def act_on_state(self, state: Array, goals: Array) -> Array:
         """Compute the actions for the control period that starts now from the states and goals of B simulated machines.
@@ -104,24 +112,14 @@ class PredictiveController(FullStateController):
         """
         if self._starts.resize(len(state)):
             self._resize(len(state))
-        starts = self._starts.mask
-        self._dead_time.reset(starts)
-        self._arrival[starts], self._settling[starts], self._refined[starts], self._elapsed[starts] = (
-            0,
-            False,
-            np.nan,
-            0,
-        )
-        actions = self._dead_time.mean_arrived() / self.model.rated
-        self.estimator.update(self._state, state, actions, starts)
+        self._begin_episodes(self._starts.mask)
+        arrived_actions = self._dead_time.mean_arrived() / self.model.rated
+        self.estimator.update(self._state, state, arrived_actions, self._starts.mask)
         parameters = self.estimator.parameters(self.estimator.estimates)
         predicted = self._dead_time.predict(state)
-        volts = (
-            self._track(predicted, goals, parameters)
-            if goals.shape[1] > 1
-            else self._reach(predicted, goals, parameters)
-        )
-        volts = np.clip(volts, -self.model.rated, self.model.rated)
+        self._follows_path = goals.shape[1] > 1
+        plan = self._track if self._follows_path else self._reach
+        volts = np.clip(plan(predicted, goals, parameters), -self.model.rated, self.model.rated)
         self._dead_time.send(volts)
         self._state, self._elapsed = state, self._elapsed + 1
         self._starts.clear()
@@ -141,17 +139,16 @@ class PredictiveController(FullStateController):
         return self.estimator.estimates
 
     def gain(self) -> Array:
-        """Compute the derivative of the last voltages by the state, without limits and refinement.
+        """Compute the derivative of the last voltages with respect to the state, without the refinement by simulations.
 
-        Training by gradients needs it, where a policy corrects this controller.
+        The analytic policy gradient needs it for a policy that corrects this controller.
 
         Returns:
             Gains, V/m and Vs/m, shape (B, drives, 2 n).
         """
-        moving, A = self._gain_source
-        if moving and self._tracker is not None:
-            return self._tracker.gain()
-        return self._planner.gain(A, self._arrival)
+        if self._follows_path and self._path_planner is not None:
+            return self._path_planner.gain()
+        return self._arrival_planner.gain(self._arrival)
 
     def _reach(self, state: Array, goals: Array, parameters: Array) -> Array:
         """Return commanded voltages (B, drives) for states (B, 2 n), goals (B, 1, axes) and parameters (B, P)."""
@@ -160,11 +157,9 @@ class PredictiveController(FullStateController):
         elapsed_s = self._elapsed.astype(np.float64) * self.period
         force = self._friction(state, error, parameters) + self.model.effect_force(state, elapsed_s)
         force += self.estimator.offset @ self.model.drive.T
-        matrices = self._linear.matrices(parameters, goal)
-        self._gain_source = (False, matrices[0])
-        self._planner.predict(matrices, error, force)
-        plan = self._arrival_plan()
-        commands = self._inversion.command(plan.volts.reshape(-1, plan.volts.shape[2])).reshape(plan.volts.shape)
+        self._arrival_planner.predict(self._linear.matrices(parameters, goal), error, force)
+        plans = self._plan_arrival()
+        commands = self._inversion.command(plans.reshape(-1, plans.shape[2])).reshape(plans.shape)
         volts = commands[:, 0]
         self._settling |= self._arrival <= 1
         chosen = self._settling | (self._arrival <= REFINED_PERIODS)
@@ -178,49 +173,47 @@ class PredictiveController(FullStateController):
         n = len(self.model.mass)
         moving = np.tanh(state[:, n:] / FRICTION_SPEED)
         ahead = -np.tanh(error[:, :n] / FRICTION_TRAVEL)
-        level: Array = self.model.coulomb * _ratio(parameters[:, self._coulomb], self._declared(self._coulomb))
+        level: Array = self.model.coulomb * _ratio(parameters[:, self._coulomb_columns], self._declared_coulomb)
         return -level * (moving + (1.0 - np.abs(moving)) * ahead)
 
-    def _declared(self, columns: list[int]) -> Array:
-        """Return the declared values of parameters."""
-        return np.array(list(self.machine.parameters.values()))[columns]
-
-    def _arrival_plan(self) -> ArrivalPlan:
-        """Return plans with the earliest arrival, and update the periods until the arrival."""
+    def _plan_arrival(self) -> Array:
+        """Return the voltages (B, periods, drives), V, of plans with the earliest arrival, and update its period."""
         new = self._arrival == 0
         if new.any():
-            # Bisection, because a later arrival is possible wherever an earlier one is.
-            low, high = np.ones(len(new), np.intp), np.full(len(new), self._longest)
-            while np.any(low < high):
-                middle = (low + high) // 2
-                arrives = self._planner.plan(middle).error < ARRIVED
-                low, high = np.where(arrives | (low == high), low, middle + 1), np.where(arrives, middle, high)
-            self._arrival[new] = high[new] + 1
+            self._arrival[new] = self._earliest_arrival()[new] + 1
         expected = np.maximum(self._arrival - 1, 1)
-        volts, error, found = np.zeros(0), np.zeros(0), np.zeros(len(new), np.bool_)
-        for later in LATER:
-            arrival = np.clip(expected + later, 1, self._longest)
-            plan = self._planner.plan(arrival)
-            chosen = ~found & ((plan.error < ARRIVED) | (later == LATER[-1]))
+        volts, accepted = np.zeros(0), np.zeros(len(new), np.bool_)
+        for delay in DELAYS:
+            arrival = np.clip(expected + delay, 1, self._longest)
+            plan = self._arrival_planner.plan(arrival)
+            chosen = ~accepted & ((plan.error < ARRIVED) | (delay == DELAYS[-1]))
             volts = np.where(chosen[:, None, None], plan.volts, volts) if len(volts) else plan.volts
-            error = np.where(chosen, plan.error, error) if len(error) else plan.error
             self._arrival = np.where(chosen, arrival, self._arrival)
-            found |= chosen
-            if found.all():
+            accepted |= chosen
+            if accepted.all():
                 break
-        return ArrivalPlan(volts, error)
+        return volts
+
+    def _earliest_arrival(self) -> NDArray[np.intp]:
+        """Return the smallest number of periods (B,) in which the tool can arrive, at most the longest."""
+        # Bisection, because a later arrival is possible wherever an earlier one is.
+        low, high = np.ones(len(self._arrival), np.intp), np.full(len(self._arrival), self._longest)
+        while np.any(low < high):
+            middle = (low + high) // 2
+            arrives = self._arrival_planner.plan(middle).error < ARRIVED
+            low, high = np.where(arrives | (low == high), low, middle + 1), np.where(arrives, middle, high)
+        return high
 
     def _refine(self, rows: NDArray[np.intp], state: Array, parameters: Array, goal: Array, commands: Array) -> Array:
         """Return the first commanded voltages (rows, drives) of refined plans, and store the plans."""
-        previous, periods = self._refined[rows], self._refinement.periods
+        previous, periods = self._refined[rows], self._simulation.periods
         planned = np.zeros(previous.shape)
         planned[:, : commands.shape[1]] = commands[rows, :periods]
         shifted = np.concatenate([previous[:, 1:], np.zeros_like(previous[:, :1])], axis=1)
-        plans = [np.where(np.isnan(shifted), planned, shifted), planned]
-        count = int(self._elapsed.max(initial=0))
         offset = self.estimator.offset[rows, None]
-        plans = [volts + offset for volts in plans]
-        best = self._refinement.improve(state[rows], parameters[rows], goal[rows], plans, self._arrival[rows], count)
+        plans = [np.where(np.isnan(shifted), planned, shifted) + offset, planned + offset]
+        count = int(self._elapsed.max(initial=0))
+        best = self._simulation.improve(state[rows], parameters[rows], goal[rows], plans, self._arrival[rows], count)
         self._refined[rows] = best - offset
         return best[:, 0] - offset[:, 0]
 
@@ -228,11 +221,10 @@ class PredictiveController(FullStateController):
         """Return commanded voltages (B, drives) for goals (B, 1 + P, axes), m, now and at the end of each period."""
         goals = self._dead_time.delayed_goals(goals)
         horizon = min(goals.shape[1] - 1, max(1, round(HORIZON_S / self.period)))
-        if self._tracker is None or self._tracker.horizon != horizon:
-            self._tracker = _PathPlanner(self._linear, self._grid, self._plain, self.period, horizon)
-        offset, self._gain_source = self.estimator.offset, (True, np.zeros((0, 0, 0)))
-        return self._tracker.command(
-            state, goals[:, : horizon + 1], parameters, offset, self._inversion, self._starts.mask
+        if self._path_planner is None or self._path_planner.horizon != horizon:
+            self._path_planner = _PathPlanner(self._linear, self._grid, self._prompt_model, self.period, horizon)
+        return self._path_planner.command(
+            state, goals[:, : horizon + 1], parameters, self.estimator.offset, self._inversion, self._starts.mask
         )
 
 
@@ -242,18 +234,17 @@ class _PathPlanner:
     Args:
         linear: Linear models of the machines.
         grid: Operating points at which they are linearized.
-        machine: Machine that is simulated.
+        model: Model of the machine that is simulated.
         period: Control period, s.
         horizon: Number of previewed goals, H.
     """
 
     def __init__(
-        self, linear: LinearMotion, grid: OperatingPointGrid, machine: Machine, period: float, horizon: int
+        self, linear: LinearMotion, grid: OperatingPointGrid, model: MotionModel, period: float, horizon: int
     ) -> None:
         self._linear, self._grid, self.horizon = linear, grid, horizon
-        self._simulation = PlanRefinement(machine, period, horizon)
-        self._rated = np.array([d.rated_voltage for d in machine.drives])
-        self._tool = [machine.coordinate_names.index(axis) for axis in machine.tool_axes]
+        self._simulation = PlanSimulation(model, period, horizon)
+        self._rated, self._tool = model.rated, model.tool
         entries = horizon * len(self._rated)
         self._difference = np.eye(entries) - np.eye(entries, k=-len(self._rated))
         self._volts = np.zeros((0, horizon, len(self._rated)))  # plan of the last period, V
@@ -313,7 +304,7 @@ class _PathPlanner:
         self._by_state = np.concatenate(by_state, axis=1)
 
     def gain(self) -> Array:
-        """Return the derivative of the first voltages by the state, V/m and Vs/m, shape (B, drives, 2 n)."""
+        """Return the derivative of the first voltages with respect to the state, V/m and Vs/m, (B, drives, 2 n)."""
         R, D = self._response, CHANGE_WEIGHT * self._difference
         normal = R.transpose(0, 2, 1) @ R + D.T @ D
         gains = -np.linalg.solve(normal, R.transpose(0, 2, 1) @ self._by_state)[:, : len(self._rated)]

@@ -3,13 +3,11 @@
 `LinearMotion`     Linear models of B different machines.
 `ArrivalPlanner`   Voltages within their limits that bring the tool to its goal in K periods and keep it there, by a
                    quadratic program with limits for each machine; the belts come to rest after the tool.
-`PlanRefinement`   Correction of the last periods of such a plan by simulations, which contain static friction: it
-                   decides where a tool stops that approaches its goal by a tenth of a millimeter.
+`PlanSimulation`   Simulation of plans, and correction of the last periods of a plan by simulations. They contain static
+                   friction, which decides where a tool stops that approaches its goal by a tenth of a millimeter.
 
 References:
     Boyd and Vandenberghe (2004), Convex Optimization, section 5.5 (the dual problem).
-    Diehl, Bock and Schloeder (2005), A real-time iteration scheme for nonlinear optimization in optimal feedback
-    control.
 """
 
 from __future__ import annotations
@@ -20,8 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..dynamics import Equations, MotionPoint, mode_frequencies, simulate_batch
-from ..machine import Machine
+from ..dynamics import Equations, MotionPoint, mode_frequencies, rollout
 from .finite_horizon_control import VELOCITY_SCALE_S
 from .motion_model import MotionModel
 
@@ -82,16 +79,20 @@ class LinearMotion:
         rates[:, n : 2 * n, 2 * n : 2 * n + drives] = model.drive
         rates[:, n : 2 * n, 2 * n + drives :] = np.eye(n)
         rates[:, n : 2 * n] /= mass[:, :, None]
-        # Matrix exponential by a Taylor series and repeated squaring.
-        power = step = rates * (self._period / 2**HALVINGS)
-        discrete = np.eye(rates.shape[1]) + step
-        for degree in range(2, TAYLOR_DEGREE + 1):
-            power = power @ step / degree
-            discrete = discrete + power
-        for _ in range(HALVINGS):
-            discrete = discrete @ discrete
-        discrete = discrete[:, : 2 * n]
+        discrete = _exponential(rates * self._period)[:, : 2 * n]
         return discrete[:, :, : 2 * n], discrete[:, :, 2 * n : 2 * n + drives], discrete[:, :, 2 * n + drives :]
+
+
+def _exponential(matrices: Array) -> Array:
+    """Return the exponentials of many small matrices (B, m, m), by a Taylor series and repeated squaring."""
+    power = step = matrices / 2**HALVINGS
+    result = np.eye(step.shape[1]) + step
+    for degree in range(2, TAYLOR_DEGREE + 1):
+        power = power @ step / degree
+        result = result + power
+    for _ in range(HALVINGS):
+        result = result @ result
+    return result
 
 
 class ArrivalPlan(NamedTuple):
@@ -118,13 +119,12 @@ class ArrivalPlanner:
     def __init__(self, model: MotionModel, period: float, longest: int) -> None:
         self._model, self._longest = model, longest
         modes = [frequency for frequency in mode_frequencies(model.machine) if frequency > 0.0]
-        slowest = REST_MODE_PERIODS / min(modes) if modes else 0.0
-        self._hold = max(3, int(np.ceil(slowest / period - 0.3)))  # planned periods after the arrival
-        self._tool = [model.machine.coordinate_names.index(axis) for axis in model.axes]
+        rest_s = REST_MODE_PERIODS / min(modes) if modes else 0.0
+        self._hold = max(3, int(np.ceil(rest_s / period - 0.3)))  # planned periods after the arrival
         self._scale = np.repeat([1.0, 1.0 / VELOCITY_SCALE_S], len(model.mass))
 
     def predict(self, matrices: tuple[Array, Array, Array], error: Array, force: Array) -> None:
-        """Compute what all plans of the present period need.
+        """Predict the motion at 0 V and the responses to voltages, from which `plan` and `gain` choose.
 
         Args:
             matrices: Linear models A, B and E as `LinearMotion.matrices` returns them, in m, s, V and N, of the shapes
@@ -141,6 +141,7 @@ class ArrivalPlanner:
             pulses.append(A @ pulses[-1])
             states.append(np.einsum("bij,bj->bi", A, states[-1]))
             pushes.append(np.einsum("bij,bj->bi", A, pushes[-1]))
+        self._A = A
         self._pulses = np.stack(pulses, axis=1)  # A^j B, (B, periods, 2 n, drives)
         self._free = np.stack(states, axis=1)  # A^j e, (B, periods, 2 n)
         self._pushed = np.cumsum(np.stack(pushes, axis=1), axis=1)  # sum of A^i E f for i < j
@@ -154,7 +155,7 @@ class ArrivalPlanner:
         Returns:
             `ArrivalPlan`: voltages, V, shape (B, periods, drives), and largest error, m, shape (B,).
         """
-        rated, axes, batch = self._model.rated, len(self._tool), len(arrival)
+        rated, axes, batch = self._model.rated, len(self._model.tool), len(arrival)
         # Residuals are R a + c for actions a within [-1, 1].
         R, c = self._residuals(arrival)
         actions = _least_squares_within_limits(R, c)
@@ -165,24 +166,23 @@ class ArrivalPlanner:
         volts[:, :periods] = actions.reshape(batch, periods, len(rated)) * rated
         return ArrivalPlan(volts, distance)
 
-    def gain(self, A: Array, arrival: Indices) -> Array:
-        """Compute the derivative of a plan's first voltages by the present state.
+    def gain(self, arrival: Indices) -> Array:
+        """Compute the derivative of a plan's first voltages with respect to the present state.
 
         Args:
-            A: System matrices of the machines, as given to `predict`, shape (B, 2 n, 2 n).
             arrival: Number K of periods until the arrival, shape (B,).
 
         Returns:
             Gains, V/m and Vs/m, shape (B, drives, 2 n).
         """
         R, c = self._residuals(arrival)
-        free = np.abs(_least_squares_within_limits(R, c)) < 1.0
+        free = np.abs(_least_squares_within_limits(R, c)) < 1.0  # voltages that are not at their limits
         R = R / np.sqrt(EFFORT_WEIGHT)
-        scaled, powers = A / self._scale[:, None] * self._scale, [np.broadcast_to(np.eye(A.shape[1]), A.shape)]
+        powers = [np.broadcast_to(np.eye(self._A.shape[1]), self._A.shape)]
         for _ in range(int(arrival.max()) + self._hold):
-            powers.append(scaled @ powers[-1])
+            powers.append(self._A @ powers[-1])
         power, each = np.stack(powers, axis=1), np.arange(len(arrival))
-        rows = [power[each, arrival + after][:, self._tool] for after in range(self._hold)]
+        rows = [power[each, arrival + after][:, self._model.tool] for after in range(self._hold)]
         by_state = np.concatenate([*rows, REST_WEIGHT * power[each, arrival + self._hold]], axis=1) / TOOL_UNIT
         normal = (R * free[:, None]) @ R.transpose(0, 2, 1) + np.eye(R.shape[1])
         drives = len(self._model.rated)
@@ -192,12 +192,12 @@ class ArrivalPlanner:
 
     def _residuals(self, arrival: Indices) -> tuple[Array, Array]:
         """Return R (B, rows, actions) and c (B, rows) of the residuals R a + c of plans with an arrival (B,)."""
-        end = arrival + self._hold
+        end, tool = arrival + self._hold, self._model.tool
         rows, constants = [], []
         for after in range(self._hold):
             response, free = self._response(arrival + after, end.max(), arrival)
-            rows.append(response[:, self._tool] / TOOL_UNIT)
-            constants.append(free[:, self._tool] / TOOL_UNIT)
+            rows.append(response[:, tool] / TOOL_UNIT)
+            constants.append(free[:, tool] / TOOL_UNIT)
         response, free = self._response(end, end.max(), arrival)
         rows.append(response * (REST_WEIGHT / TOOL_UNIT))
         constants.append(free * (REST_WEIGHT / TOOL_UNIT))
@@ -248,22 +248,18 @@ def _least_squares_within_limits(R: Array, c: Array) -> Array:
     return np.asarray(-np.clip(np.einsum("bij,bi->bj", R, multipliers), -limit, limit) / limit)
 
 
-class PlanRefinement:
-    """Improvement of plans of a few periods by simulations of B machines.
+class PlanSimulation:
+    """Simulation of plans of voltages for B machines, and improvement of plans by simulations.
 
     Args:
-        machine: Machine that is simulated, with its effects.
+        model: Model of the machine that is simulated, with its effects.
         period: Control period, s.
         periods: Number of periods of a plan, P.
     """
 
-    def __init__(self, machine: Machine, period: float, periods: int) -> None:
-        self._machine, self.periods = machine, periods
+    def __init__(self, model: MotionModel, period: float, periods: int) -> None:
+        self._model, self.periods = model, periods
         self._time_s = np.linspace(0.0, period * periods, periods * SAMPLES + 1)
-        self._units = np.tile(machine.travel_per_unit, 2)
-        self._rated = np.array([d.rated_voltage for d in machine.drives])
-        self._tool = [machine.coordinate_names.index(axis) for axis in machine.tool_axes]
-        self._entries = periods * len(self._rated)
 
     def tool(self, state: Array, parameters: Array, volts: Array) -> Array:
         """Simulate the tool under given voltages.
@@ -277,17 +273,16 @@ class PlanRefinement:
             Tool positions at SAMPLES times per period, the last of which is its end, m, shape (B, samples, axes).
         """
         inputs = np.repeat(volts, SAMPLES, axis=1)
-        motion = simulate_batch(
-            self._machine,
+        positions = rollout(
+            self._model.machine,
             self._time_s[: inputs.shape[1] + 1],
             np.concatenate([inputs, inputs[:, -1:]], axis=1),
             parameters=parameters,
-            start=state / self._units,
+            start=state / np.tile(self._model.machine.travel_per_unit, 2),
             longest_step=INTEGRATION_STEP,
-            readings=False,
             parallel=False,
         )
-        return np.asarray(motion.positions[:, 1:, self._tool])
+        return np.asarray(positions[:, 1:, self._model.tool])
 
     def improve(
         self, state: Array, parameters: Array, goal: Array, plans: list[Array], arrival: Indices, count: int
@@ -300,12 +295,12 @@ class PlanRefinement:
             goal: Tool goals, m, shape (B, axes).
             plans: Commanded voltages of each period, V, each of shape (B, periods, drives).
             arrival: Number K of periods until the tool should have arrived, shape (B,).
-            count: Number of the period in the episode, which alternates the steps of the differences.
+            count: Number of the period in the episode; the steps of the finite differences vary with it.
 
         Returns:
             Commanded voltages of the best plan, V, shape (B, periods, drives).
         """
-        batch, entries = len(state), self._entries
+        batch, rated, entries = len(state), self._model.rated, self.periods * len(self._model.rated)
         counted = np.arange(1, self.periods * SAMPLES + 1) >= arrival[:, None] * SAMPLES  # (B, samples)
 
         def residuals(volts: Array, repeats: int = 1) -> Array:
@@ -314,30 +309,40 @@ class PlanRefinement:
             error = (self.tool(start, values, volts) - end[:, None]) / SAMPLE_UNIT
             return np.asarray(error * np.repeat(counted, repeats, axis=0)[..., None])
 
-        best, remaining, cost = plans[0], np.zeros(0), np.full(batch, np.inf)
-
-        def consider(volts: Array) -> None:
-            nonlocal best, remaining, cost
+        def tried(volts: Array) -> _TriedPlan:
             residual = residuals(volts)
             distance = np.linalg.norm(residual, axis=2)
-            costs = (distance / (1.0 + distance / ROBUST_UNITS) + LARGE_WEIGHT * distance).sum(axis=1)
-            better = (costs < cost)[:, None, None]
-            best, cost = np.where(better, volts, best), np.minimum(costs, cost)
-            remaining = np.where(better, residual, remaining) if len(remaining) else residual
+            cost = distance / (1.0 + distance / ROBUST_UNITS) + LARGE_WEIGHT * distance
+            return _TriedPlan(volts, residual, cost.sum(axis=1))
 
-        for plan in plans:
-            consider(plan)
+        best = tried(plans[0])
+        for plan in plans[1:]:
+            best = best.or_better(tried(plan))
         for iteration in range(REFINEMENTS):
             turn = count * REFINEMENTS + iteration + np.arange(entries)
             steps = np.take(VOLTAGE_STEPS, turn % len(VOLTAGE_STEPS)) * np.where(turn % 2, 1.0, -1.0)
-            changed = np.repeat(best.reshape(batch, 1, entries), entries, axis=1) + np.diag(steps)
-            shifted = residuals(changed.reshape(-1, *best.shape[1:]), entries).reshape(batch, entries, -1)
-            J = (shifted - remaining.reshape(batch, 1, -1)) / steps[:, None]
-            robust = (1.0 + np.linalg.norm(remaining, axis=2, keepdims=True) / ROBUST_UNITS) ** -2.0
-            weighted = J * np.broadcast_to(robust, remaining.shape).reshape(batch, 1, -1)
-            H, gradient = weighted @ J.transpose(0, 2, 1), weighted @ remaining.reshape(batch, -1, 1)
-            start = best
+            changed = np.repeat(best.volts.reshape(batch, 1, entries), entries, axis=1) + np.diag(steps)
+            shifted = residuals(changed.reshape(-1, *best.volts.shape[1:]), entries).reshape(batch, entries, -1)
+            J = (shifted - best.residual.reshape(batch, 1, -1)) / steps[:, None]
+            robust = (1.0 + np.linalg.norm(best.residual, axis=2, keepdims=True) / ROBUST_UNITS) ** -2.0
+            weighted = J * np.broadcast_to(robust, best.residual.shape).reshape(batch, 1, -1)
+            H, gradient = weighted @ J.transpose(0, 2, 1), weighted @ best.residual.reshape(batch, -1, 1)
+            start = best.volts
             for damping, length in CORRECTIONS:
-                change = np.linalg.solve(H + damping * np.eye(entries), gradient)[..., 0].reshape(best.shape)
-                consider(np.clip(start - length * change, -self._rated, self._rated))
-        return best
+                change = np.linalg.solve(H + damping * np.eye(entries), gradient)[..., 0].reshape(start.shape)
+                best = best.or_better(tried(np.clip(start - length * change, -rated, rated)))
+        return best.volts
+
+
+class _TriedPlan(NamedTuple):
+    """Plans (B, periods, drives), V, with their residuals (B, samples, axes) in SAMPLE_UNIT and costs (B,)."""
+
+    volts: Array
+    residual: Array
+    cost: Array
+
+    def or_better(self, other: _TriedPlan) -> _TriedPlan:
+        """Return for each machine this plan or, if its cost is lower, the other one."""
+        better = (other.cost < self.cost)[:, None, None]
+        volts, residual = np.where(better, other.volts, self.volts), np.where(better, other.residual, self.residual)
+        return _TriedPlan(volts, residual, np.minimum(self.cost, other.cost))

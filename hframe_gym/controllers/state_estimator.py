@@ -76,9 +76,10 @@ class StateEstimator:
         self.measurements = MeasurementModel(model)
         self.channels = self.measurements.channels
         self._dead_time = DeadTime(machine, period)
+        # The delay line applies the dead time, and the measurement equation the effects of the sensors.
         prompt = self._dead_time.machine_without_delay
-        sensed = tuple(e for e in prompt.effects if e.definition.site != "sensor")
-        self._simulated = dataclasses.replace(prompt, effects=sensed)
+        remaining_effects = tuple(e for e in prompt.effects if e.definition.site != "sensor")
+        self._simulated = dataclasses.replace(prompt, effects=remaining_effects)
         self.augmented = AugmentedParameters(self._simulated)
         n, count = len(model.mass), len(self.augmented.names)
         self._scale = np.tile(machine.travel_per_unit, 2)
@@ -143,7 +144,7 @@ class StateEstimator:
         values = np.asarray(measurements, np.float64)
         if not np.all(np.isfinite(values)):
             row, column = map(int, np.argwhere(~np.isfinite(values))[0])
-            raise InputError(f"measurements: channel {column} of stage {row} is {values[row, column]}")
+            raise InputError(f"measurements: channel {column} of machine {row} is {values[row, column]}")
         if self._starts.resize(len(values)):
             self._mean = np.zeros((len(values), len(self._initial_covariance)))
             self._covariance = np.tile(self._initial_covariance, (len(values), 1, 1))

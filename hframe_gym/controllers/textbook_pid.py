@@ -55,7 +55,7 @@ class TextbookPID(FullStateController):
         self.derivative = np.maximum(3.0 * mass * bandwidth - viscous, 0.0)
         self.integral = mass * bandwidth**3
         self._integral_force = np.zeros((0, len(mass)))  # N
-        self._axes = np.array([machine.coordinate_names.index(axis) for axis in self.model.axes])
+        self._axes = np.array(self.model.tool)
 
     def concern(self) -> str | None:
         """Check the stability of the sampled linear closed loop, without saturation, friction and dead time.

@@ -20,7 +20,7 @@ from ..dynamics import LANES
 from ..effects import EFFECTS
 from ..errors import InputError
 from ..machine import Machine
-from .counter_rng import compiled
+from .random_numbers import compiled
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

@@ -19,10 +19,10 @@ from ..dynamics import LANES, Equations, MotionPoint, NotFiniteError, in_blocks,
 from ..errors import InputError
 from ..machine import Machine, rest_state
 from .actuators import ActuatorModel
-from .counter_rng import compiled
-from .end_stops import with_end_stops
 from .machine_sampler import ParameterSpace
 from .measurements import DelayLine
+from .random_numbers import compiled
+from .workspace import with_end_stops
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

@@ -19,23 +19,22 @@ from ..errors import InputError
 from .actuators import with_actuators
 from .batched_simulator import BatchedSimulator, block_ranges
 from .config import EnvConfig, as_machine
-from .counter_rng import compiled
 from .machine_sampler import MachineSampler
-from .observation_format import ObservationFormat
 from .observations import Observation, ObservationBuilder
+from .random_numbers import compiled
 from .rewards import (
     BuiltinReward,
     Evaluation,
     PenalizedReward,
     as_reward,
     distances,
-    outside_workspace,
 )
 from .sensors import as_sensors
-from .spaces import observation_signals, workspace_of
+from .spaces import ObservationFormat, observation_signals
 from .step_rewards import StepRewards
 from .tasks import as_task, check_point
 from .tasks.base import ReferenceTrajectories
+from .workspace import outside_workspace, workspace_of
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

@@ -20,7 +20,41 @@ from .spaces import SignalSpec, action_space
 _ONLY = np.zeros(1, np.intp)
 
 
-class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
+class BatchProperties:
+    """Properties that a single environment and a vector of environments take from their batch.
+
+    Attributes:
+        batch: The simulated environments.
+    """
+
+    batch: EnvironmentBatch
+
+    @property
+    def entries(self) -> tuple[SignalSpec, ...]:
+        """Name, unit, bounds and scale of every entry of `observation`, with `flat=True` of the array, in order."""
+        return self.batch.format.entries or self.batch.observations.entries
+
+    @property
+    def privileged_entries(self) -> tuple[SignalSpec, ...]:
+        """Name, unit and bounds of every entry of the key `privileged` (true state and parameters); else empty."""
+        return self.batch.observations.privileged
+
+    @property
+    def compute_reward(self) -> Callable[[Any, Any, Any], Any]:
+        """Function (achieved_goal, desired_goal, info) -> reward, for example to relabel goals (hindsight replay).
+
+        It takes goals as observed (m, or normalized), shape (axes,) or (n, axes), ignores `info`, and returns a float,
+        or n rewards, dimensionless, shape (n,): the same bits as the rewards of `step`.
+
+        Raises:
+            AttributeError: With `flat=True`, because the observation then has no goals.
+        """
+        if self.batch.config.flat:
+            raise AttributeError("with flat=True there is no compute_reward, because the observation has no goals")
+        return self.batch.rewards.compute
+
+
+class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
     """An H-frame belt stage that moves a tool in the plane.
 
     Two fixed motors move a carriage in x and y by one belt. The belt stretches, every moving part has friction, and the
@@ -122,16 +156,6 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
         self._renderer: Renderer | None = None
         self._trail: deque[tuple[float, float]] = deque(maxlen=TRAIL_LENGTH)
 
-    @property
-    def entries(self) -> tuple[SignalSpec, ...]:
-        """Name, unit, bounds and scale of every entry of `observation`, with `flat=True` of the array, in order."""
-        return self.batch.format.entries or self.batch.observations.entries
-
-    @property
-    def privileged_entries(self) -> tuple[SignalSpec, ...]:
-        """Name, unit and bounds of every entry of the key `privileged` (true state and parameters); else empty."""
-        return self.batch.observations.privileged
-
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
@@ -196,20 +220,6 @@ class HFrameEnv(gym.Env[Observation, NDArray[np.float32]]):
                 return formatted[0]
             observation = formatted
         return {key: values[0] for key, values in observation.items()}
-
-    @property
-    def compute_reward(self) -> Callable[[Any, Any, Any], Any]:
-        """Function (achieved_goal, desired_goal, info) -> reward, for example to relabel goals (hindsight replay).
-
-        It takes goals as observed (m, or normalized), shape (axes,) or (n, axes), ignores `info`, and returns a float,
-        or n rewards, dimensionless, shape (n,): the same bits as the rewards of `step`.
-
-        Raises:
-            AttributeError: With `flat=True`, because the observation then has no goals.
-        """
-        if self.batch.config.flat:
-            raise AttributeError("with flat=True there is no compute_reward, because the observation has no goals")
-        return self.batch.rewards.compute
 
     def _info(self, distance: float, contour: NDArray[np.float64] | None) -> dict[str, Any]:
         """Return the info of a step or reset."""

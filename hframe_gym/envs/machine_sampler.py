@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..machine import Machine
-from .correlated_samples import CorrelatedSampler
-from .counter_rng import episode_keys, reset_uniforms
 from .domain_randomization import (
     RandomizationLike,
     RandomizeIdentified,
@@ -24,6 +22,7 @@ from .domain_randomization import (
     as_rules,
     matching,
 )
+from .random_numbers import SMALLEST_UNIFORM, CorrelatedSampler, episode_keys, reset_uniforms
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -31,8 +30,6 @@ Keys = NDArray[np.uint64]
 # Smallest fraction of its nominal value to which a parameter that must stay positive can be randomized.
 SMALLEST_FRACTION = 0.05
 MAXIMUM_CONVERTER_BITS = 32.0
-# Smallest and largest uniform number that `counter_rng` generates.
-_EXTREME_UNIFORMS = np.array([0.5 * 2.0**-53, 1.0 - 0.5 * 2.0**-53])
 
 
 @dataclass(frozen=True)
@@ -97,7 +94,7 @@ def _effect_and_belt_bounds(machine: Machine) -> dict[str, tuple[float, float]]:
 
 
 class RuleSampler:
-    """Sample parameters by the rules for startup, or by those for reset.
+    """Sample parameters by the rules that apply once per seed ("startup"), or by those that apply at every reset.
 
     Args:
         space: Names, nominal values and limits of all N parameters.
@@ -162,7 +159,7 @@ class RuleSampler:
 
     def _widen(self, i: int, rule: RandomizeParameter) -> None:
         """Extend the range of parameter i by a rule; all four corners count, because a scale may be negative."""
-        extremes = rule.quantile(_EXTREME_UNIFORMS)
+        extremes = rule.quantile(np.array([SMALLEST_UNIFORM, 1.0 - SMALLEST_UNIFORM]))
         before = np.array([self.low[i], self.high[i]])
         corners = np.concatenate([rule.apply(before, np.full(2, extreme)) for extreme in extremes])
         if rule.bounded and i not in self._space.clipped:
@@ -278,7 +275,7 @@ class MachineSampler:
         self._keys, self._episodes = np.zeros(count, np.uint64), np.zeros(count, np.int64)
 
     def seed(self, b: int, generator: np.random.Generator) -> None:
-        """Seed one environment; its next reset applies the startup rules again.
+        """Seed one environment; its next reset also samples the parameters that are randomized once per seed.
 
         Args:
             b: Index of the environment, 0 to count - 1.

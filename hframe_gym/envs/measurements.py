@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..dynamics import LANES
 from ..machine import SENSOR_KINDS, Machine, Sensor, SensorKind
-from .counter_rng import compiled, normal_pair, normal_pairs
+from .random_numbers import compiled, normal_pair, normal_pairs
 from .sensors import sensor_range_names
 
 Array = NDArray[np.float64]

@@ -18,12 +18,13 @@ from ..dynamics.simd import any_of, load, store, where
 from ..dynamics.simd_math import maximum, minimum
 from ..machine import Sensor
 from .batched_simulator import BatchedSimulator
-from .counter_rng import compiled
 from .machine_sampler import MachineSampler
 from .measurements import SensorArray
+from .random_numbers import compiled
 from .rewards import Evaluation, evaluate_rows
 from .sensors import PositionFromSensors
-from .spaces import MARGIN, SignalSpec, bounds_of, privileged_signals, sensor_signals, state_signals, workspace_of
+from .spaces import MARGIN, SignalSpec, bounds_of, privileged_signals, sensor_signals, state_signals
+from .workspace import workspace_of
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..registry import Registry
-from .counter_rng import compiled
+from .random_numbers import compiled
+from .workspace import outside_workspace
 
 Array: TypeAlias = NDArray[np.float64]
 Positions: TypeAlias = NDArray[np.float32]
@@ -198,20 +199,6 @@ class PenalizedReward:
         """
         outside = outside_workspace(achieved, self.workspace)
         return np.asarray(self.reward(achieved, desired), np.float64) - self.penalty * outside
-
-
-def outside_workspace(positions: Positions, workspace: NDArray[Any]) -> NDArray[np.bool_]:
-    """Test which positions lie outside the workspace; its edge counts as inside.
-
-    Args:
-        positions: Positions of the tool's axes, m, shape (n, axes).
-        workspace: One row per axis of the tool, columns low and high, m, shape (axes, 2).
-
-    Returns:
-        True for each position outside, shape (n,).
-    """
-    beyond = (positions < workspace[:, 0]) | (positions > workspace[:, 1])
-    return np.asarray(beyond.any(axis=1))
 
 
 def as_reward(reward: RewardLike, band: float, axes: int = 2) -> Reward:

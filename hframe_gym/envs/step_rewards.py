@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from .counter_rng import compiled
-from .observation_format import ObservationFormat
+from .random_numbers import compiled
 from .rewards import REWARDS, Array, PenalizedReward, Positions, Reward, distances, row_distance
+from .spaces import ObservationFormat
 
 PROGRESS_SCALE = 1e-3  # m; below this distance, coming closer pays less and less
 # Per step at the goal, and the distance at which it is halved, m. Without it nothing but the discount makes an agent

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, ClassVar, Unpack
 
 import numpy as np
@@ -16,16 +16,16 @@ from ..errors import InputError
 from ..machine import Machine
 from .config import EnvConfig, EnvOptions, check_keywords, check_render_mode
 from .environment_batch import EnvironmentBatch, Flags, Index, StepResult
-from .hframe_env import check_reset_options, require_path
+from .hframe_env import BatchProperties, check_reset_options, require_path
 from .observations import Observation
 from .rendering import TRAIL_LENGTH, Renderer, Scene, tool_point
-from .spaces import SignalSpec, action_space
+from .spaces import action_space
 
 Array = NDArray[np.float64]
 _KEYWORDS = ("num_envs", "max_episode_steps", "autoreset_mode", "render_mode")
 
 
-class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]):
+class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]):
     """Many independent `HFrameEnv`s with the same options, stepped in one pass.
 
     Environment i of a vector seeded with s is the single environment seeded with s + i, to the bit.
@@ -91,16 +91,6 @@ class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]])
         self._trails: list[deque[tuple[float, float]]] = [
             deque(maxlen=TRAIL_LENGTH) for _ in range(num_envs if render_mode else 0)
         ]
-
-    @property
-    def entries(self) -> tuple[SignalSpec, ...]:
-        """Name, unit, bounds and scale of every entry of `observation`, with `flat=True` of the array, in order."""
-        return self.batch.format.entries or self.batch.observations.entries
-
-    @property
-    def privileged_entries(self) -> tuple[SignalSpec, ...]:
-        """Name, unit and bounds of every entry of the key `privileged` (true state and parameters); else empty."""
-        return self.batch.observations.privileged
 
     @property
     def machine(self) -> Machine:
@@ -213,20 +203,6 @@ class HFrameVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]])
         """Begin new episodes of environments index (k,) within a step."""
         self.batch.restart(index, result)
         self._collect_parameters()
-
-    @property
-    def compute_reward(self) -> Callable[[Any, Any, Any], Any]:
-        """Function (achieved_goal, desired_goal, info) -> reward, for example to relabel goals (hindsight replay).
-
-        It takes goals as observed (m, or normalized), shape (axes,) or (n, axes), ignores `info`, and returns a float,
-        or n rewards, dimensionless, shape (n,): the same bits as the rewards of `step`.
-
-        Raises:
-            AttributeError: With `flat=True`, because the observation then has no goals.
-        """
-        if self.batch.config.flat:
-            raise AttributeError("with flat=True there is no compute_reward, because the observation has no goals")
-        return self.batch.rewards.compute
 
     # -- info: each key with its mask "_key" -----------------------------------------------------------------------
 

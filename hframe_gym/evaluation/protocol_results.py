@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 import platform
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cache
 from importlib import metadata, resources
 from pathlib import Path
@@ -89,16 +89,23 @@ def result_content(protocol: Protocol, entry: Entry, draws: Mapping[str, Draws])
         "digest": protocol.digest,
         "entry": entry._asdict(),
         "about": "",
-        "versions": _versions(),
+        "versions": {"python": platform.python_version(), **installed_versions(PACKAGES)},
         "scores": {part: part_scores(values, protocol.duration_s) for part, values in draws.items()},
         "draws": {part: dict(values) for part, values in draws.items()},
     }
 
 
-def _versions() -> dict[str, str]:
-    """Return the versions of Python and of the packages on which scores depend."""
-    versions = {"python": platform.python_version()}
-    for package in PACKAGES:
+def installed_versions(packages: Iterable[str]) -> dict[str, str]:
+    """List the versions of packages on which results depend.
+
+    Args:
+        packages: Names of packages; those that are not installed are omitted.
+
+    Returns:
+        Version strings by name of the package.
+    """
+    versions = {}
+    for package in packages:
         try:
             versions[package] = metadata.version(package)
         except metadata.PackageNotFoundError:

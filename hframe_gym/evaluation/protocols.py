@@ -29,7 +29,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..controllers import Controller, OutputFeedbackController, StateEstimator
+from ..controllers import CONTROLLERS, Controller, OutputFeedbackController, StateEstimator
 from ..envs import RANDOMIZATION_PRESETS, Reach, Task, Track, as_machine, observed_machine
 from ..envs.actuators import ACTUATOR_PRESETS
 from ..errors import InputError
@@ -281,8 +281,9 @@ def make_entry(name: str, protocol: Protocol, part: str) -> tuple[Entry, Control
     collection, folder = name, Path(name) / scenario.task_name
     name = str(folder) if folder.is_dir() else name
     controller = make_controller(name, scenario)
-    sources = (CONTROLLER_SOURCES.get(source).files(name, scenario) for source in CONTROLLER_SOURCES)
-    files = next(filter(None, sources), None)
+    # A registered name is that of a controller also where a folder has the same name.
+    sources = () if name in CONTROLLERS else map(CONTROLLER_SOURCES.get, CONTROLLER_SOURCES)
+    files = next(filter(None, (source.files(name, scenario) for source in sources)), None)
     entry = _controller_entry(name, controller)
     if files:
         entry = Entry(Path(collection).name if folder.is_dir() else files.name, "agent", _hash(files.files))

@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from ..atomic_files import write_text
 from ..controllers import Controller
 from ..dynamics import Equations, MotionPoint, NotFiniteError
-from ..envs import HFrameVectorEnv, MachineLike, RandomizationLike, SensorsLike, TaskLike
+from ..envs import MachineLike, RandomizationLike, SensorsLike, TaskLike
 from ..errors import InputError
 from ..machine import Machine
 from .metrics import score_episodes, stored_bounds
-from .scenario import Episodes, Scenario, make_controller, period_concern
+from .scenario import Episodes, Scenario, environments_of, make_controller, period_concern
 
 Array = NDArray[np.float64]
 SAMPLES_PER_PERIOD = 10
@@ -156,16 +156,7 @@ class _Recorder:
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario
         self.sample_s = scenario.period / SAMPLES_PER_PERIOD
-        self.envs = HFrameVectorEnv(
-            scenario.episodes,
-            max_episode_steps=None,
-            machine=scenario.machine,
-            task=scenario.controller_task,
-            randomize=scenario.randomize,
-            sensors=scenario.sensors,
-            drives=scenario.drives,
-            period=self.sample_s,
-        )
+        self.envs = environments_of(scenario, sensors=scenario.sensors, period=self.sample_s)
 
     def run(self, controller: Controller) -> Episodes:
         """Record the episodes of a controller."""

@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from ..controllers import CONTROLLERS, Controller, OutputFeedbackController, Sta
 from ..dynamics import mode_frequencies
 from ..envs import (
     ActuatorsLike,
+    EnvOptions,
     HFrameVectorEnv,
     MachineLike,
     RandomizationLike,
@@ -161,6 +162,20 @@ class EpisodeConditions(NamedTuple):
     goal: Array
 
 
+def environments_of(scenario: Scenario, **options: Unpack[EnvOptions]) -> HFrameVectorEnv:
+    """Build the environments of a scenario, one per episode, without a limit on the number of steps.
+
+    Args:
+        scenario: Machine, task, randomization and drives of the environments.
+        **options: Further options of the environments, for example `sensors` and `period`.
+
+    Returns:
+        The environments, which are not reset yet.
+    """
+    common = EnvOptions(machine=scenario.machine, task=scenario.controller_task, randomize=scenario.randomize)
+    return HFrameVectorEnv(scenario.episodes, max_episode_steps=None, **common | {"drives": scenario.drives} | options)
+
+
 def episode_conditions(scenario: Scenario) -> EpisodeConditions:
     """Sample the machine parameters, starts and goals of a scenario's episodes without simulating them.
 
@@ -168,20 +183,12 @@ def episode_conditions(scenario: Scenario) -> EpisodeConditions:
         scenario: Machine, task, randomization, number of episodes and seed.
 
     Returns:
-        Machine; sampled parameters, SI, shape (B, parameters); tool positions at the start and goals of the B episodes,
-        m, shape (B, axes).
+        Machine; sampled parameters, SI, shape (B, parameters); tool positions at the start and goals, m, (B, axes).
 
     Raises:
         ValueError: If the environment rejects the scenario's options, for example an unknown task.
     """
-    envs = HFrameVectorEnv(
-        scenario.episodes,
-        max_episode_steps=None,
-        machine=scenario.machine,
-        task=scenario.controller_task,
-        randomize=scenario.randomize,
-        drives=scenario.drives,
-    )
+    envs = environments_of(scenario)
     observation, _ = envs.reset(seed=scenario.seed)
     goal = np.asarray(observation["desired_goal"], np.float64)
     return EpisodeConditions(envs.machine, envs.parameters, envs.batch.simulator.tools().copy(), goal)

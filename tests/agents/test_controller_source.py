@@ -61,3 +61,27 @@ def test_other_names_are_left_to_other_sources_and_listed(tmp_path):
 def test_a_folder_without_an_agent_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"is not an agent: agent\.json is missing"):
         make_controller(str(tmp_path), Scenario())
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (None, r"is not an agent: agent\.json is missing"),
+        ("[]", r"agent\.json: schema is None"),
+        ('{"schema": 2}', r"agent\.json: entries are missing: name, task"),
+        ("{", r"agent\.json: is not valid JSON"),
+    ],
+)
+def test_files_of_a_damaged_agent_are_refused_with_its_file(tmp_path, content, message):
+    folder = shutil.copytree(shipped_agent_folder("ppo", "reach"), tmp_path / "copy")
+    (folder / "agent.json").unlink()
+    if content is not None:
+        (folder / "agent.json").write_text(content)
+    with pytest.raises(InputError, match=message):
+        AgentSource.files(str(folder), Scenario())
+
+
+def test_files_state_the_sensors_of_the_training():
+    files = AgentSource.files("ppo", Scenario())
+    assert (files.name, files.sensors) == ("ppo-seed0", "state")
+    assert {file.name for file in files.files} == {"agent.json", "machine.json", "policy.safetensors"}

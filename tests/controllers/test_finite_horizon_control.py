@@ -86,6 +86,7 @@ def test_shortest_transfer_depends_on_the_period(hframe: Machine, transfers: Min
     assert 0.01 < 0.002 * MinimumEnergyTransfers(MotionModel(hframe), 0.002).shortest < 0.02
 
 
+@pytest.mark.integration
 def test_tracks_a_circle_on_the_nominal_machine(hframe: Machine, model_based: ModelBasedController) -> None:
     goals = circles(16, 1)
     loop = closed_loop(model_based, hframe, goals[:, 0], goals)

@@ -106,6 +106,7 @@ def test_plans_arrive_within_the_voltage_limits():
     )
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(("task", "periods"), [(Track(path="circle", size=0.05, speed=0.3), 20), ("reach", 8)])
 def test_the_gain_is_the_derivative_of_the_voltages(task, periods):
     envs = HFrameVectorEnv(4, task=task, randomize="default")
@@ -143,6 +144,7 @@ def run(name, task="reach", episodes=24, **options):
     return rollout(CONTROLLERS.get(name)(scenario.declared_machine, PERIOD), scenario)
 
 
+@pytest.mark.integration
 def test_moves_are_faster_and_end_closer_than_those_of_the_adaptive_controller():
     settled = {}
     for name in ("predictive", "adaptive-pid"):
@@ -154,6 +156,7 @@ def test_moves_are_faster_and_end_closer_than_those_of_the_adaptive_controller()
     assert settled["predictive", 5e-5][0].mean() < 0.85 * settled["adaptive-pid", 5e-5][0].mean()
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(("path", "ratio"), [("circle", 0.6), ("square", 0.9)])
 def test_paths_are_followed_more_closely_than_by_the_adaptive_controller(path, ratio):
     task = Track(path=path, size=0.05, speed=0.3)
@@ -164,6 +167,7 @@ def test_paths_are_followed_more_closely_than_by_the_adaptive_controller(path, r
     assert errors["predictive"] < ratio * errors["adaptive-pid"]
 
 
+@pytest.mark.integration
 def test_forces_that_the_machine_does_not_declare_are_compensated():
     from hframe_gym.effects import EFFECTS
 
@@ -174,6 +178,7 @@ def test_forces_that_the_machine_does_not_declare_are_compensated():
     assert settling_times(episodes.goal_error, episodes.time_s, 1e-3)[1].all()
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("name", ["corexy", "axis", "hframe-linear"])
 def test_it_controls_other_machines(name):
     machine = BUILTIN_MACHINES[name]()

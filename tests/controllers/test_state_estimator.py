@@ -51,6 +51,7 @@ def true_states(machine: Machine, motion: Trajectory) -> np.ndarray:
     return np.hstack([motion.positions, motion.velocities]) * np.tile(machine.travel_per_unit, 2)
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("span", [np.inf, 0.1])
 def test_settles_randomized_machines_from_measurements(hframe: Machine, span: float) -> None:
     start, goal = random_points(48, 1), random_points(48, 2)
@@ -184,7 +185,7 @@ def test_masked_reset_starts_a_new_episode(hframe: Machine) -> None:
 
 def test_measurement_that_is_not_finite_is_rejected(hframe: Machine) -> None:
     estimator = StateEstimator(with_rig(hframe, 0.1), PERIOD)
-    with pytest.raises(InputError, match="channel 2 of stage 1 is nan"):
+    with pytest.raises(InputError, match="channel 2 of machine 1 is nan"):
         estimator.update(np.array([[0.0, 0.0, 0.0, 0.0], [0.0, 0.0, np.nan, 0.0]]))
 
 

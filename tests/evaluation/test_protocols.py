@@ -195,6 +195,15 @@ def test_agents_are_identified_by_their_files() -> None:
     assert controller.period == protocol.period
 
 
+def test_a_folder_with_the_name_of_a_controller_does_not_replace_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "pid").mkdir()
+    monkeypatch.chdir(tmp_path)
+    entry, _ = protocols.make_entry("pid", small("reach-v1"), "reach")
+    assert (entry.name, entry.kind) == ("pid", "controller")
+
+
 @pytest.fixture
 def content(short: Protocol) -> dict[str, Any]:
     """Return the content of a valid result file of the short protocol."""

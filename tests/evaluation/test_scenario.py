@@ -98,6 +98,7 @@ def test_estimator_measures_what_the_environment_observes(sensors: str) -> None:
     np.testing.assert_allclose(episodes.position[:, -1], episodes.position[:, 0], atol=0.05)
 
 
+@pytest.mark.integration
 def test_pid_settles_from_rig_sensors() -> None:
     scenario = Scenario(sensors="rig", episodes=48)
     card = score_episodes(rollout(make_controller("pid", scenario), scenario))
@@ -180,6 +181,7 @@ def test_an_unstable_textbook_pid_is_told() -> None:
         make_controller("textbook-pid", "hframe-literal")
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("sensors", ["state", "machine"])
 @pytest.mark.parametrize("name", ["pid", "adaptive-pid", "textbook-pid"])
 def test_controllers_settle_one_axis(name: str, sensors: str) -> None:

@@ -97,13 +97,13 @@ class Task(ABC):
         """
 
     def write_goals(self, plan: Array, elapsed_s: Array, ahead_s: Array, goals: NDArray[np.float32]) -> None:
-        """Compute the goals of n episodes now and ahead, as `goal` does; a task may override it to be faster.
+        """Write the goals of n episodes at m times each to an array; a task may override it with a faster method.
 
         Args:
             plan: Plans from `begin` or `aim`, in the task's format, shape (n, plan_size).
-            elapsed_s: Times since the reset, s, not negative, shape (n,).
-            ahead_s: Times from `elapsed_s` to the goals, s, shape (m,).
-            goals: Output, goal positions, m, shape (n, m, axes).
+            elapsed_s: Present times since the reset, s, not negative, shape (n,).
+            ahead_s: Times from the present to the goals, s, 0 for the present goal, shape (m,).
+            goals: Array that receives the goal positions, m, shape (n, m, axes).
         """
         goals[:] = self.goal(plan, elapsed_s[:, None] + ahead_s)
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from ..counter_rng import compiled, cos_sin_of_turns
+from ..random_numbers import compiled, cos_sin_of_turns
 
 Array = NDArray[np.float64]
 # Segments of a quarter of a Lissajous figure. At 50 mm across, the curve bulges at most 0.05 um from a segment.

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ...errors import InputError
 from ...recordings import read_path
-from ..counter_rng import compiled
+from ..random_numbers import compiled
 from .base import TASKS, Array, Metrics, Task
 from .curves import SHAPES, Curve, Polyline, write_points
 
@@ -205,8 +205,8 @@ class Track(Task):
         """Compute the goals on the paths of n episodes, at one time or at m times each.
 
         Args:
-            plan: Plans from `begin`, shape (n, 6): path index, center x, y (m), direction (+1 or -1), arc length at the
-                start (m), speed (m/s).
+            plan: Path of each episode, as `begin` chose it, shape (n, 6): path index, center x, y (m), direction (+1 or
+                -1), arc length at the start (m), speed (m/s).
             elapsed_s: Times since the reset, s, not negative, shape (n,) or (n, m).
 
         Returns:
@@ -221,13 +221,14 @@ class Track(Task):
         return out.reshape(*elapsed_s.shape, 2)
 
     def write_goals(self, plan: Array, elapsed_s: Array, ahead_s: Array, goals: NDArray[np.float32]) -> None:
-        """Compute the goals of n episodes now and ahead; one curve without times takes a compiled function.
+        """Write the goals of n episodes at m times each to an array; fast if all episodes follow the same curve.
 
         Args:
-            plan: Plans from `begin`, shape (n, 6), in the units stated there.
-            elapsed_s: Times since the reset, s, not negative, shape (n,).
-            ahead_s: Times from `elapsed_s` to the goals, s, shape (m,).
-            goals: Output, goal positions x, y, m, shape (n, m, 2).
+            plan: Path of each episode, as `begin` chose it, shape (n, 6): path index, center x, y (m), direction (+1 or
+                -1), arc length at the start (m), speed (m/s).
+            elapsed_s: Present times since the reset, s, not negative, shape (n,).
+            ahead_s: Times from the present to the goals, s, 0 for the present goal, shape (m,).
+            goals: Array that receives the goal positions x, y, m, shape (n, m, 2).
         """
         if len(self._curves) > 1 or self._times is not None:
             super().write_goals(plan, elapsed_s, ahead_s, goals)
@@ -240,7 +241,8 @@ class Track(Task):
         """Compute the contour error: the distance of one point per episode to the path, near the present goal.
 
         Args:
-            plan: Plans of n episodes from `begin`, shape (n, 6), in the units stated there.
+            plan: Path of each of n episodes, as `begin` chose it, shape (n, 6): path index, center x, y (m), direction
+                (+1 or -1), arc length at the start (m), speed (m/s).
             points: One point x, y per episode, m, shape (n, 2).
             elapsed_s: Times since the reset, s, shape (n,); the search starts at the goal of this time.
 

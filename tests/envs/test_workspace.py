@@ -1,10 +1,10 @@
-"""End stops: active region, parameter order, and independence of neighbors in a SIMD block."""
+"""The workspace and its end stops: active region, parameter order, and independence of neighbors in a SIMD block."""
 
 import numpy as np
 
 from hframe_gym.dynamics import LANES
 from hframe_gym.envs import HFrameVectorEnv
-from hframe_gym.envs.end_stops import END_STOP, with_end_stops
+from hframe_gym.envs.workspace import END_STOP, with_end_stops
 
 
 def test_the_active_region_is_where_the_force_is():

@@ -1,4 +1,6 @@
-"""End stops: rubber buffers at both ends of every axis of the tool, as an effect of the simulated machine.
+"""The workspace of a machine's tool, and the end stops at its edges.
+
+End stops are rubber buffers at both ends of every axis of the tool, an effect of the simulated machine.
 
 References:
     Hunt and Crossley, "Coefficient of restitution interpreted as damping in vibroimpact" (1975).
@@ -6,13 +8,67 @@ References:
 
 from __future__ import annotations
 
-from ..dynamics.elementwise import copysign, maximum
-from ..machine import Effect, EffectParameter, Machine
-from .spaces import workspace_of
+from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from ..dynamics.elementwise import copysign, maximum
+from ..errors import InputError
+from ..machine import Effect, EffectParameter, Machine
+
+Array = NDArray[np.float64]
 # Rubber buffers at the ends of x and y.
 BUFFER_STIFFNESS = 2e5  # N/m: both motors at full voltage compress it by 1.2 mm; the cart oscillates on it below 2 kHz
 BUFFER_DAMPING = 1.5  # s/m: an impact at 0.5 m/s rebounds with less than half its speed
+
+
+def workspace_of(machine: Machine) -> Array:
+    """Return the ranges of the tool's axes (`Machine.tool_axes`): the workspace of the tool.
+
+    Args:
+        machine: Machine with these coordinates (`Machine.tool_axes`).
+
+    Returns:
+        One row per axis, columns low and high, m, shape (axes, 2).
+
+    Raises:
+        InputError: If the machine has no such coordinates, one of them has no range, or there is not one drive per
+            axis.
+    """
+    axes = machine.tool_axes
+    if not axes:
+        linear = [c.name for c in machine.coordinates if c.kind == "linear"]
+        raise InputError(
+            f"machine {machine.name!r} has the linear coordinates {', '.join(linear) or 'none'}; the environment moves "
+            "a tool along one or two of them. Declare one or two, or name two of several x and y"
+        )
+    for name in axes:
+        if machine.coordinate(name).range is None:
+            raise InputError(
+                f"machine {machine.name!r}: coordinate {name!r} has no range; the environment needs one as its "
+                f'workspace. Add "range": [low, high] in m to this coordinate in the machine.json'
+            )
+    if len(machine.drives) != len(axes):
+        raise InputError(
+            f"machine {machine.name!r} has {len(machine.drives)} drives; to move its tool along {' and '.join(axes)} "
+            f"the environment needs {len(axes)}"
+        )
+    return np.array([machine.coordinate(name).range for name in axes], dtype=np.float64)
+
+
+def outside_workspace(positions: NDArray[np.floating[Any]], workspace: NDArray[Any]) -> NDArray[np.bool_]:
+    """Test which positions lie outside the workspace; its edge counts as inside.
+
+    Args:
+        positions: NDArray[np.floating[Any]] of the tool's axes, m, shape (n, axes).
+        workspace: One row per axis of the tool, columns low and high, m, shape (axes, 2).
+
+    Returns:
+        True for each position outside, shape (n,).
+    """
+    beyond = (positions < workspace[:, 0]) | (positions > workspace[:, 1])
+    return np.asarray(beyond.any(axis=1))
 
 
 def _buffer_force(q, v, t, low, high, stiffness, damping):  # type: ignore[no-untyped-def]
