@@ -83,7 +83,8 @@ class InitialState:
 
         Args:
             machine: Machine with its effects (deviations from the nominal model).
-            start: Positions, velocities and states of the effects, as `start` returns them.
+            start: Positions, velocities and states of the effects, in their units, shape (2 * coordinates + effect
+                states,).
 
         Returns:
             Copy with these states.
