@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..machine import Machine
-from .log_file import Log
+from .log_file import ROW_NUMBER, Log
 from .log_mapping import TIME, ChannelSource
 from .recording import Recording, recording_from_columns
 from .table_file import Array, refuse_decreasing_times
@@ -68,9 +68,12 @@ class LogConverter:
             InputError: If a cell is not a number, times do not increase, or a channel is empty or in a wrong unit.
         """
         needed = list({source.column.header: source.column for source in sources if source.column}.values())
-        values, remarks = log.read(needed, progress)
-        by_header = {column.header: array for column, array in zip(needed, values, strict=True)}
+        in_file = [column for column in needed if column.kind != ROW_NUMBER]
+        values, remarks = log.read(in_file, progress)
+        by_header = {column.header: array for column, array in zip(in_file, values, strict=True)}
         del values
+        for counter in (column for column in needed if column.kind == ROW_NUMBER):
+            by_header[counter.header] = np.arange(_common_length(log, by_header), dtype=np.float64)
         try:
             time_s, columns = self._columns(log, sources, by_header, remarks)
             return recording_from_columns(log.path, {TIME: time_s, **columns}, self.machine), remarks
@@ -131,6 +134,15 @@ class LogConverter:
                 f"seconds; state its unit by --unit {TIME}=ms (or us, ns, s)"
             )
         return time_s
+
+
+def _common_length(log: Log, by_header: Mapping[str, NDArray[Any]]) -> int:
+    """Return the number of rows that all columns have; refuse a log whose columns differ."""
+    lengths = {header: len(values) for header, values in by_header.items()}
+    if len(set(lengths.values())) > 1:
+        listed = ", ".join(f"{header} has {length}" for header, length in lengths.items())
+        raise InputError(f"{log.path}: the columns have different numbers of rows ({listed}), so one rate does not fit")
+    return next(iter(lengths.values()))
 
 
 def split_at_rests(recording: Recording, machine: Machine, min_rest: float) -> tuple[list[Recording], list[str]]:

@@ -12,11 +12,12 @@ from pathlib import Path
 from ..errors import InputError
 from ..file_limits import read_document, read_json
 from ..machine import Machine
-from .log_file import Log, LogColumn
+from .log_file import ROW_NUMBER, Log, LogColumn
 from .measurement_units import DUTY_UNITS, SI_UNITS, UNITS, Conversion, Dimension, normalize_unit, split_unit
 
 TIME = "time_s"
 NOT_MEASURED = "none"  # in place of a column: the output has no column in the log
+_RATE = re.compile(r"(?P<rate>\d+(\.\d+)?([eE][+-]?\d+)?)\s*(?P<prefix>k?)hz", re.IGNORECASE)  # in place of a time
 _TIME_NAMES = ("time", "t", "timestamp", "zeit", "elapsedtime", "seconds", "sec")  # without signs, in lower case
 # First letters of names that are suggested for a channel, never assigned without the user.
 _FIRST_LETTERS: dict[Dimension, str] = {"voltage": "uv", "length": "xyzp", "angle": "paqe", "time": "t"}
@@ -28,7 +29,8 @@ class MappingOptions:
 
     Attributes:
         columns: Column by channel: its name with or without its unit, "#3" for the third column, or "none" for an
-            output that was not measured.
+            output that was not measured. For "time_s", also a rate such as "200Hz": the log has no column of time, and
+            its rows are equally spaced.
         units: Unit of the column by channel, for example {"phi1_rad": "deg", "v1_V": "%"}.
         scales: Factor by channel. It is applied to the values of the column, behind the conversion from a unit that
             `units` states; a unit in the header is then ignored.
@@ -202,9 +204,12 @@ def _bare(name: str) -> str:
 
 
 def _time_columns(log: Log, options: MappingOptions) -> list[LogColumn]:
-    """Return the columns of time: those that the user names, or those with a name of time."""
+    """Return the columns of time: those that the user names, or those with a name of time; the row number for a rate."""
     reference = options.columns.get(TIME)
     if reference is not None:
+        rate = _RATE.fullmatch(reference.strip())
+        if rate is not None and float(rate["rate"]) > 0.0:
+            return [LogColumn(f"row number at {reference.strip()}", "row number", "", ROW_NUMBER)]
         try:
             return [_find_column(log, TIME, reference)]
         except InputError:
@@ -214,6 +219,13 @@ def _time_columns(log: Log, options: MappingOptions) -> list[LogColumn]:
     identical = [column for column in log.columns if column.header == TIME]
     named = [column for column in log.columns if _bare(column.name.rpartition(".")[2]) in _TIME_NAMES]
     return identical or named
+
+
+def _rows_per_second(reference: str) -> float:
+    """Return the rate, Hz, that stands in place of a column of time."""
+    rate = _RATE.fullmatch(reference.strip())
+    assert rate is not None
+    return float(rate["rate"]) * (1e3 if rate["prefix"] else 1.0)
 
 
 def _named_column(log: Log, channel: str, reference: str, machine: Machine) -> LogColumn | None:
@@ -242,6 +254,8 @@ def _find_column(log: Log, channel: str, reference: str) -> LogColumn:
 
 def _time_of(log: Log, column: LogColumn, times: Sequence[LogColumn]) -> LogColumn:
     """Return the time of a column: of several the one of the same length, or the last one to the left."""
+    if times[0].kind == ROW_NUMBER:
+        return times[0]
     if column.rows is not None:
         same = [time for time in times if time.rows == column.rows]
         if not same:
@@ -268,6 +282,8 @@ def _source(
     """Return the source of a channel with its conversion: from the options, or from the unit that the log states."""
     if column is None:
         return ChannelSource(channel, None, None, Conversion(), "not measured: the cells stay empty")
+    if column.kind == ROW_NUMBER:
+        return ChannelSource(channel, column, None, Conversion(1.0, _rows_per_second(options.columns[channel])), "to s")
     stated, scale = options.units.get(channel), options.scales.get(channel)
     unit = normalize_unit(stated) if stated is not None else "" if scale is not None else column.unit
     si_unit = SI_UNITS[dimension]
@@ -306,7 +322,7 @@ def _missing_text(log: Log, machine: Machine, missing: Sequence[str], unused: Se
         candidates = [column for column in pool if column.unit in units] or [
             column for column in pool if not column.unit and _bare(column.name)[:1] in _FIRST_LETTERS[dimension]
         ]
-        if not candidates and len(pool) == 1 and not pool[0].unit:
+        if not candidates and len(pool) == 1 and not pool[0].unit and channel != TIME:
             candidates = pool[:]
         if candidates:
             pool.remove(candidates[0])
@@ -317,6 +333,7 @@ def _missing_text(log: Log, machine: Machine, missing: Sequence[str], unused: Se
     problem = "; ".join(ambiguous) or f"no column is named like {', '.join(missing)}"
     absent = [channel for channel in missing if channel in machine.output_channels]
     none = f" (or {absent[0]}={NOT_MEASURED}, if it was not measured)" if absent else ""
+    none += f"; {TIME}=200Hz stands for 200 rows per second without a column of time" if TIME in missing else ""
     return (
         f"{log.path}: {problem}. Columns of the log: {_list(log.columns)}. Not assigned: {_list(unused) or 'none'}. "
         f"{_channels_text(machine)}. Check and add: {' '.join(options)}{none}"

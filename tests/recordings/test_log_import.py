@@ -380,6 +380,19 @@ def test_a_log_with_unknown_names_is_refused_with_a_line_to_paste(
     assert_equal(convert(path, hframe, columns=columns), table)
 
 
+def test_a_log_without_times_is_imported_at_a_stated_rate(table: Table, hframe: Machine, tmp_path: Path) -> None:
+    values = {channel: column for channel, column in table.items() if channel != "time_s"}
+    path = in_text(text_of)(tmp_path, values)
+    with pytest.raises(InputError, match=r"--map time_s=COLUMN; time_s=200Hz stands for 200 rows per second"):
+        convert(path, hframe)
+    lines: list[str] = []
+    assert_equal(convert(path, hframe, lines=lines, columns={"time_s": "1 kHz"}), table)
+    assert "  time_s   <- row number at 1 kHz (to s)" in lines
+    savemat(tmp_path / "rates.mat", values | {"y_m": table["y_m"][::5]})
+    with pytest.raises(InputError, match=r"rates.mat: the columns have different numbers of rows .*y_m has 60"):
+        convert(tmp_path / "rates.mat", hframe, columns={"time_s": "1000Hz"})
+
+
 def test_an_output_without_a_column_must_be_declared_unless_no_column_is_left(
     table: Table, hframe: Machine, tmp_path: Path
 ) -> None:
