@@ -20,15 +20,13 @@ from scipy.special import ndtri, stdtrit
 
 from ..machine import Machine, Uncertainty
 from .dataset import Dataset, PreparedRecording
-from .free_parameters import FreeParameter, parameter_table, prior_precision, values_at
+from .free_parameters import MAXIMUM_DEVIATION, FreeParameter, parameter_table, prior_precision, values_at
 from .linearization import ResidualModel
 from .prediction import POLISH_STEP, SEARCH_STEP, map_runs, predict, residuals
 from .start_uncertainty import initial_state_projection
 
 Array = NDArray[np.float64]
 
-# A parameter may move this many standard deviations of its prior; beyond, the model is wrong.
-_MAXIMUM_DEVIATION = 4.0
 _DAMPINGS = 10.0 ** np.array([-6.0, -4.0, -3.0, -2.0, -1.0, 0.0, 1.0, 2.0])
 
 
@@ -104,7 +102,7 @@ def fit(
     model = ResidualModel(machine, tuple(free), data, bandwidth, longest_step)
     theta = np.zeros(len(free)) if theta is None else np.array(theta, float)
     prior = precision = prior_precision(free)
-    bounds = _MAXIMUM_DEVIATION * np.array([f.prior for f in free])
+    bounds = MAXIMUM_DEVIATION * np.array([f.prior for f in free])
     information = np.zeros((len(free), len(free)))
     cost = math.inf
     for _ in range(iterations):
