@@ -1,7 +1,4 @@
-"""Torque that varies with the angle of the motor, A sin(n q + p): detent torque or commutation ripple.
-
-With n = 1 on an arm in the vertical plane it is the arm's weight.
-"""
+"""Torque that varies with the angle of the motor, A sin(n q + p): detent torque or commutation ripple."""
 
 from ..dynamics.elementwise import sin
 from ..machine import Effect, EffectParameter

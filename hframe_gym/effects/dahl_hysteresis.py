@@ -31,7 +31,8 @@ def force(z, F):  # type: ignore[no-untyped-def]
 PARAMETERS = (
     EffectParameter("F", "force", 0.0, 1e3, scale=0.3, role="amplitude"),
     # A force that builds up within less than a millimeter is presliding of the dry friction itself.
-    EffectParameter("L", "position", 1e-3, 1e3, scale=0.02, grid=(0.01, 0.03, 0.08)),
+    # The loop closes over about three times L, which has to fit into the motion; otherwise the force is a spring's.
+    EffectParameter("L", "position", 1e-3, 1e3, scale=0.02, grid=(0.01, 0.03, 0.08), largest=0.25),
 )
 
 EFFECT = Effect(

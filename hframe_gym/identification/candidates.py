@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..effects import EFFECTS, effect_sites
 from ..effects.smooth_table import TABLE_FAMILY
-from ..machine import AppliedEffect, Effect, Machine
+from ..machine import AppliedEffect, Effect, EffectParameter, Machine
 from .dataset import Dataset, TypicalScales
 from .free_parameters import FreeParameter
 from .screening import has_no_small_version
@@ -26,8 +26,8 @@ Array = NDArray[np.float64]
 _MAX_SHAPES = 64  # Starting values per effect and site.
 _END_FRACTION = 0.005  # Fraction of the measurements at an end of a range that makes it worth a try.
 
-# Periodogram. Rates are counted in periods over the traveled distance.
-_MIN_PERIODS, _MAX_PERIODS = 0.5, 150.0
+# Periodogram. Rates are counted in periods over the traveled distance. Less than a period of a force is a spring's.
+_MIN_FRICTION_PERIODS, _MIN_FORCE_PERIODS, _MAX_PERIODS = 0.5, 1.0, 150.0
 _POINTS_PER_PERIOD = 4  # Grid points per resolvable period.
 _BAND_EDGES = (3.0, 12.0, 40.0)
 _SLOW_PERIODS = np.concatenate([np.arange(0.5, 3.0, 0.25), np.arange(3.0, 6.1, 0.5)])
@@ -218,28 +218,38 @@ def effect_parameters(effect: AppliedEffect, machine: Machine, scales: TypicalSc
             continue
         name, value = f"{effect.label}.{p.name}", effect.parameters[p.name]
         size = p.scale * at_site.get(p.unit, 1.0)
+        lower, upper = _bounds(p, value, at_site)
         if effect.definition.family == TABLE_FAMILY:
             # Centered at zero, because the prior of a smooth curve (`along`) penalizes the ordinates' own differences.
-            free.append(
-                FreeParameter(name, 0.0, prior=10.0, scale=size, lower=p.lower, upper=p.upper, along=effect.label)
-            )
+            free.append(FreeParameter(name, 0.0, prior=10.0, scale=size, lower=lower, upper=upper, along=effect.label))
         elif p.amplitude or p.role == "phase":
-            free.append(FreeParameter(name, value, prior=10.0, scale=size, lower=p.lower, upper=p.upper))
+            free.append(FreeParameter(name, value, prior=10.0, scale=size, lower=lower, upper=upper))
         elif p.role in ("rate", "period"):
             # The periodogram determines it well, so the prior is narrow.
-            free.append(FreeParameter(name, value, prior=0.1, lower=p.lower, upper=p.upper))
+            free.append(FreeParameter(name, value, prior=0.1, lower=lower, upper=upper))
         elif p.lower < 0.0 or value == 0.0:
-            free.append(FreeParameter(name, value, prior=3.0, scale=size, lower=p.lower, upper=p.upper))
+            free.append(FreeParameter(name, value, prior=3.0, scale=size, lower=lower, upper=upper))
         else:
-            free.append(FreeParameter(name, value, prior=1.0, lower=p.lower, upper=p.upper))
+            free.append(FreeParameter(name, value, prior=1.0, lower=lower, upper=upper))
     return tuple(free)
+
+
+def _bounds(parameter: EffectParameter, value: float, scales: Mapping[str, float]) -> tuple[float, float]:
+    """Return the bounds between which a fit may change a parameter of this value.
+
+    They are those of its definition, without values that the recorded motion cannot tell from another effect.
+    """
+    lower, upper = parameter.lower, min(parameter.upper, parameter.largest * scales.get(parameter.unit, 1.0))
+    if parameter.role == "rate" and "position" in scales:
+        lower = max(lower, 2 * np.pi * _MIN_FORCE_PERIODS / scales["position"])
+    return min(lower, value), max(upper, value)
 
 
 def periodogram_peaks(motion: Array, *, friction: bool) -> Array:
     """Find the spatial rates at which a sine of the position explains most of the missing force (periodogram).
 
     At each rate, a sine and a cosine are fitted by least squares together with a constant, viscous and dry friction.
-    Rates from 0.5 to 150 periods over the range of the positions are searched.
+    Rates from 1 (friction: 0.5) to 150 periods over the range of the positions are searched.
 
     Args:
         motion: Position, velocity and missing force of one coordinate, in its units, one row each, shape (n, 3).
@@ -263,8 +273,9 @@ def periodogram_peaks(motion: Array, *, friction: bool) -> Array:
     # Orthonormal basis of constant, viscous and dry friction, whose best fit is subtracted from the force.
     basis, _ = np.linalg.qr(np.stack([np.ones_like(position), velocity, np.sign(velocity)], axis=1))
     force = force - basis @ (basis.T @ force)
-    count = int((_MAX_PERIODS - _MIN_PERIODS) * _POINTS_PER_PERIOD)
-    first, step = 2 * np.pi / span * np.array([_MIN_PERIODS, 1.0 / _POINTS_PER_PERIOD])
+    fewest = _MIN_FRICTION_PERIODS if friction else _MIN_FORCE_PERIODS
+    count = int((_MAX_PERIODS - fewest) * _POINTS_PER_PERIOD)
+    first, step = 2 * np.pi / span * np.array([fewest, 1.0 / _POINTS_PER_PERIOD])
     grid = first + step * np.arange(count)
     sign = np.sign(velocity) if friction else np.ones_like(velocity)
     power = np.concatenate(

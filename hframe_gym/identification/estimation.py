@@ -96,18 +96,22 @@ def fit(
         longest_step: Maximum integration step, s.
 
     Returns:
-        Fit at the lowest cost that was found: machine, theta, shape (k,), and cost, dimensionless. Theta stays within
+        Fit at the lowest cost that was found: machine, theta, shape (k,), and cost, dimensionless; infinite
+        if the machine diverges at the initial guess. Theta of a parameter that is fitted as a logarithm stays within
         four prior standard deviations.
     """
     model = ResidualModel(machine, tuple(free), data, bandwidth, longest_step)
     theta = np.zeros(len(free)) if theta is None else np.array(theta, float)
     prior = precision = prior_precision(free)
-    bounds = MAXIMUM_DEVIATION * np.array([f.prior for f in free])
+    bounds = np.array([MAXIMUM_DEVIATION * f.prior if f.scale is None else np.inf for f in free])
     information = np.zeros((len(free), len(free)))
     cost = math.inf
     for _ in range(iterations):
         expansion = model.linearize(theta)
         equations = expansion.normal_equations
+        if not math.isfinite(equations.cost):  # the machine diverges
+            cost = math.inf
+            break
         information = equations.information
         # If the mean square error is chi2 times that of the noise, the data are that much less certain; the prior is
         # scaled by chi2 instead, so that it keeps its weight relative to the data.

@@ -21,7 +21,8 @@ _BELT_PRIOR = 0.3
 _LENGTH_PRIOR = 0.1
 _MOTOR_PRIOR = 0.2
 _EFFECT_PRIOR = 0.5
-# A parameter may move this many standard deviations of its prior; beyond, the model is wrong.
+# A logarithm may move this many standard deviations of its prior; beyond, the model is wrong. Linear parameters have no
+# such limit: the typical sizes by which they are divided are rough (a spring may be stronger than the drives).
 MAXIMUM_DEVIATION = 4.0
 # Friction of a coordinate that declares none: unit of theta as a fraction of the typical force.
 _UNDECLARED_COULOMB, _UNDECLARED_VISCOUS = 0.01, 0.1

@@ -89,7 +89,8 @@ class NormalEquations:
         """
         parts = [jacobian, residual[None]] if responses is None else [jacobian, responses, residual[None]]
         stacked = np.vstack(parts)
-        products = stacked @ stacked.T
+        with np.errstate(over="ignore", invalid="ignore"):  # a machine that diverges has an infinite cost
+            products = stacked @ stacked.T
         k = len(jacobian)
         return cls(
             information=products[:k, :k],

@@ -244,7 +244,7 @@ def parameters_at_limit(machine: Machine, declared: Machine) -> dict[str, str]:
     described = {}
     for parameter in default_free_parameters(declared):
         value, limit = machine.parameters.get(parameter.name), MAXIMUM_DEVIATION * parameter.prior
-        if value is None or parameter.name.rpartition(".")[2] not in _KNOWN_PARAMETERS:
+        if value is None or parameter.scale is not None or parameter.name.rpartition(".")[2] not in _KNOWN_PARAMETERS:
             continue
         if abs(parameter.theta(value)) > (1.0 - _BOUND_TOLERANCE) * limit:
             described[parameter.name] = (

@@ -123,6 +123,10 @@ class _Search:
             return self._outcome("effect_found", *tabled, considered)
         if effects and self._reduces_error(after):
             return self._outcome("effect_found", after, effects, considered)
+        reason = "leaves most of the error, also together with the other effects"
+        for s in effects:
+            self._log(f"  {s.effect.label} is removed: it {reason}")
+        considered += tuple(ConsideredEffect(s.effect, after.machine, self.before.machine, reason) for s in effects)
         return self._outcome("unexplained", self.before, (), considered)
 
     def _outcome(

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -54,6 +55,9 @@ class EffectParameter:
         scale: Typical size of the parameter, relative to the typical value of its unit on the machine (for example
             the Coulomb friction for N).
         grid: Initial values of a search, relative to the same typical value.
+        largest: Largest value that a search may give the parameter, relative to the same typical value. Beyond it the
+            effect cannot be told from another one: a hysteresis over a distance that the motion hardly covers is a
+            spring.
         role: "amplitude" is zero where the effect is absent. "phase" shifts the sine of the amplitude, so that both
             together are linear. "period" (m or rad) and "rate" (rad per position) are searched on a grid that follows
             from the distance traveled. "fixed" is not fitted. "shape" is everything else.
@@ -65,6 +69,7 @@ class EffectParameter:
     upper: float
     scale: float
     grid: tuple[float, ...] = (0.0,)
+    largest: float = math.inf
     role: Literal["amplitude", "phase", "period", "rate", "shape", "fixed"] = "shape"
 
     @property

@@ -111,6 +111,12 @@ _CASES = (
         {"wave_force": _turned(0.03), "wave_number": (23.6,) * 4, "wave_phase": _turned(0.5)},
     ),
     Case(
+        "unbalance",
+        "phi1",
+        {"A": 0.03, "p": 0.5},
+        {"wave_force": _turned(0.03), "wave_number": (1.0,) * 4, "wave_phase": _turned(0.5)},
+    ),
+    Case(
         "eccentric_pulley",
         "motor2",
         {"e": 0.2e-3, "p": 0.7},

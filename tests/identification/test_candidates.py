@@ -55,3 +55,21 @@ def test_free_parameters_start_at_the_effects_values(hframe: Machine) -> None:
         parameter = free[f"stribeck_friction@x.{name}"]
         assert parameter.value(np.zeros(1)) == pytest.approx([value])
     assert free["stribeck_friction@x.dF"].scale is not None  # may change its sign
+
+
+def test_the_recorded_motion_limits_what_a_fit_may_reach(hframe: Machine) -> None:
+    """Less than a period of cogging, and a hysteresis over most of the travel, cannot be told from a spring."""
+    scales = TypicalScales({"x": {"position": 0.2}, "phi1": {"position": 8.0}}, {})
+    hysteresis = effect_parameters(EFFECTS["dahl_hysteresis"].at("x", F=1.0, L=0.01), hframe, scales)
+    assert {f.name: f.upper for f in hysteresis}["dahl_hysteresis@x.L"] == pytest.approx(0.05)
+    cogging = effect_parameters(EFFECTS["cogging"].at("motor1", A=0.1, n=6.0, p=0.0), hframe, scales)
+    assert {f.name: f.lower for f in cogging}["cogging@motor1.n"] == pytest.approx(2 * np.pi / 8.0)
+    beyond = effect_parameters(EFFECTS["dahl_hysteresis"].at("x", F=1.0, L=0.08), hframe, scales)
+    assert {f.name: f.upper for f in beyond}["dahl_hysteresis@x.L"] == pytest.approx(0.08)  # a declared effect stays
+
+
+def test_a_force_has_at_least_one_period(hframe: Machine) -> None:
+    data = motion(0.6 * 2 * np.pi / 0.5, friction=False)
+    span = np.ptp(data[:, 0])
+    assert periodogram_peaks(data, friction=False).min() >= 2 * np.pi / span * 0.999
+    assert periodogram_peaks(data, friction=True).min() < 2 * np.pi / span

@@ -453,7 +453,10 @@ def test_known_effects_are_reported_if_they_remove_three_quarters(
 ) -> None:
     """Three quarters of the excess of chi-squared, 10, over the 1.1 that a correct model reaches."""
     scripted_search.effects, scripted_search.after, scripted_search.wide = (selected(PUSH),), 3.0, wide
-    assert scripted_search.run().verdict == verdict
+    outcome = scripted_search.run()
+    assert outcome.verdict == verdict
+    # An effect that was found but is not reported is not forgotten.
+    assert [c.effect for c in outcome.considered] == ([] if verdict == "effect_found" else [PUSH])
 
 
 def test_nothing_is_found_where_nothing_was_selected(scripted_search: ScriptedSearch) -> None:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, default_free_parameters, fit, prepare
 from hframe_gym.identification.estimation import prediction_cost
+from hframe_gym.identification.free_parameters import FreeParameter
 from hframe_gym.identification.prediction import SEARCH_BANDWIDTH, SIMULATION
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import load_recordings
@@ -55,3 +58,21 @@ def test_a_tight_prior_keeps_the_declared_parameters(hframe: Machine, data: Data
     for parameter in tight:
         assert fitted.values[parameter.name] == pytest.approx(hframe.parameters[parameter.name], rel=1e-6, abs=1e-9)
     np.testing.assert_allclose(fitted.theta, 0.0, atol=1e-8)
+
+
+@pytest.mark.unit
+def test_a_linear_parameter_may_exceed_its_typical_size_by_far(hframe: Machine, data: Dataset) -> None:
+    mass = hframe.parameters["x.mass"]
+    free = FreeParameter("x.mass", 0.5 * mass, prior=10.0, scale=mass / 100)
+    fitted = fit(hframe, [free], data.with_runs([data.runs[0].name]), SEARCH_BANDWIDTH)
+    assert fitted.theta[0] > 40.0  # four standard deviations
+    near = fit(hframe, [dataclasses.replace(free, scale=mass)], data.with_runs([data.runs[0].name]), SEARCH_BANDWIDTH)
+    assert fitted.values["x.mass"] == pytest.approx(near.values["x.mass"], rel=0.01)
+
+
+@pytest.mark.unit
+def test_a_start_from_which_the_machine_diverges_has_an_infinite_cost(hframe: Machine, data: Dataset) -> None:
+    machine = hframe.with_effects(EFFECTS["cable_spring"].at("x", k=-1e6, q0=0.0))
+    free = FreeParameter("cable_spring@x.k", -1e6, prior=10.0, scale=1e-6, lower=-1e6, upper=1e6)
+    fitted = fit(machine, [free], data.with_runs([data.runs[0].name]), SIMULATION)
+    assert fitted.cost == math.inf

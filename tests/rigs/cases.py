@@ -99,6 +99,7 @@ SITES: dict[str, tuple[str, ...]] = {
     "position_friction": ("x", "phi2"),
     "friction_slope": ("x",),
     "cogging": ("motor1", "motor2"),
+    "unbalance": ("phi2",),
     "eccentric_pulley": ("motor2",),
     "belt_play": ("belts",),
     "belt_damping": ("belts",),

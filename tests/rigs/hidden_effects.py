@@ -262,6 +262,10 @@ def effect(name: str, site: str, size: float) -> HiddenEffect:
             pulley = partial(change_site, sites=COORDINATES, site=f"phi{site[-1]}")
             build = partial(pulley, wave_force=torque, wave_number=order, wave_phase=0.5)
             return _hidden(name, site, build, {"A": torque, "n": order}, forces=("A",))
+        case "unbalance":
+            torque = size * 0.03
+            build = partial(coordinate, wave_force=torque, wave_number=1.0, wave_phase=0.5)
+            return _hidden(name, site, build, {"A": torque}, forces=("A",))
         case "eccentric_pulley":
             e = size * 0.2e-3
             return _hidden(name, site, partial(motor, eccentricity_m=e, eccentricity_phase=0.7), {"e": e})

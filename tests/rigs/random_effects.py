@@ -16,6 +16,7 @@ depends on the coordinate), what a used machine may plausibly have:
 | position_friction | 1.2 N; 0.3 N; 0.03 Nm, period 20 to 150 mm or a revolution divided by 1 to 6 |
 | friction_slope | 5 N/m; 1.5 N/m |
 | cogging | 0.03 Nm, 4 to 40 periods per revolution |
+| unbalance | 0.03 Nm |
 | eccentric_pulley | 0.2 mm |
 | belt_play, belt_damping, belt_hardening | 0.2 mm, 1 ms, 5e4 1/m^2 |
 | belt_slack | pretension from 50 % of the motor's pull at 8 V down to 15 % |
@@ -69,6 +70,7 @@ SITES: dict[str, tuple[str, ...]] = {
     "position_friction": _ALL_COORDINATES,
     "friction_slope": _AXES,
     "cogging": MOTORS,
+    "unbalance": ("phi1", "phi2"),
     "eccentric_pulley": MOTORS,
     "belt_play": ("belts",),
     "belt_damping": ("belts",),
@@ -248,6 +250,10 @@ def _force(name: str, site: str, size: float, rng: np.random.Generator) -> Drawn
                 wave_force=torque, wave_number=order, wave_phase=phase,
             )  # fmt: skip
             return make(size, build, {"A": torque, "n": order, "p": phase}, {"A": "force"})
+        case "unbalance":
+            torque, phase = size * 0.03, rng.uniform(0.0, 2.0 * np.pi)
+            build = at(wave_force=torque, wave_number=1.0, wave_phase=phase)
+            return make(size, build, {"A": torque, "p": phase}, {"A": "force"})
     return None
 
 
