@@ -20,7 +20,7 @@ _HIGH_CORRELATION = 0.95
 # A standard deviation beyond this fraction of the prior's: the data hardly added to the declared value.
 _PRIOR_DOMINATES = 0.6
 _BOUND_TOLERANCE = 1e-6  # relative
-# Parameters that are known within a factor of two; friction and back-EMF may well be a small fraction of what is declared.
+# Parameters that users know within a factor of two; friction and back-EMF may be a fraction of the declared value.
 _KNOWN_PARAMETERS = ("mass", "EA", "Kt")
 # A combination of parameters is not determined if its variance is beyond this fraction of the prior's.
 _UNDETERMINED_VARIANCE = 0.25
@@ -229,7 +229,7 @@ def _connected(members: NDArray[np.bool_]) -> list[list[int]]:
 
 
 def parameters_at_limit(machine: Machine, declared: Machine) -> dict[str, str]:
-    """Describe the masses, belt stiffnesses and torque constants that a fit may not move farther from their declared value.
+    """Describe the masses, belt stiffnesses and torque constants that the fit moved to the limit of their range.
 
     A value so far away means that the machine file, or a unit or gear ratio of the recordings, is wrong by a factor, or
     that the machine lacks an effect; the other parameters are then wrong as well.

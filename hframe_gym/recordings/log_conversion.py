@@ -103,7 +103,8 @@ class LogConverter:
             for source in sources:
                 if source.time is not None and source.time.column is time.column and source.column is not None:
                     converted = source.conversion.apply(by_header[source.column.header])
-                    channels[source.channel] = converted if timed.all() else converted[timed]
+                    values = converted if timed.all() else converted[timed]
+                    channels[source.channel] = _integrate(time_s[timed], values) if source.is_speed else values
             bases.append((time_s[timed], channels))
         if self.day is not None:
             date = f" of {self.day}" if self.day > np.datetime64("1970-01-01") else ""
@@ -134,6 +135,15 @@ class LogConverter:
                 f"seconds; state its unit by --unit {TIME}=ms (or us, ns, s)"
             )
         return time_s
+
+
+def _integrate(time_s: Array, speed: Array) -> Array:
+    """Integrate a speed over time from 0 by the trapezoidal rule; empty cells (NaN) stay empty."""
+    measured = np.flatnonzero(np.isfinite(speed))
+    position = np.full(len(speed), np.nan)
+    steps = np.diff(time_s[measured]) * (speed[measured[1:]] + speed[measured[:-1]]) / 2
+    position[measured] = np.concatenate([np.zeros(min(len(measured), 1)), np.cumsum(steps)])
+    return position
 
 
 def _common_length(log: Log, by_header: Mapping[str, NDArray[Any]]) -> int:
