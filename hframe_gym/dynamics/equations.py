@@ -136,7 +136,12 @@ class Equations(BeltEquations, SignalEquations):
         arguments: dict[int, dict[str, Value]] = {}
         totals, levels = [], []
         for i, force in enumerate(forces):
-            level = self._coulomb_level(i, point)
+            changes = [
+                self._current_change(j, point, motor_voltages[j], arguments)
+                for j, drive in enumerate(self.machine.drives)
+                if self.drive_coordinates[j] == i and any(self.effects_at("current", drive.name))
+            ]
+            level = self._coulomb_level(i, point, motor_voltages, changes)
             for k, e in self.effects_on("friction", i):  # dry friction by the effect, not by Coulomb's law
                 arguments[k] = {"level": level * self.radius(i)}
                 state = self.effect_state(k, point, **arguments[k])
@@ -146,17 +151,24 @@ class Equations(BeltEquations, SignalEquations):
             for k, e in self.effects_on("force", i):
                 if not e.definition.active_region and not _needs_net_force(e):
                     force = force + self._force_of(k, i, point)
-            for j, drive in enumerate(self.machine.drives):
-                if self.drive_coordinates[j] == i and any(self.effects_at("current", drive.name)):
-                    change = self._current_change(j, point, motor_voltages[j], arguments)
-                    force = force + change * self.per_radius(i)
+            for change in changes:
+                force = force + change * self.per_radius(i)
             totals.append(force)
             levels.append(level)
         totals = self._with_guarded_forces(totals, point)
         return ForceBalance(self._with_reactions(totals, levels, point), levels, arguments)
 
-    def _coulomb_level(self, i: int, point: MotionPoint) -> Value:
-        """Return the Coulomb friction force of coordinate i with its effects, N; never negative."""
+    def _coulomb_level(
+        self, i: int, point: MotionPoint, motor_voltages: Sequence[Value], changes: Sequence[Value]
+    ) -> Value:
+        """Return the Coulomb friction force of coordinate i with its effects, N; never negative.
+
+        Args:
+            i: Index of the coordinate in the machine, from 0.
+            point: Motion and states of the effects.
+            motor_voltages: Voltage at each motor, V.
+            changes: Forces that effects on currents add to those of the coordinate's drives, N or Nm.
+        """
         level = self.coulomb(i)
         # Effects that scale the friction force come after those that add to it.
         effects = sorted(
@@ -164,8 +176,18 @@ class Equations(BeltEquations, SignalEquations):
         )
         for k, e in effects:
             quantities = {**self._with_state(k, i, point), "level": level * self.radius(i)}
+            if "drive" in argument_names(e.definition.coulomb):
+                quantities["drive"] = sum(changes, start=self._drive_force(i, point, motor_voltages))
             level = level + self.evaluate(e, "coulomb", quantities) * self.per_radius(i)
         return maximum(level, 0.0) if effects else level
+
+    def _drive_force(self, i: int, point: MotionPoint, motor_voltages: Sequence[Value]) -> Value:
+        """Return the force or torque of the drives of coordinate i by Ohm's law, with back-EMF, N or Nm."""
+        force: Value = 0.0
+        for j, drive in enumerate(self.drives):
+            if self.drive_coordinates[j] == i:
+                force = force + drive.gear_ratio * drive.Kt * self.ohmic_current(j, point, motor_voltages[j])
+        return force
 
     def _force_of(self, k: int, i: int, point: MotionPoint) -> Value:
         """Return the force of effect k along the belt travel of coordinate i, N."""

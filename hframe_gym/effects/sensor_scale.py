@@ -3,7 +3,7 @@
 The scale error of an encoder on a pulley has the same effect on the measurements as a wrong pulley radius.
 """
 
-from ..machine import Effect, EffectParameter, Machine
+from ..machine import Effect, EffectParameter, Machine, rigid_motions
 
 
 def measurement(r, g):  # type: ignore[no-untyped-def]
@@ -14,16 +14,16 @@ def measurement(r, g):  # type: ignore[no-untyped-def]
 def fits(machine: Machine) -> bool:
     """Check whether a scale error can be identified on a machine.
 
-    The machine needs redundant sensors: more sensors than linear coordinates. If a single sensor measures an axis, a
+    The machine needs redundant sensors: more than it has rigid-body motions. If a single sensor measures an axis, a
     scale error cannot be distinguished from masses and forces that are wrong by the same factor.
 
     Args:
         machine: Machine with its sensors and coordinates.
 
     Returns:
-        True if there are more sensors than linear coordinates.
+        True if there are more sensors than rigid-body motions.
     """
-    return len(machine.sensors) > sum(c.kind == "linear" for c in machine.coordinates)
+    return len(machine.sensors) > max(1, len(rigid_motions(machine)))
 
 
 EFFECT = Effect(

@@ -20,7 +20,7 @@ from scipy.special import ndtri, stdtrit
 
 from ..machine import Machine, Uncertainty
 from .dataset import Dataset, PreparedRecording
-from .free_parameters import MAXIMUM_DEVIATION, FreeParameter, parameter_table, prior_precision, values_at
+from .free_parameters import FreeParameter, bounded_step, parameter_table, prior_precision, values_at
 from .linearization import ResidualModel
 from .prediction import POLISH_STEP, SEARCH_STEP, map_runs, predict, residuals
 from .start_uncertainty import initial_state_projection
@@ -97,13 +97,11 @@ def fit(
 
     Returns:
         Fit at the lowest cost that was found: machine, theta, shape (k,), and cost, dimensionless; infinite
-        if the machine diverges at the initial guess. Theta of a parameter that is fitted as a logarithm stays within
-        four prior standard deviations.
+        if the machine diverges at the initial guess. Every theta stays within its `theta_limit`.
     """
     model = ResidualModel(machine, tuple(free), data, bandwidth, longest_step)
     theta = np.zeros(len(free)) if theta is None else np.array(theta, float)
     prior = precision = prior_precision(free)
-    bounds = np.array([MAXIMUM_DEVIATION * f.prior if f.scale is None else np.inf for f in free])
     information = np.zeros((len(free), len(free)))
     cost = math.inf
     for _ in range(iterations):
@@ -120,8 +118,8 @@ def fit(
         hessian = information + precision
         gradient = equations.gradient + precision @ theta
         # Steps of all dampings are simulated as one batch; the one with the lowest cost is taken.
-        steps = [np.linalg.solve(hessian + damping * np.diag(np.diag(hessian)), gradient) for damping in _DAMPINGS]
-        trials = np.clip(theta - np.array(steps), -bounds, bounds)  # (dampings, k)
+        scaling = np.diag(np.diag(hessian))
+        trials = theta + [bounded_step(free, theta, hessian + d * scaling, gradient) for d in _DAMPINGS]
         trial_costs = expansion.costs(trials) + np.einsum("bi,ij,bj->b", trials, precision, trials)
         best = int(np.argmin(trial_costs))
         if not trial_costs[best] < cost:
@@ -211,7 +209,8 @@ def with_uncertainty(fitted: Fit, data: Dataset) -> Machine:
         data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
-        The fitted machine; its `uncertainty` holds the covariance of the free parameters' values, SI.
+        The fitted machine; its `uncertainty` holds the covariance of the free parameters' values, SI. It is None if a
+        prediction diverges at parameters within one standard deviation of the fit.
 
     References:
         White (1982), "Maximum likelihood estimation of misspecified models".
@@ -222,6 +221,8 @@ def with_uncertainty(fitted: Fit, data: Dataset) -> Machine:
     parts = list(map_runs(lambda run: _linearize(fitted, run, data, directions), data))
     information = np.concatenate([part.information for part in parts])  # J^T J of each block, (blocks, k, k)
     scores = np.concatenate([part.scores for part in parts])  # J^T r of each block, (blocks, k)
+    if not (np.isfinite(information).all() and np.isfinite(scores).all()):
+        return fitted.machine.replace(uncertainty=None)
     prior = directions.T @ prior @ directions  # from here on in multiples of the directions
     inverse = np.linalg.inv(information.sum(axis=0) + prior)
     eigenvalues, axes = np.linalg.eigh(inverse)

@@ -12,6 +12,7 @@ References:
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -115,18 +116,20 @@ def design_discriminating_experiment(
 
     Returns:
         Design of the run with its voltages, V, shape (n, drives). None if the identified effect or every rival is
-        structural (adds coordinates), if there is no rival, or if the two models' predictions of no simulated run
-        differ by `MINIMUM_SIGMA` (10) standard deviations of the noise.
+        structural (adds coordinates), if there is no rival, if the machine with the rival diverges, or if the two
+        models' predictions of no simulated run differ by `MINIMUM_SIGMA` (10) standard deviations of the noise.
     """
     present = {e.label: e for e in current.machine.effects}
     alternatives = [r for r in rivals if r.label not in present and not r.definition.structure]
     if not alternatives or present[label].definition.structure:
         return None
     rival_machine = fit_rival(current, label, alternatives[0], data, typical_scales(current, data))
+    if rival_machine is None:
+        return None
     return separate_machines(corrected, rival_machine, (label, alternatives[0].label), data)
 
 
-def fit_rival(current: Fit, label: str, rival: AppliedEffect, data: Dataset, scale: TypicalScales) -> Machine:
+def fit_rival(current: Fit, label: str, rival: AppliedEffect, data: Dataset, scale: TypicalScales) -> Machine | None:
     """Fit the machine again with a rival effect (deviation from the nominal model) in place of an identified one.
 
     Args:
@@ -137,7 +140,7 @@ def fit_rival(current: Fit, label: str, rival: AppliedEffect, data: Dataset, sca
         scale: Typical sizes on this machine, which set the scales and priors of the rival's parameters.
 
     Returns:
-        The fitted machine with its uncertainty.
+        The fitted machine with its uncertainty; None if it diverges.
     """
     remaining = tuple(e for e in current.machine.effects if e.label != label)
     machine = current.machine.replace(effects=remaining, uncertainty=None).with_effects(rival)
@@ -149,7 +152,7 @@ def fit_rival(current: Fit, label: str, rival: AppliedEffect, data: Dataset, sca
     theta = np.concatenate([kept_theta, np.zeros(len(added))])
     step = search_step(current.bandwidth)
     rival_fit = fit(machine, kept + added, data, current.bandwidth, theta=theta, longest_step=step)
-    return with_uncertainty(rival_fit, data)
+    return with_uncertainty(rival_fit, data) if math.isfinite(rival_fit.cost) else None
 
 
 def separate_machines(

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
 
 from ..machine import Machine
 
@@ -21,9 +22,11 @@ _BELT_PRIOR = 0.3
 _LENGTH_PRIOR = 0.1
 _MOTOR_PRIOR = 0.2
 _EFFECT_PRIOR = 0.5
-# A logarithm may move this many standard deviations of its prior; beyond, the model is wrong. Linear parameters have no
-# such limit: the typical sizes by which they are divided are rough (a spring may be stronger than the drives).
-MAXIMUM_DEVIATION = 4.0
+# A parameter that is fitted as a logarithm may move this many standard deviations of its prior. Wider limits let a
+# refit without the missing effects go so far astray (a mass twenty times the declared one stands for a spring) that the
+# search does not return. Linear parameters have no such limit: the typical sizes by which they are divided are rough (a
+# spring may be stronger than the drives).
+_MAXIMUM_DEVIATION = 4.0
 # Friction of a coordinate that declares none: unit of theta as a fraction of the typical force.
 _UNDECLARED_COULOMB, _UNDECLARED_VISCOUS = 0.01, 0.1
 
@@ -52,6 +55,11 @@ class FreeParameter:
     lower: float = 0.0
     upper: float = math.inf
     along: str = ""
+
+    @property
+    def theta_limit(self) -> float:
+        """Largest absolute value of theta that a fit may reach, dimensionless."""
+        return _MAXIMUM_DEVIATION * self.prior if self.scale is None else math.inf
 
     def value(self, theta: Array) -> Array:
         """Convert theta to the parameter's value, clipped to its bounds.
@@ -157,6 +165,28 @@ def prior_precision(free: Sequence[FreeParameter]) -> Array:
         ordinates = np.array([f.along == curve for f in free])
         precision[np.ix_(ordinates, ordinates)] += second_difference_penalty(int(ordinates.sum()))
     return precision
+
+
+def bounded_step(free: Sequence[FreeParameter], theta: Array, hessian: Array, gradient: Array) -> Array:
+    """Return the step that minimizes a quadratic model of the cost while every theta stays within its limit.
+
+    Args:
+        free: Free parameters, k of them, with the limits of theta.
+        theta: Dimensionless variables before the step, within their limits, shape (k,).
+        hessian: Positive definite matrix of the model, dimensionless, shape (k, k).
+        gradient: Half the derivative of the cost at theta, dimensionless, shape (k,).
+
+    Returns:
+        Step of theta, shape (k,): -hessian^-1 gradient if this stays within the limits. Otherwise some parameters end
+        at their limits, and the others are the best ones beside those.
+    """
+    step = np.asarray(np.linalg.solve(hessian, -gradient), float)
+    limits = np.array([f.theta_limit for f in free])
+    if np.all(np.abs(theta + step) <= limits):
+        return step
+    root = np.linalg.cholesky(hessian)
+    solution = lsq_linear(root.T, np.linalg.solve(root, -gradient), (-limits - theta, limits - theta), method="bvls")
+    return np.clip(theta + solution.x, -limits, limits) - theta
 
 
 def typical_force(machine: Machine) -> float:

@@ -11,9 +11,9 @@ from .dataset import Dataset
 from .effect_size import effect_force
 from .estimation import Fit, prediction_cost
 from .forward_selection import SelectedEffect
+from .inverse_dynamics import force_error
 from .model_error import CONTRADICTION
 from .prediction import POLISH_STEP
-from .residual import force_error
 
 _HOLD_OUT_EVERY = 4  # Every fourth run is held out.
 _MIN_EXCITATION = 0.05  # force during the held-out runs relative to that during the fitted ones

@@ -23,7 +23,7 @@ from .criteria import SelectionCriteria
 from .dataset import Dataset, PreparedRecording
 from .effect_size import force_size
 from .estimation import Fit, fit, prediction_cost
-from .free_parameters import prior_precision
+from .free_parameters import bounded_step, prior_precision
 from .linearization import NormalEquations, ResidualModel
 from .prediction import (
     POLISH_STEP,
@@ -260,7 +260,8 @@ def contradicting_run(fitted: Fit, data: Dataset) -> str | None:
 def _left_out_costs(fitted: Fit, data: Dataset, pieces: int) -> list[tuple[float, float]]:
     """Return for each piece of the runs the cost of that piece, and of all others, with parameters from the others.
 
-    The model is linearized around the fit, where leaving out a piece moves the parameters by one Newton step.
+    The model is linearized around the fit, where leaving out a piece moves the parameters by one Newton step
+    within the limits of the fit.
 
     Args:
         fitted: Fitted machine with its observer bandwidth.
@@ -276,11 +277,14 @@ def _left_out_costs(fitted: Fit, data: Dataset, pieces: int) -> list[tuple[float
 
     equations = [piece for of_pieces in map_runs(of_run, data) for piece in of_pieces]
     total = NormalEquations.total(equations)
+    if not math.isfinite(total.cost):  # the machine diverges
+        return [(math.inf, math.inf)] * len(equations)
     precision = prior_precision(fitted.free) * max(1.0, total.chi2)
     costs = []
     for left_out in equations:
         information, gradient = total.information - left_out.information, total.gradient - left_out.gradient
-        step = -np.linalg.solve(information + precision, gradient + precision @ fitted.theta)
+        hessian, slope = information + precision, gradient + precision @ fitted.theta
+        step = bounded_step(fitted.free, fitted.theta, hessian, slope)
         costs.append(
             (
                 left_out.cost + float(2.0 * left_out.gradient @ step + step @ left_out.information @ step),

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..machine import Machine, Uncertainty
-from .free_parameters import MAXIMUM_DEVIATION, default_free_parameters
+from .free_parameters import default_free_parameters
 
 Array = NDArray[np.float64]
 
@@ -243,10 +243,10 @@ def parameters_at_limit(machine: Machine, declared: Machine) -> dict[str, str]:
     """
     described = {}
     for parameter in default_free_parameters(declared):
-        value, limit = machine.parameters.get(parameter.name), MAXIMUM_DEVIATION * parameter.prior
+        value = machine.parameters.get(parameter.name)
         if value is None or parameter.scale is not None or parameter.name.rpartition(".")[2] not in _KNOWN_PARAMETERS:
             continue
-        if abs(parameter.theta(value)) > (1.0 - _BOUND_TOLERANCE) * limit:
+        if abs(parameter.theta(value)) > (1.0 - _BOUND_TOLERANCE) * parameter.theta_limit:
             described[parameter.name] = (
                 f"{parameter.name} ends at the limit of the fit, {value / parameter.center:.2g} times its declared "
                 "value: check the machine file (mass, Kt, resistance, gear ratio) and the units of the recordings"

@@ -20,8 +20,9 @@ from .criteria import SelectionCriteria
 from .dataset import Dataset, PreparedRecording, refine_encoder_offsets, with_encoder_zeros
 from .encoder_zeros import EncoderZeros
 from .initial_state import measured_initial_state, model_initial_state
+from .inverse_dynamics import force_error
 from .prediction import POLISH_STEP, map_runs
-from .residual import errors_by_channel, force_error, simulation_error
+from .residual import errors_by_channel, simulation_error
 from .rest_measurement import (
     InitialState,
     behind_belts,

@@ -42,7 +42,7 @@ class PredictionErrors:
 
     Attributes:
         channels: Simulation error by output channel.
-        force: Relative error of the drives' force, see `residual.force_error`; None where it is not defined.
+        force: Relative error of the drives' force, see `inverse_dynamics.force_error`; None where it is not defined.
     """
 
     channels: dict[str, ChannelError]

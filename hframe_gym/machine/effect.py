@@ -88,7 +88,7 @@ class Effect:
     hook                returns                                                      arguments
     force               force added to the coordinate, N or Nm                       q, v, t, z, u, m, net, friction
     active_region       where the force may differ from zero (default: everywhere)   q, v, t
-    coulomb             change of the Coulomb friction force, N or Nm (sum >= 0)     q, v, t, z, u, level
+    coulomb             change of the Coulomb friction force, N or Nm (sum >= 0)     q, v, t, z, u, level, drive
     friction            dry friction force that replaces Coulomb friction, N or Nm   q, v, t, z, level
     viscous             viscous coefficient of the coordinate, Ns/m or Nms           b, direction (+1 or -1)
     voltage             voltage that reaches the drive, V                            V
@@ -107,11 +107,11 @@ class Effect:
     Symbols: q, v: position and speed of the coordinate in its unit; t: time since the machine was switched on, s; u:
     the variable that `against` names; z: the effect's state, zero when the simulation starts; b: viscous coefficient
     without the effect, Ns/m or Nms; direction: sign of the motion; V: voltage, V; level: Coulomb friction force of the
-    coordinate with the effects on it, N or Nm; i: current by Ohm's law, A; s, rate, k: extension (m), its rate (m/s)
-    and stiffness (N/m) of a belt; r: ideal measurement; across: position of the other linear coordinate, m; m: mass of
-    the coordinate, kg or kg m^2; net, friction: net force and friction force (dry and viscous) of the coordinate at the
-    site, where `structure` has added another one, N or Nm; dt: length of a step, s; dq: distance that the coordinate
-    moves in dt; per_radius: 1/radius of the pulley, 1/m.
+    coordinate with the effects on it, N or Nm; drive: force or torque of the drive on its coordinate; i: current by
+    Ohm's law, A; s, rate, k: extension (m), its rate (m/s) and stiffness (N/m) of a belt; r: ideal measurement; across:
+    position of the other linear coordinate, m; m: mass of the coordinate, kg or kg m^2; net, friction: net force and
+    friction force (dry and viscous) of the coordinate at the site, where `structure` has added another one, N or Nm;
+    dt: length of a step, s; dq: distance that the coordinate moves in dt; per_radius: 1/radius of the pulley, 1/m.
 
     Attributes:
         name: Unique name.

@@ -116,6 +116,7 @@ _CASES = (
         {"A": 0.03, "p": 0.5},
         {"wave_force": _turned(0.03), "wave_number": (1.0,) * 4, "wave_phase": _turned(0.5)},
     ),
+    Case("load_friction", "motor1", {"mu": 0.12}, {"load_friction": (0.12, 0.0)}),
     Case(
         "eccentric_pulley",
         "motor2",

@@ -17,7 +17,19 @@ pytestmark = pytest.mark.unit
 
 EVERY_EFFECT = pytest.mark.parametrize("effect", EFFECTS.values(), ids=EFFECTS)
 WITH_AMPLITUDE = {name: case for name, case in CASES.items() if EFFECTS[name].amplitudes}
-QUANTITIES = {*"qvtzubViskrm", "net", "friction", "direction", "rate", "across", "dq", "dt", "level", "per_radius"}
+QUANTITIES = {
+    *"qvtzubViskrm",
+    "net",
+    "friction",
+    "direction",
+    "rate",
+    "across",
+    "dq",
+    "dt",
+    "level",
+    "drive",
+    "per_radius",
+}
 PLAIN_UNITS = {"1", "s", "V", "A", "m", "rad", "N", "1/m^2", "kg m^2", "Nm/rad", "Nms", "Hz"}
 
 

@@ -59,6 +59,7 @@ FIELDS = (
     "torque_per_ampere",
     "emf_per_speed",
     "resistance_ohm",
+    "load_friction",
     "eccentricity_m",
     "eccentricity_phase",
     "radius_m",
@@ -113,6 +114,7 @@ FIELDS = (
     TORQUE_PER_AMPERE,
     EMF_PER_SPEED,
     RESISTANCE_OHM,
+    LOAD_FRICTION,
     ECCENTRICITY_M,
     ECCENTRICITY_PHASE,
     RADIUS_M,
@@ -216,8 +218,10 @@ def add_belts(state: Array, p: Array, force: Array) -> None:  # pragma: no cover
 
 
 @njit(cache=True)
-def add_drives(state: Array, volts: Array, h: float, p: Array, force: Array) -> None:  # pragma: no cover - compiled
-    """Add the motors' torques; advance their currents by the implicit Euler rule."""
+def add_drives(
+    state: Array, volts: Array, h: float, p: Array, force: Array, load: Array
+) -> None:  # pragma: no cover - compiled
+    """Add the motors' torques, set the friction that they cause; advance their currents by the implicit Euler rule."""
     for j in range(DRIVES):
         u = p[DRIVE_GAIN, j] * volts[j]
         band = p[DEAD_BAND_V, j]
@@ -231,6 +235,7 @@ def add_drives(state: Array, volts: Array, h: float, p: Array, force: Array) -> 
         limit = p[CURRENT_LIMIT_A, j]
         current = limit if current > limit else (-limit if current < -limit else current)
         force[2 + j] += p[TORQUE_PER_AMPERE, j] * current
+        load[2 + j] = p[LOAD_FRICTION, j] * math.fabs(p[TORQUE_PER_AMPERE, j] * current)
 
 
 @njit(cache=True)
@@ -245,15 +250,15 @@ def advance(t: float, h: float, steps: int, state: Array, volts: Array, p: Array
         volts: Voltages at the drives, V, shape (2,).
         p: Array.
     """
-    force = np.empty(COORDINATES)
+    force, load = np.empty(COORDINATES), np.zeros(COORDINATES)
     for n in range(steps):
         for i in range(COORDINATES):
             force[i] = applied_force(i, state[i], state[5 + i], p)
         add_belts(state, p, force)
-        add_drives(state, volts, h, p, force)
+        add_drives(state, volts, h, p, force, load)
         before = state[5]
         for i in range(COORDINATES):
-            _move(i, t + n * h, h, state, force[i], p)
+            _move(i, t + n * h, h, state, force[i], load[i], p)
         rate, damping = p[FRAME_RATE, 0], p[FRAME_DAMPING, 0]
         swing = -rate * (rate * state[FRAME] + 2.0 * damping * state[FRAME + 1])
         state[FRAME + 1] += h * swing - p[FRAME_RATIO, 0] * (state[5] - before)
@@ -261,10 +266,12 @@ def advance(t: float, h: float, steps: int, state: Array, volts: Array, p: Array
 
 
 @njit(cache=True)
-def _move(i: int, t: float, h: float, state: Array, force: float, p: Array) -> None:  # pragma: no cover - compiled
+def _move(
+    i: int, t: float, h: float, state: Array, force: float, load: float, p: Array
+) -> None:  # pragma: no cover - compiled
     """Advance one coordinate: velocity without dry friction, impulse of friction, then position."""
     q, v = state[i], state[5 + i]
-    level = friction_level(i, q, v, t, p)
+    level = friction_level(i, q, v, t, p) + load
     if p[HYSTERESIS_FORCE, i] != 0.0:
         travel = p[HYSTERESIS_TRAVEL, i]
         w = state[HYSTERESIS + i] / travel  # from -1 to 1

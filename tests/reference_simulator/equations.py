@@ -46,7 +46,7 @@ def derivative(
         force[i] = _force_of_coordinate(z, i, n, coordinates[i], level[i], dz)
         if coordinates[i].bristle_stiffness != 0.0:
             level[i] = 0.0  # the bristle carries the friction
-    _add_drives(z, n, volts, arrays.drives, force, dz)
+    _add_drives(z, n, volts, arrays.drives, force, level, dz)
     _add_belts(z, n, arrays, stage, force)
     for link in arrays.links:
         gap = z[link.first] - z[link.second]
@@ -129,9 +129,9 @@ def _force_of_coordinate(
 
 @njit(cache=True)
 def _add_drives(
-    z: Array, n: int, volts: Array, drives: NDArray[Any], force: Array, dz: Array
+    z: Array, n: int, volts: Array, drives: NDArray[Any], force: Array, level: Array, dz: Array
 ) -> None:  # pragma: no cover - compiled
-    """Add the motors' torques to the forces; write the rates of their currents and heat to dz."""
+    """Add the motors' torques to the forces, and gear friction to the levels; write the currents' and heat's rates."""
     for j in range(2):
         d = drives[j]
         voltage = d.drive_gain * volts[j]
@@ -148,6 +148,7 @@ def _add_drives(
             torque *= 1.0 + d.current_ripple * math.sin(d.current_ripple_order * z[d.coordinate])
         dz[heat] = (amps * amps - z[heat]) / d.heating_s if d.heating_loss != 0.0 else 0.0
         force[d.coordinate] += torque
+        level[d.coordinate] += d.load_friction * abs(torque)
 
 
 @njit(cache=True)

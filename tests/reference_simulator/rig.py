@@ -133,6 +133,7 @@ class Rig:
         0.0,
     )  # a in torque (1 - a h), tau h' = i^2 - h: relative loss per A^2 in steady state
     heating_s: PerDrive = (2.0, 2.0)  # tau
+    load_friction: PerDrive = (0.0, 0.0)  # mu: the dry friction of the drive's coordinate grows by mu |torque|
     current_ripple: PerDrive = (0.0, 0.0)  # a in torque (1 + a sin(n phi)): Kt varies with the commutation
     current_ripple_order: PerDrive = (12.0, 12.0)  # n
     backlash_rad: PerDrive = (

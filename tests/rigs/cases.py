@@ -100,6 +100,7 @@ SITES: dict[str, tuple[str, ...]] = {
     "friction_slope": ("x",),
     "cogging": ("motor1", "motor2"),
     "unbalance": ("phi2",),
+    "load_friction": ("motor1",),
     "eccentric_pulley": ("motor2",),
     "belt_play": ("belts",),
     "belt_damping": ("belts",),

@@ -266,6 +266,9 @@ def effect(name: str, site: str, size: float) -> HiddenEffect:
             torque = size * 0.03
             build = partial(coordinate, wave_force=torque, wave_number=1.0, wave_phase=0.5)
             return _hidden(name, site, build, {"A": torque}, forces=("A",))
+        case "load_friction":
+            mu = size * 0.15
+            return _hidden(name, site, partial(motor, load_friction=mu), {"mu": mu})
         case "eccentric_pulley":
             e = size * 0.2e-3
             return _hidden(name, site, partial(motor, eccentricity_m=e, eccentricity_phase=0.7), {"e": e})

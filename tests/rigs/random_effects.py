@@ -17,6 +17,7 @@ depends on the coordinate), what a used machine may plausibly have:
 | friction_slope | 5 N/m; 1.5 N/m |
 | cogging | 0.03 Nm, 4 to 40 periods per revolution |
 | unbalance | 0.03 Nm |
+| load_friction | 0.15 |
 | eccentric_pulley | 0.2 mm |
 | belt_play, belt_damping, belt_hardening | 0.2 mm, 1 ms, 5e4 1/m^2 |
 | belt_slack | pretension from 50 % of the motor's pull at 8 V down to 15 % |
@@ -71,6 +72,7 @@ SITES: dict[str, tuple[str, ...]] = {
     "friction_slope": _AXES,
     "cogging": MOTORS,
     "unbalance": ("phi1", "phi2"),
+    "load_friction": MOTORS,
     "eccentric_pulley": MOTORS,
     "belt_play": ("belts",),
     "belt_damping": ("belts",),
@@ -288,6 +290,9 @@ def _drive(name: str, site: str, size: float, rng: np.random.Generator) -> Drawn
         case "input_delay":
             delay = size * 2e-3
             return make(size, at(input_delay_s=delay), {"d": delay}, {})
+        case "load_friction":
+            mu = size * 0.15
+            return make(size, at(load_friction=mu), {"mu": mu}, {})
         case "eccentric_pulley":
             e, phase = size * 0.2e-3, rng.uniform(0.0, 2.0 * np.pi)
             return make(size, at(eccentricity_m=e, eccentricity_phase=phase), {"e": e, "p": phase}, {})

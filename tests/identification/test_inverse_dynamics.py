@@ -1,4 +1,4 @@
-"""Tests of the residual analysis: the relative force error."""
+"""Tests of inverse dynamics: the relative force error."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hframe_gym.identification import prepare
-from hframe_gym.identification.residual import force_error
+from hframe_gym.identification.inverse_dynamics import force_error
 from hframe_gym.machine import Coordinate, Drive, Machine, Sensor
 from hframe_gym.recordings import Recording
 
@@ -45,3 +45,13 @@ def test_machine_with_belts_has_no_force_error(hframe: Machine) -> None:
     time = np.arange(50) * 1e-3
     data = prepare([Recording("r", time, np.zeros((50, 2)), np.zeros((50, 4)))], hframe)
     assert force_error(hframe, data) is None
+
+
+@pytest.mark.parametrize(("coulomb", "expected"), [(3.0, 0.0), (1.0, 0.5)])
+def test_dry_friction_holds_a_force_up_to_its_limit_at_rest(coulomb: float, expected: float) -> None:
+    """A force of 2 N does not move the axis: friction of 3 N explains that, friction of 1 N explains half of it."""
+    time = np.arange(1000) * 1e-3
+    position = 1e-8 * np.random.default_rng(0).normal(size=(1000, 1))
+    machine = axis(3.0, 5.0).replace({"x.coulomb": coulomb})
+    data = prepare([Recording("r", time, np.ones((1000, 1)), position)], machine)
+    assert force_error(machine, data) == pytest.approx(expected, abs=0.02)
