@@ -109,7 +109,7 @@ def rigid_motions(machine: Machine) -> dict[str, Array]:
         return {name: np.eye(count)[i] for i, name in enumerate(machine.coordinate_names)}
     G = machine.belt_matrix  # extension of each belt per unit of each coordinate, (belts, coordinates)
     rotary = [i for i, c in enumerate(machine.coordinates) if c.kind == "rotary"]
-    motions = {}
+    motions: dict[str, Array] = {}
     for index, coordinate in enumerate(machine.coordinates):
         if coordinate.kind == "linear":
             motion = np.eye(count)[index]  # 1 for the leading coordinate, 0 for carriages that do not follow
