@@ -2,7 +2,7 @@
 
 from .belts import BeltState
 from .equations import Equations, ForceBalance
-from .kernel import Kernel, cache_folder, in_blocks, kernel_for, kernel_source_text, share_kernel
+from .kernel import Kernel, cache_folder, in_blocks, kernel_for, kernel_source_text
 from .linearization import StateSpace, linearize, matrix_exponential, mode_frequencies, stiffness_matrix
 from .motion_forces import (
     belt_forces,
@@ -14,6 +14,7 @@ from .motion_forces import (
     sensor_readings,
 )
 from .parameterized_machine import MotionPoint
+from .shared_kernels import share_kernel
 from .simd import LANES
 from .simulation import NotFiniteError, in_parallel, rollout, simulate, simulate_batch
 

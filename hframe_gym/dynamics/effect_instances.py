@@ -50,6 +50,18 @@ def effect_instances(machine: Machine) -> list[EffectInstance]:
     return instances
 
 
+def instances_with_state(machine: Machine) -> list[EffectInstance]:
+    """List the effects of a machine that have a state, such as a bristle deflection, in the order of these states.
+
+    Args:
+        machine: Machine with its effects (deviations from its nominal model).
+
+    Returns:
+        One `EffectInstance` per state; an effect on all belts, say, has one for each.
+    """
+    return [instance for instance in effect_instances(machine) if instance.effect.definition.next_state]
+
+
 def _moved_coordinate(effect: AppliedEffect, component: str, machine: Machine) -> str:
     """Return the name of the coordinate on which an effect acts at a component, empty for none."""
     definition = effect.definition

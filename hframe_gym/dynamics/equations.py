@@ -161,14 +161,7 @@ class Equations(BeltEquations, SignalEquations):
     def _coulomb_level(
         self, i: int, point: MotionPoint, motor_voltages: Sequence[Value], changes: Sequence[Value]
     ) -> Value:
-        """Return the Coulomb friction force of coordinate i with its effects, N; never negative.
-
-        Args:
-            i: Index of the coordinate in the machine, from 0.
-            point: Motion and states of the effects.
-            motor_voltages: Voltage at each motor, V.
-            changes: Forces that effects on currents add to those of the coordinate's drives, N or Nm.
-        """
+        """Return the Coulomb friction force of coordinate i, N, never negative; `changes`: drive forces by effects."""
         level = self.coulomb(i)
         # Effects that scale the friction force come after those that add to it.
         effects = sorted(

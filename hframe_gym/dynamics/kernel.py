@@ -15,8 +15,7 @@ import sys
 import tempfile
 import threading
 import warnings
-from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -28,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..atomic_files import write_text
-from ..machine import HOOKS, AppliedEffect, Machine
+from ..machine import Machine
 from . import friction, simd, simd_math, time_loops
 from .kernel_source import KernelSource, Layout
 from .simd import LANES
@@ -248,91 +247,17 @@ def kernel_for(machine: Machine, *, forced: bool = False) -> Kernel:
     return _KERNELS[key]
 
 
-# Effects with these hooks only, and with an amplitude, change no bit of a simulation while their amplitudes are zero.
-_ADDITIVE_HOOKS = {"force", "active_region", "coulomb", "viscous", "voltage", "measurement", "next_state"}
-_MAX_SHARED_KERNELS = 8
-
-
-class _SharedKernel:
-    """Kernel of a machine with additive effects, which also simulates the machine without some of them.
-
-    Args:
-        machine: Machine with all the effects.
-
-    Attributes:
-        kernel: Its compiled functions, with external forces.
-    """
-
-    def __init__(self, machine: Machine) -> None:
-        self.kernel = kernel_for(machine, forced=True)
-        *self._structure, _, self._ties = machine.shape
-        self._effects = {(e.definition, e.site): _can_be_absent(e) for e in machine.effects}
-        amplitudes = {f"{e.label}.{name}" for e in machine.effects for name in e.definition.amplitudes}
-        values = {name: 0.0 if name in amplitudes else value for name, value in machine.parameters.items()}
-        self._values_if_absent = np.array(list(values.values()))
-
-    def simulates(self, machine: Machine) -> bool:
-        """Return whether a machine is this one without some of its effects that can be absent."""
-        *structure, _, ties = machine.shape
-        effects = tuple((e.definition, e.site) for e in machine.effects)
-        if structure != self._structure or ties != self._ties:
-            return False
-        kept = tuple(
-            effect for effect, can_be_absent in self._effects.items() if effect in effects or not can_be_absent
-        )
-        return kept == effects
-
-    def parameters(self, machine: Machine, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return parameters (B, P) of variants of a machine in the order of the kernel's layout."""
-        table = np.tile(self._values_if_absent, (len(values), 1))
-        table[:, [self.kernel.layout.parameters[name] for name in machine.parameters]] = values
-        return table
-
-
-_SHARED: deque[_SharedKernel] = deque(maxlen=_MAX_SHARED_KERNELS)
-
-
-def _can_be_absent(effect: AppliedEffect) -> bool:
-    """Return whether zero amplitudes make the effect disappear without a change of any bit."""
-    hooks = {hook for hook in HOOKS if getattr(effect.definition, hook)}
-    return bool(effect.definition.amplitudes) and hooks <= _ADDITIVE_HOOKS and effect.definition.structure is None
-
-
-def share_kernel(machine: Machine, effects: Sequence[AppliedEffect]) -> None:
-    """Prepare one kernel (compiled simulation code) that can simulate a machine with any selection of some effects.
-
-    `rollout_kernel` then finds it. A search that tries many effects one at a time compiles once instead of once per
-    effect. Simulations are the same to the bit. Effects that do not merely add a term (delays, belts, structural
-    effects) are left out.
-
-    Args:
-        machine: Machine with the effects (deviations from the nominal model) that it has already.
-        effects: Further effects that it may have, one each or several.
-    """
-    additional = [effect for effect in effects if _can_be_absent(effect)]
-    if additional:
-        _SHARED.append(_SharedKernel(machine.with_effects(*additional)))
-
-
-def rollout_kernel(
-    machine: Machine, parameters: NDArray[np.float64], *, forced: bool
-) -> tuple[Kernel, NDArray[np.float64]]:
-    """Return compiled functions that simulate a machine, and its parameters in the layout of these functions.
+def is_generated(machine: Machine, *, forced: bool) -> bool:
+    """Return whether `kernel_for` has generated the simulation functions (kernel) of a machine in this process.
 
     Args:
         machine: The machine.
-        parameters: P parameters in the order of `Machine.parameters`, SI, shape (B, P) for B variants of the machine.
-        forced: Whether an external force must be possible.
+        forced: Whether the functions take an external force on every coordinate.
 
     Returns:
-        kernel: Compiled functions for machines of this shape if they exist, else those of `share_kernel`, else new
-            ones.
+        True if the functions exist.
     """
-    if (machine.shape, forced) not in _KERNELS:
-        for shared in reversed(_SHARED):
-            if shared.simulates(machine):
-                return shared.kernel, shared.parameters(machine, parameters)
-    return kernel_for(machine, forced=forced), parameters
+    return (machine.shape, forced) in _KERNELS
 
 
 def in_blocks(values: NDArray[np.float64]) -> NDArray[np.float64]:

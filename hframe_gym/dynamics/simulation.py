@@ -13,7 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..machine import Machine, Trajectory, rest_state
-from .kernel import Kernel, rollout_kernel
+from .effect_instances import instances_with_state
+from .kernel import Kernel
+from .shared_kernels import rollout_kernel
 from .simd import LANES
 
 MOST_STEPS = 1_000_000_000  # of one simulation; it takes minutes
@@ -135,7 +137,8 @@ def simulate_batch(
         inputs: Voltages, V, held from each sample until the next, shape (n, drives) for all machines or (B, n, drives).
         parameters: P parameters in the order of `Machine.parameters`, SI, shape (B, P). Default: those of the machine.
         start: Positions, then velocities, at the first sample, in the coordinates' units, shape (2 * coordinates,) or
-            (B, 2 * coordinates). Default: at rest.
+            (B, 2 * coordinates); further columns are the states of the effects in their order. Default: at rest, and
+            zero.
         extra_force: External force, N or Nm, held like `inputs`, shape (n, coordinates) or (B, n, coordinates).
         measured: Measurements for output injection in the channels' units, shape (n, sensors) or (B, n, sensors), NaN
             where not measured. Default: none.
@@ -152,14 +155,15 @@ def simulate_batch(
         contain NaN or large values.
     """
     parameters = parameter_batch(machine) if parameters is None else parameters
-    kernel, parameters = rollout_kernel(machine, parameters, forced=extra_force is not None)
     # The compiled functions work in belt travel: position * radius.
     count, radii = len(machine.coordinates), machine.travel_per_unit
+    start = _with_effect_states(machine, np.atleast_2d(rest_state(machine) if start is None else start))
+    start[:, : 2 * count] *= np.tile(radii, 2)
+    kernel, parameters, start = rollout_kernel(machine, parameters, start, forced=extra_force is not None)
     inputs, force, observed = _series(inputs), _series(extra_force), _series(measured)
-    start = np.atleast_2d(rest_state(machine) if start is None else start)
     batch = max(map(len, (inputs, parameters, start, force, observed)))
     parameters = _rows(parameters, batch)
-    travel = _rows(start * np.tile(radii, 2), batch)
+    travel = _rows(start, batch)
     force = np.ascontiguousarray(force / radii) if len(force) else np.zeros((1, len(time_s), count))
     travel_gains = gains * np.tile(radii, 2)[:, None] if gains is not None else _NOTHING
     grid = np.ascontiguousarray(time_s, float)
@@ -170,6 +174,12 @@ def simulate_batch(
     if states:
         out /= np.tile(radii, 2)
     return Motion(out[..., :count], out[..., count:], outputs)
+
+
+def _with_effect_states(machine: Machine, start: Array) -> Array:
+    """Return a copy of states with those of the effects, zero by default, (B, 2 * coordinates + effect states)."""
+    missing = 2 * len(machine.coordinates) + len(instances_with_state(machine)) - start.shape[1]
+    return np.pad(start, ((0, 0), (0, missing)))
 
 
 def _series(values: Array | None) -> Array:
@@ -235,8 +245,9 @@ def simulate(
         machine: Machine to simulate.
         time_s: Times of n samples, s, strictly increasing, shape (n,).
         inputs: Drive voltages, V, shape (n, drives).
-        initial: Positions (m, rad), then velocities (m/s, rad/s), at the first sample, shape (2 * coordinates,).
-            Default: at rest at the origin with unstretched belts.
+        initial: Positions (m, rad), then velocities (m/s, rad/s), at the first sample, shape (2 * coordinates,);
+            further values are the states of the effects in their order. Default: at rest at the origin with unstretched
+            belts, and zero.
         offset: Zero offset that is added to the outputs, in the sensors' units, shape (sensors,) or one number.
         longest_step: Largest step of the integrator, s.
 
@@ -266,7 +277,7 @@ def simulate(
         raise ValueError(f"inputs: row {row}, {machine.input_channels[column]} is {voltages[row, column]}")
     start = None if initial is None else np.asarray(initial, float)
     size = 2 * len(machine.coordinates)
-    if start is not None and start.shape != (size,):
+    if start is not None and start.shape not in ((size,), (size + len(instances_with_state(machine)),)):
         raise ValueError(f"initial has shape {start.shape}, machine {machine.name!r} needs {(size,)}")
     motion = simulate_batch(machine, grid, voltages, start=start, longest_step=longest_step)
     _check_finite(machine, grid, motion, longest_step)

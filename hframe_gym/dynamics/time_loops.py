@@ -95,9 +95,9 @@ def start_block(block: int, start_time: float, parameters, start, state, block_p
         block: Index of the block; it simulates the machines block * LANES to block * LANES + LANES - 1.
         start_time: Time of the first sample, s.
         parameters: Parameters of all machines, SI, shape (B, PARAMETERS).
-        start: Belt travel (radius * angle of a pulley), m, and its rate, m/s, of all machines, shape
-            (B, 2 * COORDINATES).
-        state: Output: belt travel, m, its rate, m/s, time, s, and effect states (zero), shape (STATES, LANES).
+        start: Belt travel (radius * angle of a pulley), m, its rate, m/s, and effect states, of all machines, shape
+            (B, STATES - 1).
+        state: Output: belt travel, m, its rate, m/s, time, s, and effect states, shape (STATES, LANES).
         block_parameters: Output: parameters, SI, shape (PARAMETERS, LANES).
     """
     for lane in range(LANES):
@@ -109,7 +109,7 @@ def start_block(block: int, start_time: float, parameters, start, state, block_p
             state[k, lane] = start[b, k]
         state[2 * COORDINATES, lane] = start_time
         for k in range(2 * COORDINATES + 1, STATES):
-            state[k, lane] = 0.0
+            state[k, lane] = start[b, k - 1]
 
 
 def copy_lanes(block: int, i: int, rows, table) -> None:
@@ -220,7 +220,7 @@ def rollout(
         time: Sample times, s, shape (n,).
         inputs: Voltages, V, shape (1 or B, n, INPUTS), held until the next sample.
         parameters: Machine parameters, SI, shape (B, PARAMETERS).
-        start: Belt travel (radius * angle), m, and its rate, m/s, at the first sample, shape (B, 2 * COORDINATES).
+        start: Belt travel (radius * angle), m, its rate, m/s, and effect states at first, shape (B, STATES - 1).
         measured: Measurements for output injection, m or rad, shape (1 or B, n, SENSORS), NaN where not measured; empty
             for a simulation without injection.
         gains: Gains of the output injection (m and m/s per m or rad), shape (2 * COORDINATES, SENSORS).

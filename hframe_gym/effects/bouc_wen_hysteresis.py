@@ -1,13 +1,13 @@
 """A force with memory beside Coulomb friction, which springs back elastically after a reversal (Bouc 1967; Wen 1976).
 
-The force -F z of the state z (from -1 to 1, zero at the start of a run) builds up over a distance of about L:
+The force -F z of the state z (from -1 to 1, zero when the simulation starts) builds up over a distance of about L:
 dz/dt = (v - (|v| |z| z + v z^2) / 2) / L. It differs from `dahl_hysteresis` in the shape of its loops: after a reversal
 the force falls along a straight line to zero, then it approaches F as tanh of the distance.
 """
 
 from ..dynamics.elementwise import absolute, copysign, exp, maximum, minimum, where
 from ..machine import Effect
-from .dahl_hysteresis import PARAMETERS, force
+from .dahl_hysteresis import PARAMETERS, force, initial_spread
 
 
 def next_state(z, dq, L):  # type: ignore[no-untyped-def]
@@ -39,5 +39,6 @@ EFFECT = Effect(
     source="Wen 1976, J. Eng. Mech. Div. ASCE 102(2), with n = 2 and equal loop parameters",
     force=force,
     next_state=next_state,
+    initial_spread=initial_spread,
     parameters=PARAMETERS,
 )

@@ -1,7 +1,8 @@
 """A force with memory beside Coulomb friction, as of a cable or an energy chain that bends (Dahl 1968).
 
-The force -F z of the state z (from -1 to 1, zero at the start of a run) builds up over a distance of about L after each
-reversal: dz/dt = (v - |v| z) / L. At constant direction z approaches the direction exponentially with the distance.
+The force -F z of the state z (from -1 to 1, zero when the simulation starts) builds up over a distance of about L
+after each reversal: dz/dt = (v - |v| z) / L. At constant direction z approaches the direction exponentially with the
+distance.
 """
 
 from ..dynamics.elementwise import absolute, copysign, exp
@@ -28,6 +29,11 @@ def force(z, F):  # type: ignore[no-untyped-def]
     return -F * z
 
 
+def initial_spread():  # type: ignore[no-untyped-def]
+    """Return the standard deviation of the state z after unrecorded motion: values from -1 to 1 are as likely."""
+    return 0.58
+
+
 PARAMETERS = (
     EffectParameter("F", "force", 0.0, 1e3, scale=0.3, role="amplitude"),
     # A force that builds up within less than a millimeter is presliding of the dry friction itself.
@@ -43,5 +49,6 @@ EFFECT = Effect(
     source="Dahl 1968, A solid friction model; Dahl 1976, AIAA Journal 14(12)",
     force=force,
     next_state=next_state,
+    initial_spread=initial_spread,
     parameters=PARAMETERS,
 )

@@ -43,6 +43,19 @@ def friction(z, v, level, s0, s1):  # type: ignore[no-untyped-def]
     return s0 * z + s1 * (v - s0 * absolute(v) * z / maximum(level, _LOWEST_LEVEL))
 
 
+def initial_spread(level, s0):  # type: ignore[no-untyped-def]
+    """Return the standard deviation of the deflection z after unrecorded motion: a quarter of its limit F/s0, m or rad.
+
+    Args:
+        level: Coulomb friction force F, including the Stribeck effect, N or Nm.
+        s0: Stiffness of the bristle, N/m or Nm/rad.
+
+    Returns:
+        Standard deviation, m or rad.
+    """
+    return 0.25 * level / s0
+
+
 EFFECT = Effect(
     name="presliding",
     family="presliding",
@@ -51,6 +64,7 @@ EFFECT = Effect(
     source="Dahl 1968; Canudas de Wit et al. 1995",
     friction=friction,
     next_state=next_state,
+    initial_spread=initial_spread,
     parameters=(
         EffectParameter("s0", "stiffness", 1e-3, 1e9, scale=1.0, grid=(3e2, 1e3, 3e3, 1e4, 3e4)),
         EffectParameter("s1", "viscous", 0.0, 1e6, scale=1.0),

@@ -28,6 +28,7 @@ _END_FRACTION = 0.005  # Fraction of the measurements at an end of a range that 
 
 # Periodogram. Rates are counted in periods over the traveled distance. Less than a period of a force is a spring's.
 _MIN_FRICTION_PERIODS, _MIN_FORCE_PERIODS, _MAX_PERIODS = 0.5, 1.0, 150.0
+_LEAST_PERIOD_PRIOR = 0.1  # relative
 _POINTS_PER_PERIOD = 4  # Grid points per resolvable period.
 _BAND_EDGES = (3.0, 12.0, 40.0)
 _SLOW_PERIODS = np.concatenate([np.arange(0.5, 3.0, 0.25), np.arange(3.0, 6.1, 0.5)])
@@ -225,13 +226,19 @@ def effect_parameters(effect: AppliedEffect, machine: Machine, scales: TypicalSc
         elif p.amplitude or p.role == "phase":
             free.append(FreeParameter(name, value, prior=10.0, scale=size, lower=lower, upper=upper))
         elif p.role in ("rate", "period"):
-            # The periodogram determines it well, so the prior is narrow.
-            free.append(FreeParameter(name, value, prior=0.1, lower=lower, upper=upper))
+            free.append(FreeParameter(name, value, prior=_period_prior(p, value, at_site), lower=lower, upper=upper))
         elif p.lower < 0.0 or value == 0.0:
             free.append(FreeParameter(name, value, prior=3.0, scale=size, lower=lower, upper=upper))
         else:
             free.append(FreeParameter(name, value, prior=1.0, lower=lower, upper=upper))
     return tuple(free)
+
+
+def _period_prior(parameter: EffectParameter, value: float, scales: Mapping[str, float]) -> float:
+    """Return the relative standard deviation of a period or rate: half a period in the distance traveled."""
+    span = scales.get("position", 0.0)  # distance traveled
+    periods = span * value / (2 * np.pi) if parameter.role == "rate" else span / value
+    return max(_LEAST_PERIOD_PRIOR, 0.5 / max(periods, _MIN_FRICTION_PERIODS))
 
 
 def _bounds(parameter: EffectParameter, value: float, scales: Mapping[str, float]) -> tuple[float, float]:

@@ -96,8 +96,8 @@ def fit(
         longest_step: Maximum integration step, s.
 
     Returns:
-        Fit at the lowest cost that was found: machine, theta, shape (k,), and cost, dimensionless; infinite
-        if the machine diverges at the initial guess. Every theta stays within its `theta_limit`.
+        Fit at the lowest cost that was found: machine, theta, shape (k,), within its limits, and cost, dimensionless;
+        infinite if the machine diverges at the initial guess.
     """
     model = ResidualModel(machine, tuple(free), data, bandwidth, longest_step)
     theta = np.zeros(len(free)) if theta is None else np.array(theta, float)

@@ -24,13 +24,14 @@ from ..effects.smooth_table import KNOTS, TABLE_FAMILY
 from ..errors import InputError
 from ..machine import AppliedEffect, Machine
 from .candidates import effect_parameters
-from .dataset import TypicalScales, refine_encoder_offsets
+from .dataset import TypicalScales
 from .estimation import Fit, fit, prediction_cost
 from .free_parameters import FreeParameter, default_free_parameters
 from .prediction import POLISH_STEP, SEARCH_BANDWIDTH, SEARCH_STEP, SIMULATION
 from .residual import channel_errors
 from .result import IdentificationResult
 from .saved_result import SavedResult, load_result
+from .start_uncertainty import refine_starts
 from .trial_fits import typical_scales
 
 Array = NDArray[np.float64]
@@ -298,7 +299,7 @@ class _Refit:
 
     def __init__(self, result: IdentificationResult) -> None:
         self._result = result
-        self._data = refine_encoder_offsets(result.fitted, result.after.machine)
+        self._data = refine_starts(result.fitted, result.after.machine)
         self._bandwidth = self._deciding_bandwidth()
         self._step = SEARCH_STEP if self._bandwidth else POLISH_STEP
         self._scales: TypicalScales | None = None
@@ -346,5 +347,5 @@ class _Refit:
 
     def held_out(self, machine: Machine) -> dict[str, float]:
         """Return the simulation error on the held-out runs in units of the noise, by channel."""
-        errors = channel_errors(machine, refine_encoder_offsets(self._result.held_out, machine, self._result.fitted))
+        errors = channel_errors(machine, refine_starts(self._result.held_out, machine, self._result.fitted))
         return {channel: e.noise_ratio for channel, e in errors.items() if e.noise_ratio is not None}

@@ -14,7 +14,7 @@ from ..machine import Machine
 from ..recordings import Recording, without_outliers
 from ..registry import load_plugins
 from .criteria import SelectionCriteria
-from .dataset import MIN_ROWS, Dataset, prepare, refine_encoder_offsets, with_all_measurements, with_known_positions
+from .dataset import MIN_ROWS, Dataset, prepare, with_all_measurements, with_known_positions
 from .effect_size import drive_force, effect_force
 from .estimation import Fit, with_uncertainty
 from .experiment_design import design_discriminating_experiment
@@ -29,6 +29,7 @@ from .residual import is_white, rank_dependences
 from .result import IdentificationResult, RejectedEffect
 from .search import SearchOutcome, search_effects
 from .sensor_properties import Range, blank_saturated, range_effects, saturation_ranges
+from .start_uncertainty import refine_starts
 from .trial_fits import without_effect
 
 _CONTRADICTION = (
@@ -105,7 +106,7 @@ def identify(
 
 def _contradicting_held_out_runs(outcome: SearchOutcome, held_out_runs: Dataset) -> tuple[str, ...]:
     """Return the names of the held-out runs that contradict the machine which explains the fitted runs."""
-    refined = refine_encoder_offsets(held_out_runs, outcome.after.machine, outcome.data)
+    refined = refine_starts(held_out_runs, outcome.after.machine, outcome.data)
     return contradicting_held_out_runs(outcome.after, refined)
 
 
@@ -155,7 +156,7 @@ def _without_unconfirmed(outcome: SearchOutcome, validation: Dataset, log: Log) 
     """
     before, before_explains, _, verdict, after, selected, considered, data, _ = outcome
     while selected and validation.runs:
-        runs = refine_encoder_offsets(validation, after.machine, data)
+        runs = refine_starts(validation, after.machine, data)
         gains = {s.effect.label: held_out_gain(s, after.machine, runs, after.bandwidth) for s in selected}
         refuted = [
             s for s in selected if gains[s.effect.label] <= 0.0 and is_excited(s.effect, after.machine, runs, data)
@@ -165,7 +166,7 @@ def _without_unconfirmed(outcome: SearchOutcome, validation: Dataset, log: Log) 
         weakest = min(refuted, key=lambda s: gains[s.effect.label])
         reason = "does not reduce the error of the held-out runs"
         log(f"  {weakest.effect.label} is removed: it {reason}")
-        refined = refine_encoder_offsets(data, after.machine)
+        refined = refine_starts(data, after.machine)
         reduced = without_effect(after, weakest.effect.label, refined, before.machine)
         if reduced is None:  # another one acts on its coordinate
             break
@@ -187,7 +188,7 @@ def _result(
 ) -> IdentificationResult:
     """Evaluate declared, refitted and corrected machine on the held-out runs, and propose an experiment."""
     before, _, _, verdict, after, selected, considered, data, _ = outcome
-    refined = refine_encoder_offsets(data, after.machine)
+    refined = refine_starts(data, after.machine)
     corrected, selected = _corrected(after, selected, ranges, refined, f"{machine.name}-identified")
     refitted = before.machine.replace(name=f"{machine.name}-refitted")
     declared_evaluation, refitted_evaluation, corrected_evaluation = (
@@ -197,7 +198,7 @@ def _result(
     experiments = (
         design_discriminating_experiment(after, corrected, s.effect.label, s.rival_effects, refined) for s in selected
     )
-    validation = refine_encoder_offsets(validation, corrected, data)
+    validation = refine_starts(validation, corrected, data)
     drives = drive_force(corrected, data)
     return IdentificationResult(
         verdict="effect_found" if selected and verdict == "no_effect" else verdict,

@@ -17,7 +17,7 @@ from ..dynamics import NotFiniteError, simulate, simulate_batch
 from ..machine import Machine, Trajectory
 from ..recordings import Recording, fill_gaps, without_outliers
 from .criteria import SelectionCriteria
-from .dataset import Dataset, PreparedRecording, refine_encoder_offsets, with_encoder_zeros
+from .dataset import Dataset, PreparedRecording, with_encoder_zeros
 from .encoder_zeros import EncoderZeros
 from .initial_state import measured_initial_state, model_initial_state
 from .inverse_dynamics import force_error
@@ -32,7 +32,7 @@ from .rest_measurement import (
 )
 from .result import ModelEvaluation, PredictionErrors
 from .sensor_properties import Range, blank_saturated, saturation_ranges, sensor_noise, sensor_quantum
-from .start_uncertainty import most_probable_start
+from .start_uncertainty import most_probable_start, refine_starts
 
 Array = NDArray[np.float64]
 
@@ -77,7 +77,7 @@ def simulate_recording(machine: Machine, recording: Recording) -> SimulatedRecor
     cleaned = fill_gaps(without_outliers(recording, machine))
     initial = _initial_state(machine, cleaned)
     motion = simulate(
-        machine, cleaned.time_s, cleaned.inputs, initial.state, offset=initial.offset, longest_step=POLISH_STEP
+        machine, cleaned.time_s, cleaned.inputs, initial.start(machine), offset=initial.offset, longest_step=POLISH_STEP
     )
     recorded = np.isin(cleaned.time_s, recording.time_s)  # the rows that `fill_gaps` did not insert
     trajectory = dataclasses.replace(
@@ -95,18 +95,18 @@ def initial_state_of_recording(machine: Machine, recording: Recording) -> Initia
 
     Measurements beyond a sensor's range do not count, effects on readings are inverted, pulleys are in static
     equilibrium. Encoders whose zero (measurement at position 0) the machine declares measure how the belts are
-    stretched, unless the lasers show that the encoder was switched on anew. The sensors' offsets are those of the
-    simulation from that state, so that `simulate(..., offset=initial.offset)` minus the recording is the error that
-    identification reports.
+    stretched, unless the lasers show that the encoder was switched on anew. The states of hysteresis and bristles
+    follow from the motion. The sensors' offsets are those of the simulation from that state, so that `simulate(...,
+    initial.start(machine), offset=initial.offset)` minus the recording is the error that identification reports.
 
     Args:
         machine: Machine, declared or identified.
         recording: The run (times, voltages, measurements); outputs may be missing.
 
     Returns:
-        Initial state of the machine (positions, velocities, shape (2 * coordinates,)) and the sensors' offsets, m or
-        rad, shape (sensors,); `warnings` lists what could not be determined. If the simulation diverges, the offsets
-        are those of the measurements at rest.
+        Initial state of the machine (positions, velocities, shape (2 * coordinates,), states of the effects) and the
+        sensors' offsets, m or rad, shape (sensors,); `warnings` lists what could not be determined. If the simulation
+        diverges, the offsets are those of the measurements at rest.
     """
     return _initial_state(machine, fill_gaps(without_outliers(recording, machine)))
 
@@ -140,12 +140,13 @@ def _initial_state(machine: Machine, recording: Recording) -> InitialState:
         error = np.where(measured, error - sensor_zero_error(error, measured, rows, max_means), 0.0)
         return np.asarray((error / np.where(noise > 0.0, noise, np.inf)).reshape(len(states), -1))
 
-    state = most_probable_start(machine, initial, state, weighted_errors)
-    error = errors(state, recording.outputs)
+    start = most_probable_start(machine, initial, state, weighted_errors)
+    initial = initial.with_start(machine, start)
+    error = errors(start, recording.outputs)
     if not np.isfinite(error).all():
-        return dataclasses.replace(initial, state=state)
+        return initial
     offset = sensor_zero_error(error, np.isfinite(recording.outputs), rows, max_means)[0, 0]
-    return dataclasses.replace(initial, state=state, offset=offset)
+    return dataclasses.replace(initial, offset=offset)
 
 
 def _without_saturated(machine: Machine, recording: Recording, noise: Array) -> Recording:
@@ -183,7 +184,7 @@ def evaluate_held_out(
         KeyError: If the recording of a run is missing.
     """
     machine = with_encoder_zeros(machine, fitted)
-    refined = refine_encoder_offsets(held_out, machine, fitted)
+    refined = refine_starts(held_out, machine, fitted)
     measured = {recording.name: recording for recording in recordings}
 
     def simulated(run: PreparedRecording) -> tuple[Array, tuple[str, ...]]:

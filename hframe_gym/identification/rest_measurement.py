@@ -7,12 +7,15 @@ known. The zero of a sensor is its measurement at rest minus the reading that th
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import null_space
 
+from ..dynamics.effect_instances import instances_with_state
 from ..machine import Machine
 from ..recordings import Recording
 from .encoder_zeros import EncoderZeros
@@ -44,6 +47,8 @@ class InitialState:
         measured_at_rest: Whether each sensor measured something at rest, shape (sensors,).
         position_from_reading: Matrix that computes the positions of unstretched belts from `reading` (with 0 instead
             of NaN), shape (coordinates, sensors).
+        effect_states: States of the machine's effects (hysteresis, bristles) at the start, in their units, by label and
+            component of the effect; those that are missing are zero.
         warnings: What could not be measured and what is assumed instead, one sentence each.
     """
 
@@ -58,7 +63,34 @@ class InitialState:
     reading: Array = field(default_factory=lambda: np.zeros(0))
     measured_at_rest: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, np.bool_))
     position_from_reading: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    effect_states: Mapping[tuple[str, str], float] = field(default_factory=dict)
     warnings: tuple[str, ...] = field(default=())
+
+    def start(self, machine: Machine) -> Array:
+        """Return the state together with the states of the effects, as `simulate` takes them.
+
+        Args:
+            machine: Machine with its effects (deviations from the nominal model).
+
+        Returns:
+            Positions, velocities and states of the effects, in their units, shape (2 * coordinates + effect states,).
+        """
+        states = [self.effect_states.get((i.effect.label, i.component), 0.0) for i in instances_with_state(machine)]
+        return np.concatenate([self.state, states])
+
+    def with_start(self, machine: Machine, start: Array) -> InitialState:
+        """Return a copy with another state and other states of the effects.
+
+        Args:
+            machine: Machine with its effects (deviations from the nominal model).
+            start: Positions, velocities and states of the effects, as `start` returns them.
+
+        Returns:
+            Copy with these states.
+        """
+        names = [(i.effect.label, i.component) for i in instances_with_state(machine)]
+        state, states = np.split(start, [len(start) - len(names)])
+        return dataclasses.replace(self, state=state, effect_states=dict(zip(names, states.tolist(), strict=True)))
 
     @property
     def position(self) -> Array:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from ..machine import Machine
 from .criteria import SelectionCriteria
-from .dataset import Dataset, refine_encoder_offsets
+from .dataset import Dataset
 from .estimation import Fit, fit, prediction_cost
 from .forward_selection import ConsideredEffect, EffectSearch, Log, SelectedEffect, Selection
 from .free_parameters import default_free_parameters
@@ -16,6 +16,7 @@ from .model_error import contradicting_run, explains, fit_with_model_error, poli
 from .nonparametric import add_tables
 from .prediction import SEARCH_BANDWIDTH, SIMULATION
 from .result import Verdict
+from .start_uncertainty import refine_starts
 from .trial_fits import converge
 
 
@@ -142,7 +143,7 @@ class _Search:
         if after is self.before:
             after = before
         else:
-            after = refined_in_simulation(after, refine_encoder_offsets(self._data, after.machine))
+            after = refined_in_simulation(after, refine_starts(self._data, after.machine))
             selected = tuple(s.with_values(after.machine) for s in selected)
         return SearchOutcome(before, before_explains, explained, verdict, after, selected, considered, self._data)
 
@@ -151,7 +152,7 @@ class _Search:
         criteria, data, log = self._criteria, self._data, self._log
         search = EffectSearch(data, self.before.machine, criteria, log)
         current, effects = search.run(*start)
-        refined = refine_encoder_offsets(data, current.machine)
+        refined = refine_starts(data, current.machine)
         if refined is not data:
             # The encoders' zeros are known better with the effects, which may reveal further ones.
             data, search = refined, search.with_data(refined)

@@ -2,12 +2,14 @@
 
 Static friction holds an unknown stretch of the belts when a run begins: encoders behind belts do not resolve it, and an
 encoder that was switched on anew does not measure it at all. Where no laser measures at rest, the position is uncertain
-as well. The motion that follows depends on both. A fit removes the response to them from its residual (variable
+as well. A bristle or a cable with hysteresis remembers motion that was not recorded. The motion that follows depends on
+all of this. A fit removes the response to them from its residual (variable
 projection); a simulation over a recording starts from the most probable state.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -15,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import null_space
 
+from ..dynamics import Equations
 from ..machine import Machine
-from .dataset import Dataset, PreparedRecording
-from .prediction import POLISH_STEP, SEARCH_STEP, SIMULATION, predict, residuals
+from .dataset import Dataset, PreparedRecording, refine_encoder_offsets
+from .prediction import POLISH_STEP, SEARCH_STEP, SIMULATION, map_runs, predict, residuals
 from .rest_measurement import InitialState, rigid_basis
 
 Array = NDArray[np.float64]
@@ -96,13 +99,13 @@ def initial_state_projection(
         run: Run to predict.
         data: Data set of the run.
         bandwidth: Bandwidth of the observer that corrects the prediction by the measurements, rad/s; 0 for none.
-        initial_state: Positions, then velocities, in the coordinates' units, shape (2 * coordinates,). Default:
-            `run.initial_state(machine)`.
+        initial_state: Positions, velocities and states of the effects, in their units, shape (2 * coordinates + effect
+            states,). Default: `run.initial_state(machine)`.
         longest_step: Maximum integration step, s.
         rows_per_block: Number of consecutive rows summed into one, as in `residuals`.
 
     Returns:
-        Projection of residuals, shape (batch, rows). None without belts or if the simulation diverges.
+        Projection of residuals, shape (batch, rows). None if nothing is uncertain or the simulation diverges.
 
     References:
         Golub and Pereyra (1973), variable projection.
@@ -129,15 +132,16 @@ def start_displacements(machine: Machine, initial: InitialState) -> Array:
     """Return the displacements by which the state at the start of a run may differ from the measured one.
 
     Static friction holds an unknown stretch of the belts, one displacement per motor. A run whose position no laser
-    measures at rest has further displacements, one per motion that stretches no belt.
+    measures at rest has further displacements, one per motion that stretches no belt. The state of an effect with an
+    `initial_spread` is a displacement as well.
 
     Args:
         machine: Machine that predicts.
         initial: Measured initial state of the run.
 
     Returns:
-        Displacements of the state (positions, then velocities), each as large as one standard deviation, in the
-        coordinates' units, shape (displacements, 2 * coordinates); none without belts.
+        Displacements of the state (positions, velocities, states of the effects), each as large as one standard
+        deviation, in the coordinates' and the effects' units, shape (displacements, 2 * coordinates + effect states).
     """
     held_angles = _held_belt_angles(machine)
     displacements = np.zeros((len(held_angles), len(machine.coordinates)))
@@ -145,7 +149,27 @@ def start_displacements(machine: Machine, initial: InitialState) -> Array:
         displacements[k, machine.coordinate_names.index(name)] = angle
     if held_angles and not initial.lasers_measured:
         displacements = np.vstack([displacements, _rigid_displacements(machine, initial, held_angles)])
-    return np.pad(displacements, ((0, 0), (0, len(machine.coordinates))))
+    spreads = _effect_state_spreads(machine)
+    of_effects = np.diag(spreads)[spreads > 0.0]
+    count = len(machine.coordinates)
+    return np.vstack(
+        [
+            np.pad(displacements, ((0, 0), (0, count + len(spreads)))),
+            np.pad(of_effects, ((0, 0), (2 * count, 0))),
+        ]
+    )
+
+
+def _effect_state_spreads(machine: Machine) -> Array:
+    """Return the standard deviation of each effect's state at the start, in its unit, shape (effect states,)."""
+    equations = Equations(machine)
+    spreads = []
+    for k in equations.states:
+        effect, i = equations.instances[k].effect, equations.instances[k].coordinate
+        level = machine.coordinates[i].coulomb if i >= 0 else 0.0
+        known = effect.definition.initial_spread is None
+        spreads.append(0.0 if known else float(equations.evaluate(effect, "initial_spread", {"level": level})))
+    return np.array(spreads)
 
 
 def _rigid_displacements(machine: Machine, initial: InitialState, held_angles: dict[str, float]) -> Array:
@@ -168,14 +192,46 @@ def most_probable_initial_state(machine: Machine, run: PreparedRecording, data: 
         data: Data set of the run, for the sampling period and the sensors' quantization steps.
 
     Returns:
-        Positions, then velocities (zero), in the coordinates' units, shape (2 * coordinates,).
+        Positions, velocities (zero), and the states of the effects, in their units, shape (2 * coordinates + effect
+        states,).
     """
 
     def errors(states: Array) -> Array:
         motion = predict(machine, run, SIMULATION, period=data.period, initial_state=states, longest_step=POLISH_STEP)
         return residuals(run, data, motion.readings, fitted=False)  # as `recording_simulation` does for a single run
 
-    return most_probable_start(machine, run.initial, run.initial_state(machine), errors)
+    # Whatever the effects' states were assumed to be, they are estimated anew.
+    state = run.initial_state(machine)[: 2 * len(machine.coordinates)]
+    return most_probable_start(machine, run.initial, state, errors)
+
+
+def refine_starts(data: Dataset, machine: Machine, reference: Dataset | None = None) -> Dataset:
+    """Correct what is assumed about the starts of the runs with a fitted machine.
+
+    These are the zeros of the encoders, see `dataset.refine_encoder_offsets`, and the states of effects that remember
+    motion before the recording. Fits linearize around the states, whose influence is nonlinear where a hysteresis has
+    almost reached its limit.
+
+    Args:
+        data: Data set to correct (times, voltages, measurements, SI).
+        machine: Fitted machine with its effects (deviations from the nominal model).
+        reference: Data set from which the errors of the zeros are estimated: the one that the machine was fitted to.
+            Default: `data`.
+
+    Returns:
+        Copy with corrected starts and measurements, m or rad, shape (n, sensors) for each run; `data` itself if there
+        is nothing to correct.
+    """
+    data = refine_encoder_offsets(data, machine, reference)
+    if not np.any(_effect_state_spreads(machine) > 0.0):
+        return data
+
+    def refined(run: PreparedRecording) -> PreparedRecording:
+        start = most_probable_initial_state(machine, run, data)
+        states = run.initial.with_start(machine, start).effect_states
+        return dataclasses.replace(run, initial=dataclasses.replace(run.initial, effect_states=states))
+
+    return dataclasses.replace(data, runs=tuple(map_runs(refined, data)))
 
 
 def most_probable_start(
@@ -192,18 +248,19 @@ def most_probable_start(
         machine: Machine to simulate.
         initial: Measured initial state of the run.
         state: State that follows from the measurements at rest, in the coordinates' units, shape (2 * coordinates,).
-        errors: Function that simulates from states, shape (B, 2 * coordinates), and returns measured minus simulated
-            values in units of the noise, shape (B, values), not finite where the simulation diverges.
+        errors: Function that simulates from states, shape (B, 2 * coordinates + effect states), and returns measured
+            minus simulated values in units of the noise, shape (B, values), not finite where the simulation diverges.
 
     Returns:
-        Positions, then velocities (zero), in the coordinates' units, shape (2 * coordinates,); the given state without
-        belts or if its simulation diverges.
+        Positions, velocities (zero), and the states of the effects, in their units, shape (2 * coordinates + effect
+        states,). If nothing is uncertain or the simulation diverges, the given state, and zeros for the effects.
 
     References:
         Nocedal and Wright (2006), "Numerical optimization", chapter 10 (Gauss-Newton method with a line search).
     """
     displacements = start_displacements(machine, initial)
     count = len(displacements)
+    state = np.pad(state, (0, displacements.shape[1] - len(state)))
     best = np.zeros(count)  # displacements in units of their standard deviations
     differences = _DIFFERENCE * np.vstack([np.zeros((1, count)), np.eye(count), -np.eye(count)])
     for _ in range(_ITERATIONS if count else 0):

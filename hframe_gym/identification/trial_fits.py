@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,21 +14,24 @@ from .candidates import candidates, effect_parameters
 from .criteria import SelectionCriteria
 from .dataset import Dataset, TypicalScales, scales_of_motion
 from .effect_size import effect_force
-from .estimation import Fit, fit
-from .free_parameters import FreeParameter, default_free_parameters
+from .estimation import Fit, fit, prediction_cost
+from .free_parameters import FreeParameter, default_free_parameters, values_at
 from .model_error import residue_force, search_step
 from .prediction import POLISH_STEP, SEARCH_BANDWIDTH, map_runs, predict
 from .residual import missing_force
 from .screening import ScoredCandidate, screen, screen_structures
 
 Array = NDArray[np.float64]
+_AT_LIMIT = 0.99  # fraction of a parameter's limit
 _TRIAL_ITERATIONS, _TRIAL_TOLERANCE = 8, 1e-3  # A trial need not converge fully to be ranked.
 
 
 def trial_fits(current: Fit, data: Dataset, enough: float, criteria: SelectionCriteria) -> list[Fit]:
     """Fit the machine with each of the most promising effects (deviations from the model), one at a time.
 
-    The candidates are ranked before by the reduction of chi-squared that linearization predicts.
+    The candidates are ranked before by the reduction of chi-squared that linearization predicts. Where the fit without
+    them has gone astray, so that a parameter is at its limit, they are also ranked at the declared parameters and
+    fitted from there.
 
     Args:
         current: Fit without the candidates; the observer that corrects its predictions by the measurements is used.
@@ -36,15 +42,34 @@ def trial_fits(current: Fit, data: Dataset, enough: float, criteria: SelectionCr
     Returns:
         One fit (machine, parameters theta, shape (k,), cost) per candidate with few iterations, in no particular order.
     """
-    scales, ranked = _ranked_candidates(current, data)
+    trials = _trial_fits_from(current, current, data, enough, criteria)
+    if any(abs(t) > _AT_LIMIT * f.theta_limit for f, t in zip(current.free, current.theta, strict=True)):
+        trials += _trial_fits_from(_at_declared_parameters(current, data), current, data, enough, criteria)
+    return trials
+
+
+def _at_declared_parameters(current: Fit, data: Dataset) -> Fit:
+    """Return the machine of a fit with the declared parameters (theta 0), except those of its effects."""
+    kept = np.array(["@" in f.name for f in current.free])
+    theta = np.where(kept, current.theta, 0.0)
+    machine = current.machine.replace(values_at(current.free, theta))
+    cost = prediction_cost(machine, data, current.bandwidth)
+    return dataclasses.replace(current, machine=machine, theta=theta, cost=cost)
+
+
+def _trial_fits_from(start: Fit, current: Fit, data: Dataset, enough: float, criteria: SelectionCriteria) -> list[Fit]:
+    """Return fits with the most promising candidates, ranked at one set of parameters, of a machine fitted before."""
+    if not math.isfinite(start.cost):
+        return []
+    scales, ranked = _ranked_candidates(start, data)
     trials: list[Fit] = []
     best_promise = 0.0  # largest linearized gain of a candidate that explains the data
-    promising = _promising(current, ranked, data, enough, criteria)
-    share_kernel(current.machine, [scored.candidate.applied(scored.amounts) for scored in promising])
+    promising = _promising(start, ranked, data, enough, criteria)
+    share_kernel(start.machine, [scored.candidate.applied(scored.amounts) for scored in promising])
     for scored in promising:
         # Where a candidate explains the data, only those that may be its rivals are fitted as well.
         if scored.gain > criteria.rival_promise * best_promise:
-            trials.append(fit_with_candidate(current, scored, scales, data))
+            trials.append(fit_with_candidate(start, scored, scales, data))
             if unexplained_fraction(current, trials, criteria) < criteria.rival_remainder:
                 best_promise = max(best_promise, scored.gain)
     return trials

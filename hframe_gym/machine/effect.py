@@ -40,6 +40,7 @@ HOOKS = (
     "measurement",
     "measurement_delay",
     "next_state",
+    "initial_spread",
 )
 
 
@@ -103,6 +104,8 @@ class Effect:
     measurement         measured value of a sensor, in its unit                      r, across
     measurement_delay   delay of a sensor, s
     next_state          state of the effect after the time dt                        z, dq, dt, v, level, i
+    initial_spread      standard deviation of the state when a recording begins,     level
+                        after motion that was not recorded (default: it is zero)
 
     Symbols: q, v: position and speed of the coordinate in its unit; t: time since the machine was switched on, s; u:
     the variable that `against` names; z: the effect's state, zero when the simulation starts; b: viscous coefficient
@@ -156,6 +159,7 @@ class Effect:
     measurement: Hook | None = None
     measurement_delay: Hook | None = None
     next_state: Hook | None = None
+    initial_spread: Hook | None = None
     structure: Callable[..., Any] | None = None
     fits: Callable[..., bool] | None = None
     fits_site: Callable[..., bool] | None = None

@@ -12,8 +12,20 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hframe_gym.dynamics import LANES, in_blocks, kernel, kernel_for, kernel_source_text, share_kernel, simulate_batch
-from hframe_gym.dynamics.kernel import cache_folder, rollout_kernel
+from hframe_gym.dynamics import (
+    LANES,
+    in_blocks,
+    kernel,
+    kernel_for,
+    kernel_source_text,
+    share_kernel,
+    shared_kernels,
+    simulate,
+    simulate_batch,
+)
+from hframe_gym.dynamics.effect_instances import instances_with_state
+from hframe_gym.dynamics.kernel import cache_folder
+from hframe_gym.dynamics.shared_kernels import rollout_kernel
 from hframe_gym.dynamics.simulation import parameter_batch
 from hframe_gym.effects import EFFECTS
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
@@ -118,15 +130,36 @@ def test_shared_kernel_simulates_each_effect_to_the_bit(hframe: Machine, monkeyp
     machines = [hframe, *(hframe.with_effects(e) for e in effects)]
     alone = [readings(machine) for machine in machines]
     monkeypatch.setattr(kernel, "_KERNELS", {})
-    monkeypatch.setattr(kernel, "_SHARED", deque())
+    monkeypatch.setattr(shared_kernels, "_SHARED", deque())
     share_kernel(hframe, effects)
-    shared_kernel = kernel._SHARED[0]
+    shared_kernel = shared_kernels._SHARED[0]
     shared = [machine for machine in machines if shared_kernel.simulates(machine)]
     assert len(shared) > 12
     for machine, expected in zip(machines, alone, strict=True):
         if machine in shared:  # the others have effects that do more than add a term
-            assert rollout_kernel(machine, parameter_batch(machine), forced=False)[0] is shared_kernel.kernel
+            start = np.zeros((1, 2 * len(machine.coordinates) + len(instances_with_state(machine))))
+            used = rollout_kernel(machine, parameter_batch(machine), start, forced=False)[0]
+            assert used is shared_kernel.kernel
             assert np.array_equal(readings(machine), expected), machine.effects[-1:]
+
+
+def test_states_of_effects_at_the_start(hframe: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A kernel of several effects takes the states of the one that the machine has; they decay over the distance L."""
+    dahl, bristle = EFFECTS["dahl_hysteresis"].at("y", F=3.0, L=0.01), CASES["presliding"].effect
+    machine = hframe.with_effects(dahl)
+    time_s, start = np.arange(400) * 1e-3, np.zeros(9)
+    voltages = np.full((400, 2), 4.0)
+    start[8] = 0.7
+    alone = simulate(machine, time_s, voltages, start)
+    zero = simulate(machine, time_s, voltages)
+    # Until y has moved by L the force differs by 0.7 * 3 N, which delays the motion.
+    assert not np.allclose(alone.positions, zero.positions, atol=1e-4)
+    monkeypatch.setattr(kernel, "_KERNELS", {})
+    monkeypatch.setattr(shared_kernels, "_SHARED", deque())
+    share_kernel(hframe, [EFFECTS["bouc_wen_hysteresis"].at("x", F=2.0, L=0.01), dahl, bristle])
+    np.testing.assert_array_equal(simulate(machine, time_s, voltages, start).positions, alone.positions)
+    with pytest.raises(ValueError, match="initial has shape"):
+        simulate(machine, time_s, voltages, np.zeros(10))
 
 
 def test_every_effect_of_a_coordinate_has_a_kernel_on_a_single_axis() -> None:

@@ -396,7 +396,7 @@ class ScriptedSearch:
             "polish": lambda fitted, data: fitted,
             "converge": lambda fitted, data, thorough: fitted,
             "fit_with_model_error": lambda fitted, data: fitted,
-            "refine_encoder_offsets": lambda data, machine: data,
+            "refine_starts": lambda data, machine: data,
             # The simulation has no say: it is as bad with the effects as without.
             "prediction_cost": lambda machine, data, bandwidth: (
                 COUNT * (script.wide if bandwidth and machine.effects else 10.0)

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from hframe_gym.dynamics import simulate
+from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import prepare, simulate_recording
+from hframe_gym.identification.estimation import prediction_cost
 from hframe_gym.identification.prediction import SIMULATION
-from hframe_gym.identification.start_uncertainty import initial_state_projection
+from hframe_gym.identification.start_uncertainty import initial_state_projection, refine_starts
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, rest_state
 from hframe_gym.recordings import Recording
 
@@ -63,3 +65,21 @@ def test_a_run_that_began_with_stretched_belts_is_simulated_from_that_stretch(hf
     simulated = simulate_recording(hframe, run)
     np.testing.assert_allclose(simulated.initial.state[2:4] - rest_state(hframe)[2:4], stretch, atol=3e-5)
     assert np.abs(simulated.error).max() < 2e-5
+
+
+@pytest.mark.parametrize("name", ["dahl_hysteresis", "bouc_wen_hysteresis"])
+def test_a_hysteresis_remembers_motion_before_the_recording(axis: Machine, name: str) -> None:
+    machine = axis.with_effects(EFFECTS[name].at("x", F=1.5, L=0.01))
+    run = moving_run(machine, np.array([*rest_state(machine), -0.8]))
+    simulated = simulate_recording(machine, run)
+    assert simulated.initial.effect_states == {(f"{name}@x", "x"): pytest.approx(-0.8, abs=0.05)}
+    assert np.abs(simulated.error).max() < 2e-6
+    data = prepare([run], machine)
+    refined = refine_starts(data, machine)
+    assert refined.runs[0].initial_state(machine)[2] == pytest.approx(-0.8, abs=0.05)
+    assert prediction_cost(machine, refined, SIMULATION) < 0.1 * prediction_cost(machine, data, SIMULATION)
+
+
+def test_nothing_to_refine_without_hysteresis(axis: Machine) -> None:
+    data = prepare([moving_run(axis, rest_state(axis))], axis)
+    assert refine_starts(data, axis) is data

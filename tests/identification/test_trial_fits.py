@@ -1,0 +1,63 @@
+"""Tests of the trial fits of candidates: strong effects, and starts from the declared parameters."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from hframe_gym.dynamics import simulate
+from hframe_gym.effects import EFFECTS
+from hframe_gym.identification import default_free_parameters, fit, identify, prepare, trial_fits
+from hframe_gym.identification.criteria import SelectionCriteria
+from hframe_gym.identification.estimation import Fit
+from hframe_gym.identification.prediction import SEARCH_BANDWIDTH
+from hframe_gym.machine import BUILTIN_MACHINES, Machine
+from hframe_gym.recordings import Recording
+
+pytestmark = pytest.mark.unit
+
+
+@pytest.fixture
+def axis() -> Machine:
+    """Return the built-in axis."""
+    return BUILTIN_MACHINES["axis"]()
+
+
+def recordings(machine: Machine, count: int) -> list[Recording]:
+    """Return noisy runs of 1.5 s under random steps of up to 6 V."""
+    rng, time_s, runs = np.random.default_rng(0), np.arange(1500) * 1e-3, []
+    for i in range(count):
+        inputs = np.repeat(rng.uniform(-6.0, 6.0, (15, 1)), 100, axis=0)
+        inputs[:100] = 0.0
+        outputs = simulate(machine, time_s, inputs).outputs
+        runs.append(Recording(f"run_{i}", time_s, inputs, outputs + rng.normal(0.0, 2e-5, outputs.shape)))
+    return runs
+
+
+def test_a_spring_stronger_than_the_drive_is_found(axis: Machine) -> None:
+    """It stops the carriage after millimeters; the refit without it ends at the limit of the mass."""
+    rig = axis.with_effects(EFFECTS["cable_spring"].at("x", k=3000.0, q0=0.0))
+    result = identify(recordings(rig, 4), axis)
+    assert [s.effect.label for s in result.effects] == ["cable_spring@x"]
+    assert result.effects[0].effect.parameters["k"] == pytest.approx(3000.0, rel=0.01)
+
+
+@pytest.mark.parametrize("at_limit", [False, True])
+def test_candidates_are_also_tried_from_the_declared_parameters(
+    axis: Machine, monkeypatch: pytest.MonkeyPatch, at_limit: bool
+) -> None:
+    starts: list[Fit] = []
+    monkeypatch.setattr(trial_fits, "_trial_fits_from", lambda start, *rest: starts.append(start) or [])
+    data = prepare(recordings(axis, 2), axis)
+    current = fit(axis, default_free_parameters(axis), data, SEARCH_BANDWIDTH)
+    if at_limit:
+        limit = np.array([f.theta_limit if f.name == "x.mass" else 0.1 for f in current.free])
+        current = dataclasses.replace(current, theta=limit)
+    trial_fits.trial_fits(current, data, 0.1, SelectionCriteria())
+    assert starts[0] is current
+    assert len(starts) == (2 if at_limit else 1)
+    if at_limit:
+        np.testing.assert_array_equal(starts[1].theta, 0.0)
+        assert starts[1].machine.parameters == pytest.approx(axis.parameters)
