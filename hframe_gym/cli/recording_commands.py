@@ -81,7 +81,10 @@ def import_logs(
     out: Annotated[Path, typer.Option(help="Folder for the recordings; existing runs are never replaced.")],
     machine: MachineOption = "hframe",
     map: Annotated[
-        list[str] | None, typer.Option(help="CHANNEL=COLUMN, e.g. v1_V=U1, x_m='#4' (fourth column) or y_m=none.")
+        list[str] | None,
+        typer.Option(
+            help="CHANNEL=COLUMN, e.g. v1_V=U1, x_m='#4' (fourth column), y_m=none, or time_s=200Hz without a column."
+        ),
     ] = None,
     unit: Annotated[list[str] | None, typer.Option(help="CHANNEL=UNIT, e.g. phi1_rad=deg, v1_V=%, time_s=ms.")] = None,
     scale: Annotated[

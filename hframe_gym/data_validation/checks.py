@@ -177,11 +177,10 @@ def _check_initial_rest(recording: Recording, machine: Machine) -> list[Finding]
     seconds = float(recording.time_s[min(rows, len(recording.time_s)) - 1] - recording.time_s[0])
     if seconds >= _MIN_REST - _REST_TOLERANCE:
         return []
-    message = (
-        f"{rows} rows ({1e3 * seconds:.3g} ms) at rest before the first input: the initial state and the zeros of the "
-        "encoders are uncertain"
-    )
-    return [Finding("advice", recording.name, "", message)]
+    rest = f"{rows} rows ({1e3 * seconds:.3g} ms) at rest before the first input"
+    if rows == 1:
+        rest = "begins with an input, so only its first row counts as at rest"
+    return [Finding("advice", recording.name, "", f"{rest}: initial state and zeros of the encoders are uncertain")]
 
 
 def _sensor_noise(data: Dataset, machine: Machine) -> list[Finding]:

@@ -20,6 +20,8 @@ _HIGH_CORRELATION = 0.95
 # A standard deviation beyond this fraction of the prior's: the data hardly added to the declared value.
 _PRIOR_DOMINATES = 0.6
 _BOUND_TOLERANCE = 1e-6  # relative
+# Parameters that users know within a factor of two; friction and back-EMF may be a fraction of the declared value.
+_KNOWN_PARAMETERS = ("mass", "EA", "Kt")
 # A combination of parameters is not determined if its variance is beyond this fraction of the prior's.
 _UNDETERMINED_VARIANCE = 0.25
 _EFFECT_PRIOR = 0.5  # Standard deviation by which an effect's parameters are scaled, relative to their value.
@@ -226,6 +228,32 @@ def _connected(members: NDArray[np.bool_]) -> list[list[int]]:
     return sets
 
 
+def parameters_at_limit(machine: Machine, declared: Machine) -> dict[str, str]:
+    """Describe the masses, belt stiffnesses and torque constants that the fit moved to the limit of their range.
+
+    A value so far away means that the machine file, or a unit or gear ratio of the recordings, is wrong by a factor, or
+    that the machine lacks an effect; the other parameters are then wrong as well.
+
+    Args:
+        machine: Refitted machine.
+        declared: Machine as it was declared, whose parameters are the centers of the priors.
+
+    Returns:
+        By full parameter name, one sentence; empty if no parameter is at its limit.
+    """
+    described = {}
+    for parameter in default_free_parameters(declared):
+        value = machine.parameters.get(parameter.name)
+        if value is None or parameter.scale is not None or parameter.name.rpartition(".")[2] not in _KNOWN_PARAMETERS:
+            continue
+        if abs(parameter.theta(value)) > (1.0 - _BOUND_TOLERANCE) * parameter.theta_limit:
+            described[parameter.name] = (
+                f"{parameter.name} ends at the limit of the fit, {value / parameter.center:.2g} times its declared "
+                "value: check the machine file (mass, Kt, resistance, gear ratio) and the units of the recordings"
+            )
+    return described
+
+
 def parameter_doubts(machine: Machine, declared: Machine) -> dict[str, list[str]]:
     """List for each identified parameter why its value may be unreliable.
 
@@ -244,6 +272,8 @@ def parameter_doubts(machine: Machine, declared: Machine) -> dict[str, list[str]
         return {}
     doubts: dict[str, list[str]] = {name: [] for name in machine.uncertainty.names}
     _add_bound_doubts(machine, doubts)
+    for name in parameters_at_limit(machine, declared).keys() & doubts.keys():
+        doubts[name].append("at the limit of the fit")
     separable = dict(doubts)
     for group in inseparable_parameters(machine, declared):
         for name in group.names:

@@ -25,6 +25,7 @@ _VERDICTS = {  # heading and tone of the page
 }
 _STAGES = ("declared", "before", "after")
 _NOTICEABLE_ERROR = 1.3  # Remaining error over noise from which the report says that something is unexplained.
+_CLEARLY_BETTER = 0.9  # Fraction of the refitted machine's error below which that of the declared one is mentioned.
 _MAX_NOISE_RATIO = 50.0  # Simulation error over noise beyond which the simulation drifted, if a force error exists.
 
 
@@ -91,26 +92,28 @@ def verdict_sentence(report: Mapping[str, Any], channels: Sequence[str]) -> str:
     by_force = _drifts(report, channels)
     unit = "% of the drives' force" if by_force else "times the sensors' noise"
 
-    def error(stage: str) -> str:
-        return number(
-            100 * report[stage]["held_out"]["force_error"] if by_force else _noise_ratio(report, stage, channels)
-        )
-
+    errors = {
+        stage: 100 * report[stage]["held_out"]["force_error"] if by_force else _noise_ratio(report, stage, channels)
+        for stage in _STAGES
+    }
+    before, after = number(errors["before"]), number(errors["after"])
+    if errors["declared"] < _CLEARLY_BETTER * errors["before"]:  # The refit minimizes short predictions.
+        before += f" (with the declared parameters: {number(errors['declared'])})"
     if report["verdict"] == "effect_found":
         names = ", ".join(f"{e['name'].replace('_', ' ')} at {e['site']}" for e in report["effects"])
         single = len(report["effects"]) == 1
         subject, pronoun = ("an effect", "it") if single else (f"{len(report['effects'])} effects", "them")
         return (
             f"The machine has {subject} that its model lacks: {names}. With {pronoun}, the error on the held-out runs "
-            f"falls from {error('before')} to {error('after')} {unit}." + ("" if by_force else _remainder(report))
+            f"falls from {before} to {after} {unit}." + ("" if by_force else _remainder(report))
         )
     if report["verdict"] == "no_effect":
         return (
             "No effect is missing: with refitted parameters, the error of the declared model on the held-out runs is "
-            f"{error('before')} {unit}." + ("" if by_force else _remainder(report))
+            f"{before} {unit}." + ("" if by_force else _remainder(report))
         )
     return (
-        f"The error of the refitted model on the held-out runs is {error('before')} {unit}, and no known effect "
+        f"The error of the refitted model on the held-out runs is {before} {unit}, and no known effect "
         "explains it. The variables that the residual depends on are listed below."
     )
 

@@ -24,7 +24,7 @@ from .criteria import SelectionCriteria
 from .dataset import Dataset
 from .experiment_design import FILE, ExperimentDesign
 from .forward_selection import SelectedEffect
-from .parameter_diagnostics import inseparable_parameters
+from .parameter_diagnostics import inseparable_parameters, parameters_at_limit
 from .residual import ChannelError, Dependence, dependence_variables, simulation_error, smooth_force_residual
 
 if TYPE_CHECKING:
@@ -179,6 +179,12 @@ class IdentificationResult:
         return self.after.held_out.noise_ratio
 
     @property
+    def limit_warnings(self) -> tuple[str, ...]:
+        """Masses, belt stiffnesses and torque constants at the limit of the fit, one sentence each."""
+        machine = self.after.machine if self.effects else self.before.machine
+        return tuple(parameters_at_limit(machine, self.declared.machine).values())
+
+    @property
     def initial_state_warnings(self) -> tuple[str, ...]:
         """What could not be determined about the initial states of the runs, one sentence each, without repetitions."""
         fitted = [warning for run in self.fitted.runs for warning in run.initial.warnings]
@@ -259,7 +265,7 @@ def write_result(
     """
     arrays: dict[str, Any] = {name: values.astype(np.float32) for name, values in plot_data(result).items()}
     proposed = [comparison.as_json() for comparison in formulas]
-    warnings = [*warnings, *result.initial_state_warnings]
+    warnings = [*warnings, *result.limit_warnings, *result.initial_state_warnings]
     report = result.as_json() | {"warnings": warnings, "proposed_formulas": proposed}
     with output_batch(folder):
         save_machine(result.declared.machine, folder / "declared.json")

@@ -92,27 +92,31 @@ def rest_state(machine: Machine, position: ArrayLike | None = None) -> Array:
 def rigid_motions(machine: Machine) -> dict[str, Array]:
     """Return the rigid-body motions of a machine: independent motions that stretch no belt.
 
-    With belts there is one motion per linear coordinate, and the pulleys follow it without stretching the belts.
-    Without belts each coordinate moves independently.
+    With belts there is one motion per linear coordinate, and the pulleys follow it without stretching the belts; in a
+    machine without pulleys, whose carriages are coupled by belts or springs, the other carriages follow. Without belts
+    each coordinate moves independently.
 
     Args:
         machine: Machine with its coordinates and belts.
 
     Returns:
         By name of the leading coordinate: motion of every coordinate per unit of the leading one (m or rad per m or
-        rad), shape (coordinates,). A linear coordinate that cannot move without stretching a belt has no entry.
+        rad), shape (coordinates,). A linear coordinate that cannot move without stretching a belt has no entry, nor
+        one that follows another.
     """
     count = len(machine.coordinates)
     if not machine.belts:
         return {name: np.eye(count)[i] for i, name in enumerate(machine.coordinate_names)}
     G = machine.belt_matrix  # extension of each belt per unit of each coordinate, (belts, coordinates)
     rotary = [i for i, c in enumerate(machine.coordinates) if c.kind == "rotary"]
-    motions = {}
+    motions: dict[str, Array] = {}
     for index, coordinate in enumerate(machine.coordinates):
         if coordinate.kind == "linear":
-            motion = np.eye(count)[index]  # 1 for the leading coordinate, 0 for the other carriages
-            motion[rotary] = np.linalg.lstsq(G[:, rotary], -G[:, index], rcond=None)[0]
-            if np.max(np.abs(G @ motion)) < _RIGID_EXTENSION:
+            motion = np.eye(count)[index]  # 1 for the leading coordinate, 0 for carriages that do not follow
+            followers = rotary or [i for i in range(count) if i != index]
+            motion[followers] = np.linalg.lstsq(G[:, followers], -G[:, index], rcond=None)[0]
+            led = any(abs(earlier[index]) > _RIGID_EXTENSION for earlier in motions.values())
+            if np.max(np.abs(G @ motion)) < _RIGID_EXTENSION and not led:
                 motions[coordinate.name] = motion
     return motions
 

@@ -3,10 +3,11 @@
 from .cleaning import GAP_PERIODS, bridge_blanks, fill_gaps, outlier_mask, without_outliers
 from .examples import copy_examples, examples_folder
 from .log_import import ImportSettings, import_logs, write_recording
-from .log_mapping import MappingOptions, parse_factor, read_mapping_file
+from .log_mapping import MappingOptions, read_mapping_file
 from .machine_file import load_machine, machine_to_dict, save_machine
 from .machine_schema import TABLES, Table, field_descriptions, field_units, machine_json_schema, table_summary
 from .machine_template import TEMPLATES, MachineOptions, new_machine, write_machine_template
+from .measurement_units import parse_factor
 from .recording import Recording, load_recording, load_recordings, run_name, write_trajectory
 from .table_file import read_path, recording_files
 

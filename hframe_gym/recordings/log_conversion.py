@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..machine import Machine
-from .log_file import Log
+from .log_file import ROW_NUMBER, Log
 from .log_mapping import TIME, ChannelSource
 from .recording import Recording, recording_from_columns
 from .table_file import Array, refuse_decreasing_times
@@ -68,9 +68,12 @@ class LogConverter:
             InputError: If a cell is not a number, times do not increase, or a channel is empty or in a wrong unit.
         """
         needed = list({source.column.header: source.column for source in sources if source.column}.values())
-        values, remarks = log.read(needed, progress)
-        by_header = {column.header: array for column, array in zip(needed, values, strict=True)}
+        in_file = [column for column in needed if column.kind != ROW_NUMBER]
+        values, remarks = log.read(in_file, progress)
+        by_header = {column.header: array for column, array in zip(in_file, values, strict=True)}
         del values
+        for counter in (column for column in needed if column.kind == ROW_NUMBER):
+            by_header[counter.header] = np.arange(_common_length(log, by_header), dtype=np.float64)
         try:
             time_s, columns = self._columns(log, sources, by_header, remarks)
             return recording_from_columns(log.path, {TIME: time_s, **columns}, self.machine), remarks
@@ -100,7 +103,8 @@ class LogConverter:
             for source in sources:
                 if source.time is not None and source.time.column is time.column and source.column is not None:
                     converted = source.conversion.apply(by_header[source.column.header])
-                    channels[source.channel] = converted if timed.all() else converted[timed]
+                    values = converted if timed.all() else converted[timed]
+                    channels[source.channel] = _integrate(time_s[timed], values) if source.is_speed else values
             bases.append((time_s[timed], channels))
         if self.day is not None:
             date = f" of {self.day}" if self.day > np.datetime64("1970-01-01") else ""
@@ -131,6 +135,24 @@ class LogConverter:
                 f"seconds; state its unit by --unit {TIME}=ms (or us, ns, s)"
             )
         return time_s
+
+
+def _integrate(time_s: Array, speed: Array) -> Array:
+    """Integrate a speed over time from 0 by the trapezoidal rule; empty cells (NaN) stay empty."""
+    measured = np.flatnonzero(np.isfinite(speed))
+    position = np.full(len(speed), np.nan)
+    steps = np.diff(time_s[measured]) * (speed[measured[1:]] + speed[measured[:-1]]) / 2
+    position[measured] = np.concatenate([np.zeros(min(len(measured), 1)), np.cumsum(steps)])
+    return position
+
+
+def _common_length(log: Log, by_header: Mapping[str, NDArray[Any]]) -> int:
+    """Return the number of rows that all columns have; refuse a log whose columns differ."""
+    lengths = {header: len(values) for header, values in by_header.items()}
+    if len(set(lengths.values())) > 1:
+        listed = ", ".join(f"{header} has {length}" for header, length in lengths.items())
+        raise InputError(f"{log.path}: the columns have different numbers of rows ({listed}), so one rate does not fit")
+    return next(iter(lengths.values()))
 
 
 def split_at_rests(recording: Recording, machine: Machine, min_rest: float) -> tuple[list[Recording], list[str]]:

@@ -24,6 +24,8 @@ from .text_reader import Progress, read_columns
 
 LOG_SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".log", ".asc", ".prn", ".mat", ".parquet")
 
+ROW_NUMBER = "row number"  # kind of a column that is not in the file, but counts its rows from 0
+
 _MAT_HEADER, _MAT_COMPRESSED = 128, 15  # bytes above the variables of version 5 to 7, and the type of a compressed one
 _MAT_BLOCK = 1 << 16  # bytes that are decompressed at a time, to 64 MB at most
 _HDF5 = b"\x89HDF\r\n\x1a\n"
@@ -37,7 +39,7 @@ class LogColumn:
         header: Name as written in the file, with a number if it is repeated ("Time.2").
         name: Name without its unit.
         unit: Unit from the header or from a row of units; "" if neither has one.
-        kind: "number", "stamp" (dates or times of day) or "text".
+        kind: "number", "stamp" (dates or times of day), "text", or "row number" (not in the file).
         rows: Number of rows; None if all columns of the file have the same number.
     """
 

@@ -12,8 +12,19 @@ from pathlib import Path
 from ..errors import InputError
 from ..file_limits import read_document, read_json
 from ..machine import Machine
-from .log_file import Log, LogColumn
-from .measurement_units import DUTY_UNITS, SI_UNITS, UNITS, Conversion, Dimension, normalize_unit, split_unit
+from .log_file import ROW_NUMBER, Log, LogColumn
+from .measurement_units import (
+    DUTY_UNITS,
+    SI_UNITS,
+    SPEED_UNITS,
+    UNITS,
+    Conversion,
+    Dimension,
+    normalize_unit,
+    parse_factor,
+    parse_rate,
+    split_unit,
+)
 
 TIME = "time_s"
 NOT_MEASURED = "none"  # in place of a column: the output has no column in the log
@@ -28,7 +39,8 @@ class MappingOptions:
 
     Attributes:
         columns: Column by channel: its name with or without its unit, "#3" for the third column, or "none" for an
-            output that was not measured.
+            output that was not measured. For "time_s", also a rate such as "200Hz": the log has no column of time, and
+            its rows are equally spaced.
         units: Unit of the column by channel, for example {"phi1_rad": "deg", "v1_V": "%"}.
         scales: Factor by channel. It is applied to the values of the column, behind the conversion from a unit that
             `units` states; a unit in the header is then ignored.
@@ -50,6 +62,7 @@ class ChannelSource:
         conversion: Conversion to the unit of the channel.
         remark: What is converted or assumed, in words; "" if there is nothing to say.
         assumed: Whether neither the log nor the user states the unit.
+        is_speed: Whether the column is a speed, whose integral is the channel.
     """
 
     channel: str
@@ -58,6 +71,7 @@ class ChannelSource:
     conversion: Conversion
     remark: str
     assumed: bool = False
+    is_speed: bool = False
 
 
 def read_mapping_file(path: str | Path) -> MappingOptions:
@@ -86,28 +100,6 @@ def read_mapping_file(path: str | Path) -> MappingOptions:
     scales = {channel: parse_factor(f"{path}, scale.{channel}", factor) for channel, factor in tables["scale"].items()}
     columns, units = ({c: str(value) for c, value in tables[name].items()} for name in ("map", "unit"))
     return MappingOptions(columns, units, scales)
-
-
-def parse_factor(where: str, factor: object) -> float:
-    """Convert a factor to a number.
-
-    Args:
-        where: File and field or option, for the message.
-        factor: Number or text, for example "0.001".
-
-    Returns:
-        The factor, dimensionless.
-
-    Raises:
-        InputError: If it is not a finite number other than zero.
-    """
-    try:
-        value = float(factor)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
-        value = 0.0
-    if not abs(value) > 0.0 or value in (float("inf"), float("-inf")):
-        raise InputError(f"{where}: {factor!r} is not a factor; give a number such as 0.001")
-    return value
 
 
 def map_columns(log: Log, machine: Machine, options: MappingOptions) -> list[ChannelSource]:
@@ -191,9 +183,11 @@ def channel_dimensions(machine: Machine) -> dict[str, Dimension]:
 
 
 def _matching_columns(log: Log, channel: str) -> list[LogColumn]:
-    """Return the columns whose name is that of a channel, only the identical one if there is one."""
+    """Return the columns whose name is that of a channel and no speeds, only the identical one if there is one."""
     identical = [column for column in log.columns if column.header == channel]
-    return identical or [column for column in log.columns if _bare(column.name) == _bare(split_unit(channel)[0])]
+    speeds = [unit for units in SPEED_UNITS.values() for unit in units]
+    named = [column for column in log.columns if _bare(column.name) == _bare(split_unit(channel)[0])]
+    return identical or [column for column in named if column.unit not in speeds]
 
 
 def _bare(name: str) -> str:
@@ -202,9 +196,11 @@ def _bare(name: str) -> str:
 
 
 def _time_columns(log: Log, options: MappingOptions) -> list[LogColumn]:
-    """Return the columns of time: those that the user names, or those with a name of time."""
+    """Return the columns of time: those that the user names or that are named like a time; for a rate, row numbers."""
     reference = options.columns.get(TIME)
     if reference is not None:
+        if parse_rate(reference) is not None:
+            return [LogColumn(f"row number at {reference.strip()}", "row number", "", ROW_NUMBER)]
         try:
             return [_find_column(log, TIME, reference)]
         except InputError:
@@ -242,6 +238,8 @@ def _find_column(log: Log, channel: str, reference: str) -> LogColumn:
 
 def _time_of(log: Log, column: LogColumn, times: Sequence[LogColumn]) -> LogColumn:
     """Return the time of a column: of several the one of the same length, or the last one to the left."""
+    if times[0].kind == ROW_NUMBER:
+        return times[0]
     if column.rows is not None:
         same = [time for time in times if time.rows == column.rows]
         if not same:
@@ -268,9 +266,16 @@ def _source(
     """Return the source of a channel with its conversion: from the options, or from the unit that the log states."""
     if column is None:
         return ChannelSource(channel, None, None, Conversion(), "not measured: the cells stay empty")
+    if column.kind == ROW_NUMBER:
+        return ChannelSource(
+            channel, column, None, Conversion(1.0, parse_rate(options.columns[channel]) or 1.0), "to s"
+        )
     stated, scale = options.units.get(channel), options.scales.get(channel)
     unit = normalize_unit(stated) if stated is not None else "" if scale is not None else column.unit
-    si_unit = SI_UNITS[dimension]
+    si_unit, speeds = SI_UNITS[dimension], SPEED_UNITS.get(dimension, {})
+    if stated is None and scale is not None and column.unit in speeds:
+        advice = f"add --unit {channel}={column.unit}, and it is integrated to {channel}"
+        raise InputError(f"{log.path}, column {column.header}: a speed is no {dimension}; {advice}")
     conversion, remarks = Conversion(), []
     if column.kind == "stamp" and dimension != "time":
         raise InputError(f"{log.path}, column {column.header}: has dates or times, which cannot be {channel}")
@@ -279,12 +284,15 @@ def _source(
     elif unit in UNITS[dimension]:
         conversion = Conversion(*UNITS[dimension][unit])
         remarks += [f"{unit} to {si_unit}"] if unit != si_unit else []
+    elif unit in speeds:
+        conversion = Conversion(*speeds[unit])
+        remarks.append(f"a speed, {unit} to {si_unit}/s, integrated from 0: drifts with every error of the speed")
     elif unit in DUTY_UNITS and dimension == "voltage":
         drive = next(drive for drive in machine.drives if drive.channel == channel)
         conversion = Conversion(drive.rated_voltage, DUTY_UNITS[unit])
         remarks.append(f"duty cycle, 100 % is {drive.rated_voltage:.6g} V, the rated voltage of {drive.name}")
     elif unit:
-        known = ", ".join([*UNITS[dimension], *(DUTY_UNITS if dimension == "voltage" else ())])
+        known = ", ".join(_units_of(dimension))
         advice = f"state it by --unit {channel}=UNIT ({known}), or a factor to {si_unit} by --scale {channel}=FACTOR"
         raise InputError(f"{log.path}, column {column.header}: {unit!r} is not a unit of {channel}; {advice}")
     elif scale is None:
@@ -293,7 +301,12 @@ def _source(
         conversion = conversion.scaled(scale)
         remarks.append(f"times {scale:.9g}")
     assumed = scale is None and not unit and column.kind != "stamp"
-    return ChannelSource(channel, column, time, conversion, ", ".join(remarks), assumed)
+    return ChannelSource(channel, column, time, conversion, ", ".join(remarks), assumed, unit in speeds)
+
+
+def _units_of(dimension: Dimension) -> list[str]:
+    """Return the units that a column of a dimension may have."""
+    return [*UNITS[dimension], *SPEED_UNITS.get(dimension, ()), *(DUTY_UNITS if dimension == "voltage" else ())]
 
 
 def _missing_text(log: Log, machine: Machine, missing: Sequence[str], unused: Sequence[LogColumn]) -> str:
@@ -302,11 +315,11 @@ def _missing_text(log: Log, machine: Machine, missing: Sequence[str], unused: Se
     options = []
     for channel in missing:
         dimension: Dimension = "time" if channel == TIME else channel_dimensions(machine)[channel]
-        units = [*UNITS[dimension], *(DUTY_UNITS if dimension == "voltage" else ())]
+        units = _units_of(dimension)
         candidates = [column for column in pool if column.unit in units] or [
             column for column in pool if not column.unit and _bare(column.name)[:1] in _FIRST_LETTERS[dimension]
         ]
-        if not candidates and len(pool) == 1 and not pool[0].unit:
+        if not candidates and len(pool) == 1 and not pool[0].unit and channel != TIME:
             candidates = pool[:]
         if candidates:
             pool.remove(candidates[0])
@@ -317,6 +330,7 @@ def _missing_text(log: Log, machine: Machine, missing: Sequence[str], unused: Se
     problem = "; ".join(ambiguous) or f"no column is named like {', '.join(missing)}"
     absent = [channel for channel in missing if channel in machine.output_channels]
     none = f" (or {absent[0]}={NOT_MEASURED}, if it was not measured)" if absent else ""
+    none += f"; {TIME}=200Hz stands for 200 rows per second without a column of time" if TIME in missing else ""
     return (
         f"{log.path}: {problem}. Columns of the log: {_list(log.columns)}. Not assigned: {_list(unused) or 'none'}. "
         f"{_channels_text(machine)}. Check and add: {' '.join(options)}{none}"

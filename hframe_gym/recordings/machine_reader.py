@@ -330,7 +330,7 @@ def _large_lengths(machine: Machine) -> list[tuple[str, str]]:
 
 def _doubtful_belts(machine: Machine) -> list[tuple[str, str]]:
     """List factors of belts that are not plausible, carriages that cannot move, and negative lengths."""
-    doubts = []
+    doubts, moving = [], np.any([*rigid_motions(machine).values(), np.zeros(len(machine.coordinates))], axis=0)
     rotary = {c.name for c in machine.coordinates if c.kind == "rotary"} - set(machine.spring_loaded)
     for belt in machine.belts:
         for name, factor in belt.extension.items():
@@ -343,8 +343,8 @@ def _doubtful_belts(machine: Machine) -> list[tuple[str, str]]:
         if shortest <= 0:
             reason = f"the section would be {shortest:.3g} m long at an end of the coordinates' ranges"
             doubts.append((f"belts.{belt.name}.rest_length", f"{reason}: correct rest_length, length or the ranges"))
-    for c in machine.coordinates:
-        if c.kind == "linear" and c.name not in rigid_motions(machine):
+    for index, c in enumerate(machine.coordinates):
+        if c.kind == "linear" and not moving[index]:
             reason = "cannot move without stretching a belt: check the signs of the factors in `extension`"
             doubts.append((f"coordinates.{c.name}", reason))
     return doubts

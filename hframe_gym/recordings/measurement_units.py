@@ -9,6 +9,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import InputError
+
 Array = NDArray[np.float64]
 Dimension = Literal["time", "voltage", "length", "angle"]
 
@@ -18,6 +20,11 @@ UNITS: dict[Dimension, dict[str, tuple[float, float]]] = {
     "voltage": {"V": (1, 1), "mV": (1, 1e3)},
     "length": {"m": (1, 1), "cm": (1, 1e2), "mm": (1, 1e3), "um": (1, 1e6), "in": (0.0254, 1)},
     "angle": {"rad": (1, 1), "mrad": (1, 1e3), "deg": (np.pi, 180), "rev": (2 * np.pi, 1)},
+}
+# Units of speeds, which `hframe import` integrates to positions.
+SPEED_UNITS: dict[Dimension, dict[str, tuple[float, float]]] = {
+    "length": {"m/s": (1, 1), "mm/s": (1, 1e3)},
+    "angle": {"rad/s": (1, 1), "deg/s": (np.pi, 180), "rpm": (2 * np.pi, 60), "rev/s": (2 * np.pi, 1)},
 }
 SI_UNITS: dict[Dimension, str] = {dimension: next(iter(units)) for dimension, units in UNITS.items()}
 DUTY_UNITS = {"%": 100.0, "pu": 1.0}  # of a voltage: fractions of the machine's rated voltage, which they give at 100 %
@@ -61,15 +68,20 @@ _SPELLINGS = {
     "turns": "rev",
     "revs": "rev",
     "revolutions": "rev",
+    "1/min": "rpm",
+    "u/min": "rpm",
+    "rps": "rev/s",
     "percent": "%",
     "pct": "%",
     "duty": "%",
     "p.u.": "pu",
 }
-_KNOWN = {unit.lower(): unit for units in UNITS.values() for unit in units} | {unit: unit for unit in DUTY_UNITS}
+_KNOWN = {unit.lower(): unit for table in (UNITS, SPEED_UNITS) for units in table.values() for unit in units}
+_KNOWN |= {unit: unit for unit in DUTY_UNITS}
 # Units of quantities that no channel has; they mark a row of units.
-_OTHER = {"a", "ma", "n", "nm", "w", "hz", "°c", "degc", "c", "k", "m/s", "mm/s", "rad/s", "deg/s", "rpm", "1/min"}
+_OTHER = {"a", "ma", "n", "nm", "w", "hz", "°c", "degc", "c", "k"}
 _OTHER |= {"m/s^2", "m/s²", "g", "bar", "counts", "count", "cts", "inc", "incr", "bit", "lsb", "bool", "-", "1", "#"}
+_RATE = re.compile(r"(?P<rate>\d+(\.\d+)?([eE][+-]?\d+)?)\s*(?P<prefix>k?)hz", re.IGNORECASE)
 _BRACKETED = re.compile(r"(?P<name>.*?)[\s_]*[\[(<{]\s*(?P<unit>[^\])>}]*?)\s*[\])>}]\s*")
 _SUFFIX = re.compile(r"(?P<name>.*[^\s_./])(?:[\s_./]+|\s+in\s+)(?P<unit>[^\s_./]+)")
 
@@ -114,6 +126,42 @@ class Conversion:
         return Conversion(self.numerator * factor, self.denominator)
 
 
+def parse_factor(where: str, factor: object) -> float:
+    """Convert a factor to a number.
+
+    Args:
+        where: File and field or option, for the message.
+        factor: Number or text, for example "0.001".
+
+    Returns:
+        The factor, dimensionless.
+
+    Raises:
+        InputError: If it is not a finite number other than zero.
+    """
+    try:
+        value = float(factor)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        value = 0.0
+    if not abs(value) > 0.0 or value in (float("inf"), float("-inf")):
+        raise InputError(f"{where}: {factor!r} is not a factor; give a number such as 0.001")
+    return value
+
+
+def parse_rate(text: str) -> float | None:
+    """Read a sampling rate such as "200Hz" or "1 kHz".
+
+    Args:
+        text: Number and unit.
+
+    Returns:
+        Rate, Hz, positive; None if the text is something else.
+    """
+    rate = _RATE.fullmatch(text.strip())
+    value = float(rate["rate"]) * (1e3 if rate["prefix"] else 1.0) if rate else 0.0
+    return value if 0.0 < value < np.inf else None
+
+
 def normalize_unit(text: str) -> str:
     """Return the usual spelling of a unit.
 
@@ -121,7 +169,7 @@ def normalize_unit(text: str) -> str:
         text: Unit as written in a log or an option, possibly in brackets.
 
     Returns:
-        A key of `UNITS` or `DUTY_UNITS`, or the text without brackets if the unit is not among them.
+        A key of `UNITS`, `SPEED_UNITS` or `DUTY_UNITS`, or the text without brackets if the unit is not among them.
     """
     plain = text.strip().strip("[](){}<>").strip()
     lower = plain.lower()
@@ -150,7 +198,7 @@ def split_unit(header: str) -> tuple[str, str]:
     Returns:
         name: Name without the unit.
         unit: Unit as `normalize_unit` spells it, "" if the header has none. Behind an underscore, a point or a blank
-            only units of `UNITS` and percent count.
+            only units of `UNITS` and `SPEED_UNITS` and percent count.
     """
     match = _BRACKETED.fullmatch(header)
     if match and match["name"]:

@@ -163,7 +163,10 @@ def test_a_run_that_does_not_begin_at_rest_is_advice(hframe: Machine) -> None:
     time = np.arange(1000) * 1e-3
     inputs = np.full((1000, 2), -3.0)
     findings = check_recordings([Recording("push", time, inputs, hframe.simulate(time, inputs).outputs)], hframe)
-    assert any(f.run == "push" and "at rest before the first input" in f.message for f in findings)
+    assert any(f.run == "push" and f.message.startswith("begins with an input, so only") for f in findings)
+    inputs[:20] = 0.0
+    findings = check_recordings([Recording("push", time, inputs, hframe.simulate(time, inputs).outputs)], hframe)
+    assert any(f.run == "push" and f.message.startswith("21 rows (20 ms) at rest before") for f in findings)
 
 
 def test_runs_whose_clock_restarts_are_noted(runs: list[Recording], hframe: Machine) -> None:

@@ -11,7 +11,11 @@ from hframe_gym.envs.machine_sampler import MachineSampler
 from hframe_gym.identification import FreeParameter, fit, prepare
 from hframe_gym.identification.estimation import with_uncertainty
 from hframe_gym.identification.free_parameters import default_free_parameters
-from hframe_gym.identification.parameter_diagnostics import inseparable_parameters, parameter_doubts
+from hframe_gym.identification.parameter_diagnostics import (
+    inseparable_parameters,
+    parameter_doubts,
+    parameters_at_limit,
+)
 from hframe_gym.identification.prediction import SIMULATION
 from hframe_gym.machine import BUILTIN_MACHINES, Coordinate, Machine, Uncertainty
 from hframe_gym.recordings import Recording
@@ -152,6 +156,15 @@ def test_parameter_at_a_bound_is_reported(axis: Machine) -> None:
     machine = axis.with_effects(EFFECTS["dead_band"].at("motor", Vd=0.4, drop=1.0))
     machine = with_standard_deviations(machine, {"dead_band@motor.Vd": 0.01, "dead_band@motor.drop": 0.01})
     assert parameter_doubts(machine, axis) == {"dead_band@motor.Vd": [], "dead_band@motor.drop": ["at a bound"]}
+
+
+def test_a_mass_at_the_limit_of_the_fit_is_reported(axis: Machine) -> None:
+    heavy = axis.replace({"x.mass": axis.parameters["x.mass"] * np.exp(4 * 0.3), "x.viscous": 1e-9})
+    (text,) = parameters_at_limit(heavy, axis).values()
+    assert text.startswith("x.mass ends at the limit of the fit, 3.3 times its declared value: check the machine file")
+    doubts = parameter_doubts(with_standard_deviations(heavy, {"x.mass": 0.01, "x.coulomb": 0.01}), axis)
+    assert doubts == {"x.mass": ["at the limit of the fit"], "x.coulomb": []}
+    assert parameters_at_limit(axis.replace({"x.mass": 3.2 * axis.parameters["x.mass"]}), axis) == {}
 
 
 def test_machine_without_uncertainty_has_no_doubts(axis: Machine) -> None:

@@ -160,6 +160,7 @@ def test_several_effects_are_separated_by_commas() -> None:
     report = {
         "verdict": "effect_found",
         "effects": [{"name": "cogging", "site": "motor1"}, {"name": "belt_play", "site": "belts"}],
+        "declared": {"held_out": errors},
         "before": {"held_out": errors},
         "after": {"held_out": {"x_m": {"rmse": 2e-5, "noise_ratio": 1.0}}},
     }
@@ -167,3 +168,10 @@ def test_several_effects_are_separated_by_commas() -> None:
         "The machine has 2 effects that its model lacks: cogging at motor1, belt play at belts. With them, the error "
         "on the held-out runs falls from 50 to 1 times the sensors' noise."
     )
+
+
+def test_a_refit_that_worsens_the_simulation_is_compared_with_the_declared_machine() -> None:
+    ratios = {"declared": 20.0, "before": 40.0, "after": 10.0}
+    stages = {stage: {"held_out": {"x_m": {"rmse": 1e-3, "noise_ratio": ratio}}} for stage, ratio in ratios.items()}
+    report = {"verdict": "effect_found", "effects": [{"name": "cogging", "site": "motor"}], **stages}
+    assert "falls from 40 (with the declared parameters: 20) to 10 times" in verdict_sentence(report, ["x_m"])

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from hframe_gym.effects import EFFECTS
-from hframe_gym.machine import BUILTIN_MACHINES, Machine, rest_state, rigid_motions
+from hframe_gym.machine import BUILTIN_MACHINES, Belt, Machine, rest_state, rigid_motions
 
 pytestmark = pytest.mark.oracle
 
@@ -18,6 +20,16 @@ def test_angles_at_rest_follow_from_unstretched_belts(hframe: Machine) -> None:
     np.testing.assert_allclose(state[2:4] * 0.0194, [-x - y, x - y], rtol=1e-12)
     inverse = 0.5 * 0.0194 * np.array([[-1, 1], [-1, -1]])
     np.testing.assert_allclose(inverse @ state[2:4], [x, y], rtol=1e-12)
+
+
+def test_carriages_coupled_by_a_spring_have_one_rigid_motion() -> None:
+    axis = BUILTIN_MACHINES["axis"]()
+    first = axis.coordinate("x")
+    carriages = (first, dataclasses.replace(first, name="load"))
+    machine = axis.replace(coordinates=carriages, belts=(Belt("spring", 70.0, 0.1, {"x": -1.0, "load": 1.0}, {}),))
+    [(name, motion)] = rigid_motions(machine).items()
+    assert name == "x"
+    np.testing.assert_allclose(motion, [1.0, 1.0])
 
 
 def test_rigid_motions_of_the_h_frame_are_those_of_equations_1_and_2(hframe: Machine) -> None:

@@ -380,6 +380,38 @@ def test_a_log_with_unknown_names_is_refused_with_a_line_to_paste(
     assert_equal(convert(path, hframe, columns=columns), table)
 
 
+def test_a_log_without_times_is_imported_at_a_stated_rate(table: Table, hframe: Machine, tmp_path: Path) -> None:
+    values = {channel: column for channel, column in table.items() if channel != "time_s"}
+    path = in_text(text_of)(tmp_path, values)
+    with pytest.raises(InputError, match=r"--map time_s=COLUMN; time_s=200Hz stands for 200 rows per second"):
+        convert(path, hframe)
+    lines: list[str] = []
+    assert_equal(convert(path, hframe, lines=lines, columns={"time_s": "1 kHz"}), table)
+    assert "  time_s   <- row number at 1 kHz (to s)" in lines
+    savemat(tmp_path / "rates.mat", values | {"y_m": table["y_m"][::5]})
+    with pytest.raises(InputError, match=r"rates.mat: the columns have different numbers of rows .*y_m has 60"):
+        convert(tmp_path / "rates.mat", hframe, columns={"time_s": "1000Hz"})
+
+
+def test_a_speed_is_integrated_to_a_position_only_where_its_unit_is_stated(
+    table: Table, hframe: Machine, tmp_path: Path
+) -> None:
+    speed = np.gradient(table["phi1_rad"], table["time_s"])  # rad/s
+    logged = {c: v for c, v in table.items() if c != "phi1_rad"} | {"phi1 [rpm]": speed * 30 / np.pi}
+    logged["phi1 [rpm]"][7] = np.nan
+    path = in_text(text_of)(tmp_path, logged)
+    with pytest.raises(InputError, match=r"no column is named like phi1_rad.*--map 'phi1_rad=phi1 \[rpm\]'"):
+        convert(path, hframe)
+    with pytest.raises(InputError, match="a speed is no angle; add --unit phi1_rad=rpm, and it is integrated"):
+        convert(path, hframe, columns={"phi1_rad": "phi1"}, scales={"phi1_rad": 0.1})
+    lines: list[str] = []
+    run = convert(path, hframe, columns={"phi1_rad": "phi1"}, lines=lines)
+    assert any("phi1_rad <- phi1 [rpm] (a speed, rpm to rad/s, integrated from 0: drifts" in line for line in lines)
+    expected = table["phi1_rad"] - table["phi1_rad"][0]
+    assert np.isnan(run.outputs[7, 0])
+    np.testing.assert_allclose(np.delete(run.outputs[:, 0], 7), np.delete(expected, 7), atol=2e-3 * np.ptp(expected))
+
+
 def test_an_output_without_a_column_must_be_declared_unless_no_column_is_left(
     table: Table, hframe: Machine, tmp_path: Path
 ) -> None:
