@@ -96,8 +96,7 @@ def fit(
         longest_step: Maximum integration step, s.
 
     Returns:
-        Fit at the lowest cost that was found: machine, theta, shape (k,), within its limits, and cost, dimensionless;
-        infinite if the machine diverges at the initial guess.
+        Fit at the lowest cost: machine, theta, shape (k,), and cost, dimensionless; infinite if the machine diverges.
     """
     model = ResidualModel(machine, tuple(free), data, bandwidth, longest_step)
     theta = np.zeros(len(free)) if theta is None else np.array(theta, float)

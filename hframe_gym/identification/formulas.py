@@ -291,11 +291,7 @@ def _compare(result: IdentificationResult, table: AppliedEffect, log: Callable[[
 
 
 class _Refit:
-    """Fits of machines to the fitted runs of a result, all in the same way.
-
-    Args:
-        result: Result of `identify`.
-    """
+    """Fits of machines to the fitted runs of a result of `identify`, all in the same way."""
 
     def __init__(self, result: IdentificationResult) -> None:
         self._result = result

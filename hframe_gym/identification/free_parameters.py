@@ -74,7 +74,7 @@ class FreeParameter:
         return np.clip(raw, self.lower, self.upper)
 
     def theta(self, value: float) -> float:
-        """Convert a value of the parameter to theta; the inverse of the method `value` inside the bounds.
+        """Convert a value of the parameter to theta, the dimensionless variable of the optimizer.
 
         Args:
             value: Value of the parameter, SI; positive if the parameter is fitted as a logarithm.

@@ -211,9 +211,9 @@ def concentric_angle(machine: Machine, index: int, angle: float) -> float:
 def position_from_measurements(machine: Machine, initial: InitialState) -> Array:
     """Return the positions at rest for which the machine's sensors would give the measured values.
 
-    Effects on the measurements of lasers (skew, scale) are inverted iteratively. A measurement beyond the end of a
-    sensor's range has no inverse; that position, which other sensors determined, is kept. Where encoders replace a
-    laser, their angles are corrected for eccentric pulleys and for belts that forces stretch at rest.
+    Effects on the measurements of lasers (skew, scale) are inverted iteratively. A coordinate whose laser is at the end
+    of its range keeps the position that the other sensors determine. Where encoders replace a laser, their angles are
+    corrected for eccentric pulleys and for belts that forces stretch at rest.
 
     Args:
         machine: Machine with its effects (deviations from the nominal model).

@@ -317,7 +317,7 @@ class Linearization:
 
     @property
     def normal_equations(self) -> NormalEquations:
-        """Inner products of Jacobian (k parameters) and residual, J^T J, shape (k, k), ..., summed over all runs."""
+        """Normal equations of all runs together: J^T J, shape (k, k), J^T r, shape (k,), with the Jacobian J."""
         return NormalEquations.total(self.by_run)
 
     def costs(self, thetas: Array) -> Array:

@@ -331,8 +331,8 @@ def minimum_gain(current: Fit, criteria: SelectionCriteria) -> float:
     """Return the smallest reduction of chi-squared per sample for which an effect is selected.
 
     Args:
-        current: Fit without the effect. The bandwidth of the observer that corrects its predictions decides between the
-            limits of one-step prediction (60 rad/s) and of simulation or slower observers.
+        current: Fit without the effect. The bandwidth of the observer that corrects its predictions selects the
+            threshold: that of one-step prediction (60 rad/s), or that of slower observers and simulation.
         criteria: Decision thresholds, which raise the result for short recordings and large residuals.
 
     Returns:

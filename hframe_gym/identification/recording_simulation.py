@@ -93,20 +93,21 @@ def simulate_recording(machine: Machine, recording: Recording) -> SimulatedRecor
 def initial_state_of_recording(machine: Machine, recording: Recording) -> InitialState:
     """Determine the initial state from which a machine is simulated over a recording.
 
-    Measurements beyond a sensor's range do not count, effects on readings are inverted, pulleys are in static
-    equilibrium. Encoders whose zero (measurement at position 0) the machine declares measure how the belts are
+    Measurements at the end of a sensor's range do not count; scale and skew of a sensor are corrected; pulleys are in
+    static equilibrium. Encoders whose zero (measurement at position 0) the machine declares measure how the belts are
     stretched, unless the lasers show that the encoder was switched on anew. The states of hysteresis and bristles
-    follow from the motion. The sensors' offsets are those of the simulation from that state, so that `simulate(...,
-    initial.start(machine), offset=initial.offset)` minus the recording is the error that identification reports.
+    follow from the motion.
 
     Args:
         machine: Machine, declared or identified.
         recording: The run (times, voltages, measurements); outputs may be missing.
 
     Returns:
-        Initial state of the machine (positions, velocities, shape (2 * coordinates,), states of the effects) and the
-        sensors' offsets, m or rad, shape (sensors,); `warnings` lists what could not be determined. If the simulation
-        diverges, the offsets are those of the measurements at rest.
+        Initial state of the machine: `state`, positions and velocities, shape (2 * coordinates,), states of the
+        effects, and `offset`, the zeros of the sensors, m or rad, shape (sensors,), with which the simulation from this
+        state fits the recording best; `warnings` lists what could not be determined. Identification reports the errors
+        of `simulate(..., initial.start(machine), offset=initial.offset)`. If the simulation diverges, the zeros are
+        those of the measurements at rest.
     """
     return _initial_state(machine, fill_gaps(without_outliers(recording, machine)))
 

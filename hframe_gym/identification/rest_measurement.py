@@ -87,7 +87,7 @@ class InitialState:
                 states,).
 
         Returns:
-            Copy with these states.
+            Copy with these states, `state` of shape (2 * coordinates,).
         """
         names = [(i.effect.label, i.component) for i in instances_with_state(machine)]
         state, states = np.split(start, [len(start) - len(names)])

@@ -28,7 +28,7 @@ def simplest_first(trials: list[Fit], current: Fit, data: Dataset, criteria: Sel
         criteria: Decision thresholds.
 
     Returns:
-        The trials in that order.
+        The trials in that order, each with the parameters theta, shape (k,).
     """
     ranked = sorted(trials, key=lambda trial: trial.cost)
     if not ranked:
