@@ -98,9 +98,7 @@ class SimulatedPeriod:
         end = np.concatenate([motion.positions[:, -1], motion.velocities[:, -1]], axis=1) * self._units
         return np.hstack([end, motion.positions[:, -SAMPLES:, self._tool].reshape(len(state), -1)])
 
-    def differences(
-        self, state: Array, volts: Array, last_volts: Array, parameters: Array
-    ) -> tuple[Array, Array]:
+    def differences(self, state: Array, volts: Array, last_volts: Array, parameters: Array) -> tuple[Array, Array]:
         """Simulate one period, and again with every entry of state and voltages changed by a random step.
 
         Args:
@@ -117,7 +115,8 @@ class SimulatedPeriod:
         inputs = np.hstack([state, volts, last_volts] if self.delayed else [state, volts])
         batch, entries = inputs.shape
         split = state.shape[1]
-        steps = np.tile(np.repeat([TRAVEL_STEP, RATE_STEP, 1.0], [self._coordinates] * 2 + [entries - split]), (batch, 1))
+        counts = [self._coordinates] * 2 + [entries - split]
+        steps = np.tile(np.repeat([TRAVEL_STEP, RATE_STEP, 1.0], counts), (batch, 1))
         lowest, highest = np.log(VOLTAGE_STEPS)
         steps[:, split:] = np.exp(self.generator.uniform(lowest, highest, (batch, entries - split)))
         steps *= np.where(self.generator.random(steps.shape) < 0.5, -1.0, 1.0)

@@ -72,7 +72,7 @@ def test_a_dead_time_applies_the_voltages_of_the_period_before():
 
 
 def test_a_dead_time_beyond_a_period_is_rejected():
-    with pytest.raises(InputError, match="dead time of 0.011 s"):
+    with pytest.raises(InputError, match=r"dead time of 0\.011 s"):
         SimulatedPeriod(with_dead_time(0.011), PERIOD, seed=0)
 
 
