@@ -134,6 +134,8 @@ class ParameterWindow:
     Args:
         model: Model of the machine with its declared parameters, n coordinates and b belts.
         period: Control period, s.
+        switch_s: Time from the start of a period at which the voltages change, because the drives have a dead time, s;
+            0 if they change at the start.
 
     Attributes:
         columns: Columns of the estimated parameters in `Machine.parameters`, shape (2 n + 2 b,).
@@ -145,10 +147,10 @@ class ParameterWindow:
         noise_ratio: Estimated noise of the states in multiples of the smallest assumed one, at least 1, shape (B,).
     """
 
-    def __init__(self, model: MotionModel, period: float) -> None:
+    def __init__(self, model: MotionModel, period: float, switch_s: float = 0.0) -> None:
         machine = model.machine
         self._model = model
-        self._time_s = np.array([0.0, period])
+        self._time_s = np.array([0.0, switch_s, period] if switch_s > 0.0 else [0.0, period])
         names = list(machine.parameters)
         coordinates, belts = machine.coordinate_names, [belt.name for belt in machine.belts]
         groups = [
@@ -172,14 +174,14 @@ class ParameterWindow:
 
     def _resize(self, batch: int) -> None:
         """Allocate the arrays of B machines."""
-        states, drives = len(self._units), len(self._model.rated)
+        states, volts = len(self._units), (len(self._time_s) - 1) * len(self._model.rated)
         self.estimates, self.noise_ratio = np.zeros((batch, self.size)), np.ones(batch)
         # What earlier periods and the prior say: information matrix, and that matrix times the expected values.
         self._information = np.tile(self._prior_information, (batch, 1, 1))
         self._informed = np.zeros((batch, self.size))
         # The last periods, the latest last: states before and after, actions, and whether they belong to the episode.
         self._before, self._after = np.zeros((2, WINDOW, batch, states))
-        self._actions, self._valid = np.zeros((WINDOW, batch, drives)), np.zeros((WINDOW, batch))
+        self._actions, self._valid = np.zeros((WINDOW, batch, volts)), np.zeros((WINDOW, batch))
         self._elapsed = np.zeros(batch, np.intp)
 
     def update(self, before: Array, after: Array, actions: Array, starts: NDArray[np.bool_]) -> None:
@@ -189,7 +191,8 @@ class ParameterWindow:
             before: States at its start: belt travel (radius * angle of a rotary coordinate) of the n coordinates of B
                 machines and its velocity, m and m/s, shape (B, 2 n).
             after: States at its end, m and m/s, shape (B, 2 n).
-            actions: Voltages applied in it, divided by the rated voltages, shape (B, drives).
+            actions: Voltages applied in it, divided by the rated voltages, shape (B, drives); if they change within a
+                period, those before and after, shape (B, 2, drives).
             starts: True for machines whose episode starts with `after`, shape (B,); their estimates are set to zero.
         """
         if len(self.estimates) != len(starts):
@@ -198,7 +201,7 @@ class ParameterWindow:
             self._absorb_oldest()
             for rows, new in ((self._before, before), (self._after, after), (self._actions, actions)):
                 rows[:-1] = rows[1:]
-                rows[-1] = new
+                rows[-1] = new.reshape(rows[-1].shape)
             self._valid[:-1] = self._valid[1:]
             self._valid[-1] = ~starts
             self._iterate(np.ones(len(starts), np.bool_))
@@ -261,11 +264,12 @@ class ParameterWindow:
             return np.broadcast_to(rows, (variants, *rows.shape)).reshape(-1, rows.shape[-1])
 
         every = np.broadcast_to(changed[:, None], (variants, periods, batch, self.size)).reshape(-1, self.size)
-        volts = (repeated(actions) + every[:, self._offsets]) * self._model.rated
+        applied = repeated(actions).reshape(len(every), -1, len(self._model.rated))
+        volts = (applied + every[:, None, self._offsets]) * self._model.rated
         motion = simulate_batch(
             self._model.machine,
             self._time_s,
-            np.repeat(volts[:, None], 2, axis=1),
+            np.concatenate([volts, volts[:, -1:]], axis=1),
             parameters=self.parameters(every),
             start=repeated(before / self._units),
             longest_step=FINE_STEP,

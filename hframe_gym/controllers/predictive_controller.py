@@ -65,14 +65,15 @@ class PredictiveController(FullStateController):
         super().__init__(machine, period)
         self._dead_time, self._inversion = DeadTime(machine, period), InputInversion(machine)
         self._plain = self._dead_time.machine_without_delay
-        self.estimator = ParameterWindow(MotionModel(self._plain), period)
-        self._linear, self._grid = LinearMotion(self.model, period), OperatingPointGrid(machine)
+        plain = MotionModel(self._plain)
+        self.estimator = ParameterWindow(plain, period, self._dead_time.remainder_s)
+        self._linear, self._grid = LinearMotion(plain, period), OperatingPointGrid(machine)
         top_speed = self.model.top_speed()
         longest_s = LONGEST_MARGIN * np.sum(self._grid.span / top_speed) if top_speed.min() > 0.0 else MAX_TRANSFER_S
         self._longest = min(LONGEST_PERIODS, int(np.ceil(longest_s / period)))
-        self._planner = ArrivalPlanner(self.model, period, self._longest)
+        self._planner = ArrivalPlanner(plain, period, self._longest)
         self._refinement = PlanRefinement(self._plain, period, REFINED_PERIODS + PERIODS_BEYOND)
-        self._coulomb = [list(machine.parameters).index(f"{c}.coulomb") for c in machine.coordinate_names]
+        self._coulomb = [list(self._plain.parameters).index(f"{c}.coulomb") for c in machine.coordinate_names]
         self._tracker: _PathPlanner | None = None  # created when the length of the preview is known
         self.feature_sizes = {"estimates": self.estimator.size}
         self._gain_source: tuple[bool, Array] = (False, np.zeros((0, 0, 0)))  # whether the goal moves, and A
@@ -112,10 +113,10 @@ class PredictiveController(FullStateController):
             np.nan,
             0,
         )
-        actions = self._dead_time.mean_arrived() / self.model.rated
+        actions = self._dead_time.arrived_history()[1][:, :-1] / self.model.rated
         self.estimator.update(self._state, state, actions, starts)
         parameters = self.estimator.parameters(self.estimator.estimates)
-        predicted = self._dead_time.predict(state)
+        predicted = self._dead_time.predict(state, parameters, self.estimator.offset)
         volts = (
             self._track(predicted, goals, parameters)
             if goals.shape[1] > 1
@@ -183,7 +184,7 @@ class PredictiveController(FullStateController):
 
     def _declared(self, columns: list[int]) -> Array:
         """Return the declared values of parameters."""
-        return np.array(list(self.machine.parameters.values()))[columns]
+        return np.array(list(self._plain.parameters.values()))[columns]
 
     def _arrival_plan(self) -> ArrivalPlan:
         """Return plans with the earliest arrival, and update the periods until the arrival."""
