@@ -144,8 +144,8 @@ class _Period(torch.autograd.Function):
         limit: float,
         discount: float,
     ) -> Any:
-        inputs = (values.detach().numpy() for values in (state, volts, last_volts))
-        outputs, ctx.derivatives = period.differences(*inputs, parameters)
+        arrays = [values.detach().numpy() for values in (state, volts, last_volts)]
+        outputs, ctx.derivatives = period.differences(arrays[0], arrays[1], arrays[2], parameters)
         ctx.limit, ctx.discount, ctx.states, ctx.drives = limit, discount, state.shape[1], volts.shape[1]
         return torch.from_numpy(outputs)
 

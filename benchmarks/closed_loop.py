@@ -82,16 +82,18 @@ class Training(NamedTuple):
         recipe: First part of the name of the recipe.
         steps: Environment steps.
         start: Shipped agent from which training starts, with {seed} for the seed; empty for random weights.
+        seeds: Largest number of seeds.
     """
 
     recipe: str
     steps: int
     start: str = ""
+    seeds: int = len(AGENTS)
 
 
 LEARNED = {
     "ppo": Training("adapt", 200_000, "ppo"),
-    "apg_mix": Training("adapt_mix", 150_000, "apg_mix-seed{seed}"),
+    "apg_mix": Training("adapt_mix", 150_000, "apg_mix-seed{seed}", seeds=1),
     "residual": Training("residual", 100_000),
 }
 # The decisive score of each controller: lower is better, if the success rate is not lower.
@@ -153,7 +155,7 @@ def controllers(
         training = LEARNED[kind]
         # The declared machine is the same for all rigs, and so are its agents.
         agents = CACHE / ("declared" if stage == "declared" else session.folder.name)
-        for seed in seeds:
+        for seed in seeds[: training.seeds]:
             folder = agents / f"{training.recipe}-{stage}-{seed}"
             agent = trained(training, machine, STAGES[stage], folder, seed)
             card = json.loads((folder / "card.json").read_text())
