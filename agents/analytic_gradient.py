@@ -137,6 +137,8 @@ class AnalyticPolicyGradient:
         """
         if reset_num_timesteps:
             self.num_timesteps = 0
+        if self._updates == 0:  # the recipe may have loaded the first weights from an agent
+            self._trained.load_state_dict(self.policy.state_dict())
         final = self.num_timesteps + total_timesteps
         callback.init_callback(self)  # type: ignore[arg-type]
         while self.num_timesteps < final:
@@ -171,6 +173,7 @@ class AnalyticPolicyGradient:
         parameters, references, moving = self._envs.parameters, batch.references, batch.references.moving
         state = torch.from_numpy(model.goal_state(batch.simulator.tools()))
         last_observation, last_action, costs = None, None, []
+        last_volts = torch.zeros((len(state), len(model.rated)), dtype=torch.float64)
         limit = self._limit / len(state)  # because the mean over the episodes is differentiated
         for k in range(self._periods):
             observation = {"observation": model.observation(state.detach().numpy()).astype(np.float32)}
@@ -188,10 +191,13 @@ class AnalyticPolicyGradient:
                 volts = action.double() * torch.from_numpy(model.rated)
                 references.advance()
                 if k < skipped:
-                    arrays = self._period.outputs(state.numpy(), volts.numpy(), parameters)
-                    state = torch.from_numpy(arrays)[:, : state.shape[1]]
+                    arrays = self._period.outputs(state.numpy(), volts.numpy(), last_volts.numpy(), parameters)
+                    state, last_volts = torch.from_numpy(arrays)[:, : state.shape[1]], volts
                     continue
-                outputs = differentiable_period(state, volts, parameters, self._period, limit, self._discount)
+                outputs = differentiable_period(
+                    state, volts, last_volts, parameters, self._period, limit, self._discount
+                )
+                last_volts = volts
                 state, tool = outputs[:, : state.shape[1]], outputs[:, state.shape[1] :]
                 tool = tool.reshape(len(tool), SAMPLES, -1)
                 costs.append(path_errors(tool, references) if moving else reach_cost(tool, entries["desired_goal"]))

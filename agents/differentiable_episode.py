@@ -12,14 +12,16 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from ..dynamics import rollout
+from ..dynamics import Equations, rollout
 from ..envs.tasks.base import ReferenceTrajectories
 from ..envs.workspace import with_end_stops
+from ..errors import InputError
 from ..machine import Machine
 
 Array = NDArray[np.float64]
 SAMPLES = 2  # samples of the tool position per control period that enter the cost
 INTEGRATION_STEP = 1e-3  # s, twice that of the environment; the gradient needs no higher accuracy
+SWITCHING_S = 1e-9  # s, length of the interval in which the voltage before the period is applied, for a dead time
 # Steps of the finite differences: belt travel, m, its rate, m/s, and the range of the voltages, V. Static friction can
 # hold the tool up to 0.7 V. Much smaller steps would not move it, so that a derivative of zero would hide from the
 # policy that a higher voltage does.
@@ -43,6 +45,12 @@ class SimulatedPeriod:
         machine: Machine that is simulated, with end stops.
         period: Control period, s.
         seed: Seed of the random steps of the differences.
+
+    Attributes:
+        delayed: Whether a drive has a dead time, so that the voltages of the period before act at first.
+
+    Raises:
+        InputError: If a dead time exceeds the period.
     """
 
     def __init__(self, machine: Machine, period: float, seed: int) -> None:
@@ -52,70 +60,95 @@ class SimulatedPeriod:
         self._units = np.tile(machine.travel_per_unit, 2)
         self._end_stops = np.array(list(self._machine.parameters.values()))[len(machine.parameters) :]
         self._time_s = np.linspace(0.0, period, SAMPLES + 1)
+        longest_s = max((float(delay) for delay in Equations(machine).voltage_delays()), default=0.0)
+        if longest_s > period:
+            raise InputError(
+                f"machine {machine.name!r} has a dead time of {longest_s:g} s; analytic gradients support one of at "
+                f"most a control period, {period:g} s"
+            )
+        self.delayed = longest_s > 0.0
+        if self.delayed:  # the simulation delays what is applied from the first sample on
+            self._time_s = np.insert(self._time_s, 1, SWITCHING_S)
         self.generator = np.random.default_rng(seed)
 
-    def outputs(self, state: Array, volts: Array, parameters: Array) -> Array:
+    def outputs(self, state: Array, volts: Array, last_volts: Array, parameters: Array) -> Array:
         """Simulate one period.
 
         Args:
             state: Belt travel (radius * angle if rotary) of the coordinates and its rate, m and m/s, shape (B, 2 n).
             volts: Voltages of the drives, V, shape (B, d).
+            last_volts: Voltages of the period before, V, shape (B, d); they act during a dead time only.
             parameters: Parameters of the machines in the order of `Machine.parameters`, SI, shape (B, P).
 
         Returns:
             State at the end of the period, then the tool positions at SAMPLES equally spaced times, the last of which
             is the end, m; shape (B, 2 n + 2 SAMPLES).
         """
+        applied = np.repeat(volts[:, None], len(self._time_s), axis=1)
+        if self.delayed:
+            applied[:, 0] = last_volts
         states = rollout(
             self._machine,
             self._time_s,
-            np.broadcast_to(volts[:, None], (len(volts), len(self._time_s), self._drives)),
+            applied,
             velocities=True,
             parameters=np.hstack([parameters, np.tile(self._end_stops, (len(parameters), 1))]),
             start=state / self._units,
             longest_step=INTEGRATION_STEP,
             parallel=False,
         )
-        return np.hstack([states[:, -1] * self._units, states[:, 1:, self._tool].reshape(len(state), -1)])
+        tool = states[:, -SAMPLES:, self._tool]
+        return np.hstack([states[:, -1] * self._units, tool.reshape(len(state), -1)])
 
-    def differences(self, state: Array, volts: Array, parameters: Array) -> tuple[Array, Array]:
+    def differences(self, state: Array, volts: Array, last_volts: Array, parameters: Array) -> tuple[Array, Array]:
         """Simulate one period, and again with every entry of state and voltages changed by a random step.
 
         Args:
-            state: Belt travel (radius * angle if rotary) of the coordinates and its rate, m and m/s, shape (B, 2 n).
-            volts: Voltages of the drives, V, shape (B, d).
-            parameters: Parameters of the machines in the order of `Machine.parameters`, SI, shape (B, P).
+            state: As for `outputs`, shape (B, 2 n).
+            volts: As for `outputs`, V, shape (B, d).
+            last_volts: As for `outputs`, V, shape (B, d).
+            parameters: As for `outputs`, SI, shape (B, P).
 
         Returns:
             outputs: Final state and tool positions, as the method `outputs` returns them, m and m/s, shape (B, o).
-            derivatives: Difference quotients of the outputs with respect to the entries of state and voltages, shape
-                (2 n + d, B, o).
+            derivatives: Difference quotients of the outputs with respect to the entries of state and voltages, with a
+                dead time also of the last voltages, shape (2 n + d or 2 n + 2 d, B, o).
         """
-        inputs = np.hstack([state, volts])
+        inputs = np.hstack([state, volts, last_volts] if self.delayed else [state, volts])
         batch, entries = inputs.shape
-        steps = np.tile(np.repeat([TRAVEL_STEP, RATE_STEP, 1.0], [self._coordinates] * 2 + [self._drives]), (batch, 1))
+        split = state.shape[1]
+        counts = [self._coordinates] * 2 + [entries - split]
+        steps = np.tile(np.repeat([TRAVEL_STEP, RATE_STEP, 1.0], counts), (batch, 1))
         lowest, highest = np.log(VOLTAGE_STEPS)
-        steps[:, -self._drives :] = np.exp(self.generator.uniform(lowest, highest, volts.shape))
+        steps[:, split:] = np.exp(self.generator.uniform(lowest, highest, (batch, entries - split)))
         steps *= np.where(self.generator.random(steps.shape) < 0.5, -1.0, 1.0)
         changed = np.tile(inputs, (1 + entries, 1, 1))
         for i in range(entries):
             changed[1 + i, :, i] += steps[:, i]
         rows = changed.reshape(-1, entries)
-        split = state.shape[1]
-        results = self.outputs(rows[:, :split], rows[:, split:], np.tile(parameters, (1 + entries, 1)))
+        by_drive = rows[:, split : split + self._drives], rows[:, -self._drives :]
+        results = self.outputs(rows[:, :split], *by_drive, np.tile(parameters, (1 + entries, 1)))
         results = results.reshape(1 + entries, batch, -1)
         return results[0], (results[1:] - results[0]) / steps.T[:, :, None]
 
 
 class _Period(torch.autograd.Function):
-    """Outputs of `SimulatedPeriod` as a differentiable function of state and voltages."""
+    """Outputs of `SimulatedPeriod` as a differentiable function of state, voltages and last voltages."""
 
     @staticmethod
     def forward(
-        ctx: Any, state: Any, volts: Any, parameters: Array, period: SimulatedPeriod, limit: float, discount: float
+        ctx: Any,
+        state: Any,
+        volts: Any,
+        last_volts: Any,
+        parameters: Array,
+        period: SimulatedPeriod,
+        limit: float,
+        discount: float,
     ) -> Any:
-        outputs, ctx.derivatives = period.differences(state.detach().numpy(), volts.detach().numpy(), parameters)
-        ctx.limit, ctx.discount, ctx.states = limit, discount, state.shape[1]
+        arrays = [values.detach().numpy() for values in (state, volts, last_volts)]
+        outputs, ctx.derivatives = period.differences(arrays[0], arrays[1], arrays[2], parameters)
+        ctx.limit, ctx.discount, ctx.states, ctx.drives = limit, discount, state.shape[1], volts.shape[1]
         return torch.from_numpy(outputs)
 
     @staticmethod
@@ -124,9 +157,9 @@ class _Period(torch.autograd.Function):
         by_state = change[:, : ctx.states] * np.repeat([TRAVEL_UNIT, RATE_UNIT], ctx.states // 2)
         norm = np.linalg.norm(by_state, axis=1, keepdims=True)
         change *= np.minimum(1.0, ctx.limit / np.maximum(norm, 1e-12))
-        change[:, : ctx.states] *= ctx.discount
-        by_state, by_volts = change[:, : ctx.states], change[:, ctx.states :]
-        return torch.from_numpy(by_state), torch.from_numpy(by_volts), None, None, None, None
+        by_state, by_volts, by_last = np.split(change, [ctx.states, ctx.states + ctx.drives], axis=1)
+        earlier = [torch.from_numpy(ctx.discount * part) if part.size else None for part in (by_state, by_last)]
+        return earlier[0], torch.from_numpy(by_volts), earlier[1], None, None, None, None
 
 
 class _Limit(torch.autograd.Function):

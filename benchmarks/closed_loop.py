@@ -1,29 +1,37 @@
 """Does the identified machine give better controllers? They are evaluated on the rig from which it was identified.
 
-    python -m benchmarks.closed_loop                                 # all rigs: identify, train, evaluate (an hour)
+    python -m benchmarks.closed_loop                                 # all rigs: identify, train, evaluate (two hours)
     python -m benchmarks.closed_loop --rigs 'cogging@motor1 full'    # only this rig; the others keep their results
+    python -m benchmarks.closed_loop --controllers apg_mix           # only these; the others keep their results
 
 Each rig of the independent simulator has one or three undeclared effects and parameters that are 5 to 20 % off. From
 its recordings `identify` gives three machines: declared, refitted (before) and corrected (after). Each machine alone is
-the basis of four controllers: the model-based PID, the adaptive PID, and two learned controllers with three seeds each,
-namely PPO that continues from the shipped agent, and a PPO correction to that machine's adaptive PID, trained from
-scratch. All of them control the rig through the same episodes, with the full state every 10 ms: to points, and the PIDs
-also along circles.
+the basis of the model-based PID, the adaptive PID and the predictive controller, and of learned controllers with three
+seeds each:
 
-Training uses the same recipe, steps and seeds for all machines. The declared and the refitted machine have the default
-randomization, because their error is unknown; the corrected one has the uncertainty of its file. Differences are paired
-(same episode and seed) with 95 % bootstrap intervals over the episodes, each the mean over its seeds. Seeds and
-versions are in results/closed_loop.json.
+ppo       PPO that continues from the shipped agent
+apg_mix   analytic policy gradient that continues from the shipped agent of the same seed; the linear feedback laws that
+          it weights are those of the machine
+residual  a PPO correction of that machine's adaptive PID, from scratch
+
+All of them control the rig through the same episodes, with the full state every 10 ms: to points or along circles, the
+controllers that are not learned both.
+
+Training uses the same recipe, steps and seeds for all machines; the steps are fewer than those of shipped agents. The
+declared and the refitted machine have the default randomization, because their error is unknown; the corrected one has
+the uncertainty of its file. Differences are paired (same episode and seed) with 95 % bootstrap intervals over the
+episodes, each the mean over its seeds. Seeds and versions are in results/closed_loop.json.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -59,13 +67,35 @@ STAGES = {
     "machine": "identified",
 }  # file of the identification result: randomization
 NAMES = {"declared": "declared", "before": "refitted", "machine": "corrected"}
-LEARNED = {"ppo": ("adapt", 200_000), "residual": ("residual", 100_000)}  # recipe and steps
 SEED, EPISODES = 2000, 24  # seed of starts and goals, number of episodes
 AGENTS = (0, 1, 2)  # seeds
 REACH, TRACK = Reach(), Track()
 SETTLED = f"settling_s_{BOUND_BAND}"
-DESIGNED = ("pid", "adaptive-pid")
+DESIGNED = ("pid", "adaptive-pid", "predictive")
 CIRCLE = ", circle"
+
+
+class Training(NamedTuple):
+    """How a learned controller is trained.
+
+    Attributes:
+        recipe: First part of the name of the recipe.
+        steps: Environment steps.
+        start: Shipped agent from which training starts, with {seed} for the seed; empty for random weights.
+        seeds: Largest number of seeds.
+    """
+
+    recipe: str
+    steps: int
+    start: str = ""
+    seeds: int = len(AGENTS)
+
+
+LEARNED = {
+    "ppo": Training("adapt", 200_000, "ppo"),
+    "apg_mix": Training("adapt_mix", 150_000, "apg_mix-seed{seed}", seeds=1),
+    "residual": Training("residual", 100_000),
+}
 # The decisive score of each controller: lower is better, if the success rate is not lower.
 DECIDES = {
     **dict.fromkeys(DESIGNED, SETTLED),
@@ -82,40 +112,55 @@ def machines(session: Session) -> dict[str, Machine]:
     return {stage: load_machine(folder / f"{stage}.json") for stage in STAGES}
 
 
-def trained(name: str, steps: int, machine: Machine, randomize: str, folder: Path, seed: int) -> Agent:
+def trained(training: Training, machine: Machine, randomize: str, folder: Path, seed: int) -> Agent:
     """Return an agent that was trained on a machine; train it if that has not been done.
 
     Args:
-        name: Name of the recipe.
-        steps: Number of training steps.
+        training: Recipe, steps and start.
         machine: Machine to train on.
         randomize: Randomization during training.
-        folder: Folder of the agent.
+        folder: Folder of the agent, with its card.
         seed: Seed of the training.
 
     Returns:
         The agent.
     """
-    recipe, card = load_recipe(name, "reach"), folder / "card.json"
-    recipe = replace(recipe, steps=steps, env={**recipe.env, "randomize": randomize})
+    recipe, card = load_recipe(training.recipe, "reach"), folder / "card.json"
+    environment = {**recipe.env, "randomize": randomize}
+    recipe = replace(recipe, steps=training.steps, env=environment, start=training.start.format(seed=seed))
     present = json.loads(card.read_text()) if card.is_file() else None
-    if present is None or present["settings"] != recipe.as_dict() or present["curve"][-1]["steps"] < steps:
+    if present is None or present["settings"] != recipe.as_dict() or present["curve"][-1]["steps"] < training.steps:
         train(recipe, machine, seed=seed, out=folder, log=lambda line: None)
     return Agent.load(folder)
 
 
-def controllers(session: Session, seeds: tuple[int, ...]) -> Iterator[tuple[str, str, Controller]]:
-    """Yield the controllers of a rig: key of `DECIDES`, name of the machine, controller; learned ones once per seed."""
-    for stage, machine in machines(session).items():
+def controllers(
+    session: Session, kinds: Sequence[str], seeds: Sequence[int]
+) -> Iterator[tuple[str, str, Controller, dict[str, float]]]:
+    """Yield the controllers of a rig, learned ones once per seed.
+
+    Args:
+        session: Recorded rig.
+        kinds: Keys of `DECIDES`.
+        seeds: Seeds of the trainings.
+
+    Yields:
+        Key of `DECIDES`, name of the machine, controller, and of a learned one the steps and the processor time, s, of
+        its training and the step at which it was kept.
+    """
+    for (stage, machine), kind in itertools.product(machines(session).items(), kinds):
+        if kind not in LEARNED:
+            yield kind, NAMES[stage], CONTROLLERS.get(kind.removesuffix(CIRCLE))(machine, PERIOD_S), {}
+            continue
+        training = LEARNED[kind]
         # The declared machine is the same for all rigs, and so are its agents.
         agents = CACHE / ("declared" if stage == "declared" else session.folder.name)
-        for kind in DESIGNED:
-            for course in ("", CIRCLE):
-                yield kind + course, NAMES[stage], CONTROLLERS.get(kind)(machine, PERIOD_S)
-        for kind, (recipe, steps) in LEARNED.items():
-            for seed in seeds:
-                folder = agents / f"{recipe}-{stage}-{seed}"
-                yield kind, NAMES[stage], trained(recipe, steps, machine, STAGES[stage], folder, seed)
+        for seed in seeds[: training.seeds]:
+            folder = agents / f"{training.recipe}-{stage}-{seed}"
+            agent = trained(training, machine, STAGES[stage], folder, seed)
+            card = json.loads((folder / "card.json").read_text())
+            cost = {"steps": card["curve"][-1]["steps"], "cpu_s": card["curve"][-1]["cpu_s"], "kept": card["kept"]}
+            yield kind, NAMES[stage], agent, cost
 
 
 def score(run: Driven) -> dict[str, Array]:
@@ -138,19 +183,24 @@ def score(run: Driven) -> dict[str, Array]:
     return scores
 
 
-def compare_machines(session: Session, episodes: int, seeds: tuple[int, ...]) -> dict[str, Any]:
+def compare_machines(session: Session, kinds: Sequence[str], episodes: int, seeds: Sequence[int]) -> dict[str, Any]:
     """Return the results of one rig: scores by controller and machine, and differences to the corrected machine."""
     rig, declared = session.case.rig()[0], session.machine()
-    scores: dict[str, dict[str, list[dict[str, Array]]]] = {kind: {} for kind in DECIDES}
-    for kind, name, controller in controllers(session, seeds):
+    scores: dict[str, dict[str, list[dict[str, Array]]]] = {kind: {} for kind in kinds}
+    trainings: dict[str, dict[str, list[dict[str, float]]]] = {kind: {} for kind in kinds}
+    for kind, name, controller, cost in controllers(session, kinds, seeds):
         task = TRACK if kind.endswith(CIRCLE) else REACH
         run = score(drive(controller, rig, declared, task, episodes, SEED))
         scores[kind].setdefault(name, []).append(run)
+        trainings[kind].setdefault(name, []).append(cost)
     report = json.loads((CACHE / session.folder.name / "report.json").read_text())
     return {
         "hides": " + ".join(hidden.label for hidden in session.case.hidden_effects),
         "found": [f"{e['name']}@{e['site']}" for e in report["effects"]],
-        **{kind: _with_gains(by_machine) for kind, by_machine in scores.items()},
+        **{
+            kind: _with_gains(by_machine) | ({"training": trainings[kind]} if kind in LEARNED else {})
+            for kind, by_machine in scores.items()
+        },
     }
 
 
@@ -179,10 +229,24 @@ def better(row: dict[str, Any], kind: str, over: str) -> bool:
     return gain[DECIDES[kind]]["ci95"][1] < 0.0 and gain.get(f"success_{BOUND_BAND}", {"mean": 0.0})["mean"] >= 0.0
 
 
+def _print_row(row: dict[str, Any], kinds: Sequence[str]) -> None:
+    """Print the decisive scores of a rig by controller and machine."""
+    for kind in kinds:
+        key, by_machine = DECIDES[kind], []
+        for machine, scores in row[kind]["scores"].items():
+            success = scores.get(f"success_{BOUND_BAND}")
+            by_machine.append(
+                f"{machine} {scores[key]['mean']:.4f}" + (f" ({100 * success['mean']:.0f} %)" if success else "")
+            )
+        low, high = row[kind]["gain"]["declared"][key]["ci95"]
+        print(f"  {kind:22s} {key:17s} {', '.join(by_machine)}; minus declared {low:.4f} to {high:.4f}", flush=True)
+
+
 def main() -> None:
     """Evaluate the rigs that the command line names, write the results and draw the figure."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rigs", nargs="+", default=list(RIGS), metavar="NAME")
+    parser.add_argument("--controllers", nargs="+", default=list(DECIDES), choices=list(DECIDES), metavar="NAME")
     parser.add_argument("--episodes", type=int, default=EPISODES)
     parser.add_argument("--seeds", type=int, nargs="+", default=list(AGENTS), help="seeds of the agents")
     arguments = parser.parse_args()
@@ -192,17 +256,10 @@ def main() -> None:
     rows = {name: row for name, row in previous["rigs"].items() if comparable}
     for name in arguments.rigs:
         session = record(cases()[name], Path(DEFAULT_FOLDER))
-        rows[name] = row = compare_machines(session, arguments.episodes, tuple(arguments.seeds))
+        row = compare_machines(session, arguments.controllers, arguments.episodes, arguments.seeds)
+        rows[name] = rows.get(name, {}) | row
         print(f"{name}: identified {', '.join(row['found']) or 'nothing'}", flush=True)
-        for kind, key in DECIDES.items():
-            by_machine = []
-            for machine, scores in row[kind]["scores"].items():
-                success = scores.get(f"success_{BOUND_BAND}")
-                by_machine.append(
-                    f"{machine} {scores[key]['mean']:.4f}" + (f" ({100 * success['mean']:.0f} %)" if success else "")
-                )
-            low, high = row[kind]["gain"]["declared"][key]["ci95"]
-            print(f"  {kind:20s} {key:17s} {', '.join(by_machine)}; minus declared {low:.4f} to {high:.4f}", flush=True)
+        _print_row(row, arguments.controllers)
         wins = {
             f"{kind} over {over}": [n for n, r in rows.items() if kind in r and better(r, kind, over)]
             for kind in DECIDES

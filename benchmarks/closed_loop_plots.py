@@ -16,10 +16,13 @@ COLORS = {"declared": "#c4513d", "refitted": "#e0b04c", "corrected": "#3b7d4f"}
 PANELS = {
     "pid": "PID: settling time to 0.2 mm, s",
     "adaptive-pid": "adaptive PID: settling time, s",
+    "predictive": "predictive: settling time, s",
+    "apg_mix": "weighted laws (apg_mix): settling time, s",
     "residual": "adaptive PID + PPO correction: settling time, s",
     "ppo": "PPO: settling time, s",
     "pid, circle": "PID on a circle: rms contour error, mm",
     "adaptive-pid, circle": "adaptive PID on a circle: rms contour error, mm",
+    "predictive, circle": "predictive on a circle: rms contour error, mm",
 }
 
 
@@ -31,14 +34,15 @@ def draw(rigs: dict[str, Any], decides: dict[str, str]) -> None:
         decides: The decisive score by controller.
     """
     FIGURES.mkdir(parents=True, exist_ok=True)
-    size = (19, 0.5 * len(rigs) + 1.4)
-    figure, axes = plt.subplots(1, len(PANELS), figsize=size, sharey=True, layout="constrained")
-    for panel, (kind, label) in zip(axes, PANELS.items(), strict=True):
+    size = (15, 3.0 * (0.4 * len(rigs) + 1.4))
+    figure, axes = plt.subplots(3, len(PANELS) // 3, figsize=size, sharey=True, layout="constrained")
+    for panel, (kind, label) in zip(axes.flat, PANELS.items(), strict=True):
+        evaluated = [(index, row[kind]) for index, row in enumerate(rigs.values()) if kind in row]
         for shift, (machine, color) in zip((-0.2, 0.0, 0.2), COLORS.items(), strict=True):
-            scores = [row[kind]["scores"][machine][decides[kind]] for row in rigs.values()]
+            scores = [result["scores"][machine][decides[kind]] for _, result in evaluated]
             mean = np.array([s["mean"] for s in scores])
-            bars = np.abs(np.array([s["ci95"] for s in scores]).T - mean)
-            rows = np.arange(len(rigs)) + shift
+            bars = np.abs(np.array([s["ci95"] for s in scores]).reshape(-1, 2).T - mean)
+            rows = np.array([index for index, _ in evaluated]) + shift
             panel.errorbar(mean, rows, xerr=bars, fmt="o", ms=4, lw=1.2, color=color, label=machine)
         panel.set_xlabel(label, fontsize=8)
         if kind.endswith("circle"):
@@ -46,7 +50,9 @@ def draw(rigs: dict[str, Any], decides: dict[str, str]) -> None:
         else:
             panel.set_xlim(left=0.0)
         panel.grid(axis="x", color="0.9")
-    axes[0].set_yticks(np.arange(len(rigs)), [row["hides"].replace(" + ", "\n") for row in rigs.values()], fontsize=8)
-    axes[0].invert_yaxis()
-    axes[1].legend(ncols=3, fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False)
+    names = [row["hides"].replace(" + ", "\n") for row in rigs.values()]
+    for first in axes[:, 0]:
+        first.set_yticks(np.arange(len(rigs)), names, fontsize=8)
+    axes[0, 0].invert_yaxis()
+    axes[0, 1].legend(ncols=3, fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False)
     save_figure(figure, FIGURES / "closed_loop.png")

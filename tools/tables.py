@@ -334,14 +334,16 @@ def closed_loop(results: dict[str, Any]) -> str:
     rigs, decides, header = results["rigs"], results["decides"], ["declared", "refitted", "corrected"]
     rows = []
     for (who, label), over in itertools.product(decides.items(), ("declared", "refitted")):
-        gains = [result[who]["gain"][over][label] for result in rigs.values()]
+        gains = [result[who]["gain"][over][label] for result in rigs.values() if who in result]
         better = len(results["better"][f"{who} over {over}"])
         worse = sum(gain["ci95"][0] > 0.0 for gain in gains)
-        rows.append([f"{who} ({label}), over {over}", f"{better}", f"{worse}", f"{len(rigs) - better - worse}"])
+        rows.append([f"{who} ({label}), over {over}", f"{better}", f"{worse}", f"{len(gains) - better - worse}"])
     counts = markdown(["controller (score), comparison", "better", "worse", "not significant"], rows)
     rows = []
     for rig, result in rigs.items():
         for who, label in decides.items():
+            if who not in result:
+                continue
             scores = result[who]["scores"]
             success = {m: scores[m].get("success_0.2mm") for m in header}
             cells = [

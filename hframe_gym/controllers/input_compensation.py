@@ -29,6 +29,7 @@ class DeadTime:
     Attributes:
         delay_s: Dead time of the slowest drive, s.
         period: As given, s.
+        remainder_s: Dead time beyond complete periods, s.
         machine_without_delay: Copy of the machine without the effects that cause a dead time.
     """
 
@@ -39,7 +40,7 @@ class DeadTime:
             machine, effects=tuple(e for e in machine.effects if e.definition.delay is None)
         )
         self._complete_periods = int(self.delay_s / period + 1e-9)
-        self._remainder_s = max(self.delay_s - self._complete_periods * period, 0.0)
+        self.remainder_s = max(self.delay_s - self._complete_periods * period, 0.0)
         self._sent = np.zeros((0, 0, 0))  # V, (B, periods, drives), latest first
 
     def reset(self, mask: NDArray[np.bool_]) -> None:
@@ -83,7 +84,7 @@ class DeadTime:
         # The delay of k complete periods and a remainder lets the voltages sent k + 1 periods ago act during the
         # remainder, and those sent k periods ago afterwards.
         later, earlier = self._sent[:, self._complete_periods], self._sent[:, self._complete_periods + 1]
-        earlier_fraction = self._remainder_s / self.period  # of the period, in which the earlier voltage still acts
+        earlier_fraction = self.remainder_s / self.period  # of the period, in which the earlier voltage still acts
         return (1.0 - earlier_fraction) * later + earlier_fraction * earlier
 
     def arrived_history(self) -> tuple[Array, Array]:
@@ -97,8 +98,8 @@ class DeadTime:
         # The delay has k complete periods and a remainder: until the remainder has passed, the drives receive the
         # voltages sent k + 1 periods ago, then those sent k periods ago.
         volts = self._sent[:, [self._complete_periods + 1, self._complete_periods, self._complete_periods]]
-        times = np.array([0.0, self._remainder_s, self.period])
-        return (times, volts) if self._remainder_s > 0.0 else (times[1:], volts[:, 1:])
+        times = np.array([0.0, self.remainder_s, self.period])
+        return (times, volts) if self.remainder_s > 0.0 else (times[1:], volts[:, 1:])
 
     def delayed_goals(self, goals: Array) -> Array:
         """Interpolate previewed goals at times later by the dead time, the earliest that new voltages can affect.
@@ -125,12 +126,14 @@ class DeadTime:
         periods = np.arange(goals.shape[1], dtype=np.float64)
         return np.asarray(PchipInterpolator(periods, goals, axis=1)(np.minimum(later, periods[-1])))
 
-    def predict(self, state: Array) -> Array:
+    def predict(self, state: Array, parameters: Array | None = None, offset: Array | None = None) -> Array:
         """Simulate the machine one dead time ahead under the voltages in the delay line.
 
         Args:
             state: Belt travel (radius * angle of a rotary coordinate) of the n coordinates of B machines and its
                 velocity, m and m/s, shape (B, 2 n).
+            parameters: Parameters in the order of those of `machine_without_delay`, SI, shape (B, P). Default: its own.
+            offset: Voltages that act beside the commanded ones, V, shape (B, drives). Default: none.
 
         Returns:
             Predicted belt travel and velocity, m and m/s, shape (B, 2 n); `state` itself without a dead time.
@@ -138,12 +141,13 @@ class DeadTime:
         if self.delay_s == 0.0:
             return state
         # At first, for the remainder of the delay, the motors still receive the voltages of one period earlier.
-        times = np.concatenate([[0.0], self._remainder_s + self.period * np.arange(self._complete_periods + 1)])
+        times = np.concatenate([[0.0], self.remainder_s + self.period * np.arange(self._complete_periods + 1)])
         volts = self._sent[:, [*range(self._complete_periods, -1, -1), 0]]
-        if self._remainder_s == 0.0:
+        if self.remainder_s == 0.0:
             times, volts = times[1:], volts[:, 1:]
-        scale = np.tile(self.machine_without_delay.travel_per_unit, 2)
-        end = rollout(self.machine_without_delay, times, volts, start=state / scale, velocities=True)[:, -1]
+        volts = volts if offset is None else volts + offset[:, None]
+        machine, scale = self.machine_without_delay, np.tile(self.machine_without_delay.travel_per_unit, 2)
+        end = rollout(machine, times, volts, start=state / scale, parameters=parameters, velocities=True)[:, -1]
         return np.asarray(end * scale)
 
 

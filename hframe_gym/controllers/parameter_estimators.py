@@ -51,6 +51,8 @@ class ParameterEstimator(ABC):
     Args:
         model: Model of the machine with its declared parameters, n coordinates and b belts.
         period: Control period, s.
+        switch_s: Time from the start of a period at which the voltages change, because the drives have a dead time, s;
+            0 if they change at the start.
 
     Attributes:
         prior_std: Prior standard deviations of the logarithms by kind of parameter ("coulomb" and "mass" of every
@@ -71,7 +73,7 @@ class ParameterEstimator(ABC):
     difference: ClassVar[float]
     integration_step: ClassVar[float]
 
-    def __init__(self, model: MotionModel, period: float) -> None:
+    def __init__(self, model: MotionModel, period: float, switch_s: float = 0.0) -> None:
         machine = model.machine
         coordinates, belts = machine.coordinate_names, tuple(belt.name for belt in machine.belts)
         components = {"coulomb": coordinates, "mass": coordinates, "EA": belts, "rest_length": belts}
@@ -83,7 +85,8 @@ class ParameterEstimator(ABC):
         self._std = np.array([*std.values(), *offsets])
         self._state_unit = np.repeat(self.state_std, len(model.mass))
         self._travel_per_unit = np.tile(machine.travel_per_unit, 2)
-        self._time_s = np.array([0.0, period])
+        self._time_s = np.array([0.0, switch_s, period] if switch_s > 0.0 else [0.0, period])
+        self._levels = len(self._time_s) - 1  # voltages that follow each other in a period
         self.estimates = np.zeros((0, self.size))
 
     def update(self, before: Array, after: Array, actions: Array, starts: Mask) -> None:
@@ -93,7 +96,8 @@ class ParameterEstimator(ABC):
             before: States at the start of the period: belt travel (radius * angle of a rotary coordinate) of the n
                 coordinates of B machines and its velocity, m and m/s, shape (B, 2 n).
             after: States at the end of the period, m and m/s, shape (B, 2 n).
-            actions: Voltages applied in the period, divided by the rated voltages, shape (B, drives).
+            actions: Voltages applied in the period, divided by the rated voltages, shape (B, drives); if they change
+                within the period, those before and after, shape (B, 2, drives).
             starts: True for machines whose episode starts with `after`, shape (B,); their estimates are set to zero.
         """
         if len(self.estimates) != len(starts):
@@ -131,7 +135,7 @@ class ParameterEstimator(ABC):
         Args:
             estimates: Estimates of the machine of each period, shape (R, size).
             before: States at the starts of the periods, m and m/s, shape (R, 2 n).
-            actions: Voltages divided by the rated voltages, shape (R, drives).
+            actions: Voltages that follow each other in a period, divided by the rated ones, shape (R, 1 or 2, drives).
 
         Returns:
             States at the ends of the periods in units of `state_std`, first with the given estimates, then with the
@@ -141,13 +145,14 @@ class ParameterEstimator(ABC):
         varied = np.tile(estimates, (variants, 1, 1))
         varied[1:] += self.difference * np.eye(self.size)[:, None]
         varied = varied.reshape(-1, self.size)
-        actions = np.tile(actions, (variants, 1))
+        actions = np.tile(actions.reshape(len(actions), self._levels, -1), (variants, 1, 1))
         if self.prior_offset_std is not None:
-            actions = actions + varied[:, self._offsets]
+            actions = actions + varied[:, None, self._offsets]
+        volts = actions * self._model.rated
         states = rollout(
             self._model.machine,
             self._time_s,
-            np.repeat((actions * self._model.rated)[:, None], 2, axis=1),
+            np.concatenate([volts, volts[:, -1:]], axis=1),
             velocities=True,
             parameters=self.parameters(varied),
             start=np.tile(before / self._travel_per_unit, (variants, 1)),
@@ -209,6 +214,7 @@ class ParameterWindow(ParameterEstimator):
     Args:
         model: Model of the machine with its declared parameters, n coordinates and b belts.
         period: Control period, s.
+        switch_s: Time from the start of a period at which the voltages change, s, see `ParameterEstimator`.
 
     Attributes:
         size: Number of estimates, 2 n + 2 b + drives.
@@ -226,29 +232,29 @@ class ParameterWindow(ParameterEstimator):
     difference: ClassVar[float] = 0.01
     integration_step: ClassVar[float] = 5e-4  # that of the environments
 
-    def __init__(self, model: MotionModel, period: float) -> None:
-        super().__init__(model, period)
+    def __init__(self, model: MotionModel, period: float, switch_s: float = 0.0) -> None:
+        super().__init__(model, period, switch_s)
         self._prior_information = np.diag(self._std**-2.0)
         self._limits = np.minimum(LARGEST, LIMIT_STD * self._std)
         self._limits[self._offsets] = LARGEST_OFFSET
         self._resize(0)
 
     def _resize(self, batch: int) -> None:
-        states, drives = len(self._state_unit), len(self._model.rated)
+        states, volts = len(self._state_unit), self._levels * len(self._model.rated)
         self.estimates, self.noise_ratio = np.zeros((batch, self.size)), np.ones(batch)
         # Arrival cost: information matrix, and that matrix times the expected values (information vector).
         self._information_matrix = np.tile(self._prior_information, (batch, 1, 1))
         self._information_vector = np.zeros((batch, self.size))
         # The last periods, the latest last: states before and after, actions, and whether they belong to the episode.
         self._before, self._after = np.zeros((2, WINDOW, batch, states))
-        self._actions, self._valid = np.zeros((WINDOW, batch, drives)), np.zeros((WINDOW, batch))
+        self._actions, self._valid = np.zeros((WINDOW, batch, volts)), np.zeros((WINDOW, batch))
         self._elapsed = np.zeros(batch, np.intp)
 
     def _correct(self, before: Array, after: Array, actions: Array, starts: Mask) -> None:
         self._update_arrival_cost()
         for rows, new in ((self._before, before), (self._after, after), (self._actions, actions)):
             rows[:-1] = rows[1:]
-            rows[-1] = new
+            rows[-1] = new.reshape(rows[-1].shape)
         self._valid[:-1] = self._valid[1:]
         self._valid[-1] = ~starts
         self._iterate(np.ones(len(starts), np.bool_))

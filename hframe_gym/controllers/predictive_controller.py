@@ -66,15 +66,16 @@ class PredictiveController(FullStateController):
         super().__init__(machine, period)
         self._dead_time, self._inversion = DeadTime(machine, period), InputInversion(machine)
         self._prompt_model = MotionModel(self._dead_time.machine_without_delay)
-        self.estimator = ParameterWindow(self._prompt_model, period)
-        self._linear, self._grid = LinearMotion(self.model, period), OperatingPointGrid(machine)
+        self.estimator = ParameterWindow(self._prompt_model, period, self._dead_time.remainder_s)
+        self._linear, self._grid = LinearMotion(self._prompt_model, period), OperatingPointGrid(machine)
         self._longest = min(LONGEST_PERIODS, int(np.ceil(longest_transfer_s(self.model, self._grid) / period)))
-        self._arrival_planner = ArrivalPlanner(self.model, period, self._longest)
+        self._arrival_planner = ArrivalPlanner(self._prompt_model, period, self._longest)
         self._simulation = PlanSimulation(self._prompt_model, period, REFINED_PERIODS + PERIODS_BEYOND)
         self._path_planner: _PathPlanner | None = None  # created when the length of the preview is known
         self._follows_path = False  # whether the goal moved in the last period
-        self._coulomb_columns = [list(machine.parameters).index(f"{c}.coulomb") for c in machine.coordinate_names]
-        self._declared_coulomb = np.array(list(machine.parameters.values()))[self._coulomb_columns]
+        declared = self._prompt_model.machine.parameters
+        self._coulomb_columns = [list(declared).index(f"{c}.coulomb") for c in machine.coordinate_names]
+        self._declared_coulomb = np.array(list(declared.values()))[self._coulomb_columns]
         self.feature_sizes = {"estimates": self.estimator.size}
         self._resize(0)
 
@@ -113,10 +114,10 @@ class PredictiveController(FullStateController):
         if self._starts.resize(len(state)):
             self._resize(len(state))
         self._begin_episodes(self._starts.mask)
-        arrived_actions = self._dead_time.mean_arrived() / self.model.rated
+        arrived_actions = self._dead_time.arrived_history()[1][:, :-1] / self.model.rated
         self.estimator.update(self._state, state, arrived_actions, self._starts.mask)
         parameters = self.estimator.parameters(self.estimator.estimates)
-        predicted = self._dead_time.predict(state)
+        predicted = self._dead_time.predict(state, parameters, self.estimator.offset)
         self._follows_path = goals.shape[1] > 1
         plan = self._track if self._follows_path else self._reach
         volts = np.clip(plan(predicted, goals, parameters), -self.model.rated, self.model.rated)

@@ -15,6 +15,8 @@ from hframe_gym.agents.model_card import score_agent
 from hframe_gym.agents.residual_action import ResidualAction
 from hframe_gym.agents.sb3_adapters import ResidualActionVecEnv
 from hframe_gym.controllers import MotionModel
+from hframe_gym.dynamics import simulate_batch
+from hframe_gym.effects import EFFECTS
 from hframe_gym.envs.sb3_vec_env import HFrameVecEnv
 from hframe_gym.errors import InputError
 from hframe_gym.evaluation import Scenario
@@ -35,9 +37,8 @@ def moving_states(count):
 
 def test_difference_quotients_agree_with_the_linear_model_of_the_motion():
     state, parameters = moving_states(16)
-    outputs, derivatives = SimulatedPeriod(MACHINE, PERIOD, seed=0).differences(
-        state, np.full((16, 2), 2.0), parameters
-    )
+    volts = np.full((16, 2), 2.0)
+    outputs, derivatives = SimulatedPeriod(MACHINE, PERIOD, seed=0).differences(state, volts, volts, parameters)
     A, B, _ = MODEL.discretize(MODEL.tool_position(state).mean(axis=0), PERIOD)
     expected = np.hstack([A, B]).T  # (entries of state and voltages, entries of the next state)
     scale = np.repeat([1e-3, 0.05], 4) / np.repeat([1e-3, 0.05, 1.0], [4, 4, 2])[:, None]
@@ -47,6 +48,34 @@ def test_difference_quotients_agree_with_the_linear_model_of_the_motion():
     assert np.abs(outputs[:, -2:] - outputs[:, :2]).max() < 1e-12
 
 
+def with_dead_time(seconds):
+    """Return the nominal machine with a dead time of its drives."""
+    return MACHINE.with_effects(EFFECTS["input_delay"].at("drives", d=seconds))
+
+
+def test_a_dead_time_applies_the_voltages_of_the_period_before():
+    machine, voltages = with_dead_time(3e-3), np.random.default_rng(1).uniform(-6.0, 6.0, (5, 1, 2))
+    parameters = np.array([list(machine.parameters.values())])
+    period, state = SimulatedPeriod(machine, PERIOD, seed=0), MODEL.goal_state(np.zeros((1, 2)))
+    times = np.arange(6) * PERIOD
+    start = state / np.tile(machine.travel_per_unit, 2)
+    inputs = np.concatenate([np.zeros((1, 1, 2)), voltages]).transpose(1, 0, 2)
+    # One period of 0 V first: before the first sample, its voltage acts.
+    expected = simulate_batch(machine, np.arange(7) * PERIOD, np.append(inputs, inputs[:, -1:], axis=1), start=start)
+    last = np.zeros((1, 2))
+    for k in range(len(times) - 1):
+        state = period.outputs(state, voltages[k], last, parameters)[:, :8]
+        last = voltages[k]
+        tool = MODEL.tool_position(state)[0]
+        assert np.abs(tool - expected.positions[0, k + 2, :2]).max() < 2e-6
+    assert np.abs(tool).max() > 1e-3
+
+
+def test_a_dead_time_beyond_a_period_is_rejected():
+    with pytest.raises(InputError, match=r"dead time of 0\.011 s"):
+        SimulatedPeriod(with_dead_time(0.011), PERIOD, seed=0)
+
+
 def test_the_cost_rewards_every_decade_of_distance():
     costs = distance_cost(torch.tensor([0.0, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1, 10.0])).numpy()
     assert costs[0] == 0.0
@@ -54,12 +83,12 @@ def test_the_cost_rewards_every_decade_of_distance():
     assert np.diff(costs).min() > 0.04
 
 
-def build(actuation=None, task="reach", **settings):
+def build(actuation=None, task="reach", machine=MACHINE, **settings):
     """Return an algorithm with few periods, whose derivatives are neither limited nor discounted."""
     actuation = {"least": 0.5, "hold_m": 5e-4, "estimates": True} if actuation is None else actuation
-    environment = HFrameVecEnv(8, task=task, randomize="none")
+    environment = HFrameVecEnv(8, task=task, randomize="none", machine=machine)
     if actuation:
-        environment = ResidualActionVecEnv(environment, ResidualAction(MACHINE, PERIOD, **actuation))
+        environment = ResidualActionVecEnv(environment, ResidualAction(machine, PERIOD, **actuation))
     chosen = {"periods": 4, "skipped": 0, "discount": 1.0, "limit": np.inf, "averaging": 0.5, **settings}
     keywords = policy_keywords({"net_arch": [16]}, feature_parameters(MACHINE))
     algorithm = AnalyticPolicyGradient(
@@ -75,12 +104,18 @@ BANK = {"least": 0.1, "transfers": [0, 2, 6, 12, 20, 24]}
 
 
 @pytest.mark.parametrize(
-    ("actuation", "task"),
-    [(None, "reach"), (None, "track"), (BANK, "reach"), ({"base": "predictive", "least": 0.5}, "track")],
-    ids=["reach", "track", "weighted transfers", "with a base"],
+    ("actuation", "task", "machine"),
+    [
+        (None, "reach", MACHINE),
+        (None, "track", MACHINE),
+        (BANK, "reach", MACHINE),
+        ({"base": "predictive", "least": 0.5}, "track", MACHINE),
+        (None, "reach", with_dead_time(6e-3)),
+    ],
+    ids=["reach", "track", "weighted transfers", "with a base", "dead time"],
 )
-def test_the_gradient_of_an_episode_predicts_how_its_cost_changes(actuation, task):
-    algorithm = build(actuation, task)
+def test_the_gradient_of_an_episode_predicts_how_its_cost_changes(actuation, task, machine):
+    algorithm = build(actuation, task, machine)
     environment = algorithm.env.venv
 
     def costs():

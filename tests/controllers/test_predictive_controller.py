@@ -7,6 +7,7 @@ import pytest
 
 from hframe_gym.controllers import CONTROLLERS, MotionModel, ParameterWindow
 from hframe_gym.controllers.predictive_plans import ArrivalPlanner, LinearMotion
+from hframe_gym.effects import EFFECTS
 from hframe_gym.envs import HFrameVectorEnv, Track
 from hframe_gym.evaluation import Scenario, rollout, settling_times
 from hframe_gym.machine import BUILTIN_MACHINES
@@ -169,13 +170,27 @@ def test_paths_are_followed_more_closely_than_by_the_adaptive_controller(path, r
 
 @pytest.mark.integration
 def test_forces_that_the_machine_does_not_declare_are_compensated():
-    from hframe_gym.effects import EFFECTS
-
     real = MACHINE.with_effects(EFFECTS["constant_force"].at("x", size=3.0))
     scenario = Scenario(machine=real, episodes=12, seed=SEED, duration_s=1.0)
     episodes = rollout(CONTROLLERS.get("predictive")(MACHINE, PERIOD), scenario)
     assert np.median(episodes.goal_error[:, -1]) < 1e-4
     assert settling_times(episodes.goal_error, episodes.time_s, 1e-3)[1].all()
+
+
+@pytest.mark.parametrize("delay_s", [2e-3, 12e-3])
+def test_a_declared_dead_time_is_bridged_with_the_estimated_parameters(delay_s):
+    delayed = MACHINE.with_effects(EFFECTS["input_delay"].at("drives", d=delay_s))
+
+    def contour_error_m(machine):
+        scenario = Scenario(machine=machine, task=Track(), episodes=8, seed=SEED, duration_s=1.0)
+        contour = rollout(CONTROLLERS.get("predictive")(machine, PERIOD), scenario).contour
+        return np.sqrt(np.mean(contour**2, axis=1)).mean()
+
+    scenario = Scenario(machine=delayed, episodes=12, seed=SEED, duration_s=1.0)
+    episodes = rollout(CONTROLLERS.get("predictive")(delayed, PERIOD), scenario)
+    assert settling_times(episodes.goal_error, episodes.time_s, 5e-5)[1].all()
+    # With the mean voltage of each period in the estimator, or the declared parameters in the prediction, 0.015 mm or
+    assert contour_error_m(delayed) < {2e-3: 1.2e-5, 12e-3: 2.5e-5}[delay_s]
 
 
 @pytest.mark.integration
