@@ -161,7 +161,8 @@ def test_a_rival_that_is_more_likely_replaces_an_effect(
     replaced: Mapping[str, Callable[..., Any]] = {
         "information_loss": lambda fitted, data: losses[id(fitted)],
         "fit_in_place_of": lambda current, label, rival, data: other,
-        "fit_with_model_error": lambda fitted, data: fitted,
+        "polish": lambda fitted, data: fitted,
+        "at_bandwidth": lambda fitted, bandwidth, data: fitted,
         "long_run_variance": lambda fitted, data: 0.015 * COUNT / CRITERIA.min_chance_gain,
     }
     for name, function in replaced.items():
