@@ -265,15 +265,20 @@ def ratio_of_means(times: Array, bound: Array, seed: int) -> dict[str, Any]:
     """Compute the ratio of the mean settling time to the mean time-optimal bound.
 
     Args:
-        times: Settling times of B episodes, s, shape (B,).
+        times: Settling times of B episodes, s, shape (B,), or of S agents that differ in the seed of their training,
+            shape (S, B); the interval then includes the spread over these seeds.
         bound: Shortest possible settling times of the same episodes, s, shape (B,), all known.
         seed: Seed of the bootstrap resampling.
 
     Returns:
-        `mean`: the ratio, dimensionless; `ci95`: [lower, upper limit] of its 95 % interval (bootstrap over episodes).
+        `mean`: the ratio, dimensionless; `ci95`: [lower, upper limit] of its 95 % interval (bootstrap over episodes,
+        and over agents where there are several).
     """
-    index = np.random.default_rng(seed).integers(len(times), size=(BOOTSTRAP_RESAMPLES, len(times)))
-    ratios = times[index].mean(axis=1) / bound[index].mean(axis=1)
+    by_agent, rng = np.atleast_2d(times), np.random.default_rng(seed)
+    index = rng.integers(len(bound), size=(BOOTSTRAP_RESAMPLES, len(bound)))
+    agents = rng.integers(len(by_agent), size=(len(by_agent), BOOTSTRAP_RESAMPLES))
+    means = np.stack([of_agent[index].mean(axis=1) for of_agent in by_agent])
+    ratios = np.take_along_axis(means, agents, axis=0).mean(axis=0) / bound[index].mean(axis=1)
     return {"mean": float(times.mean() / bound.mean()), "ci95": np.quantile(ratios, [0.025, 0.975]).tolist()}
 
 
