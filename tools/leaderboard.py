@@ -1,7 +1,8 @@
 """Tables of docs/leaderboard.md and docs/bound.md from benchmarks/leaderboard and the stored bounds.
 
 Every file is validated; one that is not valid stops the generation. In each part of a protocol the entries are sorted
-by their mean, and compared draw by draw with the best controller that is not learned.
+by their mean, and compared draw by draw with the best controller that is not learned. Agents whose names differ only in
+the seed of their training (`NAME-seed0`, `NAME-seed1`) get a further row with intervals over draws and seeds.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from benchmarks.results_file import ROOT
 from hframe_gym.evaluation import (
     EFFECT_FAMILIES,
     PROTOCOLS,
+    Protocol,
     ResultFile,
     filled,
     get_protocol,
@@ -84,6 +86,11 @@ def protocol_section(name: str, entries: Sequence[ResultFile]) -> str:
             against = _ratio(over(values[id(entry)], values[id(best)])) if best and best is not entry else "1"
             cells = _move_cells(entry, part, values[id(entry)], bounds) if bounds or task.metrics == "reach" else []
             rows.append([_name(entry), *(cells or _path_cells(entry, part)), against])
+        rows += [
+            [f"**{recipe}, {len(seeds)} seeds**", *(f"**{cell}**" for cell in cells)]
+            for recipe, seeds in _trained_repeatedly(ranked).items()
+            for cells in [_cells_over_seeds(seeds, part, metric, bounds, values[id(best)] if best else None, protocol)]
+        ]
         reference = f"over {best.entry.name}" if best else "over the best controller"
         header = _move_header(bounds) if task.metrics == "reach" else ["contour error, rms, mm", "maximum, mm"]
         texts.append(f"**{part}**\n\n{table(['entry', *header, reference], rows)}")
@@ -116,6 +123,53 @@ def _move_cells(entry: ResultFile, part: str, times: Array, bounds: Mapping[str,
 def _path_cells(entry: ResultFile, part: str) -> list[str]:
     """Return the cells of an entry in a part with a path."""
     return [_mean(entry.scores[part][metric], 4) for metric in ("contour_rms_mm", "contour_max_mm")]
+
+
+def _trained_repeatedly(entries: Sequence[ResultFile]) -> dict[str, list[ResultFile]]:
+    """Return the agents by the name of their recipe, where there are several that differ in the seed."""
+    by_recipe: dict[str, list[ResultFile]] = {}
+    for entry in entries:
+        recipe, _, seed = entry.entry.name.rpartition("-seed")
+        if recipe and seed.isdecimal() and entry.entry.kind == "agent":
+            by_recipe.setdefault(recipe, []).append(entry)
+    return {recipe: seeds for recipe, seeds in by_recipe.items() if len(seeds) > 1}
+
+
+def _cells_over_seeds(
+    seeds: Sequence[ResultFile],
+    part: str,
+    metric: str,
+    bounds: Mapping[str, Array],
+    best: Array | None,
+    protocol: Protocol,
+) -> list[str]:
+    """Return the cells of a recipe's agents of S seeds: means, with intervals over the draws and the seeds.
+
+    Args:
+        seeds: Results of the S agents.
+        part: Name of the part.
+        metric: Criterion of the part.
+        bounds: Shortest settling times of the draws by kind, s, shape (B,); empty for paths.
+        best: Criterion of the best controller by draw, shape (B,), or None.
+        protocol: The benchmark.
+    """
+
+    def by_seed(name: str) -> Array:
+        """Return the values of a metric, shape (S, B)."""
+        return np.stack([filled(entry.draws[part][name], protocol.duration_s) for entry in seeds])
+
+    def mean(name: str, digits: int) -> str:
+        """Format the mean of a metric with its interval."""
+        values = by_seed(name)
+        score = over(values, np.ones(values.shape[1]))
+        return _mean(score, digits) if score else ""
+
+    against = _ratio(over(by_seed(metric), best)) if best is not None else ""
+    if protocol.parts[part].metrics != "reach":
+        return [mean(metric, 4), mean("contour_max_mm", 4), against]
+    success = [np.mean([e.scores[part][f"settling_s.{band}"]["success"] for e in seeds]) for band in BANDS]
+    ratios = [_ratio(over(by_seed(metric), bound)) for bound in bounds.values()]
+    return [*(f"{100 * share:.1f} %" for share in success), mean(metric, 3), *ratios, against]
 
 
 def _mean(score: Mapping[str, Any], digits: int = 3) -> str:

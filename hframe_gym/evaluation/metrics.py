@@ -68,8 +68,7 @@ def score_episodes(
         ValueError: If `bound_s` has another length or holds a time that is not positive and finite, or the metric set
             "track" is used for episodes without a path.
     """
-    previous = np.concatenate([np.zeros_like(episodes.volts[:, :1]), episodes.volts[:, :-1]], axis=1)
-    variation = np.abs(episodes.volts - previous).sum(axis=(1, 2))
+    variation = np.abs(np.diff(episodes.volts, axis=1, prepend=0.0)).sum(axis=(1, 2))
     saturated = (np.abs(episodes.volts) >= SATURATED * episodes.rated).mean(axis=(1, 2))
     name = metrics or ("reach" if episodes.contour is None else "track")
     return METRICS.get(name)(episodes, bound_s, seed) | {
@@ -143,7 +142,6 @@ def track_metrics(episodes: Episodes, bound_s: Array | None, seed: int) -> dict[
     contour = episodes.contour
     if contour is None:
         raise ValueError("the metric set 'track' needs episodes with a path (info['contour_m'])")
-    errors = {"contour_mm": contour, "tracking_mm": episodes.goal_error}
     return {
         "success": {name: float(np.mean(contour.max(axis=1) <= band)) for name, band in BANDS.items()},
         **{
@@ -151,7 +149,7 @@ def track_metrics(episodes: Episodes, bound_s: Array | None, seed: int) -> dict[
                 "rms": mean_with_interval(1e3 * np.sqrt(np.mean(error**2, axis=1)), seed),
                 "max": mean_with_interval(1e3 * error.max(axis=1), seed),
             }
-            for name, error in errors.items()
+            for name, error in {"contour_mm": contour, "tracking_mm": episodes.goal_error}.items()
         },
         "delay_ms": mean_with_interval(1e3 * tracking_delay(episodes), seed),
     }
@@ -265,15 +263,18 @@ def ratio_of_means(times: Array, bound: Array, seed: int) -> dict[str, Any]:
     """Compute the ratio of the mean settling time to the mean time-optimal bound.
 
     Args:
-        times: Settling times of B episodes, s, shape (B,).
-        bound: Shortest possible settling times of the same episodes, s, shape (B,), all known.
+        times: Settling times, s, shape (B,), or (S, B) of agents from S seeds of training, which are resampled too.
+        bound: Shortest possible settling times of the same B episodes, s, shape (B,), all known.
         seed: Seed of the bootstrap resampling.
 
     Returns:
         `mean`: the ratio, dimensionless; `ci95`: [lower, upper limit] of its 95 % interval (bootstrap over episodes).
     """
-    index = np.random.default_rng(seed).integers(len(times), size=(BOOTSTRAP_RESAMPLES, len(times)))
-    ratios = times[index].mean(axis=1) / bound[index].mean(axis=1)
+    rng = np.random.default_rng(seed)
+    index = rng.integers(len(bound), size=(BOOTSTRAP_RESAMPLES, len(bound)))
+    means = np.atleast_2d(times)[:, index].mean(axis=2)  # by agent and resampling, s, (S, resamplings)
+    agents = rng.integers(len(means), size=means.shape)
+    ratios = np.take_along_axis(means, agents, axis=0).mean(axis=0) / bound[index].mean(axis=1)
     return {"mean": float(times.mean() / bound.mean()), "ci95": np.quantile(ratios, [0.025, 0.975]).tolist()}
 
 
@@ -296,8 +297,7 @@ def condition_digests(conditions: EpisodeConditions) -> list[str]:
     It covers the machine's structure and parameters, start and goal, but not seed, control period and sensors.
 
     Args:
-        conditions: Machine, sampled parameters, start and goal of B episodes; values enter with nine significant
-            digits.
+        conditions: Machine, sampled parameters, start and goal of B episodes; nine significant digits count.
 
     Returns:
         B digests of 16 hexadecimal digits (the start of SHA-256).

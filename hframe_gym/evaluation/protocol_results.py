@@ -289,14 +289,14 @@ def over(values: Array, others: Array) -> dict[str, Any] | None:
     """Compute the ratio of two means over the same draws, with a paired interval.
 
     Args:
-        values: Values of each draw, shape (B,).
+        values: Values of each draw, shape (B,), or of S agents that differ in the seed of their training, shape (S, B).
         others: Values of the same draws to compare with, for example bounds, shape (B,), NaN where unknown.
 
     Returns:
-        `mean`: mean of `values` over mean of `others`; `ci95`: 95 % interval, bootstrap over the draws; `draws`: number
-        of draws with both. None if there is none.
+        `mean`: mean of `values` over mean of `others`; `ci95`: 95 % interval, bootstrap over the draws, and over
+        agents where there are several; `draws`: number of draws with both. None if there is none.
     """
     both = np.isfinite(others)
     if not both.any():
         return None
-    return ratio_of_means(values[both], others[both], BOOTSTRAP_SEED) | {"draws": int(both.sum())}
+    return ratio_of_means(values[..., both], others[both], BOOTSTRAP_SEED) | {"draws": int(both.sum())}

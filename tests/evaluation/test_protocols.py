@@ -266,6 +266,33 @@ def test_the_leaderboard_ranks_entries_and_compares_them_draw_by_draw(
     assert protocol_section("hard-v1", entries) == "No results yet."
 
 
+def test_agents_of_several_seeds_get_a_row_with_intervals_over_draws_and_seeds(
+    content: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tools.leaderboard.protocol_bounds", lambda name: {})  # the stored ones are of other draws
+    times: list[float | None] = [0.1, 0.2, 0.1, 0.2]
+    entries = []
+    for name, factor in (("mine-seed0", 1.0), ("mine-seed1", 2.0), ("alone-seed0", 1.0)):
+        values = {metric: [factor * time for time in times if time] for metric in content["draws"]["reach"]}
+        whole = result_content(PROTOCOLS["reach-v1"], Entry(name, "agent", "a" * 64), {"reach": values})
+        entries.append(read_result(write_result(tmp_path, whole)))
+    rows = protocol_section("reach-v1", entries).splitlines()[4:]
+    assert [row.split("|")[1].strip() for row in rows if "seeds" in row] == ["**mine, 2 seeds**"]
+    assert "| **0.225 (" in rows[-1]
+
+
+def test_the_interval_over_seeds_contains_the_spread_over_seeds() -> None:
+    bound = np.linspace(1.0, 2.0, 64)
+    seeds = np.stack([factor * bound for factor in (1.0, 1.1, 1.5)])
+    of_one, of_all = over(seeds[0], bound), over(seeds, bound)
+    assert of_one is not None
+    assert of_all is not None
+    assert of_one["ci95"] == pytest.approx([1.0, 1.0])
+    assert of_all["mean"] == pytest.approx(1.2)
+    assert of_all["ci95"] == pytest.approx([1.0, 1.5])  # three of the same seed: one resampling in 27
+    assert over(seeds[:1], bound) == of_one
+
+
 def test_ratios_use_the_draws_with_a_known_bound() -> None:
     ratio = over(np.array([2.0, 4.0, 100.0]), np.array([1.0, 2.0, np.nan]))
     assert ratio is not None
