@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..dynamics import simulate_batch
-from ..machine import Belt, Machine
+from ..machine import Belt, Machine, rest_state
 
 Array = NDArray[np.float64]
 
@@ -51,7 +51,8 @@ def stable_under_rated_voltage(machine: Machine) -> bool:
     """Check that 2 s of random rated voltage move a machine within bounds.
 
     Every voltage switches between the positive and the negative rated one at random times (random telegraph signal).
-    The speeds must remain below five times those of the same machine without its effects.
+    The speeds must remain below five times those of the same machine without its effects, as long as this machine stays
+    in its workspace.
 
     Args:
         machine: Machine with its effects (deviations from the nominal model).
@@ -60,12 +61,18 @@ def stable_under_rated_voltage(machine: Machine) -> bool:
         False if the simulated motion diverges or is faster than that.
     """
     _, speeds = _random_motions(machine)
-    if not np.isfinite(speeds).all():
-        return False
     if not machine.effects:
-        return True
-    _, speeds_without_effects = _random_motions(_without_effects(machine))
-    return bool(speeds.max() <= _LARGEST_SPEED_RATIO * speeds_without_effects.max())
+        return bool(np.isfinite(speeds).all())
+    positions, reference = _random_motions(_without_effects(machine))
+    # Also without its effects a machine may leave its workspace, where belts become infinitely stiff.
+    inside = np.ones(positions.shape[:2], np.bool_)
+    for i, coordinate in enumerate(machine.coordinates):
+        if coordinate.kind == "linear" and coordinate.range:
+            low, high = coordinate.range
+            inside &= (positions[..., i] >= low) & (positions[..., i] <= high)
+    inside = np.logical_and.accumulate(inside, axis=1)
+    speeds, reference = speeds[inside], reference[inside]
+    return bool(np.isfinite(speeds).all() and speeds.max() <= _LARGEST_SPEED_RATIO * reference.max())
 
 
 def validation_fault(machine: Machine) -> str:
@@ -103,7 +110,7 @@ def _without_effects(machine: Machine) -> Machine:
 
 
 def _random_motions(machine: Machine) -> tuple[Array, Array]:
-    """Simulate a machine, at rest at first, under random rated voltages.
+    """Simulate a machine, at rest in the middle of its workspace at first, under random rated voltages.
 
     Args:
         machine: The machine.
@@ -115,7 +122,9 @@ def _random_motions(machine: Machine) -> tuple[Array, Array]:
     rated = np.array([drive.rated_voltage for drive in machine.drives])
     inputs = _random_telegraph(len(rated)) * rated
     time_s = np.arange(inputs.shape[1], dtype=np.float64) * _PERIOD
-    motion = simulate_batch(machine, time_s, inputs, readings=False)
+    ranges = [c.range or (0.0, 0.0) for c in machine.coordinates if c.kind == "linear"]
+    start = rest_state(machine, np.mean(np.reshape(ranges, (-1, 2)), axis=1))
+    motion = simulate_batch(machine, time_s, inputs, start=start, readings=False)
     return motion.positions, np.abs(motion.velocities) * machine.travel_per_unit
 
 

@@ -54,8 +54,12 @@ def close_rivals(
     """
     best = trials[0]
     margin = _margin(current, best.cost, data, criteria)
-    close = (t.machine.effects[-1] for t in trials[1:] if t.cost - best.cost < margin)
-    return tuple(e for e in close if e.label != best.machine.effects[-1].label)
+    close: dict[str, AppliedEffect] = {}  # an effect may have been tried from several starting values
+    for trial in trials[1:]:
+        effect = trial.machine.effects[-1]
+        if trial.cost - best.cost < margin and effect.label != best.machine.effects[-1].label:
+            close.setdefault(effect.label, effect)
+    return tuple(close.values())
 
 
 def more_likely_rival(

@@ -139,7 +139,7 @@ def test_of_trials_as_good_as_the_best_the_simplest_comes_first() -> None:
 def test_rivals_are_other_effects_within_the_margin() -> None:
     current, best = fit_with(chi2=2.0), fit_with(PUSH, chi2=1.0)
     close, same, far = fit_with(DRAG, chi2=1.029), fit_with(PUSH, chi2=1.001), fit_with(SPRING, chi2=1.031)
-    assert rivals.close_rivals([best, same, close, far], current, DATA, CRITERIA) == (DRAG,)
+    assert rivals.close_rivals([best, same, close, close, far], current, DATA, CRITERIA) == (DRAG,)
 
 
 # -- doubts ------------------------------------------------------------------------------------------------------------

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 
+import numpy as np
 import pytest
 
 from hframe_gym.effects import EFFECTS
+from hframe_gym.identification import machine_validation
 from hframe_gym.identification.machine_validation import (
     monotonic_belts,
     stable_under_rated_voltage,
@@ -61,3 +63,20 @@ def test_impossible_machine_without_effects_fails(hframe: Machine) -> None:
     assert not stable_under_rated_voltage(
         dataclasses.replace(hframe, coordinates=(dataclasses.replace(x, mass=-1e-3), *others))
     )
+
+
+@pytest.mark.parametrize(("fast_from", "stable"), [(6, True), (4, False)])
+def test_speeds_count_while_the_machine_without_the_effect_stays_in_its_workspace(
+    hframe: Machine, monkeypatch: pytest.MonkeyPatch, fast_from: int, stable: bool
+) -> None:
+    """Outside, belts that become too short accelerate every machine; that is no fault of the effect."""
+    machine = hframe.with_effects(EFFECTS["constant_force"].at("x", size=0.1))
+
+    def motions(simulated: Machine) -> tuple[np.ndarray, np.ndarray]:
+        positions, speeds = np.zeros((1, 10, 4)), np.ones((1, 10, 4))
+        positions[:, 6:, 0] = 10.0
+        speeds[:, fast_from if simulated.effects else 7 :] = 1e6
+        return positions, speeds
+
+    monkeypatch.setattr(machine_validation, "_random_motions", motions)
+    assert stable_under_rated_voltage(machine) is stable
