@@ -149,6 +149,7 @@ def _write_new_until(folder: Path, calls: int) -> int:
         os._exit(0)
 
 
+@pytest.mark.integration
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
 def test_a_kill_at_every_system_call_leaves_the_old_or_the_new_output(tmp_path: Path) -> None:
     states, code = [], 9

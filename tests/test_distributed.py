@@ -72,6 +72,7 @@ def test_a_task_that_always_kills_its_worker_is_named(tmp_path: Path) -> None:
     assert len((tmp_path / "started_4").read_text().split()) == distributed.ATTEMPTS
 
 
+@pytest.mark.integration
 def test_an_error_ends_the_other_tasks_and_stays_as_it_was_raised() -> None:
     begin = time.monotonic()
     with pytest.raises(InputError, match=r"^seed 1: is wrong$"):

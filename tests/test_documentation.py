@@ -99,6 +99,7 @@ def test_reader_of_blocks_finds_all_kinds(tmp_path: Path) -> None:
     assert "line 5" in failed.stderr  # the line of the page
 
 
+@pytest.mark.integration
 def test_generated_pages_are_up_to_date() -> None:
     assert [name_of(path) for path, text in pages().items() if path.read_text("utf-8") != text] == []
 

@@ -116,6 +116,10 @@ def renamed(name: str, names: Sequence[str], reverse_rows: bool = False) -> Mach
     """Return a machine of `original` with the first of some names in place of its names."""
     preset = BUILTIN_MACHINES[EFFECTS_OF_MACHINES[name][0] if name in EFFECTS_OF_MACHINES else name]()
     new = dict(zip(labels_of(preset), names, strict=False))
+    # A belt that is called "belts", or a drive "drives", comes before all of them as the site of an effect.
+    for component, word in (*((b, "belts") for b in preset.belts), *((d, "drives") for d in preset.drives)):
+        if new[component.name] == word:
+            new[component.name] = f"{word}_"
     machine = relabeled(preset, new, reverse_rows)
     return with_effects(machine, name, new) if name in EFFECTS_OF_MACHINES else machine
 

@@ -14,5 +14,6 @@ def test_single_vector_and_adapted_environments_are_bit_equal(name):
     assert digests["stable-baselines3"] == digests["single"]
 
 
+@pytest.mark.integration
 def test_a_new_process_with_more_threads_is_bit_equal():
     assert env_bits.in_new_process("rig", 160, 3) == env_bits.vector(160, env_bits.OPTIONS["rig"])
