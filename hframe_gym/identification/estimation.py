@@ -106,8 +106,7 @@ def fit(
     for _ in range(iterations):
         expansion = model.linearize(theta)
         equations = expansion.normal_equations
-        if not math.isfinite(equations.cost):  # the machine diverges
-            cost = math.inf
+        if not equations.finite:  # this machine diverges, or one with slightly different parameters
             break
         information = equations.information
         # If the mean square error is chi2 times that of the noise, the data are that much less certain; the prior is
@@ -127,7 +126,7 @@ def fit(
         theta, cost = trials[best], float(trial_costs[best])
         if decrease < tolerance * cost:
             break
-    data_cost = cost - float(theta @ precision @ theta)
+    data_cost = cost - float(theta @ precision @ theta)  # infinite if nothing could be fitted
     return Fit(model.machine_at(theta), model.free, theta, data_cost, data.count, bandwidth, information)
 
 

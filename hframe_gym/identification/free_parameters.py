@@ -184,8 +184,11 @@ def bounded_step(free: Sequence[FreeParameter], theta: Array, hessian: Array, gr
     limits = np.array([f.theta_limit for f in free])
     if np.all(np.abs(theta + step) <= limits):
         return step
-    root = np.linalg.cholesky(hessian)
-    solution = lsq_linear(root.T, np.linalg.solve(root, -gradient), (-limits - theta, limits - theta), method="bvls")
+    # The quadratic model as a sum of squares, |A step - b|^2; eigenvalues may be negative by rounding.
+    eigenvalues, axes = np.linalg.eigh(hessian)
+    scales = np.sqrt(np.maximum(eigenvalues, np.finfo(np.float64).eps * eigenvalues.max()))
+    A, b = scales[:, None] * axes.T, -(axes.T @ gradient) / scales
+    solution = lsq_linear(A, b, (-limits - theta, limits - theta), method="bvls")
     return np.clip(theta + solution.x, -limits, limits) - theta
 
 

@@ -120,6 +120,11 @@ class NormalEquations:
         """Chi-squared per sample, dimensionless: cost per measured value, 1 if only the sensors' noise remains."""
         return self.cost / self.count
 
+    @property
+    def finite(self) -> bool:
+        """Whether cost, gradient and matrix are finite: no machine near the expansion point diverges."""
+        return bool(np.isfinite(self.cost) and np.isfinite(self.gradient).all() and np.isfinite(self.information).all())
+
     def eliminate_parameters(self, precision: Array) -> NormalEquations:
         """Eliminate the k parameters by the Schur complement, so that only the amounts of the m perturbations remain.
 

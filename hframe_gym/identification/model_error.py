@@ -277,7 +277,7 @@ def _left_out_costs(fitted: Fit, data: Dataset, pieces: int) -> list[tuple[float
 
     equations = [piece for of_pieces in map_runs(of_run, data) for piece in of_pieces]
     total = NormalEquations.total(equations)
-    if not math.isfinite(total.cost):  # the machine diverges
+    if not total.finite:  # the machine diverges
         return [(math.inf, math.inf)] * len(equations)
     precision = prior_precision(fitted.free) * max(1.0, total.chi2)
     costs = []

@@ -12,7 +12,7 @@ import pytest
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, default_free_parameters, fit, prepare
 from hframe_gym.identification.estimation import prediction_cost
-from hframe_gym.identification.free_parameters import FreeParameter
+from hframe_gym.identification.free_parameters import FreeParameter, bounded_step
 from hframe_gym.identification.prediction import SEARCH_BANDWIDTH, SIMULATION
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import load_recordings
@@ -76,3 +76,24 @@ def test_a_start_from_which_the_machine_diverges_has_an_infinite_cost(hframe: Ma
     free = FreeParameter("cable_spring@x.k", -1e6, prior=10.0, scale=1e-6, lower=-1e6, upper=1e6)
     fitted = fit(machine, [free], data.with_runs([data.runs[0].name]), SIMULATION)
     assert fitted.cost == math.inf
+
+
+@pytest.mark.unit
+@pytest.mark.parametrize("rounded", [False, True])
+def test_a_step_within_limits_is_the_best_one_there(rounded: bool) -> None:
+    """The unlimited minimum is outside the limits. Rounding may give the matrix a negative eigenvalue."""
+    free = [FreeParameter("a", 1.0, prior=0.25), FreeParameter("b", 1.0, prior=0.5), FreeParameter("c", 0.0, 1.0, 1.0)]
+    theta, gradient = np.array([0.2, 0.0, 0.0]), np.array([-3.0, 1.0, -0.5])
+    hessian = np.array([[1.0, 0.9, 0.2], [0.9, 1.0, 0.1], [0.2, 0.1, 1.0]])
+    if rounded:
+        hessian = np.array([[1.0, 1.0, 0.0], [1.0, 1.0 - 1e-15, 0.0], [0.0, 0.0, 1.0]])
+        assert np.linalg.eigvalsh(hessian)[0] < 0.0
+    step = bounded_step(free, theta, hessian, gradient)
+    assert np.all(np.abs(theta + step)[:2] <= [1.0, 2.0])
+
+    def cost(steps: np.ndarray) -> np.ndarray:
+        return 2.0 * steps @ gradient + np.einsum("ni,ij,nj->n", steps, hessian, steps)
+
+    axes = np.linspace(-1.2, 0.8, 81), np.linspace(-2.0, 2.0, 81), np.linspace(-3.0, 3.0, 121)
+    grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 3)
+    assert cost(step[None])[0] <= cost(grid).min() + 1e-6
