@@ -81,11 +81,8 @@ class DeadTime:
         Returns:
             Mean voltages, V, shape (B, drives) for B simulated machines.
         """
-        # The delay of k complete periods and a remainder lets the voltages sent k + 1 periods ago act during the
-        # remainder, and those sent k periods ago afterwards.
-        later, earlier = self._sent[:, self._complete_periods], self._sent[:, self._complete_periods + 1]
-        earlier_fraction = self.remainder_s / self.period  # of the period, in which the earlier voltage still acts
-        return (1.0 - earlier_fraction) * later + earlier_fraction * earlier
+        times, volts = self.arrived_history()
+        return np.einsum("k,bkd->bd", np.diff(times) / self.period, volts[:, :-1])
 
     def arrived_history(self) -> tuple[Array, Array]:
         """Return the piecewise constant voltages that reached the drives during the last period.
@@ -95,28 +92,30 @@ class DeadTime:
             volts: Voltages of B simulated machines from each of these times until the next, V, shape (B, k, drives);
                 the last row is the value at the end of the period.
         """
-        # The delay has k complete periods and a remainder: until the remainder has passed, the drives receive the
-        # voltages sent k + 1 periods ago, then those sent k periods ago.
-        volts = self._sent[:, [self._complete_periods + 1, self._complete_periods, self._complete_periods]]
+        # With a delay of k complete periods and a remainder, a period begins with the voltages sent k + 1 periods
+        # before it; after the remainder, those sent k periods before it arrive.
+        k = self._complete_periods
+        volts = self._sent[:, [k + 1, k, k]]
         times = np.array([0.0, self.remainder_s, self.period])
         return (times, volts) if self.remainder_s > 0.0 else (times[1:], volts[:, 1:])
 
     def delayed_goals(self, goals: Array) -> Array:
-        """Interpolate previewed goals at times later by the dead time, the earliest that new voltages can affect.
+        """Shift the preview of goals by the dead time, because new voltages do not move the machine before.
 
         Args:
             goals: Tool goals of B simulated machines at P sample times, the first now, the others one period apart, m,
                 shape (B, P, axes).
 
         Returns:
-            Goals at the same sample times plus the dead time, up to the last given goal, m, shape (B, Q, axes), Q <= P.
+            Goals, interpolated at the sample times plus the dead time as far as the preview reaches, m, shape
+            (B, Q, axes), Q <= P.
 
         Raises:
             InputError: If fewer than two goals remain, because the preview ends within the dead time.
         """
         if self.delay_s == 0.0:
             return goals
-        # In periods from now: the dead time, then one period later each, up to the last given goal.
+        # Times of the shifted goals, in periods from now.
         later = np.arange(self.delay_s / self.period, goals.shape[1] - 1 + 1e-9)
         if len(later) < 2:
             raise InputError(
@@ -188,7 +187,7 @@ class InputInversion:
         Returns:
             Voltages at the motors, V, shape (B, drives).
         """
-        return self._interpolate(command, 0, 1)
+        return self._mapped(command, inverse=False)
 
     def command(self, motor_voltage: Array) -> Array:
         """Compute the commanded voltages that produce given voltages at the motors (inverse of `motor_voltage`).
@@ -199,11 +198,12 @@ class InputInversion:
         Returns:
             Commanded voltages, limited to the rated voltages, V, shape (B, drives).
         """
-        return np.clip(self._interpolate(motor_voltage, 1, 0), -self.rated, self.rated)
+        return np.clip(self._mapped(motor_voltage, inverse=True), -self.rated, self.rated)
 
-    def _interpolate(self, volts: Array, from_column: int, to_column: int) -> Array:
-        """Map voltages (B, drives) from one column of the tables to the other."""
+    def _mapped(self, volts: Array, *, inverse: bool) -> Array:
+        """Return the motor voltages for commands, or inversely, (B, drives), V; without a table, both are equal."""
         mapped = volts.copy()
-        for j, table in self._tables.items():
-            mapped[:, j] = np.interp(volts[:, j], table[from_column], table[to_column])
+        for j, (command, motor) in self._tables.items():
+            x, y = (motor, command) if inverse else (command, motor)
+            mapped[:, j] = np.interp(volts[:, j], x, y)
         return mapped

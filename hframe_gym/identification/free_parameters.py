@@ -27,6 +27,7 @@ _EFFECT_PRIOR = 0.5
 # search does not return. Linear parameters have no such limit: the typical sizes by which they are divided are rough (a
 # spring may be stronger than the drives).
 _MAXIMUM_DEVIATION = 4.0
+_LIMIT_TOLERANCE = 0.01  # relative
 # Friction of a coordinate that declares none: unit of theta as a fraction of the typical force.
 _UNDECLARED_COULOMB, _UNDECLARED_VISCOUS = 0.01, 0.1
 
@@ -60,6 +61,17 @@ class FreeParameter:
     def theta_limit(self) -> float:
         """Largest absolute value of theta that a fit may reach, dimensionless."""
         return _MAXIMUM_DEVIATION * self.prior if self.scale is None else math.inf
+
+    def at_limit(self, theta: float) -> bool:
+        """Return whether a fit has moved the parameter to its limit (to within 1 %).
+
+        Args:
+            theta: Dimensionless optimizer variable.
+
+        Returns:
+            True at the limit.
+        """
+        return abs(theta) > (1.0 - _LIMIT_TOLERANCE) * self.theta_limit
 
     def value(self, theta: Array) -> Array:
         """Convert theta to the parameter's value, clipped to its bounds.

@@ -246,7 +246,7 @@ def parameters_at_limit(machine: Machine, declared: Machine) -> dict[str, str]:
         value = machine.parameters.get(parameter.name)
         if value is None or parameter.scale is not None or parameter.name.rpartition(".")[2] not in _KNOWN_PARAMETERS:
             continue
-        if abs(parameter.theta(value)) > (1.0 - _BOUND_TOLERANCE) * parameter.theta_limit:
+        if parameter.at_limit(parameter.theta(value)):
             described[parameter.name] = (
                 f"{parameter.name} ends at the limit of the fit, {value / parameter.center:.2g} times its declared "
                 "value: check the machine file (mass, Kt, resistance, gear ratio) and the units of the recordings"

@@ -22,7 +22,6 @@ from .residual import missing_force
 from .screening import ScoredCandidate, screen, screen_structures
 
 Array = NDArray[np.float64]
-_AT_LIMIT = 0.99  # fraction of a parameter's limit
 _TRIAL_ITERATIONS, _TRIAL_TOLERANCE = 8, 1e-3  # A trial need not converge fully to be ranked.
 
 
@@ -43,7 +42,7 @@ def trial_fits(current: Fit, data: Dataset, enough: float, criteria: SelectionCr
         One fit (machine, parameters theta, shape (k,), cost) per candidate with few iterations, in no particular order.
     """
     trials = _trial_fits_from(current, current, data, enough, criteria)
-    if any(abs(t) > _AT_LIMIT * f.theta_limit for f, t in zip(current.free, current.theta, strict=True)):
+    if any(f.at_limit(t) for f, t in zip(current.free, current.theta, strict=True)):
         trials += _trial_fits_from(_at_declared_parameters(current, data), current, data, enough, criteria)
     return trials
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.integrate import cumulative_trapezoid
 
 from ..errors import InputError
 from ..machine import Machine
@@ -139,10 +140,10 @@ class LogConverter:
 
 def _integrate(time_s: Array, speed: Array) -> Array:
     """Integrate a speed over time from 0 by the trapezoidal rule; empty cells (NaN) stay empty."""
-    measured = np.flatnonzero(np.isfinite(speed))
+    measured = np.isfinite(speed)
     position = np.full(len(speed), np.nan)
-    steps = np.diff(time_s[measured]) * (speed[measured[1:]] + speed[measured[:-1]]) / 2
-    position[measured] = np.concatenate([np.zeros(min(len(measured), 1)), np.cumsum(steps)])
+    if measured.any():
+        position[measured] = cumulative_trapezoid(speed[measured], time_s[measured], initial=0.0)
     return position
 
 
