@@ -295,7 +295,7 @@ def check_parameters(data: Dataset, machine: Machine) -> list[Finding]:
 
 def _first_rows(run: PreparedRecording, count: int) -> PreparedRecording:
     """Return a run without the rows after the first ones."""
-    by_row = ("time_s", "inputs", "outputs", "noise")
+    by_row = ("time_s", "inputs", "outputs", "noise", "weights")
     rows = None if run.rows is None else run.rows[:count]
     return dataclasses.replace(run, rows=rows, **{name: getattr(run, name)[:count] for name in by_row})
 

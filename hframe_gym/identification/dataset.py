@@ -15,7 +15,7 @@ from .encoder_zeros import EncoderZeros, common_encoder_zeros
 from .free_parameters import typical_force
 from .initial_state import encoder_zero_errors, measured_initial_state, model_initial_state, refine_offsets
 from .rest_measurement import InitialState, behind_belts, estimate_initial_state
-from .sensor_properties import clock_jitter, sensor_noise, sensor_quantum, smooth_speed
+from .sensor_properties import clock_jitter, independent_values, sensor_noise, sensor_quantum, smooth_speed
 
 Array = NDArray[np.float64]
 MIN_ROWS = 20  # rows of a run that the filters of the residual need
@@ -35,6 +35,8 @@ class PreparedRecording:
         initial: Measured initial state.
         noise: Standard deviation of each measurement, in the sensors' units, shape (n, sensors): the sensor's noise and
             the jitter of the clock times the speed.
+        weights: Number of independent values that each measurement counts as, at most 1, shape (n, sensors), see
+            `independent_values`; 0 where not measured.
         rows: Mask of the rows that enter the residual, shape (n,). None: all.
     """
 
@@ -44,13 +46,18 @@ class PreparedRecording:
     outputs: Array
     initial: InitialState
     noise: Array
+    weights: Array
     rows: NDArray[np.bool_] | None = None
 
     @property
-    def count(self) -> int:
-        """Number of measured values (rows times sensors, without missing ones) that enter the residual."""
-        counted = self.outputs if self.rows is None else self.outputs[self.rows]
-        return int(np.isfinite(counted).sum())
+    def counted(self) -> Array:
+        """Number of independent values that each measurement adds to the residual, shape (n, sensors)."""
+        return self.weights if self.rows is None else self.weights * self.rows[:, None]
+
+    @property
+    def count(self) -> float:
+        """Number of independent measured values that enter the residual."""
+        return float(self.counted.sum())
 
     def initial_state(self, machine: Machine) -> Array:
         """Return the state from which a machine is simulated over this run.
@@ -87,8 +94,8 @@ class Dataset:
     zeros: EncoderZeros | None = None
 
     @property
-    def count(self) -> int:
-        """Number of measured values of all runs and sensors that enter the residual."""
+    def count(self) -> float:
+        """Number of independent measured values of all runs and sensors that enter the residual."""
         return sum(run.count for run in self.runs)
 
     @property
@@ -151,7 +158,13 @@ def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:
     jitter = _common_jitter(recordings, machine, noise)
     runs = tuple(
         PreparedRecording(
-            r.name, r.time_s, r.inputs, r.outputs - state.offset, state, _noise_by_row(r, np.array(noise), jitter)
+            r.name,
+            r.time_s,
+            r.inputs,
+            r.outputs - state.offset,
+            state,
+            _noise_by_row(r, np.array(noise), jitter),
+            independent_values(r.time_s, r.outputs, quanta),
         )
         for r, state in zip(recordings, initial, strict=True)
     )
@@ -220,7 +233,14 @@ def with_all_measurements(data: Dataset, recordings: Sequence[Recording]) -> Dat
         KeyError: If the recording of a run is missing.
     """
     outputs = {r.name: fill_gaps(r).outputs for r in recordings}
-    runs = (dataclasses.replace(run, outputs=outputs[run.name] - run.initial.offset) for run in data.runs)
+    runs = (
+        dataclasses.replace(
+            run,
+            outputs=outputs[run.name] - run.initial.offset,
+            weights=independent_values(run.time_s, outputs[run.name], data.quantum),
+        )
+        for run in data.runs
+    )
     return dataclasses.replace(data, runs=tuple(runs))
 
 

@@ -39,7 +39,7 @@ class Fit:
         free: Free parameters, k of them.
         theta: Fitted theta of each, the dimensionless variable defined by `FreeParameter`, shape (k,).
         cost: Sum of squared residuals in units of the noise, without the prior.
-        count: Number of measured values.
+        count: Number of independent measured values.
         bandwidth: Bandwidth of the observer that corrected the fitted predictions by the measurements, rad/s; 0 for a
             pure simulation.
         information: Fisher information of theta without the prior, shape (k, k).
@@ -49,7 +49,7 @@ class Fit:
     free: tuple[FreeParameter, ...]
     theta: Array
     cost: float
-    count: int
+    count: float
     bandwidth: float
     information: Array = field(repr=False)
 

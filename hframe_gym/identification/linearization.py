@@ -56,7 +56,7 @@ class NormalEquations:
         information: J^T J, shape (k, k); Fisher information of the parameters theta for white noise.
         gradient: J^T r, shape (k,); half the gradient of the cost.
         cost: r^T r, the sum of squares in units of the noise.
-        count: Number of measured values behind the cost.
+        count: Number of independent measured values behind the cost.
         cross_products: J^T E, shape (k, m).
         response_information: E^T E, shape (m, m).
         response_gradient: E^T r, shape (m,).
@@ -65,14 +65,14 @@ class NormalEquations:
     information: Array
     gradient: Array
     cost: float
-    count: int
+    count: float
     cross_products: Array
     response_information: Array
     response_gradient: Array
 
     @classmethod
     def from_rows(
-        cls, jacobian: Array, residual: Array, responses: Array | None = None, *, count: int | None = None
+        cls, jacobian: Array, residual: Array, responses: Array | None = None, *, count: float | None = None
     ) -> NormalEquations:
         """Form the normal equations of one run's linearized residual.
 
@@ -81,8 +81,7 @@ class NormalEquations:
             residual: Residual r in units of the noise (dimensionless), shape (rows,).
             responses: E transposed: change of the residual that each of m perturbations causes, for example the force
                 of a candidate effect, in units of the noise, shape (m, rows). Default: none.
-            count: Number of measured values; it is above the number of rows where rows are averages. Default: the
-                number of rows.
+            count: Number of independent measured values. Default: the number of rows.
 
         Returns:
             Inner products of J, E and r, dimensionless: J^T J, shape (k, k), J^T E, shape (k, m), r^T r, and so on.

@@ -82,8 +82,8 @@ def information_loss(fitted: Fit, data: Dataset) -> float:
     # Position gain K of a critically damped observer: twice the bandwidth times the sampling period.
     gains = 2.0 * sensor_bandwidths(fitted.machine, fitted.bandwidth) * data.period
     variance = 1.0 / (1.0 - np.minimum(gains, 0.9))  # of the innovations, relative to the noise, (sensors,)
-    measured = np.sum([np.isfinite(run.outputs).sum(axis=0) for run in data.runs], axis=0)  # (sensors,)
-    weights = measured / measured.sum()
+    counts = np.sum([run.counted.sum(axis=0) for run in data.runs], axis=0)  # (sensors,)
+    weights = counts / counts.sum()
     return float(fitted.chi2 / (weights @ variance) + weights @ np.log(variance))
 
 
@@ -273,7 +273,7 @@ def _left_out_costs(fitted: Fit, data: Dataset, pieces: int) -> list[tuple[float
     def of_run(run: PreparedRecording) -> list[NormalEquations]:
         rows = model.linearize_run(run, fitted.theta)
         parts = zip(np.array_split(rows.jacobian, pieces, 1), np.array_split(rows.residual, pieces), strict=True)
-        return [NormalEquations.from_rows(*part, count=run.count // pieces) for part in parts]
+        return [NormalEquations.from_rows(*part, count=run.count / pieces) for part in parts]
 
     equations = [piece for of_pieces in map_runs(of_run, data) for piece in of_pieces]
     total = NormalEquations.total(equations)

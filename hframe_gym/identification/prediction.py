@@ -195,6 +195,7 @@ def prediction_error(run: PreparedRecording, data: Dataset, measurements: Array,
         data: Data set of the run, for the sensors' quantization steps.
         measurements: Predicted measurements of a batch of predictions, m or rad, shape (batch, n, sensors).
         fitted: Whether the zeros are the most likely ones, for a fit, instead of those that the rows at rest show.
+            Measurements with the same rounding error count as one then, see `PreparedRecording.weights`.
 
     Returns:
         Errors in the sensors' units, shape (batch, n, sensors); arbitrary where a value was not measured.
@@ -208,7 +209,7 @@ def prediction_error(run: PreparedRecording, data: Dataset, measurements: Array,
         if fitted
         else max_zero_means(data.behind_belts, data.quantum)
     )
-    error -= sensor_zero_error(error, measured, run.initial.resting_rows, max_mean)
+    error -= sensor_zero_error(error, run.weights if fitted else measured, run.initial.resting_rows, max_mean)
     return error
 
 
@@ -217,7 +218,8 @@ def residuals(
 ) -> Array:
     """Return measured minus predicted values, divided by the standard deviations of the sensors' noise.
 
-    The constant part that an error of the sensors' zeros explains is subtracted, see `prediction_error`.
+    The constant part that an error of the sensors' zeros explains is subtracted, see `prediction_error`. For a fit,
+    measurements with the same rounding error count as one (`PreparedRecording.weights`).
 
     Args:
         run: Measured run, n samples, with the standard deviation of each value's noise.
@@ -231,11 +233,12 @@ def residuals(
         Residuals, dimensionless, shape (batch, n // rows_per_block * sensors); zero where a value was not measured or
         `run.rows` excludes it.
     """
-    measured = np.isfinite(run.outputs)
-    counted = measured if run.rows is None else measured & run.rows[:, None]
+    weights = run.weights if fitted else np.isfinite(run.outputs).astype(float)
+    scales = np.sqrt(weights) / run.noise
+    if run.rows is not None:
+        scales[~run.rows] = 0.0
     with np.errstate(over="ignore", invalid="ignore"):  # parameters that make a machine diverge cost infinitely much
-        error = prediction_error(run, data, measurements, fitted=fitted)
-        error *= counted / run.noise
+        error = prediction_error(run, data, measurements, fitted=fitted) * scales
     batch, rows, sensors = error.shape
     if rows_per_block > 1:
         blocks = rows // rows_per_block

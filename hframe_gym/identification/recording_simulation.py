@@ -126,6 +126,7 @@ def _initial_state(machine: Machine, recording: Recording) -> InitialState:
     initial = dataclasses.replace(initial, offsets_refined=refined)
     state = model_initial_state(machine, initial)
     max_means = max_zero_means(behind_belts(machine), quanta)
+    measured = np.isfinite(usable.outputs)
 
     def errors(states: Array, outputs: Array) -> Array:
         """Return measured minus simulated values, 0 where not measured, shape (B, n, sensors)."""
@@ -137,7 +138,6 @@ def _initial_state(machine: Machine, recording: Recording) -> InitialState:
     def weighted_errors(states: Array) -> Array:
         """Return errors without those of the zeros, in units of the noise, shape (B, n * sensors)."""
         error = errors(states, usable.outputs)
-        measured = np.isfinite(usable.outputs)
         error = np.where(measured, error - sensor_zero_error(error, measured, rows, max_means), 0.0)
         return np.asarray((error / np.where(noise > 0.0, noise, np.inf)).reshape(len(states), -1))
 

@@ -257,7 +257,7 @@ def _position_warning(
     )
 
 
-def sensor_zero_error(error: Array, measured: NDArray[np.bool_], resting_rows: int, max_mean: Array) -> Array:
+def sensor_zero_error(error: Array, weights: Array, resting_rows: int, max_mean: Array) -> Array:
     """Estimate the constant part of a prediction error that wrong zeros (measurements at position 0) explain.
 
     It is the mean error over the later half of the rows at rest, because a sensor counts from where it was switched on.
@@ -268,7 +268,7 @@ def sensor_zero_error(error: Array, measured: NDArray[np.bool_], resting_rows: i
     Args:
         error: Measured minus predicted values of a batch of predictions over n samples, in the sensors' units, 0 where
             not measured, shape (batch, n, sensors).
-        measured: Whether a value was measured, shape (n, sensors).
+        weights: Weights of the measurements in the means, dimensionless, 0 where not measured, shape (n, sensors).
         resting_rows: Number of rows at rest at the beginning of the run, at least 1.
         max_mean: Largest part of the run's mean that may be added, in the sensors' units, see `max_zero_means`, shape
             (sensors,).
@@ -277,10 +277,11 @@ def sensor_zero_error(error: Array, measured: NDArray[np.bool_], resting_rows: i
         Errors of the zeros, in the sensors' units, shape (batch, 1, sensors).
     """
     rest = settled_rows(resting_rows)
-    count = measured.sum(axis=0)  # (sensors,)
-    at_rest = error[:, rest].sum(axis=1) / np.maximum(measured[rest].sum(axis=0), 1)  # (batch, sensors)
-    mean = (error.sum(axis=1) - at_rest * count) / np.maximum(count, 1)  # of the run, beyond the error at rest
-    return np.asarray((at_rest + np.clip(mean, -max_mean, max_mean))[:, None, :])
+    at_rest, of_run = (
+        (error[:, rows] * weights[rows]).sum(axis=1) / np.maximum(weights[rows].sum(axis=0), 1e-12)
+        for rows in (rest, slice(None))
+    )  # weighted means, (batch, sensors)
+    return np.asarray((at_rest + np.clip(of_run - at_rest, -max_mean, max_mean))[:, None, :])
 
 
 def max_zero_means(behind: NDArray[np.bool_], quanta: Array) -> Array:

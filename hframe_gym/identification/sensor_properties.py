@@ -97,6 +97,38 @@ def sensor_noise(channel: Sequence[Array], resting_rows: Sequence[int], quantum:
     return max(rounding, declared or _difference_noise(channel))
 
 
+_REST_S = 0.02  # s; a quantized measurement that stays the same for longer shows that the sensor is at rest
+
+
+def independent_values(time_s: Array, outputs: Array, quanta: Array) -> Array:
+    """Return as how many independent values measurements count.
+
+    While a machine rests, all measurements of a quantized sensor have the same rounding error. However many they are,
+    they say no more about the position than one of them.
+
+    Args:
+        time_s: Sample times, s, shape (n,).
+        outputs: Measurements, in the sensors' units, shape (n, sensors), NaN where not measured.
+        quanta: Quantization steps of the sensors, in their units, 0 where there is none, shape (sensors,).
+
+    Returns:
+        Number of independent values that each measurement stands for, shape (n, sensors): 0 where not measured, 1 in
+        motion and without quantization, and 1 divided by the number of measurements that stay the same for more than
+        20 ms.
+    """
+    counts = np.isfinite(outputs).astype(float)
+    for values, count, quantum in zip(outputs.T, counts.T, quanta, strict=True):
+        rows = np.flatnonzero(count)
+        if quantum <= 0.0 or len(rows) == 0:
+            continue
+        changes = np.flatnonzero(np.abs(np.diff(values[rows])) > quantum / 2) + 1
+        first = np.concatenate([[0], changes])  # row of each sequence of equal measurements
+        lengths = np.diff(np.append(first, len(rows)))
+        durations = time_s[rows[first + lengths - 1]] - time_s[rows[first]]
+        count[rows] = np.repeat(np.where(durations > _REST_S, 1.0 / lengths, 1.0), lengths)
+    return counts
+
+
 _MIN_JITTER_ROWS = 50  # measured rows of a run
 _FIFTH_DIFFERENCE_VARIANCE = 252.0  # of white noise with variance 1: the sum of the squared binomial coefficients
 

@@ -581,8 +581,7 @@ def test_the_bandwidth_has_the_largest_likelihood(
 
 def test_the_loss_is_chi_squared_in_units_of_the_innovations_variance() -> None:
     """Position gain K = 2 * bandwidth * period; innovations have 1 / (1 - K) times the variance of the noise."""
-    outputs = np.ones((100, 1))
-    data: Any = SimpleNamespace(period=1e-3, runs=[SimpleNamespace(outputs=outputs)])
+    data: Any = SimpleNamespace(period=1e-3, runs=[SimpleNamespace(counted=np.ones((100, 1)))])
     variance = 1.0 / (1.0 - 2.0 * 30.0 * 1e-3)
     loss = model_error.information_loss(fit_with(chi2=1.3, bandwidth=30.0), data)
     assert loss == pytest.approx(1.3 / variance + np.log(variance))
@@ -594,9 +593,9 @@ def test_the_loss_is_chi_squared_in_units_of_the_innovations_variance() -> None:
 def test_sensors_count_by_their_number_of_measurements() -> None:
     """A laser beside encoders has 5/12 of their bandwidth."""
     machine = HFRAME
-    outputs = np.full((90, 4), np.nan)
-    outputs[:, 0], outputs[:30, 2] = 1.0, 1.0
-    data: Any = SimpleNamespace(period=1e-3, runs=[SimpleNamespace(outputs=outputs)])
+    counted = np.zeros((90, 4))
+    counted[:, 0], counted[:30, 2] = 1.0, 1.0
+    data: Any = SimpleNamespace(period=1e-3, runs=[SimpleNamespace(counted=counted)])
     fitted = dataclasses.replace(fit_with(chi2=1.0, bandwidth=60.0), machine=machine)
     encoder, laser = 1.0 / (1.0 - 0.12), 1.0 / (1.0 - 0.05)
     expected = 1.0 / (0.75 * encoder + 0.25 * laser) + 0.75 * np.log(encoder) + 0.25 * np.log(laser)

@@ -59,7 +59,9 @@ def initial_at(position: np.ndarray, encoders: np.ndarray, known: bool) -> Initi
 def prepared(initial: InitialState, name: str) -> PreparedRecording:
     """Return a run at rest in an initial state."""
     outputs = np.tile([*initial.state[2:4], *initial.state[:2]], (50, 1))
-    return PreparedRecording(name, np.arange(50) * 1e-3, np.zeros((50, 2)), outputs, initial, np.ones_like(outputs))
+    return PreparedRecording(
+        name, np.arange(50) * 1e-3, np.zeros((50, 2)), outputs, initial, *[np.ones_like(outputs)] * 2
+    )
 
 
 def rigid(position: np.ndarray) -> np.ndarray:

@@ -89,9 +89,9 @@ def test_prediction_error_is_relative_to_the_rows_at_rest(data: Dataset) -> None
 
 
 def test_values_that_were_not_measured_leave_no_residual(axis: Machine, data: Dataset) -> None:
-    outputs = data.runs[0].outputs.copy()
-    outputs[300:310] = np.nan
-    run = dataclasses.replace(data.runs[0], outputs=outputs)
+    outputs, weights = data.runs[0].outputs.copy(), data.runs[0].weights.copy()
+    outputs[300:310], weights[300:310] = np.nan, 0.0
+    run = dataclasses.replace(data.runs[0], outputs=outputs, weights=weights)
     prediction = np.zeros((1, *outputs.shape))
     error = residuals(run, data, prediction)[0]
     assert np.all(np.isfinite(error))

@@ -9,6 +9,7 @@ from hframe_gym.identification import SelectionCriteria
 from hframe_gym.identification.sensor_properties import (
     blank_saturated,
     clock_jitter,
+    independent_values,
     quantum_of,
     range_effects,
     saturation_ranges,
@@ -46,6 +47,27 @@ def test_resting_runs_do_not_count_for_the_quantum(resting: int) -> None:
 
 def test_a_sensor_that_never_moves_has_its_declared_resolution() -> None:
     assert sensor_quantum([np.full(3000, 0.7)] * 4, 1e-3) == 1e-3
+
+
+def test_repeated_measurements_of_a_resting_encoder_count_as_one() -> None:
+    """At rest an encoder repeats one rounding error; in slow motion, and with noise, measurements are independent."""
+    time_s = np.arange(300) * 1e-3
+    moving = QUANTUM * np.concatenate([np.zeros(100), 0.1 * np.arange(100), np.full(100, 9.0)])
+    outputs = np.column_stack([np.floor(moving / QUANTUM) * QUANTUM, moving, np.full(300, np.nan)])
+    counts = independent_values(time_s, outputs, np.array([QUANTUM, 0.0, QUANTUM]))
+    np.testing.assert_allclose(counts[:110, 0], 1.0 / 110)  # at rest, and the first ten milliseconds of motion
+    np.testing.assert_allclose(counts[110:190, 0], 1.0)
+    np.testing.assert_allclose(counts[190:, 0], 1.0 / 110)
+    np.testing.assert_allclose(counts[:, 1], 1.0)
+    np.testing.assert_allclose(counts[:, 2], 0.0)
+
+
+def test_missing_measurements_do_not_end_a_rest() -> None:
+    values = np.full((100, 1), 0.7)
+    values[::2] = np.nan
+    counts = independent_values(np.arange(100) * 1e-3, values, np.array([QUANTUM]))
+    np.testing.assert_allclose(counts[1::2], 1.0 / 50)
+    np.testing.assert_allclose(counts[::2], 0.0)
 
 
 @pytest.mark.parametrize("every", [2, 5])
