@@ -28,7 +28,7 @@ from ..dynamics.simulation import Motion
 from ..machine import AppliedEffect, Machine
 from .dataset import Dataset
 from .estimation import Fit, with_uncertainty
-from .linearization import NormalEquations, forward_differences
+from .linearization import forward_differences
 from .prediction import POLISH_STEP, SEARCH_STEP
 from .trial_fits import fit_in_place_of
 
@@ -149,8 +149,9 @@ def separate_machines(
     time_s: Array = np.arange(rows, dtype=np.float64) * data.period
     # Of the voltages with the largest differences, those count that a refit of the second machine cannot explain.
     finalists = [
-        (inputs, _unexplained_difference(first, second, time_s, inputs, data))
+        (inputs, difference)
         for inputs in _largest_differences(first, second, time_s, data)
+        if (difference := _unexplained_difference(first, second, time_s, inputs, data)) is not None
     ]
     if not finalists:
         return None
@@ -181,7 +182,7 @@ def _largest_differences(first: Machine, second: Machine, time_s: Array, data: D
         inside = np.all([_stays_inside(motion, low, high) for motion in motions], axis=0)
         difference = _difference(motions[0].readings, motions[1].readings, data)
         admissible = inside & np.isfinite(difference).all(axis=1)
-        squares = np.where(admissible, np.square(difference).sum(axis=1), 0.0)
+        squares = np.square(np.where(admissible[:, None], difference, 0.0)).sum(axis=1)
         ranked += [(float(s), inputs[k]) for k, s in enumerate(squares) if s >= MINIMUM_SIGMA**2]
     ranked.sort(key=lambda r: -r[0])
     return [inputs for _, inputs in ranked[:_FINALISTS]]
@@ -263,10 +264,13 @@ def _difference(first: Array, second: Array, data: Dataset) -> Array:
     return (difference / data.noise).reshape(len(difference), -1)
 
 
-def _unexplained_difference(first: Machine, second: Machine, time_s: Array, inputs: Array, data: Dataset) -> Array:
+def _unexplained_difference(
+    first: Machine, second: Machine, time_s: Array, inputs: Array, data: Dataset
+) -> Array | None:
     """Return the difference (n * sensors,) that remains when the second machine's parameters adapt to the first.
 
-    The parameters are linear combinations with unit prior variance, so the prior's precision is the identity.
+    The parameters are linear combinations with unit prior variance, so the prior's precision is the identity. None if
+    a machine with slightly different parameters diverges.
     """
     parameters, directions = _covariance_root(second)
     table = np.vstack([parameters, parameters + _DIFFERENCE_STEP * directions])
@@ -275,9 +279,13 @@ def _unexplained_difference(first: Machine, second: Machine, time_s: Array, inpu
         second, time_s, inputs, parameters=table, longest_step=POLISH_STEP, states=False
     ).readings
     differences = _difference(reference, predicted, data)  # (k + 1, n * sensors)
+    if not np.isfinite(differences).all():
+        return None
     jacobian, difference = forward_differences(differences, _DIFFERENCE_STEP), differences[0]
-    equations = NormalEquations.from_rows(jacobian, difference)
-    adaptation = np.linalg.solve(equations.information + np.eye(len(jacobian)), equations.gradient)
+    # Of full rank by the identity, however much a machine close to instability responds.
+    k = len(jacobian)
+    rows, right_side = np.vstack([jacobian.T, np.eye(k)]), np.append(difference, np.zeros(k))
+    adaptation = np.linalg.lstsq(rows, right_side, rcond=None)[0]
     remaining: Array = difference - adaptation @ jacobian
     return remaining
 

@@ -12,7 +12,14 @@ from typer.testing import CliRunner
 from hframe_gym.cli import app
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
-from hframe_gym.identification import Dataset, FreeParameter, default_free_parameters, fit, prepare
+from hframe_gym.identification import (
+    Dataset,
+    FreeParameter,
+    default_free_parameters,
+    experiment_design,
+    fit,
+    prepare,
+)
 from hframe_gym.identification.estimation import with_uncertainty
 from hframe_gym.identification.experiment_design import (
     MINIMUM_SIGMA,
@@ -140,3 +147,17 @@ def test_design_for_two_drives_stays_inside_the_workspace() -> None:
         assert c.range is not None
         assert c.range[0] < moved[:, i].min()
         assert moved[:, i].max() < c.range[1]
+
+
+def test_a_machine_that_may_be_unstable_raises_no_error(data: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two combinations of parameters with the same, enormous influence make the normal equations singular."""
+    root = experiment_design._covariance_root
+
+    def twice(machine: Machine) -> tuple[np.ndarray, np.ndarray]:
+        values, directions = root(machine)
+        return values, np.vstack([directions, directions])
+
+    monkeypatch.setattr(experiment_design, "_covariance_root", twice)
+    unstable = ASYMMETRIC.replace(uncertainty=Uncertainty(("asymmetric_viscous@x.a",), np.array([[1e4]])))
+    design = separate_machines(CONSTANT_FORCE, unstable, LABELS, data)
+    assert design is None or np.isfinite(design.sigma)
