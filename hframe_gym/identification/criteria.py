@@ -33,7 +33,8 @@ class SelectionCriteria:
         min_total_gain: Smallest gain summed over all samples, chi-squared. It protects short recordings, where chance
             explains a larger fraction of the residual.
         min_chance_gain: Smallest gain summed over all samples in units of the long-run variance of the remaining
-            residual: what the best of some hundred candidates with a few parameters reaches by chance.
+            residual along the effect's influence: what the best of some hundred candidates with a few parameters
+            reaches by chance.
         min_gain_fraction: Smallest gain relative to the excess of chi-squared per sample over 1: an effect that removes
             less is a substitute for the true one.
         rival_gain_fraction: Fraction of the best candidate's gain above which another candidate counts as its rival.

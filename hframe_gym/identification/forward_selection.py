@@ -20,6 +20,7 @@ from .estimation import Fit
 from .machine_validation import validation_fault
 from .model_error import (
     fit_with_model_error,
+    information_loss,
     leave_one_out_gain,
     long_run_variance,
     minimum_gain,
@@ -200,7 +201,7 @@ class EffectSearch:
             fitted = converge(trial, self._data, thorough=current.chi2 > self._criteria.explained_chi2)
             effect, gain = fitted.machine.effects[-1], (current.cost - fitted.cost) / self._data.count
             self._log(f"  {effect.label} {describe_gain(current, fitted)}")
-            if gain < enough:
+            if max(gain, self._gain_with_narrower_observer(current, fitted)) < enough:
                 continue
             doubt = self._doubt(current, fitted)
             if not doubt:
@@ -208,6 +209,16 @@ class EffectSearch:
             self._log(f"  {effect.label} is not selected: it {doubt}")
             self.considered[effect.label] = ConsideredEffect(effect, fitted.machine, current.machine, doubt)
         return None
+
+    def _gain_with_narrower_observer(self, current: Fit, trial: Fit) -> float:
+        """Return by how much a trial and the observer that it then needs are more likely, as a gain per sample.
+
+        A wide observer hides slow errors, and with them what an effect explains.
+        """
+        narrower = fit_with_model_error(trial, self._data)
+        if narrower.bandwidth == trial.bandwidth:
+            return 0.0
+        return information_loss(current, self._data) - information_loss(narrower, self._data)
 
     def settle_rivals(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection:
         """Replace effects (deviations from the model) by rivals that are more likely beside all other effects.
@@ -268,22 +279,22 @@ class EffectSearch:
         return (
             self._unconfirmed(reduced, current)
             or validation_fault(current.machine)
-            or self._by_chance(reduced, current)
+            or self._by_chance(reduced, current, effect)
             or self._too_small(reduced, current, effect)
             or self._form_error(reduced, current, effect)
         )
 
     def _doubt(self, current: Fit, trial: Fit) -> str:
         """Return why a candidate may not exist although it reduces the error, "" if nothing speaks against it."""
-        # While other effects are missing, a fit without one run says little about the machine; `prune` repeats the test
-        # beside all effects.
-        unconfirmed = self._unconfirmed(current, trial) if current.chi2 < self._criteria.explained_chi2 else ""
+        effect = trial.machine.effects[-1]
+        # While other effects are missing, a fit without one run says little about the machine, and what they leave is
+        # correlated in time; `prune` repeats these tests beside all effects.
+        nearly_explained = current.chi2 < self._criteria.explained_chi2
         return (
-            unconfirmed
+            (nearly_explained and (self._unconfirmed(current, trial) or self._by_chance(current, trial, effect)))
             or validation_fault(trial.machine)
-            or self._by_chance(current, trial)
-            or self._too_small(current, trial, trial.machine.effects[-1])
-            or self._form_error(current, trial, trial.machine.effects[-1])
+            or self._too_small(current, trial, effect)
+            or self._form_error(current, trial, effect)
         )
 
     def _unconfirmed(self, without: Fit, with_effect: Fit) -> str:
@@ -293,9 +304,9 @@ class EffectSearch:
             return ""
         return f"is not confirmed by runs that it was not fitted to ({100 * confirmed / gain:.0f} % of the gain)"
 
-    def _by_chance(self, without: Fit, with_effect: Fit) -> str:
+    def _by_chance(self, without: Fit, with_effect: Fit, effect: AppliedEffect) -> str:
         """Return that chance may explain the gain because the remaining error is correlated, "" if it cannot."""
-        variance = long_run_variance(with_effect, self._data)
+        variance = long_run_variance(with_effect, effect.label, self._data)
         if without.cost - with_effect.cost >= self._criteria.min_chance_gain * variance:
             return ""
         return "reduces the error by no more than chance may, since the remaining error is correlated in time"

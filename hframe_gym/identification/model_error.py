@@ -18,6 +18,7 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtri, fdtri
 
 from .criteria import SelectionCriteria
 from .dataset import Dataset, PreparedRecording
@@ -45,7 +46,9 @@ BANDWIDTHS = (SEARCH_BANDWIDTH, 30.0, 15.0, 7.0, 3.0, SIMULATION)
 _MIN_RUNS, _PIECES = 4, 8  # fewer runs are divided into that many pieces for cross-validation
 _MIN_AGREEING = 2  # runs that must agree with each other for another one to contradict them
 CONTRADICTION = 10.0  # times the chi-squared of the other runs; effects that single runs excite reach 30
-_CORRELATION_S = 0.05  # s; longer than the correlation of a sensor's noise
+_BLOCK_S = 0.5  # s; longer than the correlation of a vibration
+_INDEPENDENT_S = (0.05, _BLOCK_S, 1e6)  # s; longer than the correlation of a sensor's noise; ...; complete runs
+_CHANCE = 1e-4  # probability of a false effect among a hundred candidates: 1 %
 _SEARCH_STEP_NARROW = 0.25e-3  # s; a narrow observer does not forgive the error of longer integration steps
 
 
@@ -180,31 +183,51 @@ def residue_force(fitted: Fit, data: Dataset) -> float:
     return math.sqrt(max(force_size(correction) ** 2 - force_size(noise) ** 2, 0.0))
 
 
-def long_run_variance(fitted: Fit, data: Dataset) -> float:
-    """Return the variance of sums of the residual over 50 ms, relative to that of white noise.
+def long_run_variance(fitted: Fit, label: str, data: Dataset) -> float:
+    """Return the variance of the residual along the influence of an effect, relative to that of white noise.
 
-    The noise is that of the sensors. The result is 1 for white noise. A residual that is correlated in time has fewer
-    independent values, so that adding an effect without cause reduces the cost by that many times more.
+    A residual that is correlated in time has fewer independent values, and an effect that does not exist reduces the
+    cost by that many times more. Blocks of 50 ms, blocks of 0.5 s, or runs are taken as independent. Few blocks
+    estimate a variance inaccurately; it is larger by the ratio of the quantiles of the F and the chi-squared
+    distribution, as for the gain of an effect that does not exist.
 
     Args:
-        fitted: Fitted machine with the bandwidth of the observer that corrects its predictions by the measurements.
+        fitted: Fit with the effect (deviation from the nominal model), at any observer bandwidth.
+        label: Label (name@site) of the effect, of which at least one parameter is free.
         data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
-        Largest ratio of all sensors, dimensionless, at least 1.
+        Largest ratio over the kinds of blocks and over combinations of the effect's parameters, at least 1; infinite if
+        the machine diverges at slightly different parameters.
+
+    References:
+        Liang and Zeger (1986), "Longitudinal data analysis using generalized linear models".
     """
-    # Sums over these rows are divided by the root of their number, so that white noise has variance 1.
-    rows = max(1, round(_CORRELATION_S / data.period))
-    sensors = len(fitted.machine.sensors)
+    model = ResidualModel(fitted.machine, fitted.free, data, fitted.bandwidth, search_step(fitted.bandwidth))
+    runs = list(map_runs(lambda run: model.linearize_run(run, fitted.theta), data))
+    if not all(np.isfinite(run.jacobian).all() and np.isfinite(run.residual).all() for run in runs):
+        return math.inf
+    own = np.array([parameter.name.startswith(f"{label}.") for parameter in fitted.free])
+    hessian = sum((run.jacobian @ run.jacobian.T for run in runs), prior_precision(fitted.free))
+    # Change of the effect's parameters with adapted other parameters: one row per parameter of the effect.
+    directions = np.eye(len(own))[own]
+    directions[:, ~own] = -np.linalg.solve(hessian[np.ix_(~own, ~own)], hessian[np.ix_(~own, own)]).T
+    responses = [directions @ run.jacobian for run in runs]
+    inverse = np.linalg.pinv(sum(response @ response.T for response in responses), hermitian=True)
+    largest, rows = 0.0, round(1.0 / data.period) * len(fitted.machine.sensors)  # residuals per second
+    for seconds in _INDEPENDENT_S:
+        size = max(1, round(rows * seconds))
+        blocks = [_block_sums(j * run.residual, size) for j, run in zip(responses, runs, strict=True)]
+        scores = np.concatenate(blocks, axis=1)  # (parameters of the effect, blocks)
+        largest = max(largest, float(np.linalg.eigvals(inverse @ scores @ scores.T).real.max()))
+    count, parameters = sum(-(-run.residual.size // round(rows * _BLOCK_S)) for run in runs), int(own.sum())
+    quantiles = fdtri(parameters, count, 1.0 - _CHANCE), chdtri(parameters, _CHANCE) / parameters
+    return max(1.0, largest * float(quantiles[0] / quantiles[1]))
 
-    def of_run(run: PreparedRecording) -> Array:
-        motion = predict(
-            fitted.machine, run, fitted.bandwidth, period=data.period, longest_step=search_step(fitted.bandwidth)
-        )
-        return residuals(run, data, motion.readings, rows)[0].reshape(-1, sensors)  # (blocks, sensors)
 
-    sums = np.concatenate(list(map_runs(of_run, data)))
-    return max(1.0, float(np.max(np.mean(sums**2, axis=0))))
+def _block_sums(rows: Array, size: int) -> Array:
+    """Return sums over blocks of that many values, shape (k, blocks), of k rows; the last block may be shorter."""
+    return np.asarray(np.add.reduceat(rows, np.arange(0, rows.shape[1], size), axis=1))
 
 
 def leave_one_out_gain(without: Fit, with_effect: Fit, data: Dataset) -> float:

@@ -83,7 +83,7 @@ def more_likely_rival(
     best, least = None, information_loss(_polished(current, data), data) if possible else 0.0
     for rival in possible:
         trial = _polished(fit_in_place_of(current, label, rival, data), data)
-        enough = criteria.min_chance_gain * long_run_variance(trial, data) / data.count
+        enough = criteria.min_chance_gain * long_run_variance(trial, rival.label, data) / data.count
         loss = information_loss(trial, data)
         if loss < least - enough:
             best, least = trial, loss

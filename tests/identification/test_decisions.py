@@ -76,7 +76,7 @@ class Scripted:
             "effect_force": lambda machine, effect, data: self.force.get(effect.label, 1.0),
             "residue_force": lambda fitted, data: self.residue.get(fitted.chi2, 0.1),
             "leave_one_out_gain": lambda a, b, data: self.confirmed * (a.cost - b.cost),
-            "long_run_variance": lambda fitted, data: self.variance,
+            "long_run_variance": lambda fitted, label, data: self.variance,
             "validation_fault": lambda machine: self.fault,
             "force_difference": lambda a, b, data: self.difference,
             "fit_with_model_error": lambda fitted, data: fitted,
@@ -163,7 +163,7 @@ def test_a_rival_that_is_more_likely_replaces_an_effect(
         "fit_in_place_of": lambda current, label, rival, data: other,
         "polish": lambda fitted, data: fitted,
         "at_bandwidth": lambda fitted, bandwidth, data: fitted,
-        "long_run_variance": lambda fitted, data: 0.015 * COUNT / CRITERIA.min_chance_gain,
+        "long_run_variance": lambda fitted, label, data: 0.015 * COUNT / CRITERIA.min_chance_gain,
     }
     for name, function in replaced.items():
         monkeypatch.setattr(rivals, name, function)
