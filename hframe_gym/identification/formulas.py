@@ -68,7 +68,9 @@ class ProposedFormula:
         """Convert the formula to an entry of `proposed_formulas` in report.json.
 
         Returns:
-            Labels, equation, parameters (SI), their number, `curve_error` (see `Formula.error`), and the attributes.
+            "table": label of the table; "terms": names of the terms; "formula": the equation as text; "parameters":
+            values by name, SI; "complexity": number of parameters; "curve_error": see `Formula.error`; "fitted",
+            "held_out" and "recommended": the attributes of these names.
         """
         effect, formula = self.effect, self.effect.formula
         return {
@@ -104,8 +106,8 @@ def propose_formulas(machine: Machine, table: AppliedEffect) -> tuple[ProposedFo
         table: One of `tables_of(machine)`.
 
     Returns:
-        Formulas by increasing complexity; the simplest whose error of left-out knots is below one standard
-        deviation, or close to the smallest, is recommended.
+        Formulas by increasing complexity. The recommended one is the simplest that predicts left-out knots of the table
+        with an error below one standard deviation, or with an error close to the smallest.
 
     Raises:
         ImportError: If scikit-learn is not installed; the message names the extra `formulas`.

@@ -335,8 +335,7 @@ def describe_gain(before: Fit, after: Fit) -> str:
     """Describe the benefit of an effect: "reduces chi-squared per sample from 98.99 to 0.79 (simulation)".
 
     Args:
-        before: Fit without the effect; the bandwidth, rad/s, of the observer that corrects its predictions is stated,
-            or "simulation" if it is 0.
+        before: Fit without the effect; the text states its observer bandwidth, rad/s, or "simulation" if that is 0.
         after: Fit with the effect, at the same bandwidth.
 
     Returns:

@@ -178,8 +178,7 @@ def add_tables(
     A table is added only if it also predicts the half of the data that it was not fitted to (cross-validation).
 
     Args:
-        current: Fit of the machine with the effects selected so far; the observer that corrects its predictions by the
-            measurements is used throughout.
+        current: Fit of the machine with the effects selected so far; its observer bandwidth is used throughout.
         selected: Effects (deviations from the nominal model) selected so far.
         data: Prepared recordings to fit (times, voltages, measurements, SI).
         criteria: Decision thresholds, among them the smallest reduction of chi-squared per sample by a table.

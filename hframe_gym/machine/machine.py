@@ -227,8 +227,7 @@ class Machine:
             The unit, for example "Ns/m" of x.viscous, "m" or "rad" of a sensor's noise, "1" if dimensionless.
 
         Raises:
-            KeyError: If the machine has no parameter of this kind.
-            StopIteration: If an effect of the machine has no such parameter.
+            KeyError: If the machine and its effects have no parameter of this kind.
         """
         owner, _, key = parameter.rpartition(".")
         if owner in self.output_channels and key in self.sensor(owner).device_parameters:
@@ -253,7 +252,7 @@ class Machine:
             The unit, for example "N" for a Coulomb friction force at a carriage and "Nm" at a motor.
 
         Raises:
-            StopIteration: If the effect has no such parameter.
+            KeyError: If the effect has no such parameter.
         """
         unit = effect.definition.parameter(parameter).unit
         coordinate = self.coordinate_of_site(effect.site, effect.definition.site)
