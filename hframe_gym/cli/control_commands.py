@@ -66,7 +66,7 @@ def train(
     jobs: Annotated[int, typer.Option(min=1, max=1024, help="Number of seeds to train at a time.")] = 1,
     ray: RayOption = None,
 ) -> None:
-    """Train an agent by the recipe of an algorithm and a task.
+    """Train an agent by a recipe: the settings of an algorithm for a task.
 
     The folder receives the best agent so far, its card with the learning curve, TensorBoard logs and a checkpoint.
     A run may be killed at any time and continued with --resume. Several seeds become the folders seed_0, seed_1, ...,
@@ -126,13 +126,14 @@ def evaluate(
     html: Annotated[bool, typer.Option("--html", help="Also write scorecard.html, one self-contained page.")] = False,
     protocol: Annotated[
         str | None,
-        typer.Option(help="Fixed benchmark for the leaderboard: {protocols}; replaces all but --out and --ray."),
+        typer.Option(help="Fixed benchmark for the leaderboard: {protocols}; it sets all options but --out and --ray."),
     ] = None,
     ray: RayOption = None,
 ) -> None:
-    """Score controllers on identical episodes; writes scores.json and a plot of each one's first episode.
+    """Score controllers on identical episodes; write scores.json and a plot of the first episode of each.
 
-    With --protocol, writes one result file per controller for the leaderboard (docs/leaderboard.md) instead.
+    With --protocol, write one result file per controller for the leaderboard (docs/leaderboard.md) instead. The
+    controller `pid` is a model-based state feedback; `textbook-pid` is a PID.
 
     Examples:  hframe evaluate pid textbook-pid --episodes 64 --html --out out/scores
 
