@@ -21,6 +21,7 @@ import pytest
 from rich.console import Console
 from rich.table import Table
 
+from hframe_gym.cli import control_commands
 from hframe_gym.cli import tables as cli_tables
 from hframe_gym.controllers import CONTROLLERS, ModelBasedController
 from hframe_gym.data_validation import Finding, print_findings
@@ -456,6 +457,11 @@ def test_help_has_an_example(command: str, hframe_command: Command) -> None:
     assert code == 0
     assert "Example" in out
     assert f"hframe {command}" in out
+
+
+def test_controllers_of_equal_name_have_plots_of_their_own() -> None:
+    names = ["out/ppo", "pid", "ppo", "other/ppo", "module:name"]
+    assert control_commands._plot_labels(names) == ["ppo", "pid", "ppo_2", "ppo_3", "module-name"]
 
 
 @pytest.mark.parametrize("command", COMMANDS)

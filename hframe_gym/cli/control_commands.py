@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -197,8 +198,7 @@ def _write_evaluation(
     with output_batch(out):
         written = [write_scores(out, scores)]
         try:
-            for name, episode in recorded.items():
-                label = Path(name).name.replace(":", "-")  # of a folder the last part; no colon in a file name
+            for label, episode in zip(_plot_labels(recorded), recorded.values(), strict=True):
                 save_plot(out / f"{label}.png", episode, title=f"{label} on {machine}")
                 written.append(out / f"{label}.png")
             if warned is not None:
@@ -206,6 +206,19 @@ def _write_evaluation(
         except ImportError as error:
             log(f"no plots: {error}")
     return written
+
+
+def _plot_labels(names: Iterable[str]) -> list[str]:
+    """Return a different file name without suffix for each controller: of a folder the last part, and no colon."""
+    labels: list[str] = []
+    for name in names:
+        label = base = Path(name).name.replace(":", "-")
+        number = 1
+        while label in labels:  # for example the folder out/ppo and the shipped agent ppo
+            number += 1
+            label = f"{base}_{number}"
+        labels.append(label)
+    return labels
 
 
 def _evaluate_by_protocol(

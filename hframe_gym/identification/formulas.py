@@ -61,7 +61,7 @@ class ProposedFormula:
 
     @property
     def noise_ratio(self) -> float:
-        """Mean error over the channels of the held-out (not fitted) runs / sensor noise, dimensionless; or NaN."""
+        """Error on held-out (not fitted) runs / sensor noise, mean over channels, dimensionless; NaN without runs."""
         return float(np.mean(list(self.held_out.values()))) if self.held_out else math.nan
 
     def as_json(self) -> dict[str, Any]:
@@ -226,7 +226,7 @@ class TableComparison:
 
     @property
     def noise_ratio(self) -> float:
-        """Mean error of the table over the channels of the held-out (not fitted) runs / sensor noise, dimensionless."""
+        """Error of the table on held-out (not fitted) runs / sensor noise, mean over the channels, dimensionless."""
         return float(np.mean(list(self.held_out.values())))
 
     def as_json(self) -> dict[str, Any]:

@@ -142,7 +142,8 @@ class Machine:
 
     @cached_property
     def sensor_matrix(self) -> Array:
-        """Change of noise-free readings per unit of each coordinate, no products, shape (sensors, coordinates)."""
+        """Linear part of the noise-free readings per unit of each coordinate, shape (sensors, coordinates)."""
+        # Without the products of coordinates that a reading may contain.
         return np.array([self.coefficients(s.row) for s in self.sensors])
 
     def coordinate_of_site(self, site: str, kind: SiteKind) -> str | None:
