@@ -135,11 +135,11 @@ class Agent(Controller):
             self.mapping.replace_last_action(actions)
 
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """Clear the memory of environments whose next observation starts a new episode.
+        """Clear what is stored of past periods, for all environments that start a new episode.
 
         Args:
-            mask: True for the environments to reset, shape (batch,) for a batch of environments. Default: all; the
-                number of environments may then change.
+            mask: True for the environments whose next observation is the first of an episode, shape (batch,). Default:
+                all environments; the next batch may then have another size.
         """
         if self.mapping:
             self.mapping.reset(mask)

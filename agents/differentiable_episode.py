@@ -29,8 +29,8 @@ TRAVEL_STEP, RATE_STEP, VOLTAGE_STEPS = 2e-5, 5e-3, (0.05, 0.3)
 # Units of travel, m, and rate, m/s, in which the derivative with respect to the state is limited: typical changes in
 # one period.
 TRAVEL_UNIT, RATE_UNIT = 1e-3, 0.05
-# Lengths s, m, and weights w of the cost sum w d / (d + s) of a distance d: the reward "dense", with more weight on a
-# few tenths of a millimeter.
+# Lengths s, m, and weights w of `distance_cost`. It resembles the reward "dense", which has equal weights; here a few
+# tenths of a millimeter count most.
 COST_SCALES, COST_WEIGHTS = (2e-1, 2e-2, 2e-3, 2e-4, 2e-5), (0.05, 0.05, 0.3, 0.5, 0.1)
 SMALLEST_DISTANCE = 1e-6  # m, below which the cost is smooth
 # Cost along a path: per CONTOUR_UNIT of rms contour error, and per TRACKING_UNIT of rms distance to the moving goal.
@@ -204,13 +204,16 @@ limited: Any = _Limit.apply
 
 
 def distance_cost(distance: Any) -> Any:
-    """Compute the cost sum w d / (d + s) of distances d over the lengths s of `COST_SCALES` with `COST_WEIGHTS`.
+    """Compute a cost that increases with the distance d to the goal, from 0 at the goal towards 1.
+
+    The cost is the sum over k of w[k] * d / (d + s[k]), with the lengths s of `COST_SCALES`, m, and the weights w of
+    `COST_WEIGHTS`, whose sum is 1. Halving a distance of any length between those of s therefore reduces the cost.
 
     Args:
-        distance: Distances, m, tensor of any shape.
+        distance: Distances to the goal, m, tensor of any shape.
 
     Returns:
-        Costs, 0 to 1, tensor of the same shape.
+        Costs, dimensionless, 0 to 1, tensor of the same shape.
     """
     scales, weights = (torch.tensor(values, dtype=distance.dtype) for values in (COST_SCALES, COST_WEIGHTS))
     return (weights * distance[..., None] / (distance[..., None] + scales)).sum(-1)
@@ -224,7 +227,7 @@ def reach_cost(tool: Any, goal: Any) -> Any:
         goal: Goals, m, shape (B, axes).
 
     Returns:
-        Mean `distance_cost` of the period, shape (B,).
+        Mean of `distance_cost` over the samples of the period, dimensionless, shape (B,).
     """
     squares = ((tool - goal.double()[:, None]) ** 2).sum(2)
     return distance_cost(torch.sqrt(squares + SMALLEST_DISTANCE**2)).mean(1)
@@ -252,7 +255,7 @@ def path_cost(squares: Any) -> Any:
         squares: Results of `path_errors` by period, m^2, shape (B, periods, 2).
 
     Returns:
-        Rms contour error per CONTOUR_UNIT plus rms distance to the goal per TRACKING_UNIT, shape (B,).
+        Rms contour error / CONTOUR_UNIT + rms distance to the goal / TRACKING_UNIT, dimensionless, shape (B,).
     """
     units = torch.tensor([CONTOUR_UNIT, TRACKING_UNIT], dtype=squares.dtype)
     return (torch.sqrt(squares.mean(1) + SMALLEST_DISTANCE**2) / units).sum(1)

@@ -252,24 +252,29 @@ class TransferBank:
         self.size = self._gains.shape[1]
 
     def gains(self, goal: NDArray[Any]) -> Array:
-        """Return the gains of the transfers to given goals on the entries of `observation`.
+        """Return the feedback gains of the transfers to given goals.
+
+        The voltages are the gains times the difference between the observation and the one `at_rest` at the goal.
 
         Args:
             goal: Tool positions of the goals, m, shape (batch, axes).
 
         Returns:
-            Gains, fractions of the rated voltage per unit of the entry, shape (batch, K, drives, entries).
+            Gains, fractions of the rated voltage per unit of an entry of the full-state observation (m, rad, m/s or
+            rad/s), shape (batch, K, drives, entries).
         """
         return self._gains[self._grid.nearest(np.asarray(goal, np.float64))] @ self._of_observation
 
     def at_rest(self, goal: NDArray[Any]) -> Array:
-        """Return the observations of a machine that is at rest at given goals.
+        """Return the full-state observations of a machine that is at rest with its tool at given goals.
 
         Args:
             goal: Tool positions of the goals, m, shape (batch, axes).
 
         Returns:
-            `observation` with full state, m, rad, m/s and rad/s, shape (batch, entries).
+            Arrays like `observation` of an environment with the sensors "state": positions of the tool's axes and of
+            the driven coordinates, m and rad, then their velocities, which are 0, m/s and rad/s, shape (batch,
+            entries).
         """
         return self._model.observation(self._model.goal_state(goal))
 
@@ -277,8 +282,8 @@ class TransferBank:
         """Compute the voltages of the first period of every transfer from the present state to the goal.
 
         Args:
-            observation: `observation` with full state, m, rad, m/s and rad/s, shape (batch, entries).
-            goal: Goals, m, shape (batch, axes).
+            observation: Present full-state observations, with the entries of `at_rest`, shape (batch, entries).
+            goal: Tool positions of the goals, m, shape (batch, axes).
 
         Returns:
             Voltages divided by the rated voltages, limited to LARGEST_WEIGHTED, shape (batch, K, drives).

@@ -170,11 +170,11 @@ class ResidualAction:
         return spaces.Dict({**observation_space.spaces, **added})
 
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """Clear the history of environments whose next observation starts a new episode.
+        """Clear what is stored of past periods, for all environments that start a new episode.
 
         Args:
-            mask: True for the environments to reset, shape (batch,) for a batch of environments. Default: all; the
-                number of environments may then change.
+            mask: True for the environments whose next observation is the first of an episode, shape (batch,). Default:
+                all environments; the next batch may then have another size.
         """
         if self.base:
             self.base.reset(mask)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import io
+import itertools
 import json
 import os
 import re
@@ -20,6 +21,7 @@ import pytest
 from rich.console import Console
 from rich.table import Table
 
+from hframe_gym.cli import control_commands
 from hframe_gym.cli import tables as cli_tables
 from hframe_gym.controllers import CONTROLLERS, ModelBasedController
 from hframe_gym.data_validation import Finding, print_findings
@@ -455,6 +457,24 @@ def test_help_has_an_example(command: str, hframe_command: Command) -> None:
     assert code == 0
     assert "Example" in out
     assert f"hframe {command}" in out
+
+
+def test_controllers_of_equal_name_have_plots_of_their_own() -> None:
+    names = ["out/ppo", "pid", "ppo", "other/ppo", "module:name"]
+    assert control_commands._plot_labels(names) == ["ppo", "pid", "ppo_2", "ppo_3", "module-name"]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_paragraphs_of_help_fill_the_terminal(
+    command: str, hframe_command: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The line breaks of docstrings, at 120 columns, do not appear."""
+    monkeypatch.setenv("COLUMNS", "200")
+    _, out, _ = hframe_command(command, "--help")
+    prose = out.partition("Example")[0].splitlines()
+    for line, following in itertools.pairwise(prose):
+        if line.strip() and following.strip():
+            assert len(line.rstrip()) + len(following.split()[0]) > 150, line
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 from collections.abc import Iterable
 from pathlib import Path
@@ -9,12 +10,37 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
-from typer.core import TyperCommand
+from typer.core import TyperCommand, TyperGroup
 
 from ..distributed import LOCAL_RAY
 from ..registry import load_plugins
 
+
+class CommandGroup(TyperGroup):
+    """Group of commands; paragraphs of their help pages fill the width of the terminal.
+
+    Typer alone would keep the line breaks of the docstrings.
+    """
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Return a command whose help has no line breaks within paragraphs.
+
+        Args:
+            ctx: Click context of the group.
+            cmd_name: Name of the command.
+
+        Returns:
+            The command, or None if the group has none of this name.
+        """
+        command = super().get_command(ctx, cmd_name)
+        if command is not None and command.help:
+            paragraphs = inspect.cleandoc(command.help).split("\n\n")
+            command.help = "\n\n".join(paragraph.replace("\n", " ") for paragraph in paragraphs)
+        return command
+
+
 app = typer.Typer(
+    cls=CommandGroup,
     help="H-frame stages: simulate, identify from measured data, train and evaluate controllers.",
     no_args_is_help=True,
     add_completion=False,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -66,7 +67,7 @@ def train(
     jobs: Annotated[int, typer.Option(min=1, max=1024, help="Number of seeds to train at a time.")] = 1,
     ray: RayOption = None,
 ) -> None:
-    """Train an agent by the recipe of an algorithm and a task.
+    """Train an agent by a recipe: the settings of an algorithm for a task.
 
     The folder receives the best agent so far, its card with the learning curve, TensorBoard logs and a checkpoint.
     A run may be killed at any time and continued with --resume. Several seeds become the folders seed_0, seed_1, ...,
@@ -126,13 +127,14 @@ def evaluate(
     html: Annotated[bool, typer.Option("--html", help="Also write scorecard.html, one self-contained page.")] = False,
     protocol: Annotated[
         str | None,
-        typer.Option(help="Fixed benchmark for the leaderboard: {protocols}; replaces all but --out and --ray."),
+        typer.Option(help="Fixed benchmark for the leaderboard: {protocols}; it sets all options but --out and --ray."),
     ] = None,
     ray: RayOption = None,
 ) -> None:
-    """Score controllers on identical episodes; writes scores.json and a plot of each one's first episode.
+    """Score controllers on identical episodes; write scores.json and a plot of the first episode of each.
 
-    With --protocol, writes one result file per controller for the leaderboard (docs/leaderboard.md) instead.
+    With --protocol, write one result file per controller for the leaderboard (docs/leaderboard.md) instead. The
+    controller `pid` is a model-based state feedback; `textbook-pid` is a PID.
 
     Examples:  hframe evaluate pid textbook-pid --episodes 64 --html --out out/scores
 
@@ -196,8 +198,7 @@ def _write_evaluation(
     with output_batch(out):
         written = [write_scores(out, scores)]
         try:
-            for name, episode in recorded.items():
-                label = Path(name).name.replace(":", "-")  # of a folder the last part; no colon in a file name
+            for label, episode in zip(_plot_labels(recorded), recorded.values(), strict=True):
                 save_plot(out / f"{label}.png", episode, title=f"{label} on {machine}")
                 written.append(out / f"{label}.png")
             if warned is not None:
@@ -205,6 +206,19 @@ def _write_evaluation(
         except ImportError as error:
             log(f"no plots: {error}")
     return written
+
+
+def _plot_labels(names: Iterable[str]) -> list[str]:
+    """Return a different file name without suffix for each controller: of a folder the last part, and no colon."""
+    labels: list[str] = []
+    for name in names:
+        label = base = Path(name).name.replace(":", "-")
+        number = 1
+        while label in labels:  # for example the folder out/ppo and the shipped agent ppo
+            number += 1
+            label = f"{base}_{number}"
+        labels.append(label)
+    return labels
 
 
 def _evaluate_by_protocol(

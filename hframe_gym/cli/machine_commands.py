@@ -10,10 +10,10 @@ from typing import Annotated
 import typer
 
 from ..errors import InputError
-from .app import MachineOption, app, console, log
+from .app import CommandGroup, MachineOption, app, console, log
 
-app.add_typer(effects_app := typer.Typer(), name="effects")
-app.add_typer(machines_app := typer.Typer(), name="machines")
+app.add_typer(effects_app := typer.Typer(cls=CommandGroup), name="effects")
+app.add_typer(machines_app := typer.Typer(cls=CommandGroup), name="machines")
 
 PLOT_SUFFIXES = (".png", ".svg", ".pdf")
 
@@ -99,13 +99,15 @@ def print_schema() -> None:
 def new_machine_file(
     like: Annotated[str, typer.Option(help="Template: hframe, axis or corexy.")] = "",
     out: Annotated[Path | None, typer.Option(help="File to write.")] = None,
-    name: Annotated[str, typer.Option(help="Name of the machine (default: that of the file).")] = "",
+    name: Annotated[str, typer.Option(help="Name of the machine (default: name of the file).")] = "",
     travel: Annotated[str, typer.Option(help="Travel along x and y, m, for example 0.3,0.2.")] = "",
     mass: Annotated[str, typer.Option(help="Moving mass along x and y, kg, for example 0.4,1.2.")] = "",
     pulley_radius: Annotated[float | None, typer.Option(help="Pitch radius of the motors' pulleys, m.")] = None,
     gear_ratio: Annotated[float | None, typer.Option(help="Turns of the motor per turn of the pulley.")] = None,
     rotor_inertia: Annotated[float | None, typer.Option(help="Inertia of a motor's rotor, kg m^2.")] = None,
-    torque_constant: Annotated[float | None, typer.Option("--Kt", help="Torque constant = Ke, Nm/A.")] = None,
+    torque_constant: Annotated[
+        float | None, typer.Option("--Kt", help="Torque constant, Nm/A; Ke becomes the same, in Vs/rad.")
+    ] = None,
     resistance: Annotated[float | None, typer.Option(help="Resistance of a motor, ohm.")] = None,
     rated_voltage: Annotated[float | None, typer.Option(help="Rated voltage, V.")] = None,
     encoder_lines: Annotated[int | None, typer.Option(help="Lines of the motors' encoders; 0: none.")] = None,
@@ -113,9 +115,9 @@ def new_machine_file(
     values: Annotated[list[str] | None, typer.Option("--set", help="PARAMETER=VALUE in SI, e.g. x.coulomb=2.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
 ) -> None:
-    """Write a commented machine.json; without --like and --out, ask for the values.
+    """Write a commented machine.json from a template; without --like or --out, ask for the values.
 
-    For an axis, --travel and --mass are one number each.
+    Values that are not given are those of the template. For an axis, --travel and --mass are one number each.
 
     Example:  hframe machines new --like corexy --travel 0.3,0.3 --mass 0.4,1.2 --out my.json
     """

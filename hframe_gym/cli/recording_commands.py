@@ -168,7 +168,11 @@ def identify(
     ] = None,
     jobs: Annotated[
         int | None,
-        typer.Option(min=1, max=1024, help="Number of threads (default: all cores); for rigs, of rigs at a time."),
+        typer.Option(
+            min=1,
+            max=1024,
+            help="Number of threads (default: all cores); with several rigs, number of rigs at a time (default: 1).",
+        ),
     ] = None,
     # Has no effect, because identification draws no random numbers; scripts that pass it keep working.
     seed: Annotated[int, typer.Option(hidden=True)] = 0,
@@ -181,9 +185,9 @@ def identify(
     """Fit a machine to its recordings, find the effects that its model lacks, and verify them on held-out runs.
 
     The recordings are checked first; faults (see `hframe check`) stop the command before anything is fitted. Every
-    fourth run is held out unless --hold-out names others: it is not fitted and gives the errors of the report. The
-    folder --out receives report.json, the declared, refitted and corrected machine, report.html and its plots; of
-    several rigs, a folder with these files for each.
+    fourth run is held out unless --hold-out names others: it is not fitted, and the errors in the report are those on
+    such runs. The folder --out receives report.json, the declared, refitted and corrected machine, report.html and its
+    plots; with several rigs, it receives a folder with these files for each rig.
 
     Example:  hframe identify examples/rig_a --out out/rig_a
     """

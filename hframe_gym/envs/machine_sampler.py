@@ -50,9 +50,13 @@ class ParameterSpace:
     def of(cls, machine: Machine, task_parameters: Mapping[str, float] | None = None) -> ParameterSpace:
         """Collect the randomizable parameters of a machine and a task, with the limits of their random values.
 
-        Friction, noise and converter resolution may be 0. The rest length of a belt is at least `SMALLEST_FRACTION` of
-        its nominal value at every position in the workspace. Parameters of effects have the bounds of their
-        definition. Any other positive parameter is at least `SMALLEST_FRACTION` of its nominal value.
+        The limits are:
+
+        - friction, noise and converter resolution: not negative;
+        - `rest_length` of a belt, which is its unstretched length at position 0: such that the unstretched length stays
+          above `SMALLEST_FRACTION` of the nominal `rest_length` wherever the carriage is in the workspace;
+        - parameters of effects: the bounds in the definition of the effect;
+        - any other positive parameter: at least `SMALLEST_FRACTION` of its nominal value.
 
         Args:
             machine: Machine without randomization.

@@ -67,14 +67,15 @@ def export_dataset(
     The id of the data set is MACHINE/TASK/CONTROLLER-v0. Minari finds it if the environment variable
     `MINARI_DATASETS_PATH` names the folder `out`. Observations, rewards and infos are those of `HFrame-v0` with the
     scenario's options (`HFrameTrack-v0` for a task with a path); actions are the applied fractions of the rated
-    voltages, float32. The metadata of every episode hold its seed, those of the data set the controller, the machine
-    with all parameters, the options of the environment and the version of this package.
+    voltages, float32. The metadata of each episode contain its seed. The metadata of the data set contain the
+    controller, the machine with all parameters, the options of the environment and the version of this package.
 
     Args:
         name: Name of the controller as for `make_controller`, or the folder of a trained agent.
         scenario: Machine, task, randomization, sensors, number of episodes, seed, period and duration.
         out: Folder for data sets; created if it does not exist.
-        normalize: Whether the stored observations and goals are divided by their scales; the controller's are not.
+        normalize: Whether the stored observations and goals are divided by their scales. The controller always receives
+            SI units.
         flat: Whether a stored observation is one array instead of a dict of arrays, as of `HFrameFlat-v0`.
         author: Author in the metadata. Default: none.
 

@@ -63,13 +63,13 @@ class Sometimes(Distribution):
             raise InputError(f"randomize: the distribution {self} has an invalid probability, constant or sign")
 
     def quantile(self, u: Array) -> Array:
-        """Compute quantiles, in ascending order of the numbers: the negative ones, the constant, the positive ones.
+        """Compute quantiles of the distribution (its inverse cumulative distribution function).
 
         Args:
-            u: Probabilities in (0, 1), shape (k,).
+            u: Cumulative probabilities in (0, 1), shape (k,).
 
         Returns:
-            Values of the distribution, shape (k,).
+            Values that the random number does not exceed with these probabilities, in the unit of `low`, shape (k,).
         """
         size = LogUniform(self.low, self.high)
         below = self.probability if self.otherwise >= self.high else 0.5 * self.probability * self.signed

@@ -264,8 +264,8 @@ def periodogram_peaks(motion: Array, *, friction: bool) -> Array:
             force.
 
     Returns:
-        Rates, rad per unit of position, shape (at most 6,): the best one of each band of rates, then the best of all,
-        by explained power. Empty if the position does not change.
+        Rates, rad per unit of position, shape (at most 6,): the rate that explains most power in each band of rates,
+        then those that explain most of all. Empty if the position does not change.
 
     References:
         Lomb (1976), Least-squares frequency analysis of unequally spaced data.

@@ -15,11 +15,10 @@ from .encoder_zeros import EncoderZeros, common_encoder_zeros
 from .free_parameters import typical_force
 from .initial_state import encoder_zero_errors, measured_initial_state, model_initial_state, refine_offsets
 from .rest_measurement import InitialState, behind_belts, estimate_initial_state
-from .sensor_properties import clock_jitter, independent_values, sensor_noise, sensor_quantum, smooth_speed
+from .sensor_properties import clock_jitter, independent_values, noise_by_row, sensor_noise, sensor_quantum
 
 Array = NDArray[np.float64]
 MIN_ROWS = 20  # rows of a run that the filters of the residual need
-_MIN_SPEED_ROWS = 11  # measured rows that a speed needs
 
 
 @dataclass(frozen=True)
@@ -56,7 +55,7 @@ class PreparedRecording:
 
     @property
     def count(self) -> float:
-        """Number of independent measured values that enter the residual."""
+        """Number of independent measured values (dimensionless) that enter the residual."""
         return float(self.counted.sum())
 
     def initial_state(self, machine: Machine) -> Array:
@@ -95,7 +94,7 @@ class Dataset:
 
     @property
     def count(self) -> float:
-        """Number of independent measured values of all runs and sensors that enter the residual."""
+        """Number of independent measured values (dimensionless) of all runs that enter the residual."""
         return sum(run.count for run in self.runs)
 
     @property
@@ -163,7 +162,7 @@ def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:
             r.inputs,
             r.outputs - state.offset,
             state,
-            _noise_by_row(r, np.array(noise), jitter),
+            noise_by_row(r.time_s, r.outputs, np.array(noise), jitter),
             independent_values(r.time_s, r.outputs, quanta),
         )
         for r, state in zip(recordings, initial, strict=True)
@@ -205,17 +204,6 @@ def _common_jitter(recordings: Sequence[Recording], machine: Machine, noise: Seq
         ),
         default=0.0,
     )
-
-
-def _noise_by_row(recording: Recording, noise: Array, jitter: float) -> Array:
-    """Return the standard deviation of each measurement (n, sensors) for a clock with jitter, s."""
-    by_row = np.tile(noise, (len(recording.time_s), 1))
-    for j, values in enumerate(recording.outputs.T):
-        measured = np.isfinite(values)
-        if jitter > 0.0 and np.count_nonzero(measured) > _MIN_SPEED_ROWS:
-            speed = smooth_speed(recording.time_s[measured], values[measured])
-            by_row[measured, j] = np.hypot(noise[j], jitter * speed)
-    return by_row
 
 
 def with_all_measurements(data: Dataset, recordings: Sequence[Recording]) -> Dataset:

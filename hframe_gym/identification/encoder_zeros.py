@@ -45,8 +45,8 @@ class EncoderZeros(NamedTuple):
 
     @property
     def stretched(self) -> NDArray[np.bool_]:
-        """Mask, shape (sensors,): encoders whose readings at rest show the stretch of the belts."""
-        # Their zero is known, and readings at rest scatter by the friction that holds stretched belts.
+        """Mask of encoders with a known zero that resolve how far friction keeps belts stretched, shape (sensors,)."""
+        # The stretch at rest differs from run to run, and with it the measured zero.
         return self.known & (self.spread > 0.0)
 
     @classmethod

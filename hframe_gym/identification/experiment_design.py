@@ -114,8 +114,9 @@ def design_discriminating_experiment(
 
     Returns:
         Design of the run with its voltages, V, shape (n, drives). None if the identified effect or every rival is
-        structural (adds coordinates), if there is no rival, if the machine with the rival diverges, or if the two
-        models' predictions of no simulated run differ by `MINIMUM_SIGMA` (10) standard deviations of the noise.
+        structural (adds coordinates), if there is no rival, if the machine with the rival diverges, or if the
+        predictions of the two models differ by less than `MINIMUM_SIGMA` (10) standard deviations of the noise on every
+        simulated run.
     """
     present = {e.label: e for e in current.machine.effects}
     alternatives = [r for r in rivals if r.label not in present and not r.definition.structure]

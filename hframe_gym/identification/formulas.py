@@ -61,14 +61,16 @@ class ProposedFormula:
 
     @property
     def noise_ratio(self) -> float:
-        """Mean error over the channels of the held-out (not fitted) runs / sensor noise, dimensionless; or NaN."""
+        """Error on held-out (not fitted) runs / sensor noise, mean over channels, dimensionless; NaN without runs."""
         return float(np.mean(list(self.held_out.values()))) if self.held_out else math.nan
 
     def as_json(self) -> dict[str, Any]:
         """Convert the formula to an entry of `proposed_formulas` in report.json.
 
         Returns:
-            Labels, equation, parameters (SI), their number, `curve_error` (see `Formula.error`), and the attributes.
+            "table": label of the table; "terms": names of the terms; "formula": the equation as text; "parameters":
+            values by name, SI; "complexity": number of parameters; "curve_error": see `Formula.error`; "fitted",
+            "held_out" and "recommended": the attributes of these names.
         """
         effect, formula = self.effect, self.effect.formula
         return {
@@ -104,8 +106,8 @@ def propose_formulas(machine: Machine, table: AppliedEffect) -> tuple[ProposedFo
         table: One of `tables_of(machine)`.
 
     Returns:
-        Formulas by increasing complexity; the simplest whose error of left-out knots is below one standard
-        deviation, or close to the smallest, is recommended.
+        Formulas by increasing complexity. The recommended one is the simplest that predicts left-out knots of the table
+        with an error below one standard deviation, or with an error close to the smallest.
 
     Raises:
         ImportError: If scikit-learn is not installed; the message names the extra `formulas`.
@@ -224,7 +226,7 @@ class TableComparison:
 
     @property
     def noise_ratio(self) -> float:
-        """Mean error of the table over the channels of the held-out (not fitted) runs / sensor noise, dimensionless."""
+        """Error of the table on held-out (not fitted) runs / sensor noise, mean over the channels, dimensionless."""
         return float(np.mean(list(self.held_out.values())))
 
     def as_json(self) -> dict[str, Any]:

@@ -15,17 +15,9 @@ from dataclasses import dataclass
 from ..machine import AppliedEffect, Machine
 from .criteria import SelectionCriteria
 from .dataset import Dataset
-from .effect_size import depend_on_same_variable, effect_force, force_difference
 from .estimation import Fit
-from .machine_validation import validation_fault
-from .model_error import (
-    fit_with_model_error,
-    information_loss,
-    leave_one_out_gain,
-    long_run_variance,
-    minimum_gain,
-    residue_force,
-)
+from .evidence import doubt_about_candidate, doubt_beside_others
+from .model_error import fit_with_model_error, minimum_gain, with_narrower_observers
 from .prediction import SEARCH_BANDWIDTH
 from .rivals import close_rivals, more_likely_rival, simplest_first
 from .trial_fits import (
@@ -108,6 +100,8 @@ class EffectSearch:
     def __init__(self, data: Dataset, plain: Machine, criteria: SelectionCriteria, log: Log) -> None:
         self._data, self._plain, self._criteria, self._log = data, plain, criteria, log
         self.considered: dict[str, ConsideredEffect] = {}
+        # Observer bandwidth and excess of chi-squared at which structural effects were last tried.
+        self._structures_tried = (math.nan, math.inf)
 
     def with_data(self, data: Dataset) -> EffectSearch:
         """Return a search in other data that remembers the effects (deviations from the model) considered so far.
@@ -126,8 +120,7 @@ class EffectSearch:
     def run(self, current: Fit, selected: tuple[SelectedEffect, ...] = ()) -> Selection:
         """Add effects (deviations from the model) one by one while one reduces the error enough and passes all tests.
 
-        Other runs must confirm the effect, the machine must stay stable, chance must not explain the reduction, and the
-        effect's force must exceed the unexplained one (`_doubt`). An observer corrects predictions by the measurements.
+        `evidence` lists the tests. An observer corrects predictions by the measurements.
 
         Args:
             current: Fit of the machine with the effects selected so far.
@@ -138,36 +131,58 @@ class EffectSearch:
             likely, and all selected effects with their fitted parameters.
         """
         data, criteria = self._data, self._criteria
-        last_bandwidth, last_excess = math.nan, math.inf  # where structural effects were last tried
+        self._structures_tried = (math.nan, math.inf)
         while len(selected) < criteria.max_effects and current.chi2 > criteria.noise_level:
-            enough = minimum_gain(current, criteria)  # reduction of chi-squared per sample
-            trials = trial_fits(current, data, enough, criteria)
-            # Structural effects that did not pass are tried again once the error is clearly smaller.
-            excess = current.chi2 - 1.0
-            tried = current.bandwidth == last_bandwidth and excess > criteria.structural_retry * last_excess
-            if self._worth_structures(current, trials) and not tried:
-                last_bandwidth, last_excess = current.bandwidth, excess
-                trials += structural_trial_fits(current, trials, data, enough, criteria)
-            trials = simplest_first(trials, current, data, criteria)
-            best = self._best(current, trials, enough)
-            if best is None:
+            found = self._next_effect(current)
+            if found is None:
                 break
-            trials = [best, *(t for t in trials if t.machine.effects[-1].label != best.machine.effects[-1].label)]
-            effect, gain = best.machine.effects[-1], (current.cost - best.cost) / data.count  # the new effect is last
-            rivals = close_rivals(trials, current, data, criteria)
+            without, trials = found
+            best = trials[0]
+            effect, gain = best.machine.effects[-1], (without.cost - best.cost) / data.count  # the new effect is last
+            rivals = close_rivals(trials, without, data, criteria)
             rival_names = (*(e.label for e in rivals), *effect.definition.equivalent)
-            selected = (*selected, SelectedEffect(effect, rival_names, gain, current.machine, rivals))
+            selected = (*selected, SelectedEffect(effect, rival_names, gain, without.machine, rivals))
             current, selected = self._exchange(fit_with_model_error(best, data), selected)
         for s in selected:
             self.considered.pop(s.effect.label, None)
         return current, tuple(s.with_values(current.machine) for s in selected)
 
+    def _next_effect(self, current: Fit) -> tuple[Fit, list[Fit]] | None:
+        """Return the fit without the next effect, and trial fits with effects, the selected one first.
+
+        If none passes with the observer that the model's error requires, narrower ones are tried: a wide observer hides
+        slow errors, and with them what an effect explains. There the effect must also make up for how much less likely
+        the narrower observer is. None if no effect passes at all.
+        """
+        data, criteria = self._data, self._criteria
+        for without, less_likely in with_narrower_observers(current, data):
+            enough = minimum_gain(current, criteria) + less_likely  # reduction of chi-squared per sample
+            trials = trial_fits(without, data, enough, criteria)
+            if without is current and self._worth_structures(current, trials):
+                trials += structural_trial_fits(current, trials, data, enough, criteria)
+            trials = simplest_first(trials, without, data, criteria)
+            best = self._best(without, trials, enough)
+            if best is not None:
+                label = best.machine.effects[-1].label
+                return without, [best, *(t for t in trials if t.machine.effects[-1].label != label)]
+        return None
+
     def _worth_structures(self, current: Fit, trials: list[Fit]) -> bool:
-        """Return whether the other effects leave enough of the error to try effects that replace part of the model."""
+        """Return whether the other effects leave enough of the error to try effects that replace part of the model.
+
+        Structural effects that did not pass are tried again once the error is clearly smaller.
+        """
         criteria = self._criteria
         floor = criteria.one_step_floor if current.bandwidth >= SEARCH_BANDWIDTH else 1.0
         left = unexplained_fraction(current, trials, criteria)
-        return left > criteria.structural_remainder and current.chi2 - floor > criteria.min_structural_excess
+        bandwidth, tried_excess = self._structures_tried
+        excess = current.chi2 - 1.0
+        if current.bandwidth == bandwidth and excess > criteria.structural_retry * tried_excess:
+            return False
+        worth = left > criteria.structural_remainder and current.chi2 - floor > criteria.min_structural_excess
+        if worth:
+            self._structures_tried = (current.bandwidth, excess)
+        return worth
 
     def _exchange(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection:
         """Replace earlier effects by others that explain the data better beside the later ones (recursively).
@@ -183,7 +198,7 @@ class EffectSearch:
             if reduced is None or better is None:
                 continue
             gain = (current.cost - better.cost) / data.count
-            if gain < minimum_gain(current, criteria) or self._doubt(reduced, better):
+            if gain < minimum_gain(current, criteria) or doubt_about_candidate(reduced, better, data, criteria):
                 continue
             effect = better.machine.effects[-1]
             self._log(f"  {effect.label} replaces {old.effect.label}: it {describe_gain(current, better)}")
@@ -201,24 +216,14 @@ class EffectSearch:
             fitted = converge(trial, self._data, thorough=current.chi2 > self._criteria.explained_chi2)
             effect, gain = fitted.machine.effects[-1], (current.cost - fitted.cost) / self._data.count
             self._log(f"  {effect.label} {describe_gain(current, fitted)}")
-            if max(gain, self._gain_with_narrower_observer(current, fitted)) < enough:
+            if gain < enough:
                 continue
-            doubt = self._doubt(current, fitted)
+            doubt = doubt_about_candidate(current, fitted, self._data, self._criteria)
             if not doubt:
                 return fitted
             self._log(f"  {effect.label} is not selected: it {doubt}")
             self.considered[effect.label] = ConsideredEffect(effect, fitted.machine, current.machine, doubt)
         return None
-
-    def _gain_with_narrower_observer(self, current: Fit, trial: Fit) -> float:
-        """Return by how much a trial and the observer that it then needs are more likely, as a gain per sample.
-
-        A wide observer hides slow errors, and with them what an effect explains.
-        """
-        narrower = fit_with_model_error(trial, self._data)
-        if narrower.bandwidth == trial.bandwidth:
-            return 0.0
-        return information_loss(current, self._data) - information_loss(narrower, self._data)
 
     def settle_rivals(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection:
         """Replace effects (deviations from the model) by rivals that are more likely beside all other effects.
@@ -260,7 +265,7 @@ class EffectSearch:
             reduced = without_effect(current, candidate.effect.label, self._data, self._plain)
             if reduced is None:
                 continue
-            doubt = self._doubt_beside_others(reduced, current, candidate.effect)
+            doubt = doubt_beside_others(reduced, current, candidate.effect, self._data, self._criteria)
             if doubt:
                 self._log(f"  {candidate.effect.label} is removed: it {doubt}")
                 self.considered[candidate.effect.label] = ConsideredEffect(
@@ -270,84 +275,12 @@ class EffectSearch:
                 return self.prune(reduced, tuple(s for s in selected if s is not candidate))
         return current, tuple(s.with_values(current.machine) for s in selected)
 
-    def _doubt_beside_others(self, reduced: Fit, current: Fit, effect: AppliedEffect) -> str:
-        """Return why an effect may not exist, given the fits without and with it, "" if nothing speaks against it."""
-        data, criteria = self._data, self._criteria
-        gain = reduced.cost - current.cost
-        if gain < minimum_gain(current, criteria) * data.count:
-            return "has no effect on the error"
-        return (
-            self._unconfirmed(reduced, current)
-            or validation_fault(current.machine)
-            or self._by_chance(reduced, current, effect)
-            or self._too_small(reduced, current, effect)
-            or self._form_error(reduced, current, effect)
-        )
-
-    def _doubt(self, current: Fit, trial: Fit) -> str:
-        """Return why a candidate may not exist although it reduces the error, "" if nothing speaks against it."""
-        effect = trial.machine.effects[-1]
-        # While other effects are missing, a fit without one run says little about the machine, and what they leave is
-        # correlated in time; `prune` repeats these tests beside all effects.
-        nearly_explained = current.chi2 < self._criteria.explained_chi2
-        return (
-            (nearly_explained and (self._unconfirmed(current, trial) or self._by_chance(current, trial, effect)))
-            or validation_fault(trial.machine)
-            or self._too_small(current, trial, effect)
-            or self._form_error(current, trial, effect)
-        )
-
-    def _unconfirmed(self, without: Fit, with_effect: Fit) -> str:
-        """Return that an effect describes single runs rather than the machine, "" if other runs confirm it."""
-        gain, confirmed = without.cost - with_effect.cost, leave_one_out_gain(without, with_effect, self._data)
-        if confirmed >= self._criteria.min_confirmed_fraction * gain:
-            return ""
-        return f"is not confirmed by runs that it was not fitted to ({100 * confirmed / gain:.0f} % of the gain)"
-
-    def _by_chance(self, without: Fit, with_effect: Fit, effect: AppliedEffect) -> str:
-        """Return that chance may explain the gain because the remaining error is correlated, "" if it cannot."""
-        variance = long_run_variance(with_effect, effect.label, self._data)
-        if without.cost - with_effect.cost >= self._criteria.min_chance_gain * variance:
-            return ""
-        return "reduces the error by no more than chance may, since the remaining error is correlated in time"
-
-    def _too_small(self, without: Fit, with_effect: Fit, effect: AppliedEffect) -> str:
-        """Return that an effect is smaller than what remains unexplained beside it, "" if it is larger."""
-        size, residue = self._forces(without, with_effect, effect)
-        if self._criteria.min_promised_force_ratio * residue <= size < self._criteria.min_force_ratio * residue:
-            # In doubt, what remains is measured by the observer that is then needed.
-            size, residue = self._forces(without, fit_with_model_error(with_effect, self._data), effect)
-        if size >= self._criteria.min_force_ratio * residue:
-            return ""
-        return f"has a force of {1e3 * size:.2g} mN, where {1e3 * residue:.2g} mN remain unexplained"
-
-    def _forces(self, without: Fit, with_effect: Fit, effect: AppliedEffect) -> tuple[float, float]:
-        """Return the force of an effect and the force that remains unexplained beside it, N."""
-        size, residue = effect_force(with_effect.machine, effect, self._data), residue_force(with_effect, self._data)
-        if effect.definition.structure:  # no force at the machine's coordinates: what it takes from the unexplained one
-            size = math.sqrt(max(residue_force(without, self._data) ** 2 - residue**2, 0.0))
-        return size, residue
-
-    def _form_error(self, without: Fit, with_effect: Fit, effect: AppliedEffect) -> str:
-        """Return that an effect may be an error in the form of a larger one, "" if nothing speaks for that."""
-        machine, data = with_effect.machine, self._data
-        for other in machine.effects:
-            if other.label != effect.label and depend_on_same_variable(effect, other, machine):
-                # The force beyond what the parameters of the machine and of the other effect can represent.
-                new_force = force_difference(without.machine, machine, data)
-                fraction = new_force / max(effect_force(machine, other, data), 1e-12)
-                if fraction < self._criteria.max_form_error:
-                    percent = f"adds {100 * fraction:.0f} % to the force of {other.label}"
-                    return f"{percent}, which depends on the same variable: the form of that effect may be in error"
-        return ""
-
 
 def describe_gain(before: Fit, after: Fit) -> str:
     """Describe the benefit of an effect: "reduces chi-squared per sample from 98.99 to 0.79 (simulation)".
 
     Args:
-        before: Fit without the effect; the bandwidth, rad/s, of the observer that corrects its predictions is stated,
-            or "simulation" if it is 0.
+        before: Fit without the effect; the text states its observer bandwidth, rad/s, or "simulation" if that is 0.
         after: Fit with the effect, at the same bandwidth.
 
     Returns:

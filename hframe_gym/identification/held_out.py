@@ -8,8 +8,8 @@ from ..errors import InputError
 from ..machine import AppliedEffect, Machine
 from ..recordings import Recording
 from .dataset import Dataset
-from .effect_size import effect_force
 from .estimation import Fit, prediction_cost
+from .evidence import effect_force
 from .forward_selection import SelectedEffect
 from .inverse_dynamics import force_error
 from .model_error import CONTRADICTION

@@ -136,11 +136,12 @@ def model_initial_state(machine: Machine, initial: InitialState) -> Array:
     """Return the state from which a simulation of a machine starts, given the measurements at rest.
 
     Effects of the machine may change its static equilibrium or the sensors' readings, so the state depends on them.
+    The angle of a pulley is the one that its encoder measures if the zero of the encoder (its measurement at position
+    0) is known. Otherwise it is the angle in static equilibrium.
 
-    The zero of an encoder is its measurement at position 0. Encoders with a known zero determine the angles of their
-    pulleys; all other pulleys are in static equilibrium. Until `refine_offsets` has corrected the zeros with a machine
-    that has the effect, static equilibrium is also used for an eccentric pulley, and for all pulleys if an effect
-    changes a laser's measurement at rest: the uncorrected zeros would attribute the effect to a stretch of the belts.
+    Zeros that were determined without an effect can be wrong, and would then show a belt stretch that does not exist.
+    Until `refine_offsets` has corrected them, static equilibrium therefore determines also the angles of eccentric
+    pulleys, and those of all pulleys if an effect changes the measurement of a laser at rest.
 
     Args:
         machine: Machine with its effects (deviations from the nominal model); structural ones may have added
@@ -169,17 +170,17 @@ def model_initial_state(machine: Machine, initial: InitialState) -> Array:
 
 
 def encoder_angles(machine: Machine, initial: InitialState) -> dict[int, float]:
-    """Return the angles at rest of the pulleys whose encoders have a known zero (measurement at position 0).
+    """Return the angles at rest of all pulleys whose encoder has a known zero.
 
-    For a pulley with the effect of eccentricity, the angle is converted to that of a concentric pulley with the same
-    belt travel (radius * angle).
+    The zero of an encoder is its measurement at position 0; the angle counts from there. An eccentric pulley is
+    represented by the concentric pulley with the same belt travel (radius * angle), see `concentric_angle`.
 
     Args:
         machine: Machine with its effects (deviations from the nominal model).
         initial: Measured initial state.
 
     Returns:
-        Angle, rad, by index of the coordinate in `Machine.coordinates`; empty if no zero is known.
+        Angle, rad, by index of the pulley in `Machine.coordinates`; empty if no zero is known.
     """
     angles: dict[int, float] = {}
     for j in np.flatnonzero(initial.offset_known):

@@ -81,7 +81,7 @@ class NormalEquations:
             residual: Residual r in units of the noise (dimensionless), shape (rows,).
             responses: E transposed: change of the residual that each of m perturbations causes, for example the force
                 of a candidate effect, in units of the noise, shape (m, rows). Default: none.
-            count: Number of independent measured values. Default: the number of rows.
+            count: Number of independent measured values, dimensionless. Default: the number of rows.
 
         Returns:
             Inner products of J, E and r, dimensionless: J^T J, shape (k, k), J^T E, shape (k, m), r^T r, and so on.

@@ -15,14 +15,13 @@ apart:
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri, fdtri
 
 from .criteria import SelectionCriteria
 from .dataset import Dataset, PreparedRecording
-from .effect_size import force_size
 from .estimation import Fit, fit, prediction_cost
 from .free_parameters import bounded_step, prior_precision
 from .linearization import NormalEquations, ResidualModel
@@ -32,10 +31,6 @@ from .prediction import (
     SEARCH_STEP,
     SIMULATION,
     map_runs,
-    observer_gains,
-    predict,
-    prediction_error,
-    residuals,
     sensor_bandwidths,
 )
 
@@ -46,9 +41,6 @@ BANDWIDTHS = (SEARCH_BANDWIDTH, 30.0, 15.0, 7.0, 3.0, SIMULATION)
 _MIN_RUNS, _PIECES = 4, 8  # fewer runs are divided into that many pieces for cross-validation
 _MIN_AGREEING = 2  # runs that must agree with each other for another one to contradict them
 CONTRADICTION = 10.0  # times the chi-squared of the other runs; effects that single runs excite reach 30
-_BLOCK_S = 0.5  # s; longer than the correlation of a vibration
-_INDEPENDENT_S = (0.05, _BLOCK_S, 1e6)  # s; longer than the correlation of a sensor's noise; ...; complete runs
-_CHANCE = 1e-4  # probability of a false effect among a hundred candidates: 1 %
 _SEARCH_STEP_NARROW = 0.25e-3  # s; a narrow observer does not forgive the error of longer integration steps
 
 
@@ -82,12 +74,36 @@ def information_loss(fitted: Fit, data: Dataset) -> float:
     References:
         Ljung (1999), "System Identification", section 7.4.
     """
+    variance, log_variance = _innovation_variance(fitted, data)
+    return fitted.chi2 / variance + log_variance
+
+
+def _innovation_variance(fitted: Fit, data: Dataset) -> tuple[float, float]:
+    """Return the mean variance of the innovations of an exact model, relative to the noise, and that of its log."""
     # Position gain K of a critically damped observer: twice the bandwidth times the sampling period.
     gains = 2.0 * sensor_bandwidths(fitted.machine, fitted.bandwidth) * data.period
-    variance = 1.0 / (1.0 - np.minimum(gains, 0.9))  # of the innovations, relative to the noise, (sensors,)
+    variance = 1.0 / (1.0 - np.minimum(gains, 0.9))  # (sensors,)
     counts = np.sum([run.counted.sum(axis=0) for run in data.runs], axis=0)  # (sensors,)
     weights = counts / counts.sum()
-    return float(fitted.chi2 / (weights @ variance) + weights @ np.log(variance))
+    return float(weights @ variance), float(weights @ np.log(variance))
+
+
+def with_narrower_observers(fitted: Fit, data: Dataset) -> Iterator[tuple[Fit, float]]:
+    """Fit a machine with the observer of a fit, which corrects predictions by the measurements, and with narrower ones.
+
+    Args:
+        fitted: Fit at one of the bandwidths `BANDWIDTHS`.
+        data: Runs that were fitted (times, voltages, measurements, SI).
+
+    Yields:
+        Fit (machine, parameters theta, shape (k,), cost) at a bandwidth, rad/s, from that of the given fit down to a
+        simulation, and the reduction of chi-squared per sample that makes it as likely as the given fit.
+    """
+    least, narrower = information_loss(fitted, data), fitted
+    for bandwidth in BANDWIDTHS[BANDWIDTHS.index(fitted.bandwidth) :]:
+        narrower = at_bandwidth(narrower, bandwidth, data)
+        loss = max(0.0, information_loss(narrower, data) - least)
+        yield narrower, loss * _innovation_variance(narrower, data)[0]
 
 
 def fit_with_model_error(fitted: Fit, data: Dataset) -> Fit:
@@ -151,83 +167,6 @@ def refined_in_simulation(fitted: Fit, data: Dataset) -> Fit:
     cost = prediction_cost(fitted.machine, data, SIMULATION, longest_step=POLISH_STEP)
     simulated = polish(at_bandwidth(fitted, SIMULATION, data), data)
     return simulated if _leave_one_out_cost(simulated, data) < cost else fitted
-
-
-def residue_force(fitted: Fit, data: Dataset) -> float:
-    """Return the size of the force that the model lacks: the observer's corrections of the velocities as forces.
-
-    The observer corrects the prediction by the measurements. The part of the corrections that the sensors' noise causes
-    is subtracted.
-
-    Args:
-        fitted: Fitted machine with its observer bandwidth.
-        data: Runs that were fitted (times, voltages, measurements, SI).
-
-    Returns:
-        Root mean square over all rows of the root sum of squares over the coordinates, as a force at the belt (torque /
-        pulley radius), N.
-    """
-    machine = fitted.machine
-    bandwidth = max(fitted.bandwidth, BANDWIDTHS[-2])  # the narrowest observer measures it where none is needed
-    velocity_gains = observer_gains(machine, data.period, bandwidth)[len(machine.coordinates) :]
-    mass = np.array([c.mass for c in machine.coordinates])
-    # Velocity correction per sample -> acceleration -> force at the belt, per unit of each sensor's innovation.
-    force_gains = velocity_gains.T / data.period * mass / machine.travel_per_unit  # (sensors, coordinates)
-
-    def of_run(run: PreparedRecording) -> tuple[Array, Array]:
-        motion = predict(machine, run, bandwidth, period=data.period, longest_step=search_step(bandwidth))
-        innovation = np.nan_to_num(prediction_error(run, data, motion.readings)[0])  # (n, sensors)
-        return innovation @ force_gains, np.sqrt((np.isfinite(run.outputs) * run.noise**2) @ force_gains**2)
-
-    correction, noise = (np.concatenate(part) for part in zip(*map_runs(of_run, data), strict=True))
-    return math.sqrt(max(force_size(correction) ** 2 - force_size(noise) ** 2, 0.0))
-
-
-def long_run_variance(fitted: Fit, label: str, data: Dataset) -> float:
-    """Return the variance of the residual along the influence of an effect, relative to that of white noise.
-
-    A residual that is correlated in time has fewer independent values, and an effect that does not exist reduces the
-    cost by that many times more. Blocks of 50 ms, blocks of 0.5 s, or runs are taken as independent. Few blocks
-    estimate a variance inaccurately; it is larger by the ratio of the quantiles of the F and the chi-squared
-    distribution, as for the gain of an effect that does not exist.
-
-    Args:
-        fitted: Fit with the effect (deviation from the nominal model), at any observer bandwidth.
-        label: Label (name@site) of the effect, of which at least one parameter is free.
-        data: Runs that were fitted (times, voltages, measurements, SI).
-
-    Returns:
-        Largest ratio over the kinds of blocks and over combinations of the effect's parameters, at least 1; infinite if
-        the machine diverges at slightly different parameters.
-
-    References:
-        Liang and Zeger (1986), "Longitudinal data analysis using generalized linear models".
-    """
-    model = ResidualModel(fitted.machine, fitted.free, data, fitted.bandwidth, search_step(fitted.bandwidth))
-    runs = list(map_runs(lambda run: model.linearize_run(run, fitted.theta), data))
-    if not all(np.isfinite(run.jacobian).all() and np.isfinite(run.residual).all() for run in runs):
-        return math.inf
-    own = np.array([parameter.name.startswith(f"{label}.") for parameter in fitted.free])
-    hessian = sum((run.jacobian @ run.jacobian.T for run in runs), prior_precision(fitted.free))
-    # Change of the effect's parameters with adapted other parameters: one row per parameter of the effect.
-    directions = np.eye(len(own))[own]
-    directions[:, ~own] = -np.linalg.solve(hessian[np.ix_(~own, ~own)], hessian[np.ix_(~own, own)]).T
-    responses = [directions @ run.jacobian for run in runs]
-    inverse = np.linalg.pinv(sum(response @ response.T for response in responses), hermitian=True)
-    largest, rows = 0.0, round(1.0 / data.period) * len(fitted.machine.sensors)  # residuals per second
-    for seconds in _INDEPENDENT_S:
-        size = max(1, round(rows * seconds))
-        blocks = [_block_sums(j * run.residual, size) for j, run in zip(responses, runs, strict=True)]
-        scores = np.concatenate(blocks, axis=1)  # (parameters of the effect, blocks)
-        largest = max(largest, float(np.linalg.eigvals(inverse @ scores @ scores.T).real.max()))
-    count, parameters = sum(-(-run.residual.size // round(rows * _BLOCK_S)) for run in runs), int(own.sum())
-    quantiles = fdtri(parameters, count, 1.0 - _CHANCE), chdtri(parameters, _CHANCE) / parameters
-    return max(1.0, largest * float(quantiles[0] / quantiles[1]))
-
-
-def _block_sums(rows: Array, size: int) -> Array:
-    """Return sums over blocks of that many values, shape (k, blocks), of k rows; the last block may be shorter."""
-    return np.asarray(np.add.reduceat(rows, np.arange(0, rows.shape[1], size), axis=1))
 
 
 def leave_one_out_gain(without: Fit, with_effect: Fit, data: Dataset) -> float:

@@ -49,10 +49,12 @@ def table_candidates(
 ) -> list[Candidate]:
     """Propose the tables (forces or friction levels over one variable) that explain most of the missing force.
 
-    The missing force is the one that the model needs in addition to follow the measurements. Several tables per
-    coordinate are needed because a force on one coordinate also appears in the missing force of the others, one against
-    time because a position that differs between runs correlates with time, and one against the position of the
-    coordinate because refitted friction can hide a force along the way in the missing force.
+    The missing force is the one that the model needs in addition to follow the measurements. Several tables are
+    proposed for each coordinate:
+
+    - the ones that explain most, because a force on one coordinate also appears in the missing force of the others;
+    - one over time, because a position that differs from run to run correlates with time;
+    - one over the position of the coordinate, because refitted friction can hide such a force in the missing force.
 
     Args:
         machine: Machine with the effects (deviations from the nominal model) that have been selected so far.
@@ -61,8 +63,8 @@ def table_candidates(
         criteria: Decision thresholds; `max_tables_per_coordinate` limits the number.
 
     Returns:
-        Candidates: for each coordinate the best tables, one against time and one against its position; each has one
-        basis function per knot.
+        Candidates: for each coordinate the best tables, one over time and one over its position; each has one basis
+        function per knot.
     """
     motion_and_force = missing_force(machine, data)
     variables = table_variables(machine, data)
@@ -178,8 +180,7 @@ def add_tables(
     A table is added only if it also predicts the half of the data that it was not fitted to (cross-validation).
 
     Args:
-        current: Fit of the machine with the effects selected so far; the observer that corrects its predictions by the
-            measurements is used throughout.
+        current: Fit of the machine with the effects selected so far; its observer bandwidth is used throughout.
         selected: Effects (deviations from the nominal model) selected so far.
         data: Prepared recordings to fit (times, voltages, measurements, SI).
         criteria: Decision thresholds, among them the smallest reduction of chi-squared per sample by a table.

@@ -15,8 +15,8 @@ from ..recordings import Recording, without_outliers
 from ..registry import load_plugins
 from .criteria import SelectionCriteria
 from .dataset import MIN_ROWS, Dataset, prepare, with_all_measurements, with_known_positions
-from .effect_size import drive_force, effect_force
 from .estimation import Fit, with_uncertainty
+from .evidence import drive_force, effect_force
 from .experiment_design import design_discriminating_experiment
 from .forward_selection import (
     ConsideredEffect,

@@ -8,7 +8,8 @@ from ..machine import AppliedEffect
 from .criteria import SelectionCriteria
 from .dataset import Dataset
 from .estimation import Fit
-from .model_error import at_bandwidth, information_loss, long_run_variance, polish
+from .evidence import long_run_variance
+from .model_error import at_bandwidth, information_loss, polish
 from .prediction import SIMULATION
 from .trial_fits import fit_in_place_of
 

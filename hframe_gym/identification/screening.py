@@ -2,12 +2,12 @@
 
 The cost is chi-squared, the sum of squared residuals in units of the noise. A candidate of small
 size adds a known force, or a known change of a measurement, along the fitted machine's motion.
-The response of the predicted measurements to it is one column of the linearized residual.  After elimination of the
+The response of the predicted measurements to it is one column of the linearized residual. After elimination of the
 machine's free parameters, the squared correlation of column and residual is the reduction of the cost that a fit of the
 candidate would achieve.
 
 Structural effects (a yawing bridge, idlers with inertia) and those that replace dry friction (presliding) have no small
-version to linearize around.  Every starting value of theirs is simulated instead, and the difference from the present
+version to linearize around. Every starting value of theirs is simulated instead, and the difference from the present
 machine's prediction is the column.
 """
 
@@ -77,18 +77,18 @@ class ScoredCandidate(NamedTuple):
 def screen(fit: Fit, candidates: Sequence[Candidate], data: Dataset) -> list[ScoredCandidate]:
     """Rank candidates by their linearized reduction of chi-squared.
 
-    The residual changes in proportion to the weights of a candidate's basis functions (columns); the weights are
-    optimized together with the machine's free parameters, without any new fit.
+    The residual is linearized with respect to the weights of a candidate's basis functions (columns) and the machine's
+    free parameters. The best weights and parameters then follow from a linear equation, without any new fit.
 
     Args:
-        fit: Fit of the machine without the candidates; the observer that corrects its predictions by the measurements
-            is used.
+        fit: Fit of the machine without the candidates; the candidates are evaluated at its observer bandwidth.
         candidates: Effects (deviations from the nominal model), sites (components) and starting values to compare.
         data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
-        Scored candidates, largest reduction of chi-squared (dimensionless) first. It is 0 for a candidate whose
-        amplitude would have an inadmissible sign or that the machine's free parameters can reproduce.
+        Scored candidates, largest reduction of chi-squared (dimensionless) first. The reduction is 0 if only an
+        amplitude outside the bounds of the effect would reduce chi-squared, or if the machine's free parameters have
+        the same influence on the measurements.
     """
     if not candidates:
         return []
@@ -252,12 +252,12 @@ def has_no_small_version(effect: Effect) -> bool:
 def screen_structures(current: Fit, data: Dataset, scale: TypicalScales, minimum_gain: float) -> list[Machine]:
     """Build machines with the most promising effects that replace a part of the nominal model, one effect each.
 
-    These are structural effects, which add coordinates, and effects that replace dry friction. For them the
-    linearization predicts a smaller benefit than a fit achieves. Therefore the three best are returned, structural
-    effects with their two best starting values.
+    These are structural effects, which add coordinates, and effects that replace dry friction. The linearization
+    underestimates their benefit, so the best one alone is not enough: the three best effects are returned, structural
+    ones with their two best starting values.
 
     Args:
-        current: Fit of the machine without such an effect; the observer that corrects its predictions is used.
+        current: Fit of the machine without such an effect; the effects are evaluated at its observer bandwidth.
         data: Runs that were fitted (times, voltages, measurements, SI).
         scale: Typical sizes on this machine, to which the starting values are relative.
         minimum_gain: Smallest linearized reduction of chi-squared per sample, dimensionless, of a promising effect.

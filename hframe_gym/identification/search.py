@@ -106,7 +106,8 @@ class _Search:
         self.base = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
         log(f"refitted machine: {_describe(self.base)}")
         self.before = polish(fit_with_model_error(self.base, data), data)
-        log(f"refitted machine: {_describe(self.before)}")
+        if self.before.bandwidth != self.base.bandwidth:
+            log(f"refitted machine: {_describe(self.before)}")
 
     def run(self, start: Selection | None = None) -> SearchOutcome:
         """Search for effects, then for tables if no known effects explain the residual.

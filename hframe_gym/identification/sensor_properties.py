@@ -129,6 +129,7 @@ def independent_values(time_s: Array, outputs: Array, quanta: Array) -> Array:
     return counts
 
 
+_SPEED_ROWS = 11  # samples that a speed is computed from
 _MIN_JITTER_ROWS = 50  # measured rows of a run
 _FIFTH_DIFFERENCE_VARIANCE = 252.0  # of white noise with variance 1: the sum of the squared binomial coefficients
 
@@ -178,6 +179,26 @@ def clock_jitter(times: Sequence[Array], channel: Sequence[Array], noise: float)
     return math.sqrt(variance / float(np.median(speed[fast] ** 2))) if variance > noise**2 else 0.0
 
 
+def noise_by_row(time_s: Array, outputs: Array, noise: Array, jitter: float) -> Array:
+    """Return the standard deviation of every measurement for a clock with jitter.
+
+    Args:
+        time_s: Sample times, s, shape (n,).
+        outputs: Measurements, in the sensors' units, shape (n, sensors), NaN where not measured.
+        noise: Standard deviations of the sensors' noise at rest, in their units, shape (sensors,).
+        jitter: Standard deviation of the sampling time, s.
+
+    Returns:
+        Root sum of squares of the noise and of jitter times speed, in the sensors' units, shape (n, sensors).
+    """
+    by_row = np.tile(noise, (len(time_s), 1))
+    for j, values in enumerate(outputs.T):
+        measured = np.isfinite(values)
+        if jitter > 0.0 and np.count_nonzero(measured) >= _SPEED_ROWS:
+            by_row[measured, j] = np.hypot(noise[j], jitter * smooth_speed(time_s[measured], values[measured]))
+    return by_row
+
+
 def smooth_speed(time_s: Array, values: Array) -> Array:
     """Estimate the speed of a channel by a least-squares parabola over eleven samples.
 
@@ -192,7 +213,7 @@ def smooth_speed(time_s: Array, values: Array) -> Array:
         Savitzky and Golay (1964), "Smoothing and differentiation of data by simplified least squares procedures".
     """
     period = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
-    return np.asarray(savgol_filter(values, 11, 2, deriv=1, delta=period))
+    return np.asarray(savgol_filter(values, _SPEED_ROWS, 2, deriv=1, delta=period))
 
 
 def saturation_ranges(

@@ -13,10 +13,10 @@ from ..machine import AppliedEffect, Machine
 from .candidates import candidates, effect_parameters
 from .criteria import SelectionCriteria
 from .dataset import Dataset, TypicalScales, scales_of_motion
-from .effect_size import effect_force
 from .estimation import Fit, fit, prediction_cost
+from .evidence import effect_force, residue_force
 from .free_parameters import FreeParameter, default_free_parameters, values_at
-from .model_error import residue_force, search_step
+from .model_error import search_step
 from .prediction import POLISH_STEP, SEARCH_BANDWIDTH, map_runs, predict
 from .residual import missing_force
 from .screening import ScoredCandidate, screen, screen_structures
@@ -28,12 +28,12 @@ _TRIAL_ITERATIONS, _TRIAL_TOLERANCE = 8, 1e-3  # A trial need not converge fully
 def trial_fits(current: Fit, data: Dataset, enough: float, criteria: SelectionCriteria) -> list[Fit]:
     """Fit the machine with each of the most promising effects (deviations from the model), one at a time.
 
-    The candidates are ranked before by the reduction of chi-squared that linearization predicts. Where the fit without
-    them has gone astray, so that a parameter is at its limit, they are also ranked at the declared parameters and
-    fitted from there.
+    The candidates are ranked first by the reduction of chi-squared that linearization predicts. If a parameter of the
+    fit without them is at its limit, that fit may be in a local minimum; the candidates are then also ranked at the
+    declared parameters and fitted from there.
 
     Args:
-        current: Fit without the candidates; the observer that corrects its predictions by the measurements is used.
+        current: Fit without the candidates; they are fitted at its observer bandwidth.
         data: Prepared recordings to fit (times, voltages, measurements).
         enough: Smallest useful reduction of chi-squared per sample, dimensionless.
         criteria: Decision thresholds.
@@ -83,7 +83,7 @@ def structural_trial_fits(
     simulation code of its structure.
 
     Args:
-        current: Fit without the candidates; the observer that corrects its predictions by the measurements is used.
+        current: Fit without the candidates; they are fitted at its observer bandwidth.
         trials: Fits of the other candidates, which they have to surpass.
         data: Prepared recordings to fit (times, voltages, measurements, SI).
         enough: Smallest useful reduction of chi-squared per sample, dimensionless.
@@ -104,16 +104,16 @@ def unexplained_fraction(current: Fit, trials: list[Fit], criteria: SelectionCri
 
     Args:
         current: Fit without candidates.
-        trials: Fits with one candidate effect each, with the same observer to correct predictions.
+        trials: Fits with one candidate effect each, at the same observer bandwidth.
         criteria: Decision thresholds.
 
     Returns:
-        Fraction, dimensionless; 1 without trials. The excess is counted from chi-squared of a correct model: 1, and in
-        one-step prediction `one_step_floor`, because quantization keeps it above 1.
+        Fraction, dimensionless; 1 without trials. The excess is chi-squared per sample minus that of a correct model:
+        `one_step_floor` in one-step prediction, where quantization keeps it above 1, and otherwise 1.
     """
     floor = criteria.one_step_floor if current.bandwidth >= SEARCH_BANDWIDTH else 1.0
-    least = min((t.chi2 for t in trials), default=current.chi2)
-    return min(1.0, (least - floor) / max(current.chi2 - floor, 1e-9))
+    smallest = min((t.chi2 for t in trials), default=current.chi2)
+    return min(1.0, (smallest - floor) / max(current.chi2 - floor, 1e-9))
 
 
 def _ranked_candidates(current: Fit, data: Dataset) -> tuple[TypicalScales, list[ScoredCandidate]]:
@@ -138,14 +138,14 @@ def replacement_fit(
 
     Args:
         current: Fit with all selected effects (deviations from the nominal model).
-        reduced: Fit without one of them, with the same observer to correct predictions by the measurements.
+        reduced: Fit without one of them, at the same observer bandwidth.
         replaced: Label of that effect, name@site.
         data: Prepared recordings to fit (times, voltages, measurements, SI).
         criteria: Decision thresholds.
 
     Returns:
-        Converged fit (machine, parameters theta, shape (k,), cost); None if no other effect promises as much as the
-        replaced one.
+        Converged fit (machine, parameters theta, shape (k,), cost). None if linearization predicts for every other
+        effect too small a part of the reduction of the cost that the replaced one achieved.
     """
     scales, ranked = _ranked_candidates(reduced, data)
     best = next((scored for scored in ranked if scored.candidate.label != replaced), None)
@@ -211,7 +211,7 @@ def fit_with_candidate(current: Fit, scored: ScoredCandidate, scales: TypicalSca
     The fit has few iterations.
 
     Args:
-        current: Fit without the effect; the observer that corrects its predictions by the measurements is used.
+        current: Fit without the effect; the new one has the same observer bandwidth.
         scored: Screened candidate with the amounts (weights) of its basis functions.
         scales: Typical forces, speeds and travels on this machine, which scale the new parameters.
         data: Prepared recordings to fit (times, voltages, measurements, SI).
@@ -263,8 +263,9 @@ def converge(trial: Fit, data: Dataset, *, thorough: bool) -> Fit:
     Args:
         trial: Fit with a candidate effect, not fully converged.
         data: Prepared recordings to fit (times, voltages, measurements, SI).
-        thorough: Whether to fit from the declared parameters too and to return the better fit. Without the effect, the
-            machine's parameters had compensated for it, sometimes in a local minimum.
+        thorough: Whether to fit a second time, from the declared parameters of the machine (those of its effects are
+            kept), and to return the better of the two fits. The parameters of the trial were first fitted without the
+            effect, and may be near a local minimum in which they compensate for it.
 
     Returns:
         Converged fit (machine, parameters theta, shape (k,), cost).
@@ -281,7 +282,7 @@ def without_effect(current: Fit, label: str, data: Dataset, plain: Machine, *, t
     """Remove one effect (deviation from the model) from the machine and fit the remaining free parameters again.
 
     Args:
-        current: Fit of the machine with the effect; the observer that corrects its predictions is used.
+        current: Fit of the machine with the effect; the new one has the same observer bandwidth.
         label: Label of the effect, name@site.
         data: Prepared recordings to fit (times, voltages, measurements, SI).
         plain: Machine before effects were added, from which a machine without a structural effect is built.

@@ -179,9 +179,12 @@ class Effect:
             The declaration.
 
         Raises:
-            StopIteration: If the effect has no parameter with this name.
+            KeyError: If the effect has no parameter with this name.
         """
-        return next(p for p in self.parameters if p.name == name)
+        for parameter in self.parameters:
+            if parameter.name == name:
+                return parameter
+        raise KeyError(f"effect {self.name!r} has no parameter {name!r}")
 
     def possible_sites(self, machine: Machine) -> tuple[str, ...]:
         """Return the sites of this effect's kind on a machine, without a check that the effect fits there.

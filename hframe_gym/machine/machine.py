@@ -142,7 +142,8 @@ class Machine:
 
     @cached_property
     def sensor_matrix(self) -> Array:
-        """Change of noise-free readings per unit of each coordinate, no products, shape (sensors, coordinates)."""
+        """Linear part of the noise-free readings per unit of each coordinate, shape (sensors, coordinates)."""
+        # Without the products of coordinates that a reading may contain.
         return np.array([self.coefficients(s.row) for s in self.sensors])
 
     def coordinate_of_site(self, site: str, kind: SiteKind) -> str | None:
@@ -227,8 +228,7 @@ class Machine:
             The unit, for example "Ns/m" of x.viscous, "m" or "rad" of a sensor's noise, "1" if dimensionless.
 
         Raises:
-            KeyError: If the machine has no parameter of this kind.
-            StopIteration: If an effect of the machine has no such parameter.
+            KeyError: If the machine and its effects have no parameter of this kind.
         """
         owner, _, key = parameter.rpartition(".")
         if owner in self.output_channels and key in self.sensor(owner).device_parameters:
@@ -253,7 +253,7 @@ class Machine:
             The unit, for example "N" for a Coulomb friction force at a carriage and "Nm" at a motor.
 
         Raises:
-            StopIteration: If the effect has no such parameter.
+            KeyError: If the effect has no such parameter.
         """
         unit = effect.definition.parameter(parameter).unit
         coordinate = self.coordinate_of_site(effect.site, effect.definition.site)

@@ -159,8 +159,9 @@ def _common_length(log: Log, by_header: Mapping[str, NDArray[Any]]) -> int:
 def split_at_rests(recording: Recording, machine: Machine, min_rest: float) -> tuple[list[Recording], list[str]]:
     """Cut a recording into runs that begin and end at rest.
 
-    The machine rests where no input and no output changes by more than noise for the given time. A run begins in the
-    middle of a rest, but no more than that time before its first motion, and ends accordingly.
+    The machine rests where no input and no output changes by more than noise for at least `min_rest`. A run begins in
+    the middle of the rest before its motion, and ends in the middle of the rest after it. Of longer rests it contains
+    `min_rest` at most, at its begin and at its end.
 
     Args:
         recording: Recording of several motions (times, s; voltages, V; measurements, m or rad).

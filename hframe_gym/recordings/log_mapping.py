@@ -114,9 +114,9 @@ def map_columns(log: Log, machine: Machine, options: MappingOptions) -> list[Cha
         options: Columns, units and factors that the user assigns to channels.
 
     Returns:
-        One source (column and conversion of units) per column of time, then one per channel, in the order of the
-        machine. If the log has several columns of time, the time of a column is the one to its left, or the one of the
-        same length.
+        Sources, each a column with its conversion of units: first those of the times, then one per channel of the
+        machine, inputs before outputs. A log may have several columns of time; each channel then refers to the time
+        column to the left of its column, or to the one of the same length.
 
     Raises:
         InputError: If a channel has no column or several, or a unit is unknown. The message lists columns and channels

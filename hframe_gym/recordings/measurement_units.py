@@ -197,8 +197,8 @@ def split_unit(header: str) -> tuple[str, str]:
 
     Returns:
         name: Name without the unit.
-        unit: Unit as `normalize_unit` spells it, "" if the header has none. Behind an underscore, a point or a blank
-            only units of `UNITS` and `SPEED_UNITS` and percent count.
+        unit: Unit as `normalize_unit` spells it, "" if the header has none. Any text in brackets is a unit. Without
+            brackets, only the units of `UNITS` and `SPEED_UNITS` and percent are recognized.
     """
     match = _BRACKETED.fullmatch(header)
     if match and match["name"]:

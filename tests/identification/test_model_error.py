@@ -2,23 +2,30 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Mapping
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
 from hframe_gym.dynamics import simulate_batch
 from hframe_gym.effects import EFFECTS
-from hframe_gym.identification import Dataset, Fit, default_free_parameters, fit, prepare
-from hframe_gym.identification.effect_size import drive_force, effect_force
+from hframe_gym.identification import Dataset, Fit, default_free_parameters, fit, model_error, prepare
+from hframe_gym.identification.evidence import long_run_variance, residue_force
+from hframe_gym.identification.free_parameters import FreeParameter
 from hframe_gym.identification.model_error import (
     fit_with_model_error,
     information_loss,
     leave_one_out_gain,
-    long_run_variance,
-    residue_force,
+    minimum_gain,
+    with_narrower_observers,
 )
 from hframe_gym.identification.prediction import SEARCH_BANDWIDTH
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording
+from tests.identification.scripted_fits import CRITERIA, DATA, HFRAME, fit_with, runs
 
 pytestmark = pytest.mark.unit
 NOISE = 20e-6  # m
@@ -79,14 +86,12 @@ def test_a_residue_requires_an_observer_and_its_size_is_estimated(axis: Machine)
     assert residue_force(fit_with_model_error(fitted_axis(axis, clean), clean), clean) < 0.002
 
 
-def test_the_size_of_an_effect_is_its_force(axis: Machine) -> None:
-    data = recordings(axis)
-    assert effect_force(axis, EFFECTS["constant_force"].at("x", size=-0.3), data) == pytest.approx(0.3)
-    assert effect_force(axis, EFFECTS["sensor_scale"].at("x_m", g=1.01), data) == np.inf
-    (drive,) = axis.drives
-    rms = np.sqrt(np.mean(np.concatenate([run.inputs for run in data.runs]) ** 2))
-    expected = rms * drive.gain / axis.coordinates[0].travel_per_unit
-    assert drive_force(axis, data) == pytest.approx(expected)
+def test_colored_noise_has_a_large_long_run_variance(axis: Machine) -> None:
+    white, colored = (recordings(axis, color_rows=rows) for rows in (0, 20))
+    fits = [fit_with_model_error(fitted_axis(axis, data, constant_force=True), data) for data in (white, colored)]
+    values = [long_run_variance(f, "constant_force@x", d) for f, d in zip(fits, (white, colored), strict=True)]
+    assert values[0] < 3.0
+    assert values[1] > 2.0 * values[0]
 
 
 @pytest.mark.parametrize(("forces", "confirmed"), [((0.05,) * 4, True), ((0.0, 0.3, 0.0, 0.0), False)])
@@ -101,8 +106,168 @@ def test_an_effect_of_one_run_is_not_confirmed_by_the_others(
     assert (fraction > 0.8) if confirmed else (fraction < 0.3)
 
 
-def test_colored_noise_has_a_large_long_run_variance(axis: Machine) -> None:
-    white, colored = (recordings(axis, color_rows=rows) for rows in (0, 20))
-    values = [long_run_variance(fit_with_model_error(fitted_axis(axis, d), d), d) for d in (white, colored)]
-    assert values[0] < 1.2
-    assert values[1] > 2.0
+# -- decisions with scripted fits --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("chi2", "bandwidth", "count", "expected"),
+    [
+        (1.02, 60.0, 10**6, CRITERIA.min_gain_one_step),
+        (1.02, 30.0, 10**6, CRITERIA.min_gain_simulation),
+        (1.02, 0.0, 10**6, CRITERIA.min_gain_simulation),
+        (1.02, 0.0, 10**4, CRITERIA.min_total_gain / 10**4),
+        (3.0, 0.0, 10**6, 2.0 * CRITERIA.min_gain_fraction),
+    ],
+)
+def test_the_smallest_gain_follows_from_prediction_length_and_error(
+    chi2: float, bandwidth: float, count: int, expected: float
+) -> None:
+    fitted = dataclasses.replace(fit_with(chi2=1.0, bandwidth=bandwidth), count=count, cost=chi2 * count)
+    assert minimum_gain(fitted, CRITERIA) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("chi2", "initial", "explained"), [(1.49, 1.0, True), (1.51, 1.0, False), (1.9, 2e4, True), (2.1, 2e4, False)]
+)
+def test_what_explains_the_data(chi2: float, initial: float, explained: bool) -> None:
+    """Chi-squared below 1.5, or a ten-thousandth of a large initial value."""
+    assert model_error.explains(fit_with(chi2=chi2), initial, CRITERIA) == explained
+
+
+def test_a_narrow_observer_needs_short_steps() -> None:
+    assert model_error.search_step(60.0) == model_error.SEARCH_STEP
+    assert model_error.search_step(30.0) == model_error.search_step(0.0) == 0.25e-3
+
+
+@pytest.mark.parametrize(
+    ("losses", "expected"),
+    [
+        ({60: 5.0, 30: 4.0, 15: 3.0, 7: 3.5, 3: 1.0, 0: 9.0}, 15.0),  # it stops at the first increase
+        ({60: 5.0, 30: 4.0, 15: 3.0, 7: 2.5, 3: 1.0, 0: 9.0}, 3.0),
+        ({60: 5.0, 30: 6.0, 15: 3.0, 7: 2.5, 3: 1.0, 0: 4.0}, 0.0),  # the simulation is tried in any case
+        ({60: 5.0, 30: 5.0, 15: 3.0, 7: 2.5, 3: 1.0, 0: 5.0}, 60.0),  # equal is not better
+    ],
+)
+def test_the_bandwidth_has_the_largest_likelihood(
+    monkeypatch: pytest.MonkeyPatch, losses: Mapping[int, float], expected: float
+) -> None:
+    monkeypatch.setattr(model_error, "information_loss", lambda fitted, data: losses[int(fitted.bandwidth)])
+    monkeypatch.setattr(
+        model_error, "at_bandwidth", lambda fitted, bandwidth, data: dataclasses.replace(fitted, bandwidth=bandwidth)
+    )
+    assert model_error.fit_with_model_error(fit_with(chi2=2.0, bandwidth=60.0), DATA).bandwidth == expected
+    simulated = fit_with(chi2=2.0, bandwidth=0.0)
+    assert model_error.fit_with_model_error(simulated, DATA) is simulated
+
+
+def test_the_loss_is_chi_squared_in_units_of_the_innovations_variance() -> None:
+    """Position gain K = 2 * bandwidth * period; innovations have 1 / (1 - K) times the variance of the noise."""
+    data: Any = SimpleNamespace(period=1e-3, runs=[SimpleNamespace(counted=np.ones((100, 1)))])
+    variance = 1.0 / (1.0 - 2.0 * 30.0 * 1e-3)
+    loss = model_error.information_loss(fit_with(chi2=1.3, bandwidth=30.0), data)
+    assert loss == pytest.approx(1.3 / variance + np.log(variance))
+    assert model_error.information_loss(fit_with(chi2=1.3), data) == pytest.approx(1.3)
+    slow: Any = SimpleNamespace(period=0.1, runs=data.runs)
+    assert model_error.information_loss(fit_with(chi2=1.3, bandwidth=60.0), slow) == pytest.approx(0.13 + np.log(10.0))
+
+
+def test_sensors_count_by_their_number_of_measurements() -> None:
+    """A laser beside encoders has 5/12 of their bandwidth."""
+    machine = HFRAME
+    counted = np.zeros((90, 4))
+    counted[:, 0], counted[:30, 2] = 1.0, 1.0
+    data: Any = SimpleNamespace(period=1e-3, runs=[SimpleNamespace(counted=counted)])
+    fitted = dataclasses.replace(fit_with(chi2=1.0, bandwidth=60.0), machine=machine)
+    encoder, laser = 1.0 / (1.0 - 0.12), 1.0 / (1.0 - 0.05)
+    expected = 1.0 / (0.75 * encoder + 0.25 * laser) + 0.75 * np.log(encoder) + 0.25 * np.log(laser)
+    assert model_error.information_loss(fitted, data) == pytest.approx(expected)
+
+
+class LinearModel:
+    """Linear residual r + J theta of each run, in place of a machine."""
+
+    ROWS: Mapping[str, tuple[np.ndarray, np.ndarray]] = {}
+
+    def __init__(self, *arguments: Any) -> None:
+        pass
+
+    def linearize_run(self, run: Any, theta: np.ndarray) -> Any:
+        jacobian, residual = self.ROWS[run.name]
+        return SimpleNamespace(jacobian=jacobian, residual=residual + theta @ jacobian)
+
+
+@pytest.mark.parametrize("names", ["abcde", "ab"])
+def test_left_out_costs_are_those_of_fits_to_the_others(monkeypatch: pytest.MonkeyPatch, names: str) -> None:
+    """Compare with a least-squares solution for each part; two runs are divided into four parts each."""
+    rng = np.random.default_rng(0)
+    rows = {name: (rng.normal(size=(2, 80)), rng.normal(size=80)) for name in names}
+    monkeypatch.setattr(LinearModel, "ROWS", rows)
+    monkeypatch.setattr(model_error, "ResidualModel", LinearModel)
+    monkeypatch.setattr(model_error, "map_runs", lambda function, data: map(function, data.runs))
+    free = tuple(FreeParameter(f"p{i}", 1.0, 0.5) for i in range(2))
+    fitted = dataclasses.replace(fit_with(chi2=1.0), free=free, theta=np.array([0.3, -0.2]))
+    data: Any = SimpleNamespace(runs=[SimpleNamespace(name=name, count=80) for name in names])
+    pieces = 1 if len(names) >= 4 else 4
+    parts = [
+        (j, r)
+        for jacobian, residual in rows.values()
+        for j, r in zip(np.array_split(jacobian, pieces, 1), np.array_split(residual, pieces), strict=True)
+    ]
+    everything = sum(float(np.sum((r + fitted.theta @ j) ** 2)) for j, r in parts)
+    chi2 = everything / (80 * len(names))
+    precision = np.eye(2) / 0.5**2 * max(1.0, chi2)
+    expected = []
+    for left_out in range(len(parts)):
+        others = [part for k, part in enumerate(parts) if k != left_out]
+        information = sum(j @ j.T for j, _ in others) + precision
+        theta = -np.linalg.solve(information, sum(j @ r for j, r in others))
+        costs = [float(np.sum((r + theta @ j) ** 2)) for j, r in parts]
+        expected.append((costs[left_out], sum(costs) - costs[left_out]))
+    np.testing.assert_allclose(model_error._left_out_costs(fitted, data, pieces), expected, rtol=1e-9)
+    total = sum(cost for cost, _ in expected)
+    assert model_error._leave_one_out_cost(fitted, data) == pytest.approx(total)
+    better = dataclasses.replace(fitted, theta=fitted.theta)
+    assert model_error.leave_one_out_gain(fitted, better, data) == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("costs", "name"),
+    [
+        ([(100.0, 1.0)] * 2, None),  # fewer than three runs
+        ([(40.0, 30.0), (10.0, 60.0), (10.0, 60.0), (10.0, 60.0)], None),
+        ([(10.0, 130.0), (10.0, 130.0), (110.0, 30.0), (10.0, 130.0)], "c"),
+        ([(10.0, 130.0), (10.0, 130.0), (99.0, 30.0), (10.0, 130.0)], None),
+        ([(10.0, 130.0), (130.0, 30.0), (110.0, 30.0), (10.0, 130.0)], "b"),
+    ],
+)
+def test_a_run_with_ten_times_the_error_of_the_others_contradicts(
+    monkeypatch: pytest.MonkeyPatch, costs: list[tuple[float, float]], name: str | None
+) -> None:
+    monkeypatch.setattr(model_error, "_left_out_costs", lambda fitted, data, pieces: costs)
+    data = runs("abcd"[: len(costs)])
+    assert model_error.contradicting_run(fit_with(chi2=1.0), data) == name
+
+
+def test_runs_of_different_length_are_compared_per_sample(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        model_error, "_left_out_costs", lambda *arguments: [(200.0, 150.0), (50.0, 300.0), (50.0, 300.0), (50.0, 300.0)]
+    )
+    data = runs("abcd")
+    data.runs[0].count = 100
+    for run in data.runs[1:]:
+        run.count = 500
+    assert model_error.contradicting_run(fit_with(chi2=1.0), data) == "a"  # 2.0 against 0.1 per sample
+
+
+def test_narrower_observers_and_the_gain_that_makes_them_as_likely(axis: Machine) -> None:
+    data = recordings(axis, residue=0.1)
+    best = fit_with_model_error(fitted_axis(axis, data), data)
+    fits, gains = zip(*with_narrower_observers(best, data), strict=True)
+    assert fits[0] is best
+    assert gains[0] == 0.0
+    bandwidths = [f.bandwidth for f in fits]
+    assert bandwidths == sorted(bandwidths, reverse=True)
+    assert bandwidths[-1] == 0.0
+    assert all(gain > 0.0 for gain in gains[1:])
+    narrower = dataclasses.replace(fits[1], cost=fits[1].cost - gains[1] * fits[1].count)
+    assert information_loss(narrower, data) == pytest.approx(information_loss(best, data))

@@ -56,6 +56,8 @@ def test_units_follow_the_kind_of_the_coordinate_at_the_site(hframe: Machine) ->
     assert [machine.unit(name) for name in names] == ["kg", "kg m^2", "N", "Nm", "N", "Vs/rad", "m"]
     assert machine.unit("stribeck_friction@x.dF") == "N"
     assert machine.unit("stribeck_friction@phi1.dF") == "Nm"
+    with pytest.raises(KeyError, match="'stribeck_friction' has no parameter 'A'"):
+        machine.unit("stribeck_friction@phi1.A")
 
 
 def test_replace_moves_tied_parameters_along(hframe: Machine) -> None:

@@ -54,7 +54,7 @@ class Task(ABC):
 
     @property
     def parameters(self) -> dict[str, float]:
-        """Nominal values, SI, of the parameters that can be randomized, by name; rules name `speed` `task.speed`."""
+        """Nominal values, SI, of randomizable parameters by name; a rule writes `task.speed` for `speed`."""
         return {}
 
     def check(self, workspace: Array) -> None:  # noqa: B027  (optional)

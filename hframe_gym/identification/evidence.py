@@ -1,0 +1,322 @@
+"""Evidence for an effect: its force, and the tests that it must pass against noise and model error.
+
+An effect that reduces the error may still not exist. Other runs must confirm it (leave-one-run-out), chance must not
+explain the reduction, the machine must stay stable, and its force must exceed the one that remains unexplained.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri, fdtri
+
+from ..dynamics import net_forces
+from ..machine import HOOKS, AppliedEffect, Machine, argument_names
+from .criteria import SelectionCriteria
+from .dataset import Dataset, PreparedRecording
+from .estimation import Fit
+from .free_parameters import prior_precision
+from .linearization import ResidualModel
+from .machine_validation import validation_fault
+from .model_error import BANDWIDTHS, fit_with_model_error, leave_one_out_gain, minimum_gain, search_step
+from .prediction import SEARCH_BANDWIDTH, map_runs, observer_gains, predict, prediction_error
+
+Array = NDArray[np.float64]
+
+# Variable of a coordinate, drive or belt by the name of an argument of an effect's formulas (`Effect`).
+_VARIABLES = {
+    "q": "position",
+    "dq": "position",
+    "v": "speed",
+    "direction": "speed",
+    "t": "time",
+    "V": "voltage",
+    "i": "current",
+    "s": "extension",
+    "rate": "extension",
+}
+_BLOCK_S = 0.5  # s; longer than the correlation of a vibration
+_INDEPENDENT_S = (0.05, _BLOCK_S, 1e6)  # s; longer than the correlation of a sensor's noise; ...; complete runs
+_CHANCE = 1e-4  # probability of a false effect among a hundred candidates: 1 %
+
+
+def effect_force(machine: Machine, effect: AppliedEffect, data: Dataset) -> float:
+    """Return the size of the force that an effect adds to a machine during the recordings.
+
+    Args:
+        machine: Machine with or without the effect; the motion is predicted without it.
+        effect: Effect (deviation from the nominal model) whose force is evaluated.
+        data: Runs (times, voltages, measurements) over which the machine is predicted.
+
+    Returns:
+        Root mean square over all rows of the root sum of squares over the coordinates, as a force at the belt (torque /
+        pulley radius), N; infinite for an effect that changes the structure of the machine or a measurement, which no
+        force describes.
+    """
+    if effect.definition.structure or effect.definition.measurement or effect.definition.measurement_delay:
+        return np.inf
+    without = machine.replace(effects=tuple(e for e in machine.effects if e.label != effect.label))
+    return force_difference(without, without.with_effects(effect), data)
+
+
+def force_difference(first: Machine, second: Machine, data: Dataset) -> float:
+    """Return the size of the difference between the forces of two machines during the recordings.
+
+    Args:
+        first: Machine whose predicted motion is used.
+        second: Machine with the same coordinates, for example with an effect (deviation from the nominal model), fitted
+            to the same data. What parameters of the first machine can represent of that effect is then not a part of
+            the difference.
+        data: Runs over which the motion is predicted (times, voltages, measurements, SI).
+
+    Returns:
+        Root mean square over all rows of the root sum of squares over the coordinates, as a force at the belt (torque /
+        pulley radius), N.
+    """
+
+    def of_run(run: PreparedRecording) -> Array:
+        motion = predict(first, run, SEARCH_BANDWIDTH, period=data.period, states=True)
+        record = (run.time_s, motion.positions[0], motion.velocities[0], run.inputs)
+        change: Array = net_forces(second, *record) - net_forces(first, *record)
+        return change.reshape(-1, len(first.coordinates)) / first.travel_per_unit
+
+    return force_size(np.concatenate(list(map_runs(of_run, data))))
+
+
+def depend_on_same_variable(first: AppliedEffect, second: AppliedEffect, machine: Machine) -> bool:
+    """Check whether two effects act on the same component and depend on the same variable of it.
+
+    If so, a small effect may only correct the formula of a large one: where a formula describes friction as a function
+    of the speed to within 10 %, the remaining force is a function of the speed as well.
+
+    Args:
+        first: One effect (deviation from the nominal model) at its component.
+        second: Another effect.
+        machine: Machine on which both act.
+
+    Returns:
+        True for example for Stribeck friction and quadratic drag of one coordinate, two functions of its speed.
+    """
+    sites = [machine.coordinate_of_site(e.site, e.definition.site) or e.site for e in (first, second)]
+    return sites[0] == sites[1] and bool(_variables(first) & _variables(second))
+
+
+def _variables(effect: AppliedEffect) -> set[tuple[str, bool]]:
+    """Return the variables on which the formulas of an effect depend, and whether it is periodic in them."""
+    periodic = any(p.role in ("period", "rate") for p in effect.definition.parameters)
+    hooks = [getattr(effect.definition, hook) for hook in HOOKS if getattr(effect.definition, hook)]
+    arguments = {name for hook in hooks for name in argument_names(hook)}
+    return {(_VARIABLES[name], periodic) for name in arguments & set(_VARIABLES)}
+
+
+def drive_force(machine: Machine, data: Dataset) -> float:
+    """Return the size of the force that the drives apply during the recordings, without back-EMF.
+
+    Args:
+        machine: Machine with its drives.
+        data: Runs with the voltages.
+
+    Returns:
+        Root mean square over all rows of the root sum of squares over the drives, as a force at the belt (torque /
+        pulley radius), N.
+    """
+    gains = [drive.gain / machine.coordinate(drive.coordinate).travel_per_unit for drive in machine.drives]
+    return force_size(np.concatenate([run.inputs for run in data.runs]) * gains)
+
+
+def force_size(force: Array) -> float:
+    """Return the root mean square of a force over time.
+
+    Args:
+        force: Forces at n samples, N, shape (n, coordinates).
+
+    Returns:
+        Root mean square over the samples of the root sum of squares over the coordinates, N.
+    """
+    return float(np.sqrt(np.mean(np.sum(force**2, axis=1))))
+
+
+def residue_force(fitted: Fit, data: Dataset) -> float:
+    """Return the size of the force that the model lacks: the observer's corrections of the velocities as forces.
+
+    The observer corrects the prediction by the measurements. The part of the corrections that the sensors' noise causes
+    is subtracted.
+
+    Args:
+        fitted: Fitted machine with its observer bandwidth.
+        data: Runs that were fitted (times, voltages, measurements, SI).
+
+    Returns:
+        Root mean square over all rows of the root sum of squares over the coordinates, as a force at the belt (torque /
+        pulley radius), N.
+    """
+    machine = fitted.machine
+    bandwidth = max(fitted.bandwidth, BANDWIDTHS[-2])  # the narrowest observer measures it where none is needed
+    velocity_gains = observer_gains(machine, data.period, bandwidth)[len(machine.coordinates) :]
+    mass = np.array([c.mass for c in machine.coordinates])
+    # Velocity correction per sample -> acceleration -> force at the belt, per unit of each sensor's innovation.
+    force_gains = velocity_gains.T / data.period * mass / machine.travel_per_unit  # (sensors, coordinates)
+
+    def of_run(run: PreparedRecording) -> tuple[Array, Array]:
+        motion = predict(machine, run, bandwidth, period=data.period, longest_step=search_step(bandwidth))
+        innovation = np.nan_to_num(prediction_error(run, data, motion.readings)[0])  # (n, sensors)
+        return innovation @ force_gains, np.sqrt((np.isfinite(run.outputs) * run.noise**2) @ force_gains**2)
+
+    correction, noise = (np.concatenate(part) for part in zip(*map_runs(of_run, data), strict=True))
+    return math.sqrt(max(force_size(correction) ** 2 - force_size(noise) ** 2, 0.0))
+
+
+def long_run_variance(fitted: Fit, label: str, data: Dataset) -> float:
+    """Return the variance of the residual along the influence of an effect, relative to that of white noise.
+
+    A residual that is correlated in time has fewer independent values, and an effect that does not exist reduces the
+    cost by that many times more. Blocks of 50 ms, blocks of 0.5 s, or runs are taken as independent. Few blocks
+    estimate a variance inaccurately; it is larger by the ratio of the quantiles of the F and the chi-squared
+    distribution, as for the gain of an effect that does not exist.
+
+    Args:
+        fitted: Fit with the effect (deviation from the nominal model), at any observer bandwidth.
+        label: Label (name@site) of the effect, of which at least one parameter is free.
+        data: Runs that were fitted (times, voltages, measurements, SI).
+
+    Returns:
+        Largest ratio over the kinds of blocks and over combinations of the effect's parameters, at least 1; infinite if
+        the machine diverges at slightly different parameters.
+
+    References:
+        Liang and Zeger (1986), "Longitudinal data analysis using generalized linear models".
+    """
+    model = ResidualModel(fitted.machine, fitted.free, data, fitted.bandwidth, search_step(fitted.bandwidth))
+    runs = list(map_runs(lambda run: model.linearize_run(run, fitted.theta), data))
+    if not all(np.isfinite(run.jacobian).all() and np.isfinite(run.residual).all() for run in runs):
+        return math.inf
+    own = np.array([parameter.name.startswith(f"{label}.") for parameter in fitted.free])
+    hessian = sum((run.jacobian @ run.jacobian.T for run in runs), prior_precision(fitted.free))
+    # Change of the effect's parameters with adapted other parameters: one row per parameter of the effect.
+    directions = np.eye(len(own))[own]
+    directions[:, ~own] = -np.linalg.solve(hessian[np.ix_(~own, ~own)], hessian[np.ix_(~own, own)]).T
+    responses = [directions @ run.jacobian for run in runs]
+    inverse = np.linalg.pinv(sum(response @ response.T for response in responses), hermitian=True)
+    largest, rows = 0.0, round(1.0 / data.period) * len(fitted.machine.sensors)  # residuals per second
+    for seconds in _INDEPENDENT_S:
+        size = max(1, round(rows * seconds))
+        blocks = [_block_sums(j * run.residual, size) for j, run in zip(responses, runs, strict=True)]
+        scores = np.concatenate(blocks, axis=1)  # (parameters of the effect, blocks)
+        largest = max(largest, float(np.linalg.eigvals(inverse @ scores @ scores.T).real.max()))
+    count, parameters = sum(-(-run.residual.size // round(rows * _BLOCK_S)) for run in runs), int(own.sum())
+    quantiles = fdtri(parameters, count, 1.0 - _CHANCE), chdtri(parameters, _CHANCE) / parameters
+    return max(1.0, largest * float(quantiles[0] / quantiles[1]))
+
+
+def _block_sums(rows: Array, size: int) -> Array:
+    """Return sums over blocks of that many values, shape (k, blocks), of k rows; the last block may be shorter."""
+    return np.asarray(np.add.reduceat(rows, np.arange(0, rows.shape[1], size), axis=1))
+
+
+def doubt_about_candidate(current: Fit, trial: Fit, data: Dataset, criteria: SelectionCriteria) -> str:
+    """Return why an effect may not exist although it reduces the error, while other effects may still be missing.
+
+    Args:
+        current: Fit (machine, parameters theta, shape (k,), cost) without the effect.
+        trial: Fit with the effect (deviation from the nominal model), the last one of its machine, with the same
+            observer to correct predictions by the measurements.
+        data: Runs that were fitted (times, voltages, measurements, SI).
+        criteria: Decision thresholds.
+
+    Returns:
+        Clause that follows "it "; empty if nothing speaks against the effect.
+    """
+    effect = trial.machine.effects[-1]
+    # While other effects are missing, a fit without one run says little about the machine, and what they leave is
+    # correlated in time; `doubt_beside_others` repeats these tests.
+    nearly_explained = current.chi2 < criteria.explained_chi2
+    return (
+        (_unconfirmed(current, trial, data, criteria) if nearly_explained else "")
+        or validation_fault(trial.machine)
+        or (_by_chance(current, trial, effect, data, criteria) if nearly_explained else "")
+        or _too_small(current, trial, effect, data, criteria)
+        or _form_error(current, trial, effect, data, criteria)
+    )
+
+
+def doubt_beside_others(
+    reduced: Fit, complete: Fit, effect: AppliedEffect, data: Dataset, criteria: SelectionCriteria
+) -> str:
+    """Return why an effect of a machine may not exist, given all other effects.
+
+    Args:
+        reduced: Fit (machine, parameters theta, shape (k,), cost) with all other effects.
+        complete: Fit with all effects, with the same observer to correct predictions by the measurements.
+        effect: Effect (deviation from the nominal model) in question.
+        data: Runs that were fitted (times, voltages, measurements, SI).
+        criteria: Decision thresholds.
+
+    Returns:
+        Clause that follows "it "; empty if nothing speaks against the effect.
+    """
+    if reduced.cost - complete.cost < minimum_gain(complete, criteria) * data.count:
+        return "has no effect on the error"
+    return (
+        _unconfirmed(reduced, complete, data, criteria)
+        or validation_fault(complete.machine)
+        or _by_chance(reduced, complete, effect, data, criteria)
+        or _too_small(reduced, complete, effect, data, criteria)
+        or _form_error(reduced, complete, effect, data, criteria)
+    )
+
+
+def _unconfirmed(without: Fit, with_effect: Fit, data: Dataset, criteria: SelectionCriteria) -> str:
+    """Return that an effect describes single runs rather than the machine, "" if other runs confirm it."""
+    gain, confirmed = without.cost - with_effect.cost, leave_one_out_gain(without, with_effect, data)
+    if confirmed >= criteria.min_confirmed_fraction * gain:
+        return ""
+    return f"is not confirmed by runs that it was not fitted to ({100 * confirmed / gain:.0f} % of the gain)"
+
+
+def _by_chance(
+    without: Fit, with_effect: Fit, effect: AppliedEffect, data: Dataset, criteria: SelectionCriteria
+) -> str:
+    """Return that chance may explain the gain because the remaining error is correlated, "" if it cannot."""
+    variance = long_run_variance(with_effect, effect.label, data)
+    if without.cost - with_effect.cost >= criteria.min_chance_gain * variance:
+        return ""
+    return "reduces the error by no more than chance may, since the remaining error is correlated in time"
+
+
+def _too_small(
+    without: Fit, with_effect: Fit, effect: AppliedEffect, data: Dataset, criteria: SelectionCriteria
+) -> str:
+    """Return that an effect is smaller than what remains unexplained beside it, "" if it is larger."""
+    size, residue = _forces(without, with_effect, effect, data)
+    if criteria.min_promised_force_ratio * residue <= size < criteria.min_force_ratio * residue:
+        # In doubt, what remains is measured by the observer that is then needed.
+        size, residue = _forces(without, fit_with_model_error(with_effect, data), effect, data)
+    if size >= criteria.min_force_ratio * residue:
+        return ""
+    return f"has a force of {1e3 * size:.2g} mN, where {1e3 * residue:.2g} mN remain unexplained"
+
+
+def _forces(without: Fit, with_effect: Fit, effect: AppliedEffect, data: Dataset) -> tuple[float, float]:
+    """Return the force of an effect and the force that remains unexplained beside it, N."""
+    size, residue = effect_force(with_effect.machine, effect, data), residue_force(with_effect, data)
+    if effect.definition.structure:  # no force at the machine's coordinates: what it takes from the unexplained one
+        size = math.sqrt(max(residue_force(without, data) ** 2 - residue**2, 0.0))
+    return size, residue
+
+
+def _form_error(
+    without: Fit, with_effect: Fit, effect: AppliedEffect, data: Dataset, criteria: SelectionCriteria
+) -> str:
+    """Return that an effect may be an error in the form of a larger one, "" if nothing speaks for that."""
+    machine = with_effect.machine
+    for other in machine.effects:
+        if other.label != effect.label and depend_on_same_variable(effect, other, machine):
+            # The force beyond what the parameters of the machine and of the other effect can represent.
+            new_force = force_difference(without.machine, machine, data)
+            fraction = new_force / max(effect_force(machine, other, data), 1e-12)
+            if fraction < criteria.max_form_error:
+                percent = f"adds {100 * fraction:.0f} % to the force of {other.label}"
+                return f"{percent}, which depends on the same variable: the form of that effect may be in error"
+    return ""

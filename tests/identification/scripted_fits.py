@@ -1,0 +1,85 @@
+"""Fits with scripted costs, effects and runs, for tests of decisions in which nothing is simulated."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hframe_gym.effects import EFFECTS
+from hframe_gym.identification import Fit, SelectedEffect, SelectionCriteria, evidence, forward_selection
+from hframe_gym.identification.forward_selection import EffectSearch
+from hframe_gym.identification.free_parameters import FreeParameter
+from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect
+
+COUNT = 10_000  # measured values
+CRITERIA = SelectionCriteria()
+AXIS, HFRAME = BUILTIN_MACHINES["axis"](), BUILTIN_MACHINES["hframe"]()
+PUSH = EFFECTS["constant_force"].at("x", size=0.3)
+DRAG = EFFECTS["quadratic_drag"].at("x", c=4.0)
+SPRING = EFFECTS["cable_spring"].at("x", k=6.0, q0=0.05)
+STRIBECK = EFFECTS["stribeck_friction"].at("x", dF=3.0, vs=0.04)
+FRAME = EFFECTS["frame_resonance"].at("x", f0=19.0, zeta=0.05, r=0.05, s=0.8)
+DATA: Any = SimpleNamespace(count=COUNT)
+
+
+def fit_with(*effects: AppliedEffect, chi2: float, free: int = 4, bandwidth: float = 0.0) -> Fit:
+    """Return a fit of the axis with effects, and a chi-squared per sample."""
+    parameters = tuple(FreeParameter(f"p{i}", 1.0, 1.0) for i in range(free))
+    machine = dataclasses.replace(AXIS, effects=effects)
+    return Fit(machine, parameters, np.zeros(free), chi2 * COUNT, COUNT, bandwidth, np.eye(free))
+
+
+def selected(effect: AppliedEffect, gain: float = 1.0) -> SelectedEffect:
+    """Return a selected effect."""
+    return SelectedEffect(effect, (), gain, AXIS)
+
+
+def runs(names: str) -> Any:
+    """Return data with runs that have one letter each as a name."""
+    return SimpleNamespace(
+        runs=[SimpleNamespace(name=name, count=COUNT // 4) for name in names], count=COUNT, with_runs=runs
+    )
+
+
+class Scripted:
+    """Replaces what the search and the tests of effects compute: forces, gains, variances; neutral by default."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.force: dict[str, float] = {}
+        self.residue: dict[float, float] = {}  # by chi-squared of the fit
+        self.confirmed, self.variance, self.fault, self.difference = 1.0, 1.0, "", 1.0
+        self.trials: list[list[Fit]] = []
+        self.structures: list[list[Fit]] = []
+        self.without: dict[str, Fit | None] = {}
+        self.replacement: Fit | None = None
+        self.lines: list[str] = []
+        replaced: Mapping[str, Callable[..., Any]] = {
+            "effect_force": lambda machine, effect, data: self.force.get(effect.label, 1.0),
+            "residue_force": lambda fitted, data: self.residue.get(fitted.chi2, 0.1),
+            "leave_one_out_gain": lambda a, b, data: self.confirmed * (a.cost - b.cost),
+            "long_run_variance": lambda fitted, label, data: self.variance,
+            "validation_fault": lambda machine: self.fault,
+            "force_difference": lambda a, b, data: self.difference,
+            "fit_with_model_error": lambda fitted, data: fitted,
+            "with_narrower_observers": lambda fitted, data: [(fitted, 0.0)],
+            "converge": lambda fitted, data, thorough: fitted,
+            "trial_fits": lambda current, data, enough, criteria: self.trials.pop(0) if self.trials else [],
+            "structural_trial_fits": lambda *arguments: self.structures.pop(0) if self.structures else [],
+            "unexplained_fraction": lambda current, trials, criteria: 1.0,
+            "without_effect": lambda current, label, *rest, **more: self.without.get(label),
+            "replacement_fit": lambda *arguments: self.replacement,
+        }
+        for name, function in replaced.items():
+            for module in (evidence, forward_selection):
+                if hasattr(module, name):
+                    monkeypatch.setattr(module, name, function)
+
+    def search(self, **criteria: float) -> EffectSearch:
+        """Return a search with changed criteria."""
+        changed = dataclasses.replace(CRITERIA, **criteria)  # type: ignore[arg-type]
+        return EffectSearch(DATA, AXIS, changed, self.lines.append)

@@ -1,0 +1,214 @@
+"""Tests of the evidence for an effect: its force, the unexplained force, and the doubts about it."""
+
+from __future__ import annotations
+
+import dataclasses
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hframe_gym.effects import EFFECTS
+from hframe_gym.identification import evidence
+from hframe_gym.identification.evidence import depend_on_same_variable, force_size
+from hframe_gym.identification.free_parameters import FreeParameter
+from hframe_gym.machine import AppliedEffect, Machine
+from tests.identification.axis_results import axis_runs
+from tests.identification.scripted_fits import (
+    AXIS,
+    CRITERIA,
+    DATA,
+    DRAG,
+    FRAME,
+    HFRAME,
+    PUSH,
+    SPRING,
+    STRIBECK,
+    Scripted,
+    fit_with,
+)
+
+pytestmark = pytest.mark.unit
+
+
+def test_the_size_of_a_force_is_its_root_mean_square() -> None:
+    assert force_size(np.array([[3.0, 4.0], [0.0, 0.0]])) == pytest.approx(np.sqrt(12.5))
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "same"),
+    [
+        (STRIBECK, DRAG, True),
+        (STRIBECK, SPRING, False),
+        (STRIBECK, EFFECTS["quadratic_drag"].at("y", c=4.0), False),
+        (
+            EFFECTS["cogging"].at("motor1", A=0.03, n=23.6, p=0.5),
+            EFFECTS["cable_spring"].at("phi1", k=6.0, q0=0.0),
+            False,
+        ),
+        (EFFECTS["friction_slope"].at("x", s=1.0), SPRING, True),
+        (EFFECTS["friction_slope"].at("phi1", s=0.1), EFFECTS["cable_spring"].at("phi1", k=6.0, q0=0.0), True),
+    ],
+)
+def test_which_effects_depend_on_the_same_variable(first: AppliedEffect, second: AppliedEffect, same: bool) -> None:
+    """Periodic ones only on that of other periodic ones."""
+    assert depend_on_same_variable(first, second, HFRAME) == same
+    assert depend_on_same_variable(second, first, HFRAME) == same
+
+
+def test_the_difference_of_forces_is_that_at_the_belt(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Torques are divided by the radius of the pulley; the motion is that of the first machine."""
+    other = dataclasses.replace(HFRAME, name="other")
+    moved: list[str] = []
+
+    def predict(machine: Machine, run: Any, bandwidth: float, period: float, states: bool) -> Any:
+        assert (bandwidth, period, states) == (60.0, 1e-3, True)
+        moved.append(machine.name)
+        return SimpleNamespace(positions=np.zeros((1, 5, 4)), velocities=np.zeros((1, 5, 4)))
+
+    forces = {HFRAME.name: np.full((5, 4), 0.1), "other": np.tile([3.1, 4.1, 0.1, 0.1 + 12.0 * 0.0194], (5, 1))}
+    monkeypatch.setattr(evidence, "predict", predict)
+    monkeypatch.setattr(evidence, "map_runs", lambda function, data: map(function, data.runs))
+    monkeypatch.setattr(evidence, "net_forces", lambda machine, *record: forces[machine.name])
+    data: Any = SimpleNamespace(period=1e-3, runs=[SimpleNamespace(time_s=np.arange(5.0), inputs=np.zeros((5, 2)))] * 2)
+    assert evidence.force_difference(HFRAME, other, data) == pytest.approx(13.0)
+    assert set(moved) == {HFRAME.name}
+
+
+def test_the_force_of_the_drives_is_at_the_belt() -> None:
+    inputs = np.array([[3.0, -4.0], [0.0, 0.0]])
+    data: Any = SimpleNamespace(runs=[SimpleNamespace(inputs=inputs)])
+    drive = HFRAME.drives[0]
+    assert evidence.drive_force(HFRAME, data) == pytest.approx(np.sqrt(12.5) * drive.gain / 0.0194)
+
+
+@pytest.mark.parametrize("effect", [FRAME, EFFECTS["sensor_scale"].at("x_m", g=1.01)])
+def test_no_force_describes_structures_and_measurements(effect: AppliedEffect) -> None:
+    assert evidence.effect_force(AXIS, effect, DATA) == np.inf
+
+
+def test_the_size_of_an_effect_is_its_force() -> None:
+    data = axis_runs(AXIS, rows=1500, volts=3.0)
+    assert evidence.effect_force(AXIS, EFFECTS["constant_force"].at("x", size=-0.3), data) == pytest.approx(0.3)
+    assert evidence.effect_force(AXIS, EFFECTS["sensor_scale"].at("x_m", g=1.01), data) == np.inf
+    (drive,) = AXIS.drives
+    rms = np.sqrt(np.mean(np.concatenate([run.inputs for run in data.runs]) ** 2))
+    expected = rms * drive.gain / AXIS.coordinates[0].travel_per_unit
+    assert evidence.drive_force(AXIS, data) == pytest.approx(expected)
+
+
+def doubt(scripted: Scripted, without: float = 1.4, with_effect: float = 1.2, *effects: AppliedEffect) -> str:
+    """Return the doubt about the last effect of a trial."""
+    present = effects or (PUSH,)
+    fits = fit_with(*present[:-1], chi2=without), fit_with(*present, chi2=with_effect)
+    return evidence.doubt_about_candidate(*fits, DATA, CRITERIA)
+
+
+def test_an_effect_without_doubt(scripted: Scripted) -> None:
+    assert doubt(scripted) == ""
+
+
+@pytest.mark.parametrize(("fraction", "sure"), [(0.31, True), (0.29, False)])
+def test_other_runs_must_confirm_an_effect(scripted: Scripted, fraction: float, sure: bool) -> None:
+    scripted.confirmed = fraction
+    text = doubt(scripted)
+    assert text == ("" if sure else "is not confirmed by runs that it was not fitted to (29 % of the gain)")
+    # While much is unexplained, a fit without one run says little.
+    assert doubt(scripted, 1.6, 1.2) == ""
+
+
+@pytest.mark.parametrize(("variance", "sure"), [(65.0, True), (68.0, False)])
+def test_chance_may_explain_a_small_gain(scripted: Scripted, variance: float, sure: bool) -> None:
+    scripted.variance = variance  # the gain is 2000, the smallest one 30 times the variance
+    assert ("chance" not in doubt(scripted)) == sure
+
+
+@pytest.mark.parametrize(("force", "sure"), [(1.01, True), (0.99, False)])
+def test_the_force_of_an_effect_must_exceed_the_unexplained_one(scripted: Scripted, force: float, sure: bool) -> None:
+    scripted.force, scripted.residue = {PUSH.label: 0.2 * force}, {1.2: 0.2}
+    text = doubt(scripted)
+    assert text == ("" if sure else "has a force of 2e+02 mN, where 2e+02 mN remain unexplained")
+
+
+@pytest.mark.parametrize(("before", "sure"), [(0.15, True), (0.13, False), (0.05, False)])
+def test_a_structural_effect_must_halve_the_unexplained_power(scripted: Scripted, before: float, sure: bool) -> None:
+    """Its size is what it takes from the unexplained force: the root of the difference of the squares."""
+    scripted.residue = {1.4: before, 1.2: 0.1}
+    assert ("remain unexplained" not in doubt(scripted, 1.4, 1.2, FRAME)) == sure
+
+
+@pytest.mark.parametrize(("difference", "sure"), [(0.21, True), (0.19, False)])
+def test_a_small_addition_to_the_same_variable_is_an_error_of_form(
+    scripted: Scripted, difference: float, sure: bool
+) -> None:
+    scripted.difference = difference
+    text = doubt(scripted, 1.4, 1.2, STRIBECK, DRAG)
+    assert ("the form of that effect may be in error" not in text) == sure
+    assert sure or "adds 19 % to the force of stribeck_friction@x" in text
+    assert doubt(scripted, 1.4, 1.2, SPRING, DRAG) == ""  # position and speed
+
+
+def test_a_faulty_machine_is_doubted(scripted: Scripted) -> None:
+    scripted.fault = "makes the machine unstable"
+    assert doubt(scripted) == scripted.fault
+
+
+@pytest.mark.parametrize("bandwidth", [0.0, 30.0])
+def test_the_residue_is_the_correction_beyond_that_of_noise(monkeypatch: pytest.MonkeyPatch, bandwidth: float) -> None:
+    """The observer corrects the velocity by bandwidth^2 times the innovation; without one, by that of 3 rad/s."""
+    innovation = np.array([[3e-3], [-5e-3], [np.nan], [1e-3]])
+    run: Any = SimpleNamespace(outputs=innovation, noise=np.array([1e-3]))
+    data: Any = SimpleNamespace(period=1e-3, runs=[run])
+    monkeypatch.setattr(evidence, "predict", lambda *arguments, **more: SimpleNamespace(readings=None))
+    monkeypatch.setattr(evidence, "prediction_error", lambda run, data, readings: innovation[None])
+    monkeypatch.setattr(evidence, "map_runs", lambda function, data: map(function, data.runs))
+    power = (9.0 + 25.0 + 1.0 - 3.0) / 4.0 * 1e-6  # m^2; the missing measurement has neither error nor noise
+    mass = AXIS.coordinates[0].mass
+    expected = max(bandwidth, 3.0) ** 2 * mass * np.sqrt(power)
+    assert evidence.residue_force(fit_with(chi2=1.0, bandwidth=bandwidth), data) == pytest.approx(expected)
+    run.noise = np.array([9e-3])
+    assert evidence.residue_force(fit_with(chi2=1.0), data) == 0.0
+
+
+class CorrelatedResidual:
+    """Residual of runs of 4 s at 1 kHz: constant over sequences of rows; the influence of two parameters.
+
+    The first parameter, of the machine, has the influence of a sine; the second one, of the effect, is constant.
+    """
+
+    def __init__(self, *arguments: Any) -> None:
+        pass
+
+    def linearize_run(self, run: Any, theta: np.ndarray) -> Any:
+        """Return Jacobian (2, 4000) and residual (4000,) of a run, which is a pair of seed and correlation in rows."""
+        seed, rows = run
+        residual = np.repeat(np.random.default_rng(seed).normal(size=4000 // rows), rows)
+        sine = np.sin(np.arange(4000) * 2e-3 * np.pi)
+        return SimpleNamespace(jacobian=np.array([sine, np.ones(4000)]), residual=residual)
+
+
+@pytest.mark.parametrize("rows", [1, 20, 200, 4000])
+def test_a_residual_that_is_constant_over_some_rows_has_that_many_times_the_variance(
+    monkeypatch: pytest.MonkeyPatch, rows: int
+) -> None:
+    monkeypatch.setattr(evidence, "ResidualModel", CorrelatedResidual)
+    monkeypatch.setattr(evidence, "map_runs", lambda function, data: map(function, data.runs))
+    free = (FreeParameter("x.mass", 1.0, 0.3), FreeParameter(f"{PUSH.label}.size", 1.0, 1e6, scale=1.0))
+    fitted = dataclasses.replace(fit_with(PUSH, chi2=1.0), free=free, theta=np.zeros(2))
+    data: Any = SimpleNamespace(period=1e-3, runs=[(seed, rows) for seed in range(100)])
+    # 800 blocks of 0.5 s; the largest of three estimates, the last one of 100 runs.
+    assert evidence.long_run_variance(fitted, PUSH.label, data) == pytest.approx(rows, rel=0.35)
+
+
+def test_few_blocks_require_a_larger_gain(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The quantile of F(1, 8) at one in ten thousand is 3.35 times that of the chi-squared distribution."""
+    monkeypatch.setattr(evidence, "ResidualModel", CorrelatedResidual)
+    monkeypatch.setattr(evidence, "map_runs", lambda function, data: map(function, data.runs))
+    free = (FreeParameter("x.mass", 1.0, 0.3), FreeParameter(f"{PUSH.label}.size", 1.0, 1e6, scale=1.0))
+    fitted = dataclasses.replace(fit_with(PUSH, chi2=1.0), free=free, theta=np.zeros(2))
+    run = (0, 200)
+    one, many = (
+        evidence.long_run_variance(fitted, PUSH.label, SimpleNamespace(period=1e-3, runs=[run] * n)) for n in (1, 1000)
+    )
+    assert one / many == pytest.approx(3.35, rel=0.01)

@@ -1,0 +1,88 @@
+"""Tests of the held-out runs: their choice, the gain of effects on them, and runs that contradict the fit."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from hframe_gym.effects import EFFECTS
+from hframe_gym.errors import InputError
+from hframe_gym.identification import held_out, hold_out
+from tests.identification.scripted_fits import AXIS, DATA, DRAG, FRAME, PUSH, fit_with, runs, selected
+
+pytestmark = pytest.mark.unit
+
+
+@pytest.mark.parametrize(
+    ("count", "expected"),
+    [(2, ("r1",)), (3, ("r2",)), (4, ("r3",)), (7, ("r3",)), (8, ("r3", "r7"))],
+)
+def test_every_fourth_run_is_held_out(count: int, expected: tuple[str, ...]) -> None:
+    recordings: Any = [SimpleNamespace(name=f"r{i}") for i in range(count)]
+    assert hold_out(recordings) == expected
+    assert hold_out(recordings, ["r0"]) == ("r0",)
+    with pytest.raises(InputError, match="--hold-out nothing: no such run"):
+        hold_out(recordings, ["r0", "nothing"])
+    with pytest.raises(InputError, match="at least one must be left to fit"):
+        hold_out(recordings, [f"r{i}" for i in range(count)])
+
+
+def test_a_single_run_cannot_be_held_out() -> None:
+    recordings: Any = [SimpleNamespace(name="r0")]
+    with pytest.raises(InputError, match="runs: 1, held out: 1"):
+        hold_out(recordings)
+
+
+def by_effects(values: Mapping[tuple[str, ...], float | None]) -> Callable[..., Any]:
+    """Return a function of a machine that looks up a value by its effects' names."""
+    return lambda machine, *rest, **more: values[tuple(e.name for e in machine.effects)]
+
+
+def test_the_held_out_gain_compares_forces_or_costs(monkeypatch: pytest.MonkeyPatch) -> None:
+    with_both, with_drag = (dataclasses.replace(AXIS, effects=effects) for effects in ((PUSH, DRAG), (DRAG,)))
+    names = ("constant_force", "quadratic_drag"), ("quadratic_drag",), ()
+    monkeypatch.setattr(held_out, "force_error", by_effects(dict(zip(names, (0.1, 0.2, 0.4), strict=True))))
+    monkeypatch.setattr(held_out, "prediction_cost", by_effects(dict(zip(names, (30.0, 40.0, 60.0), strict=True))))
+    one = selected(PUSH)
+    assert held_out.held_out_gain(one, with_both, DATA, 60.0) == pytest.approx(0.75)
+    assert held_out.held_out_gain(one, with_both, DATA, 0.0) == pytest.approx(0.25)
+    assert held_out.error_reduction(with_both, with_drag, DATA, 0.0) == pytest.approx(-1.0 / 3.0)
+    monkeypatch.setattr(held_out, "force_error", by_effects(dict(zip(names, (0.1, None, 0.4), strict=True))))
+    assert held_out.error_reduction(with_drag, with_both, DATA, 60.0) == pytest.approx(0.25)
+
+
+def test_the_gain_of_a_structure_compares_with_the_machine_before_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without the effect alone, its coordinate would stay."""
+    monkeypatch.setattr(held_out, "prediction_cost", by_effects({("frame_resonance",): 1.0, (): 4.0, ("x",): 9.0}))
+    gain = held_out.held_out_gain(selected(FRAME), dataclasses.replace(AXIS, effects=(FRAME,)), DATA, 0.0)
+    assert gain == pytest.approx(0.75)
+
+
+@pytest.mark.parametrize(("force", "excited"), [(0.051, True), (0.049, False)])
+def test_a_twentieth_of_the_fitted_force_is_excitation(
+    monkeypatch: pytest.MonkeyPatch, force: float, excited: bool
+) -> None:
+    fitted, validation = runs("ab"), runs("c")
+    monkeypatch.setattr(held_out, "effect_force", lambda m, e, data: 2.0 if data is fitted else 2.0 * force)
+    assert held_out.is_excited(PUSH, AXIS, validation, fitted) == excited
+    for effect in (FRAME, EFFECTS["sensor_scale"].at("x_m", g=1.01), EFFECTS["sensor_delay"].at("x_m", d=1e-3)):
+        assert held_out.is_excited(effect, AXIS, validation, fitted)
+
+
+@pytest.mark.parametrize(("chi2", "limit"), [(0.5, 10.0), (3.0, 30.0)])
+def test_held_out_runs_that_contradict_are_named(monkeypatch: pytest.MonkeyPatch, chi2: float, limit: float) -> None:
+    """More than ten times the error of the fit, which counts as at least that of the noise."""
+    costs = {"a": 0.99 * limit, "b": 1.01 * limit, "c": 5.0 * limit}
+
+    def with_runs(names: list[str]) -> Any:
+        return SimpleNamespace(runs=[SimpleNamespace(name=name) for name in names], count=50)
+
+    data: Any = SimpleNamespace(runs=[SimpleNamespace(name=name) for name in "abc"], with_runs=with_runs)
+    monkeypatch.setattr(
+        held_out, "prediction_cost", lambda machine, run, bandwidth, longest_step: costs[run.runs[0].name] * run.count
+    )
+    assert held_out.contradicting_held_out_runs(fit_with(chi2=chi2), data) == ("b", "c")

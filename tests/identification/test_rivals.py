@@ -1,0 +1,53 @@
+"""Tests of rivals (effects that explain the data about equally well) with scripted fits: order, margin, replacement."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import pytest
+
+from hframe_gym.identification import rivals
+from tests.identification.scripted_fits import COUNT, CRITERIA, DATA, DRAG, PUSH, SPRING, fit_with
+
+pytestmark = pytest.mark.unit
+
+
+def test_of_trials_as_good_as_the_best_the_simplest_comes_first() -> None:
+    current = fit_with(chi2=2.0)
+    best, simple, poor = (
+        fit_with(effect, chi2=chi2, free=free)
+        for effect, chi2, free in ((PUSH, 1.0, 5), (DRAG, 1.029, 3), (SPRING, 1.031, 1))
+    )
+    order = rivals.simplest_first([poor, best, simple], current, DATA, CRITERIA)
+    assert order == [simple, best, poor]
+    assert rivals.simplest_first([], current, DATA, CRITERIA) == []
+    # 3 % of the gain is the margin; of a small gain it is 0.002 per sample.
+    assert rivals._margin(current, 1.0 * COUNT, DATA, CRITERIA) == pytest.approx(0.03 * COUNT)
+    assert rivals._margin(current, 1.99 * COUNT, DATA, CRITERIA) == pytest.approx(0.002 * COUNT)
+
+
+def test_rivals_are_other_effects_within_the_margin() -> None:
+    current, best = fit_with(chi2=2.0), fit_with(PUSH, chi2=1.0)
+    close, same, far = fit_with(DRAG, chi2=1.029), fit_with(PUSH, chi2=1.001), fit_with(SPRING, chi2=1.031)
+    assert rivals.close_rivals([best, same, close, close, far], current, DATA, CRITERIA) == (DRAG,)
+
+
+@pytest.mark.parametrize(("loss", "found"), [(1.5, True), (1.99, False)])
+def test_a_rival_that_is_more_likely_replaces_an_effect(
+    monkeypatch: pytest.MonkeyPatch, loss: float, found: bool
+) -> None:
+    """Chance may explain a difference of 30 long-run variances, here 0.015 per value."""
+    current, other = fit_with(PUSH, chi2=2.0), fit_with(DRAG, chi2=loss)
+    losses = {id(current): 2.0, id(other): loss}
+    replaced: Mapping[str, Callable[..., Any]] = {
+        "information_loss": lambda fitted, data: losses[id(fitted)],
+        "fit_in_place_of": lambda current, label, rival, data: other,
+        "polish": lambda fitted, data: fitted,
+        "at_bandwidth": lambda fitted, bandwidth, data: fitted,
+        "long_run_variance": lambda fitted, label, data: 0.015 * COUNT / CRITERIA.min_chance_gain,
+    }
+    for name, function in replaced.items():
+        monkeypatch.setattr(rivals, name, function)
+    assert rivals.more_likely_rival(current, PUSH.label, (DRAG,), DATA, CRITERIA) is (other if found else None)
+    assert rivals.more_likely_rival(current, PUSH.label, (PUSH,), DATA, CRITERIA) is None  # the machine has it

@@ -1,0 +1,161 @@
+"""Tests of the verdict with scripted fits: each threshold from both sides. Nothing is simulated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import pytest
+
+from hframe_gym.identification import Fit, SelectedEffect, SelectionCriteria, search
+from hframe_gym.machine import Machine
+from tests.identification.scripted_fits import AXIS, COUNT, CRITERIA, PUSH, SPRING, fit_with, runs, selected
+
+pytestmark = pytest.mark.unit
+
+
+class ScriptedSearch:
+    """Replaces what `search_effects` calls: fits have the chi-squared that `chi2_of` gives by the effects' labels."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.before, self.after = 10.0, 10.0
+        self.effects: tuple[SelectedEffect, ...] = ()
+        self.tables: list[tuple[Fit, tuple[SelectedEffect, ...]]] = []
+        self.pruned: tuple[SelectedEffect, ...] | None = None
+        self.wide = 10.0  # chi-squared at the bandwidth of the search
+        self.suspect: str | None = None
+        script = self
+
+        class FakeEffectSearch:
+            def __init__(self, data: Any, plain: Machine, criteria: SelectionCriteria, log: Any) -> None:
+                self.considered: dict[str, Any] = {}
+
+            def run(self, current: Fit, chosen: tuple[SelectedEffect, ...] = ()) -> Any:
+                found = script.effects or chosen
+                return fit_with(*(s.effect for s in found), chi2=script.after), found
+
+            def settle_rivals(self, current: Fit, chosen: tuple[SelectedEffect, ...]) -> Any:
+                return current, chosen
+
+            def prune(self, current: Fit, chosen: tuple[SelectedEffect, ...]) -> Any:
+                return current, chosen if script.pruned is None else script.pruned
+
+        replaced: Mapping[str, Callable[..., Any]] = {
+            "fit": lambda machine, free, data, bandwidth, theta=None: fit_with(*machine.effects, chi2=script.before),
+            "default_free_parameters": lambda machine: (),
+            "polish": lambda fitted, data: fitted,
+            "converge": lambda fitted, data, thorough: fitted,
+            "fit_with_model_error": lambda fitted, data: fitted,
+            "refine_starts": lambda data, machine: data,
+            # The simulation has no say: it is as bad with the effects as without.
+            "prediction_cost": lambda machine, data, bandwidth: (
+                COUNT * (script.wide if bandwidth and machine.effects else 10.0)
+            ),
+            "refined_in_simulation": lambda fitted, data: fitted,
+            "add_tables": lambda start, known, data, criteria, max_tables, log: (
+                script.tables.pop(0) if script.tables else (start, known)
+            ),
+            "contradicting_run": lambda fitted, data: script.suspect,
+            "EffectSearch": FakeEffectSearch,
+        }
+        for name, function in replaced.items():
+            monkeypatch.setattr(search, name, function)
+
+    def run(self) -> search.SearchOutcome:
+        """Search in four runs."""
+        return search.search_effects(AXIS, runs("abcd"), CRITERIA, lambda line: None)
+
+
+@pytest.fixture
+def scripted_search(monkeypatch: pytest.MonkeyPatch) -> ScriptedSearch:
+    """Return a script of fits, effects and tables."""
+    return ScriptedSearch(monkeypatch)
+
+
+@pytest.mark.parametrize(("chi2", "verdict"), [(1.49, "effect_found"), (1.51, "unexplained")])
+def test_effects_that_leave_only_noise_are_found(scripted_search: ScriptedSearch, chi2: float, verdict: str) -> None:
+    scripted_search.effects, scripted_search.after = (selected(PUSH),), chi2
+    outcome = scripted_search.run()
+    assert outcome.verdict == verdict
+    found = verdict == "effect_found"
+    assert [s.effect for s in outcome.selected] == ([PUSH] if found else [])
+    assert outcome.after.chi2 == (chi2 if found else 10.0)
+    assert not outcome.before_explains
+    assert outcome.contradiction is None
+
+
+def test_without_effects_a_machine_that_explains_the_data_is_right(scripted_search: ScriptedSearch) -> None:
+    scripted_search.before = scripted_search.after = 1.2
+    outcome = scripted_search.run()
+    assert (outcome.verdict, outcome.before_explains, outcome.after) == ("no_effect", True, outcome.before)
+
+
+@pytest.mark.parametrize(("wide", "verdict"), [(3.3, "effect_found"), (3.4, "unexplained")])
+def test_known_effects_are_reported_if_they_remove_three_quarters(
+    scripted_search: ScriptedSearch, wide: float, verdict: str
+) -> None:
+    """Three quarters of the excess of chi-squared, 10, over the 1.1 that a correct model reaches."""
+    scripted_search.effects, scripted_search.after, scripted_search.wide = (selected(PUSH),), 3.0, wide
+    outcome = scripted_search.run()
+    assert outcome.verdict == verdict
+    # An effect that was found but is not reported is not forgotten.
+    assert [c.effect for c in outcome.considered] == ([] if verdict == "effect_found" else [PUSH])
+
+
+def test_nothing_is_found_where_nothing_was_selected(scripted_search: ScriptedSearch) -> None:
+    scripted_search.after, scripted_search.wide = 3.0, 0.1
+    outcome = scripted_search.run()
+    assert (outcome.verdict, outcome.selected) == ("unexplained", ())
+
+
+@pytest.mark.parametrize(
+    ("chi2", "wide", "kept", "found"),
+    [(1.4, 9.0, True, True), (1.6, 0.9, True, True), (1.6, 1.1, True, False), (1.4, 9.0, False, False)],
+)
+def test_a_table_is_found_if_it_explains_or_removes_nine_tenths(
+    scripted_search: ScriptedSearch, chi2: float, wide: float, kept: bool, found: bool
+) -> None:
+    table = fit_with(SPRING, chi2=chi2), (selected(SPRING),)
+    scripted_search.tables, scripted_search.wide = [table], wide
+    scripted_search.pruned = None if kept else ()
+    outcome = scripted_search.run()
+    assert outcome.verdict == ("effect_found" if found else "unexplained")
+    assert [s.effect for s in outcome.selected] == ([SPRING] if found else [])
+
+
+def test_a_table_beside_an_effect_must_add_to_it(scripted_search: ScriptedSearch) -> None:
+    """The first table explains nothing; the second search, beside the effect, finds none."""
+    scripted_search.effects, scripted_search.after = (selected(PUSH),), 3.0
+    scripted_search.tables = [(fit_with(chi2=10.0), ()), (fit_with(PUSH, chi2=1.0), (selected(PUSH),))]
+    assert scripted_search.run().verdict == "unexplained"
+    scripted_search.tables = [
+        (fit_with(chi2=10.0), ()),
+        (fit_with(PUSH, SPRING, chi2=1.0), (selected(PUSH), selected(SPRING))),
+    ]
+    outcome = scripted_search.run()
+    assert (outcome.verdict, [s.effect for s in outcome.selected]) == ("effect_found", [PUSH, SPRING])
+
+
+@pytest.mark.parametrize(("explained_by_more", "contradiction"), [(False, "c"), (True, None)])
+def test_a_run_that_no_effect_reconciles_with_the_others_is_left_out(
+    scripted_search: ScriptedSearch, monkeypatch: pytest.MonkeyPatch, explained_by_more: bool, contradiction: str | None
+) -> None:
+    scripted_search.suspect, scripted_search.before, scripted_search.after = "c", 1.2, 1.2
+    limits: list[float] = []
+
+    def explains(fitted: Fit, initial: float, criteria: SelectionCriteria) -> bool:
+        limits.append(initial)
+        return explained_by_more
+
+    monkeypatch.setattr(search._Search, "_explains", lambda self, fitted: True)
+    monkeypatch.setattr(search, "explains", explains)
+    outcome = scripted_search.run()
+    assert outcome.contradiction == contradiction
+    assert limits == [1.2]
+    assert "".join(run.name for run in outcome.data.runs) == ("abd" if contradiction else "abcd")
+
+
+def test_a_suspect_run_is_used_if_the_others_are_not_explained_either(scripted_search: ScriptedSearch) -> None:
+    scripted_search.suspect = "c"
+    outcome = scripted_search.run()
+    assert (outcome.contradiction, outcome.verdict, len(outcome.data.runs)) == (None, "unexplained", 4)
