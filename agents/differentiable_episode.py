@@ -207,7 +207,8 @@ def distance_cost(distance: Any) -> Any:
     """Compute a cost that increases with the distance d to the goal, from 0 at the goal towards 1.
 
     The cost is the sum over k of w[k] * d / (d + s[k]), with the lengths s of `COST_SCALES`, m, and the weights w of
-    `COST_WEIGHTS`, whose sum is 1. Halving a distance of any length between those of s therefore reduces the cost.
+    `COST_WEIGHTS`, whose sum is 1. The lengths are a decade apart, so that halving the distance reduces the cost
+    noticeably everywhere from 0.2 m to 20 um.
 
     Args:
         distance: Distances to the goal, m, tensor of any shape.

@@ -170,7 +170,7 @@ class ResidualAction:
         return spaces.Dict({**observation_space.spaces, **added})
 
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """Clear what is stored of past periods, for all environments that start a new episode.
+        """Clear what is stored of past periods, for the environments that start a new episode.
 
         Args:
             mask: True for the environments whose next observation is the first of an episode, shape (batch,). Default:

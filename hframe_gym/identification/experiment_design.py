@@ -142,9 +142,8 @@ def separate_machines(
             the sampling period and, for a coordinate without a declared range, the permitted travel.
 
     Returns:
-        Design of the run with the largest difference, with its voltages, V, shape (n, drives), or None if the
-        predictions of no simulated run differ by at least `MINIMUM_SIGMA` (10) standard deviations of the noise in
-        total.
+        Design of the run with the largest difference, with its voltages, V, shape (n, drives). None if the predictions
+        differ by less than `MINIMUM_SIGMA` (10) standard deviations of the noise in total on every simulated run.
     """
     rows = round(_DURATION_S / data.period)
     time_s: Array = np.arange(rows, dtype=np.float64) * data.period
