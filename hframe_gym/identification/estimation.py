@@ -43,6 +43,7 @@ class Fit:
         bandwidth: Bandwidth of the observer that corrected the fitted predictions by the measurements, rad/s; 0 for a
             pure simulation.
         information: Fisher information of theta without the prior, shape (k, k).
+        longest_step: Maximum integration step of the fitted predictions, s.
     """
 
     machine: Machine
@@ -52,6 +53,7 @@ class Fit:
     count: float
     bandwidth: float
     information: Array = field(repr=False)
+    longest_step: float = SEARCH_STEP
 
     @property
     def chi2(self) -> float:
@@ -127,7 +129,8 @@ def fit(
         if decrease < tolerance * cost:
             break
     data_cost = cost - float(theta @ precision @ theta)  # infinite if nothing could be fitted
-    return Fit(model.machine_at(theta), model.free, theta, data_cost, data.count, bandwidth, information)
+    machine = model.machine_at(theta)
+    return Fit(machine, model.free, theta, data_cost, data.count, bandwidth, information, longest_step)
 
 
 def prediction_cost(machine: Machine, data: Dataset, bandwidth: float, *, longest_step: float = SEARCH_STEP) -> float:

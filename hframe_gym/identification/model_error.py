@@ -230,7 +230,7 @@ def _left_out_costs(fitted: Fit, data: Dataset, pieces: int) -> list[tuple[float
         data: Runs that were fitted.
         pieces: Number of pieces into which each run is divided.
     """
-    model = ResidualModel(fitted.machine, fitted.free, data, fitted.bandwidth, search_step(fitted.bandwidth))
+    model = ResidualModel(fitted.machine, fitted.free, data, fitted.bandwidth, fitted.longest_step)
 
     def of_run(run: PreparedRecording) -> list[NormalEquations]:
         rows = model.linearize_run(run, fitted.theta)
