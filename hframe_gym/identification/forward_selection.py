@@ -17,8 +17,8 @@ from .criteria import SelectionCriteria
 from .dataset import Dataset
 from .estimation import Fit
 from .evidence import doubt_about_candidate, doubt_beside_others
-from .model_error import fit_with_model_error, minimum_gain, with_narrower_observers
-from .prediction import SEARCH_BANDWIDTH
+from .model_error import fit_with_model_error, minimum_gain, with_narrower_observer
+from .prediction import SEARCH_BANDWIDTH, SIMULATION
 from .rivals import close_rivals, more_likely_rival, simplest_first
 from .trial_fits import (
     converge,
@@ -150,22 +150,29 @@ class EffectSearch:
     def _next_effect(self, current: Fit) -> tuple[Fit, list[Fit]] | None:
         """Return the fit without the next effect, and trial fits with effects, the selected one first.
 
-        If none passes with the observer that the model's error requires, narrower ones are tried: a wide observer hides
-        slow errors, and with them what an effect explains. There the effect must also make up for how much less likely
-        the narrower observer is. None if no effect passes at all.
+        If none passes with the observer that the model's error requires, the next narrower one is tried: an observer
+        hides slow errors, and with them what an effect explains. There the effect must also make up for how much less
+        likely the narrower observer is. None if no effect passes.
         """
+        enough = minimum_gain(current, self._criteria)  # reduction of chi-squared per sample
+        found = self._passing(current, enough, structures=True)
+        if found is None and current.bandwidth != SIMULATION:
+            narrower, less_likely = with_narrower_observer(current, self._data)
+            found = self._passing(narrower, enough + less_likely)
+        return found
+
+    def _passing(self, current: Fit, enough: float, *, structures: bool = False) -> tuple[Fit, list[Fit]] | None:
+        """Return a fit, and trial fits with one more effect, the one that passes all tests first; None if none does."""
         data, criteria = self._data, self._criteria
-        for without, less_likely in with_narrower_observers(current, data):
-            enough = minimum_gain(current, criteria) + less_likely  # reduction of chi-squared per sample
-            trials = trial_fits(without, data, enough, criteria)
-            if without is current and self._worth_structures(current, trials):
-                trials += structural_trial_fits(current, trials, data, enough, criteria)
-            trials = simplest_first(trials, without, data, criteria)
-            best = self._best(without, trials, enough)
-            if best is not None:
-                label = best.machine.effects[-1].label
-                return without, [best, *(t for t in trials if t.machine.effects[-1].label != label)]
-        return None
+        trials = trial_fits(current, data, enough, criteria)
+        if structures and self._worth_structures(current, trials):
+            trials += structural_trial_fits(current, trials, data, enough, criteria)
+        trials = simplest_first(trials, current, data, criteria)
+        best = self._best(current, trials, enough)
+        if best is None:
+            return None
+        label = best.machine.effects[-1].label
+        return current, [best, *(t for t in trials if t.machine.effects[-1].label != label)]
 
     def _worth_structures(self, current: Fit, trials: list[Fit]) -> bool:
         """Return whether the other effects leave enough of the error to try effects that replace part of the model.

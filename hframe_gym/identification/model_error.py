@@ -15,7 +15,6 @@ apart:
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,22 +87,20 @@ def _innovation_variance(fitted: Fit, data: Dataset) -> tuple[float, float]:
     return float(weights @ variance), float(weights @ np.log(variance))
 
 
-def with_narrower_observers(fitted: Fit, data: Dataset) -> Iterator[tuple[Fit, float]]:
-    """Fit a machine with the observer of a fit, which corrects predictions by the measurements, and with narrower ones.
+def with_narrower_observer(fitted: Fit, data: Dataset) -> tuple[Fit, float]:
+    """Fit a machine with the next narrower one of the observers that correct predictions by the measurements.
 
     Args:
-        fitted: Fit at one of the bandwidths `BANDWIDTHS`.
+        fitted: Fit at one of the bandwidths `BANDWIDTHS` above 0.
         data: Runs that were fitted (times, voltages, measurements, SI).
 
-    Yields:
-        Fit (machine, parameters theta, shape (k,), cost) at a bandwidth, rad/s, from that of the given fit down to a
-        simulation, and the reduction of chi-squared per sample that makes it as likely as the given fit.
+    Returns:
+        narrower: Fit (machine, parameters theta, shape (k,), cost) at the next smaller bandwidth, rad/s.
+        less_likely: Reduction of its chi-squared per sample, dimensionless, that makes it as likely as the given fit.
     """
-    least, narrower = information_loss(fitted, data), fitted
-    for bandwidth in BANDWIDTHS[BANDWIDTHS.index(fitted.bandwidth) :]:
-        narrower = at_bandwidth(narrower, bandwidth, data)
-        loss = max(0.0, information_loss(narrower, data) - least)
-        yield narrower, loss * _innovation_variance(narrower, data)[0]
+    narrower = at_bandwidth(fitted, BANDWIDTHS[BANDWIDTHS.index(fitted.bandwidth) + 1], data)
+    loss = information_loss(narrower, data) - information_loss(fitted, data)
+    return narrower, max(0.0, loss) * _innovation_variance(narrower, data)[0]
 
 
 def fit_with_model_error(fitted: Fit, data: Dataset) -> Fit:

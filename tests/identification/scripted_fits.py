@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Mapping
 from types import SimpleNamespace
 from typing import Any
@@ -66,7 +67,7 @@ class Scripted:
             "validation_fault": lambda machine: self.fault,
             "force_difference": lambda a, b, data: self.difference,
             "fit_with_model_error": lambda fitted, data: fitted,
-            "with_narrower_observers": lambda fitted, data: [(fitted, 0.0)],
+            "with_narrower_observer": lambda fitted, data: (fitted, math.inf),
             "converge": lambda fitted, data, thorough: fitted,
             "trial_fits": lambda current, data, enough, criteria: self.trials.pop(0) if self.trials else [],
             "structural_trial_fits": lambda *arguments: self.structures.pop(0) if self.structures else [],
