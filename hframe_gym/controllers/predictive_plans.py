@@ -124,7 +124,7 @@ class ArrivalPlanner:
         self._scale = np.repeat([1.0, 1.0 / VELOCITY_SCALE_S], len(model.mass))
 
     def predict(self, matrices: tuple[Array, Array, Array], error: Array, force: Array) -> None:
-        """Predict the motion at 0 V and the responses to voltages, from which `plan` and `gain` choose.
+        """Predict the motion at 0 V and the responses to voltages, and keep both for `plan` and `gain`.
 
         Args:
             matrices: Linear models A, B and E as `LinearMotion.matrices` returns them, in m, s, V and N, of the shapes
@@ -147,13 +147,14 @@ class ArrivalPlanner:
         self._pushed = np.cumsum(np.stack(pushes, axis=1), axis=1)  # sum of A^i E f for i < j
 
     def plan(self, arrival: Indices) -> ArrivalPlan:
-        """Compute the voltages with which the tool is closest to its goal from the end of period K on.
+        """Compute the voltages that bring the tool to its goal by the end of period K and keep it there.
 
         Args:
             arrival: Number K of periods until the arrival, 1 or more, shape (B,).
 
         Returns:
-            `ArrivalPlan`: voltages, V, shape (B, periods, drives), and largest error, m, shape (B,).
+            `ArrivalPlan`: voltages, V, shape (B, periods, drives), and the largest distance of the tool from its goal
+            after period K, m, shape (B,).
         """
         rated, axes, batch = self._model.rated, len(self._model.tool), len(arrival)
         # Residuals are R a + c for actions a within [-1, 1].

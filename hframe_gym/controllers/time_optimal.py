@@ -279,7 +279,8 @@ class HeldVoltageReach:
 
         Returns:
             Duration, s, and commanded voltages of the motion, V, shape (intervals, drives), with the collocation
-            intervals as `edges_s`; `solved` is False if there is none up to `LATEST_PERIODS` after the free one.
+            intervals as `edges_s`; `solved` is False if no motion was found that takes at most `LATEST_PERIODS` control
+            periods more than `free_s`.
         """
         first = max(1, int(np.ceil(free_s / self.period)))
         for last in range(first, first + LATEST_PERIODS):

@@ -118,8 +118,8 @@ class Equations(BeltEquations, SignalEquations):
         """Add the forces of the effects to those of belts and drives, and determine the Coulomb friction force.
 
         Effects are deviations from the nominal model, such as Stribeck friction. Those that are zero outside a region
-        are added behind a branch; those that react to the sum of all other forces come last. Back-EMF counts as viscous
-        friction and is in none of the forces. Values are floats, arrays of one common shape (...) or symbolic
+        are evaluated only inside it; those that react to the sum of all other forces come last. Back-EMF counts as
+        viscous friction and is in none of the forces. Values are floats, arrays of one common shape (...) or symbolic
         expressions. Forces act along the belt travel (radius * angle of a pulley).
 
         Args:

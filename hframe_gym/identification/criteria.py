@@ -1,9 +1,9 @@
 """The decision thresholds of identification, in one place.
 
 Chi-squared per sample is the mean of the squared residuals in units of the sensors' noise; 1 means that only noise is
-left. The gain of an effect is the reduction of chi-squared per sample that it causes. The residual of quantized
-encoders is correlated in time, so tests that assume white noise accept effects that do not exist; the minimum gains
-below were calibrated on synthetic rigs without any effect (``benchmarks/identification.py``).
+left. The gain of an effect is the reduction of chi-squared per sample that it causes. What a model leaves of the error
+is correlated in time, so tests that assume white noise accept effects that do not exist; the minimum gains below were
+calibrated on synthetic rigs without any effect (``benchmarks/identification.py``).
 """
 
 from __future__ import annotations

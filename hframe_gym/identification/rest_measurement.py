@@ -79,15 +79,16 @@ class InitialState:
         return np.concatenate([self.state, states])
 
     def with_start(self, machine: Machine, start: Array) -> InitialState:
-        """Return a copy with another state and other states of the effects.
+        """Return a copy that starts from another state.
 
         Args:
-            machine: Machine with its effects (deviations from the nominal model).
+            machine: Machine with its effects (deviations from the nominal model), which name the last entries of
+                `start`.
             start: Positions, velocities and states of the effects, in their units, shape (2 * coordinates + effect
                 states,).
 
         Returns:
-            Copy with these states, `state` of shape (2 * coordinates,).
+            Copy whose `state`, shape (2 * coordinates,), and `effect_states` are those of `start`.
         """
         names = [(i.effect.label, i.component) for i in instances_with_state(machine)]
         state, states = np.split(start, [len(start) - len(names)])
@@ -301,11 +302,11 @@ def max_zero_means(behind: NDArray[np.bool_], quanta: Array) -> Array:
 
 
 def max_fitted_zero_means(behind: NDArray[np.bool_], quanta: Array, at_rest: NDArray[np.bool_]) -> Array:
-    """Return the limits of `max_zero_means` for a fit: without limit for a sensor that is not quantized.
+    """Return how much of a run's mean prediction error a fit may attribute to each sensor's zero.
 
-    Its measurements at rest, which determine the initial position, are as noisy as all others, so the most likely error
-    of that position is a constant of the complete run. The mean at rest would add its error to every row, and
-    parameters would adapt to it.
+    These are the limits of `max_zero_means`, but there is none for a sensor without quantization. Its few measurements
+    at rest give the initial position, and their noise makes it wrong by a constant over the complete run. The mean
+    error of the run is the best estimate of this constant; otherwise, other parameters would adapt to it.
 
     Args:
         behind: Which sensors are encoders behind belts, see `behind_belts`, shape (sensors,).
