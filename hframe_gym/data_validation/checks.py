@@ -3,26 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..dynamics import stiffness_matrix
-from ..identification import MIN_ROWS, Dataset, estimate_initial_state, prepare
+from ..identification import Dataset, estimate_initial_state, prepare
 from ..machine import Machine
-from ..recordings import GAP_PERIODS, Recording, bridge_blanks, without_outliers
+from ..recordings import Recording, bridge_blanks, only_measurements, without_repetitions
 from .excitation import check_excitation, check_parameters, constant_inputs
 from .findings import Finding, Severity
+from .sampling import check_sampling, overlapping_clocks, sampling_rate, slow_sensors, times_in_milliseconds
 from .wiring import check_wiring, rigid_misfit, rigid_prediction
 
 Array = NDArray[np.float64]
 
-_JITTER = 0.02  # of the period; standard deviation of the time steps from which it is noted
-_IRREGULAR = 0.1  # of the period; standard deviation above which identification may suffer
-_LONG_PERIOD = 0.2  # s; slower samples cannot record the motion of a machine
-_LONG_RUN = 120.0  # s
-_SAME_RATE = 1.02  # ratio of sampling periods up to which runs have one rate
 _MIN_REST = 0.05  # s at rest that determine the initial state and the sensors' zeros
 _REST_TOLERANCE = 1e-6  # s; times in a file are rounded
 _STUCK_AFTER = 0.1  # s; a channel that is constant for a shorter time is not stuck
@@ -48,12 +43,12 @@ def check_recordings(recordings: Sequence[Recording], machine: Machine) -> list[
     Returns:
         Findings (severity, run, channel, message) sorted by severity: faults first, then advice, then notes.
     """
-    if wrong_times := _times_in_milliseconds(recordings):
+    if wrong_times := times_in_milliseconds(recordings):
         return wrong_times
-    cleaned = [without_outliers(recording, machine) for recording in recordings]
+    cleaned = [only_measurements(recording, machine) for recording in recordings]
     data = prepare(cleaned, machine)
     moving = [recording.name for recording in cleaned if _moves(recording, data) and len(recording.time_s) > 2]
-    findings = [_sampling_rate(recordings), *_overlapping_clocks(recordings), *_sensor_noise(data, machine)]
+    findings = [sampling_rate(recordings), *overlapping_clocks(recordings), *_sensor_noise(data, machine)]
     findings += _faults_and_advice(recordings, cleaned, data, moving, machine)
     for recording in cleaned:
         findings += _check_initial_rest(recording, machine) + _unmeasured_outputs(recording, machine)
@@ -79,9 +74,9 @@ def check_before_fit(recordings: Sequence[Recording], machine: Machine) -> list[
     Returns:
         Findings (severity, run, channel, message) of severity "fault" (the data contradict themselves), then "advice".
     """
-    if wrong_times := _times_in_milliseconds(recordings):
+    if wrong_times := times_in_milliseconds(recordings):
         return wrong_times
-    cleaned = [without_outliers(recording, machine) for recording in recordings]
+    cleaned = [only_measurements(recording, machine) for recording in recordings]
     data = prepare(cleaned, machine)
     moving = [recording.name for recording in cleaned if _moves(recording, data) and len(recording.time_s) > 2]
     findings = _faults_and_advice(recordings, cleaned, data, moving, machine) + constant_inputs(recordings, machine)
@@ -96,9 +91,9 @@ def _faults_and_advice(
     machine: Machine,
 ) -> list[Finding]:
     """Check clock, outliers, stuck outputs and wiring of runs as recorded, without outliers, and prepared for a fit."""
-    findings = []
+    findings = slow_sensors(recordings, machine)
     for recording, without in zip(recordings, cleaned, strict=True):
-        findings += _check_sampling(recording) + _outliers(recording, without, machine)
+        findings += check_sampling(recording) + _outliers(without_repetitions(recording), without, machine)
     if not moving:
         message = "nothing moves in any run: are the drives powered and the sensors connected?"
         return [*findings, Finding("fault", "", "", message)]
@@ -110,65 +105,6 @@ def _by_severity(findings: Sequence[Finding]) -> list[Finding]:
     """Return findings sorted by severity."""
     order = ("fault", "advice", "note")
     return sorted(findings, key=lambda finding: order.index(finding.severity))
-
-
-def _times_in_milliseconds(recordings: Sequence[Recording]) -> list[Finding]:
-    """Report runs whose samples are too far apart for seconds."""
-    periods = {r.name: float(np.median(np.diff(r.time_s))) for r in recordings if len(r.time_s) > 1}
-    advice = "is it in milliseconds? Convert it: hframe import FILE --unit time_s=ms --out RUNS"
-    return [
-        Finding("fault", name, "time_s", f"samples are {period:.4g} s apart, {advice}")
-        for name, period in periods.items()
-        if period >= _LONG_PERIOD
-    ]
-
-
-def _check_sampling(recording: Recording) -> list[Finding]:
-    """Report lost samples and irregular sampling of one run."""
-    steps = np.diff(recording.time_s)
-    if len(steps) + 1 < MIN_ROWS:
-        message = f"number of rows is {len(steps) + 1}, identification needs at least {MIN_ROWS}: delete the file"
-        return [Finding("fault", recording.name, "time_s", message)]
-    findings = []
-    period = float(np.median(steps))
-    gaps = steps > GAP_PERIODS * period
-    if gaps.any():
-        lost = float(np.sum(steps[gaps]) - np.sum(gaps) * period)  # s
-        message = (
-            f"{int(gaps.sum())} gaps ({1e3 * lost:.3g} ms in total, {100 * lost / np.sum(steps):.2g} %): samples were "
-            "dropped, and the inputs in the gaps are unknown"
-        )
-        findings.append(Finding("advice", recording.name, "time_s", message))
-    if np.sum(steps) > _LONG_RUN:
-        message = f"is {np.sum(steps):.4g} s long, which makes a fit slow: cut it by hframe import --split-at-rests"
-        findings.append(Finding("advice", recording.name, "", message))
-    jitter = float(np.std(steps[~gaps]))
-    if jitter > _JITTER * period:
-        severity: Severity = "advice" if jitter > _IRREGULAR * period else "note"
-        message = f"sampling is irregular, {1e3 * period:.4g} ms with a jitter of {1e3 * jitter:.2g} ms"
-        findings.append(Finding(severity, recording.name, "time_s", message))
-    return findings
-
-
-def _sampling_rate(recordings: Sequence[Recording]) -> Finding:
-    """Report number, duration and sampling rate of the runs."""
-    periods = [float(np.median(np.diff(r.time_s))) for r in recordings if len(r.time_s) > 1]
-    seconds = sum(float(r.time_s[-1] - r.time_s[0]) for r in recordings)
-    low, high = min(periods, default=np.nan), max(periods, default=np.nan)
-    rate = f"{1 / low:.4g} Hz" if high <= _SAME_RATE * low else f"{1 / high:.4g} to {1 / low:.4g} Hz"
-    return Finding("note", "", "time_s", f"{len(recordings)} runs, {seconds:.4g} s in total, sampled at {rate}")
-
-
-def _overlapping_clocks(recordings: Sequence[Recording]) -> list[Finding]:
-    """Report runs that overlap in time: their clocks were restarted."""
-    ordered = sorted(recordings, key=lambda recording: recording.time_s[0])
-    overlapping = [b.name for a, b in pairwise(ordered) if b.time_s[0] < a.time_s[-1]]
-    if not overlapping:
-        return []
-    message = (
-        f"{len(overlapping)} runs overlap in time: the clock restarts, so a drift over the session cannot be identified"
-    )
-    return [Finding("note", "", "time_s", message)]
 
 
 def _check_initial_rest(recording: Recording, machine: Machine) -> list[Finding]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..machine import Machine
-from ..recordings import Recording, without_outliers
+from ..recordings import Recording, without_outliers, without_repetitions
 from ..registry import load_plugins
 from .criteria import SelectionCriteria
 from .dataset import MIN_ROWS, Dataset, prepare, with_all_measurements, with_known_positions
@@ -123,12 +123,14 @@ def _refuse_unusable(recordings: Sequence[Recording], held_names: Sequence[str])
 
 
 def _cleaned(recording: Recording, machine: Machine, log: Log) -> Recording:
-    """Return a recording without outliers, and log how many there were."""
-    cleaned = without_outliers(recording, machine)
-    if cleaned is not recording:
-        count = np.isfinite(recording.outputs).sum(axis=0) - np.isfinite(cleaned.outputs).sum(axis=0)
-        found = ", ".join(f"{n} of {c}" for n, c in zip(count, machine.output_channels, strict=True) if n)
-        log(f"{recording.name}: outliers are not used: {found}")
+    """Return a recording without repetitions and outliers, and log how many there were."""
+    measured = without_repetitions(recording)
+    cleaned = without_outliers(measured, machine)
+    for before, after, what in ((recording, measured, "repetitions"), (measured, cleaned, "outliers")):
+        if after is not before:
+            count = np.isfinite(before.outputs).sum(axis=0) - np.isfinite(after.outputs).sum(axis=0)
+            found = ", ".join(f"{n} of {c}" for n, c in zip(count, machine.output_channels, strict=True) if n)
+            log(f"{recording.name}: {what} are not used: {found}")
     return cleaned
 
 

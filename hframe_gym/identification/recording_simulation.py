@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..dynamics import NotFiniteError, simulate, simulate_batch
 from ..machine import Machine, Trajectory
-from ..recordings import Recording, fill_gaps, without_outliers
+from ..recordings import Recording, fill_gaps, only_measurements
 from .criteria import SelectionCriteria
 from .dataset import Dataset, PreparedRecording, with_encoder_zeros
 from .encoder_zeros import EncoderZeros
@@ -74,7 +74,7 @@ def simulate_recording(machine: Machine, recording: Recording) -> SimulatedRecor
     Raises:
         NotFiniteError: If the motion diverges.
     """
-    cleaned = fill_gaps(without_outliers(recording, machine))
+    cleaned = fill_gaps(only_measurements(recording, machine))
     initial = _initial_state(machine, cleaned)
     motion = simulate(
         machine, cleaned.time_s, cleaned.inputs, initial.start(machine), offset=initial.offset, longest_step=POLISH_STEP
@@ -109,7 +109,7 @@ def initial_state_of_recording(machine: Machine, recording: Recording) -> Initia
         of `simulate(..., initial.start(machine), offset=initial.offset)`. If the simulation diverges, the zeros are
         those of the measurements at rest.
     """
-    return _initial_state(machine, fill_gaps(without_outliers(recording, machine)))
+    return _initial_state(machine, fill_gaps(only_measurements(recording, machine)))
 
 
 def _initial_state(machine: Machine, recording: Recording) -> InitialState:

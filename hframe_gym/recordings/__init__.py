@@ -1,6 +1,15 @@
 """Read, validate and write the files of machines and recordings."""
 
-from .cleaning import GAP_PERIODS, bridge_blanks, fill_gaps, outlier_mask, without_outliers
+from .cleaning import (
+    GAP_PERIODS,
+    bridge_blanks,
+    fill_gaps,
+    only_measurements,
+    outlier_mask,
+    repetitions,
+    without_outliers,
+    without_repetitions,
+)
 from .examples import copy_examples, examples_folder
 from .log_import import ImportSettings, import_logs, write_recording
 from .log_mapping import MappingOptions, read_mapping_file
@@ -33,15 +42,18 @@ __all__ = [
     "machine_json_schema",
     "machine_to_dict",
     "new_machine",
+    "only_measurements",
     "outlier_mask",
     "parse_factor",
     "read_mapping_file",
     "read_path",
     "recording_files",
+    "repetitions",
     "run_name",
     "save_machine",
     "table_summary",
     "without_outliers",
+    "without_repetitions",
     "write_machine_template",
     "write_recording",
     "write_trajectory",

@@ -1,6 +1,6 @@
-"""Find the defects of single samples in a recording: samples that the logger dropped, and outliers of a sensor.
+"""Find the defects of single samples in a recording: dropped samples, repeated measurements, and outliers of a sensor.
 
-Neither is repaired by inventing a measurement: the cells become NaN (not measured). `bridge_blanks` interpolates, for
+None is repaired by inventing a measurement: the cells become NaN (not measured). `bridge_blanks` interpolates, for
 comparisons between channels only.
 """
 
@@ -32,6 +32,9 @@ _IGNORED_SPEEDS = 2  # smallest and largest speeds that are ignored, because ano
 _SPEED_FACTOR = 1.0
 _NOISE_FACTOR = 8.0  # times the declared noise
 _RESOLUTION_FACTOR = 4.0  # times the declared resolution
+_MIN_CHANGES = 20  # changes of a channel that show whether it is measured in every row
+_LARGE_CHANGE = 3.0  # times the smallest changes (the quantization step); slow motion says nothing
+_REPEATED = 0.9  # fraction of the large changes that a repetition follows
 _EDGE_FACTOR = 5.0  # times the largest regular step; the first and the last sample have neighbors on one side only
 
 
@@ -91,6 +94,52 @@ def bridge_blanks(outputs: Array, time_s: Array, longest_gap: float) -> Array:
     return bridged
 
 
+def repetitions(values: Array) -> int:
+    """Determine over how many rows a sensor's measurements are repeated, because it is slower than the log.
+
+    Such a channel changes by several quantization steps in one row and not at all in the next one, which no motion
+    does.
+
+    Args:
+        values: Measurements of one channel, in the sensor's unit, shape (n,), NaN where not measured.
+
+    Returns:
+        Median number of rows with the same measurement during motion; 1 for a sensor that is measured in every row.
+    """
+    changes = np.abs(np.diff(values[np.isfinite(values)]))
+    if np.count_nonzero(changes) < _MIN_CHANGES:
+        return 1
+    smallest = float(np.percentile(changes[changes > 0.0], 2))
+    large = np.flatnonzero(changes[:-1] >= _LARGE_CHANGE * smallest)
+    if len(large) < _MIN_CHANGES or np.mean(changes[large + 1] == 0.0) < _REPEATED:
+        return 1
+    return max(1, round(float(np.median(np.diff(large)))))
+
+
+def without_repetitions(recording: Recording) -> Recording:
+    """Replace repeated measurements of sensors that are slower than the log, see `repetitions`, by NaN (not measured).
+
+    Args:
+        recording: Run as logged (times, s; voltages, V; measurements, m or rad), with n rows.
+
+    Returns:
+        Copy whose measurements, m or rad, shape (n, sensors), are NaN in the rows between two measurements of such a
+        sensor; the same object if there is none.
+    """
+    outputs = recording.outputs.copy()
+    for values in outputs.T:
+        count, measured = repetitions(values), np.flatnonzero(np.isfinite(values))
+        if count > 1:
+            changed = np.append(True, np.diff(values[measured]) != 0.0)
+            last_change = np.maximum.accumulate(np.where(changed, np.arange(len(measured)), 0))
+            # A sensor at rest measures the same value again after as many rows, give or take some.
+            since_change = np.arange(len(measured)) - last_change
+            again = (since_change >= 2 * count) & (since_change % count == 0)
+            values[measured[~changed & ~again]] = np.nan
+    unchanged = np.array_equal(outputs, recording.outputs, equal_nan=True)
+    return recording if unchanged else dataclasses.replace(recording, outputs=outputs)
+
+
 def outlier_mask(recording: Recording, machine: Machine) -> Mask:
     """Find outliers: up to five consecutive samples of a sensor that leave the motion around them and return to it.
 
@@ -115,6 +164,19 @@ def outlier_mask(recording: Recording, machine: Machine) -> Mask:
         floor = max(_NOISE_FACTOR * sensor.noise, _RESOLUTION_FACTOR * sensor.resolution)
         mask[rows, j] = _isolated_samples(recording.time_s[rows], recording.outputs[rows, j], floor)
     return mask
+
+
+def only_measurements(recording: Recording, machine: Machine) -> Recording:
+    """Replace what is no measurement by NaN: repetitions of slow sensors, then outliers.
+
+    Args:
+        recording: Run as logged (times, s; voltages, V; measurements, m or rad).
+        machine: Machine that was recorded.
+
+    Returns:
+        Copy with measurements, m or rad, shape (n, sensors); the same object if nothing was replaced.
+    """
+    return without_outliers(without_repetitions(recording), machine)
 
 
 def without_outliers(recording: Recording, machine: Machine) -> Recording:

@@ -9,7 +9,14 @@ import numpy as np
 import pytest
 
 from hframe_gym.machine import Machine
-from hframe_gym.recordings import Recording, load_recordings, outlier_mask, without_outliers
+from hframe_gym.recordings import (
+    Recording,
+    load_recordings,
+    outlier_mask,
+    repetitions,
+    without_outliers,
+    without_repetitions,
+)
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 X = 2  # column of x_m
@@ -99,3 +106,49 @@ def test_a_wrong_sample_is_no_evidence_of_a_wrong_unit(tmp_path: Path, run: Reco
     np.savetxt(tmp_path / "a.csv", table, delimiter=",", header=header, comments="")
     [loaded] = load_recordings(tmp_path, hframe)
     assert np.flatnonzero(outlier_mask(loaded, hframe)[:, X]).tolist() == [1000]
+
+
+def held(values: np.ndarray, rows: int) -> np.ndarray:
+    """Return a channel whose sensor measures only every that many rows; the log repeats its last measurement."""
+    return np.asarray(values[np.arange(len(values)) // rows * rows])
+
+
+@pytest.mark.parametrize("rows", [2, 5, 8])
+@pytest.mark.parametrize("channel", [0, X])  # an encoder, whose measurements are quantized, and a laser
+def test_repeated_measurements_of_a_slow_sensor_become_empty(run: Recording, channel: int, rows: int) -> None:
+    outputs = run.outputs.copy()
+    outputs[:, channel] = held(outputs[:, channel], rows)
+    slow = dataclasses.replace(run, outputs=outputs)
+    assert repetitions(outputs[:, channel]) == rows
+    measured = np.isfinite(without_repetitions(slow).outputs)
+    assert not measured[np.arange(len(measured)) % rows > 0, channel].any()
+    moving = np.flatnonzero(np.diff(outputs[::rows, channel])) + 1
+    assert measured[moving * rows, channel].all()
+    assert measured[:200, channel].sum() > 5  # at rest, too
+    assert measured[:, [j for j in range(4) if j != channel]].all()
+
+
+def test_measurements_at_irregular_times_are_kept_where_they_change(run: Recording) -> None:
+    rows = np.cumsum(np.random.default_rng(0).integers(6, 10, 400))
+    rows = rows[rows < len(run.time_s)]
+    outputs = run.outputs.copy()
+    first = np.maximum.accumulate(np.where(np.isin(np.arange(len(outputs)), rows), np.arange(len(outputs)), 0))
+    outputs[:, X] = outputs[first, X]
+    cleaned = without_repetitions(dataclasses.replace(run, outputs=outputs))
+    measured = np.flatnonzero(np.isfinite(cleaned.outputs[:, X]))
+    changed = np.flatnonzero(np.diff(outputs[:, X], prepend=np.nan))
+    assert np.isin(changed, measured).all()
+    assert len(measured) < 1.05 * len(rows)  # some rows at rest are counted from another row
+
+
+def test_sensors_that_measure_in_every_row_repeat_nothing(hframe: Machine) -> None:
+    for folder in ("rig_a", "rig_b"):
+        for recording in load_recordings(EXAMPLES / folder, hframe):
+            assert without_repetitions(recording) is recording
+
+
+def test_a_resting_or_slowly_moving_encoder_repeats_nothing() -> None:
+    quantum = 5e-4
+    assert repetitions(np.full(1000, 0.7)) == 1
+    assert repetitions(np.floor(np.arange(1000) * 0.05) * quantum) == 1
+    assert repetitions(np.full(1000, np.nan)) == 1

@@ -1,0 +1,128 @@
+"""Checks of when samples were taken: clock, lost samples, and sensors that are slower than the log."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from ..identification import MIN_ROWS
+from ..machine import Machine
+from ..recordings import GAP_PERIODS, Recording, repetitions
+from .findings import Finding, Severity
+
+_LONG_PERIOD = 0.2  # s; slower samples cannot record the motion of a machine
+_LONG_RUN = 120.0  # s
+_JITTER = 0.02  # of the period; standard deviation of the time steps from which it is noted
+_IRREGULAR = 0.1  # of the period; standard deviation above which identification may suffer
+_SAME_RATE = 1.02  # ratio of sampling periods up to which runs have one rate
+
+
+def times_in_milliseconds(recordings: Sequence[Recording]) -> list[Finding]:
+    """Report runs whose samples are too far apart for seconds.
+
+    Args:
+        recordings: Runs of a machine (times, s).
+
+    Returns:
+        A fault for each such run.
+    """
+    periods = {r.name: float(np.median(np.diff(r.time_s))) for r in recordings if len(r.time_s) > 1}
+    advice = "is it in milliseconds? Convert it: hframe import FILE --unit time_s=ms --out RUNS"
+    return [
+        Finding("fault", name, "time_s", f"samples are {period:.4g} s apart, {advice}")
+        for name, period in periods.items()
+        if period >= _LONG_PERIOD
+    ]
+
+
+def check_sampling(recording: Recording) -> list[Finding]:
+    """Report lost samples and irregular sampling of one run.
+
+    Args:
+        recording: Run of n rows (times, s, shape (n,)).
+
+    Returns:
+        Findings about gaps, duration, jitter, and too few rows, which are a fault.
+    """
+    steps = np.diff(recording.time_s)
+    if len(steps) + 1 < MIN_ROWS:
+        message = f"number of rows is {len(steps) + 1}, identification needs at least {MIN_ROWS}: delete the file"
+        return [Finding("fault", recording.name, "time_s", message)]
+    findings = []
+    period = float(np.median(steps))
+    gaps = steps > GAP_PERIODS * period
+    if gaps.any():
+        lost = float(np.sum(steps[gaps]) - np.sum(gaps) * period)  # s
+        message = (
+            f"{int(gaps.sum())} gaps ({1e3 * lost:.3g} ms in total, {100 * lost / np.sum(steps):.2g} %): samples were "
+            "dropped, and the inputs in the gaps are unknown"
+        )
+        findings.append(Finding("advice", recording.name, "time_s", message))
+    if np.sum(steps) > _LONG_RUN:
+        message = f"is {np.sum(steps):.4g} s long, which makes a fit slow: cut it by hframe import --split-at-rests"
+        findings.append(Finding("advice", recording.name, "", message))
+    jitter = float(np.std(steps[~gaps]))
+    if jitter > _JITTER * period:
+        severity: Severity = "advice" if jitter > _IRREGULAR * period else "note"
+        message = f"sampling is irregular, {1e3 * period:.4g} ms with a jitter of {1e3 * jitter:.2g} ms"
+        findings.append(Finding(severity, recording.name, "time_s", message))
+    return findings
+
+
+def sampling_rate(recordings: Sequence[Recording]) -> Finding:
+    """Report number, duration and sampling rate of the runs.
+
+    Args:
+        recordings: Runs of a machine (times, s).
+
+    Returns:
+        A note.
+    """
+    periods = [float(np.median(np.diff(r.time_s))) for r in recordings if len(r.time_s) > 1]
+    seconds = sum(float(r.time_s[-1] - r.time_s[0]) for r in recordings)
+    low, high = min(periods, default=np.nan), max(periods, default=np.nan)
+    rate = f"{1 / low:.4g} Hz" if high <= _SAME_RATE * low else f"{1 / high:.4g} to {1 / low:.4g} Hz"
+    return Finding("note", "", "time_s", f"{len(recordings)} runs, {seconds:.4g} s in total, sampled at {rate}")
+
+
+def overlapping_clocks(recordings: Sequence[Recording]) -> list[Finding]:
+    """Report runs that overlap in time: their clocks were restarted.
+
+    Args:
+        recordings: Runs of a machine (times, s).
+
+    Returns:
+        A note, or nothing.
+    """
+    ordered = sorted(recordings, key=lambda recording: recording.time_s[0])
+    overlapping = [b.name for a, b in pairwise(ordered) if b.time_s[0] < a.time_s[-1]]
+    if not overlapping:
+        return []
+    message = (
+        f"{len(overlapping)} runs overlap in time: the clock restarts, so a drift over the session cannot be identified"
+    )
+    return [Finding("note", "", "time_s", message)]
+
+
+def slow_sensors(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
+    """Report the channels whose measurements are repeated, because their sensor is slower than the log.
+
+    Args:
+        recordings: Runs of the machine (times, s; measurements, m or rad).
+        machine: Machine with the sensors.
+
+    Returns:
+        Advice for each such channel.
+    """
+    findings = []
+    for j, channel in enumerate(machine.output_channels):
+        rows = [count for r in recordings if (count := repetitions(r.outputs[:, j])) > 1]
+        if rows:
+            message = (
+                f"is measured every {float(np.median(rows)):g} rows and repeated between them ({len(rows)} runs): the "
+                "repetitions are excluded, as if these cells were empty"
+            )
+            findings.append(Finding("advice", "", channel, message))
+    return findings
