@@ -37,6 +37,7 @@ Array = NDArray[np.float64]
 
 # Bandwidths that are compared, rad/s. The likelihood changes little between neighbors.
 BANDWIDTHS = (SEARCH_BANDWIDTH, 30.0, 15.0, 7.0, 3.0, SIMULATION)
+_FOLDS = 3  # parts of the runs that are left out in turn, where fits are repeated
 _MIN_RUNS, _PIECES = 4, 8  # fewer runs are divided into that many pieces for cross-validation
 _MIN_AGREEING = 2  # runs that must agree with each other for another one to contradict them
 CONTRADICTION = 10.0  # times the chi-squared of the other runs; effects that single runs excite reach 30
@@ -146,24 +147,49 @@ def polish(fitted: Fit, data: Dataset) -> Fit:
 
 
 def refined_in_simulation(fitted: Fit, data: Dataset) -> Fit:
-    """Fit a machine to its simulation error, if cross-validation confirms that this reduces it.
+    """Fit a machine so that its simulation has the smallest error, as far as cross-validation confirms it.
 
     An observer hides slow errors from the fit, and with them what they say about the parameters. It protects the search
-    from the model's error; the final machine is used in simulation.
+    from the model's error; the final machine is used in simulation. Compared are the fit with this observer, fits with
+    narrower ones, and the fit in simulation. The parameters of the last one adapt to the model's error, so that its
+    error on runs that it was not fitted to counts.
 
     Args:
         fitted: Final fit at any observer bandwidth.
         data: Runs that were fitted.
 
     Returns:
-        Fit of the same k parameters (theta of shape (k,)) in simulation, if its error on runs that are left out in turn
-        is smaller than the simulation error of the given fit; else, and for fewer than three runs, the given one.
+        Fit of the same k parameters (theta of shape (k,)) whose simulation has the smallest error, with the shortest
+        integration step; the given one if none is better.
     """
-    if fitted.bandwidth == SIMULATION or len(data.runs) <= _MIN_AGREEING:
+    if fitted.bandwidth == SIMULATION:
         return fitted
-    cost = prediction_cost(fitted.machine, data, SIMULATION, longest_step=POLISH_STEP)
-    simulated = polish(at_bandwidth(fitted, SIMULATION, data), data)
-    return simulated if _leave_one_out_cost(simulated, data) < cost else fitted
+    best, narrower = fitted, fitted
+    least = prediction_cost(fitted.machine, data, SIMULATION, longest_step=POLISH_STEP)
+    for bandwidth in BANDWIDTHS[BANDWIDTHS.index(fitted.bandwidth) + 1 : -1]:
+        narrower = at_bandwidth(narrower, bandwidth, data)
+        cost = prediction_cost(narrower.machine, data, SIMULATION, longest_step=POLISH_STEP)
+        if cost < least:
+            best, least = narrower, cost
+    simulated = at_bandwidth(best, SIMULATION, data)
+    if _cross_validated_cost(simulated, data) < least:
+        best = simulated
+    return best if best is fitted else polish(best, data)
+
+
+def _cross_validated_cost(fitted: Fit, data: Dataset) -> float:
+    """Return the cost of all runs, each with parameters that were fitted to runs of the other two thirds."""
+    names = [run.name for run in data.runs]
+    folds = [names[first::_FOLDS] for first in range(min(_FOLDS, len(names)))]
+    if len(folds) < 2:
+        return math.inf
+    step = search_step(fitted.bandwidth)
+    total = 0.0
+    for left_out in folds:
+        others = data.with_runs([name for name in names if name not in left_out])
+        refitted = fit(fitted.machine, fitted.free, others, fitted.bandwidth, theta=fitted.theta, longest_step=step)
+        total += prediction_cost(refitted.machine, data.with_runs(left_out), fitted.bandwidth, longest_step=POLISH_STEP)
+    return total
 
 
 def leave_one_out_gain(without: Fit, with_effect: Fit, data: Dataset) -> float:

@@ -163,7 +163,7 @@ class _Search:
             current, effects = search.settle_rivals(current, effects)
             current, effects = search.prune(polish(current, data), effects)
             simulated = refined_in_simulation(current, data)
-            if simulated.bandwidth != current.bandwidth:  # without the error that an observer causes
+            if simulated.bandwidth == SIMULATION != current.bandwidth:  # without the error that an observer causes
                 current, effects = search.prune(simulated, effects)
         return current, effects, tuple(search.considered.values())
 
