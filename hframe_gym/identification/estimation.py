@@ -23,7 +23,7 @@ from .dataset import Dataset, PreparedRecording
 from .free_parameters import FreeParameter, bounded_step, parameter_table, prior_precision, values_at
 from .linearization import ResidualModel
 from .prediction import POLISH_STEP, SEARCH_STEP, map_runs, predict, residuals
-from .start_uncertainty import initial_state_projection
+from .start_uncertainty import initial_state_projection, prediction_residuals
 
 Array = NDArray[np.float64]
 
@@ -134,9 +134,7 @@ def fit(
 
 
 def prediction_cost(machine: Machine, data: Dataset, bandwidth: float, *, longest_step: float = SEARCH_STEP) -> float:
-    """Return the sum of a machine's squared prediction errors, each divided by the sensor's noise (cost).
-
-    The part of the errors that an unknown initial stretch of the belts can explain is removed first, as in a fit.
+    """Return the sum of a machine's squared residuals, see `prediction_residuals`, over all runs (cost).
 
     Args:
         machine: Machine that predicts.
@@ -149,10 +147,8 @@ def prediction_cost(machine: Machine, data: Dataset, bandwidth: float, *, longes
     """
 
     def of_run(run: PreparedRecording) -> float:
-        motion = predict(machine, run, bandwidth, period=data.period, longest_step=longest_step)
-        residual = residuals(run, data, motion.readings)
-        projection = initial_state_projection(machine, run, data, bandwidth, longest_step=longest_step)
-        return float(np.sum((residual if projection is None else projection(residual)) ** 2))
+        with np.errstate(over="ignore"):
+            return float(np.sum(prediction_residuals(machine, run, data, bandwidth, longest_step=longest_step) ** 2))
 
     total = sum(map_runs(of_run, data))
     return total if math.isfinite(total) else math.inf

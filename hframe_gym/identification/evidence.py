@@ -20,8 +20,15 @@ from .estimation import Fit
 from .free_parameters import prior_precision
 from .linearization import ResidualModel
 from .machine_validation import validation_fault
-from .model_error import BANDWIDTHS, fit_with_model_error, leave_one_out_gain, minimum_gain, search_step
-from .prediction import SEARCH_BANDWIDTH, map_runs, observer_gains, predict, prediction_error
+from .model_error import (
+    BANDWIDTHS,
+    fit_with_model_error,
+    leave_one_out_gain,
+    minimum_gain,
+    narrower_observer,
+    search_step,
+)
+from .prediction import SEARCH_BANDWIDTH, SIMULATION, map_runs, observer_gains, predict, prediction_error
 
 Array = NDArray[np.float64]
 
@@ -278,10 +285,19 @@ def _unconfirmed(without: Fit, with_effect: Fit, data: Dataset, criteria: Select
 def _by_chance(
     without: Fit, with_effect: Fit, effect: AppliedEffect, data: Dataset, criteria: SelectionCriteria
 ) -> str:
-    """Return that chance may explain the gain because the remaining error is correlated, "" if it cannot."""
+    """Return that chance may explain the gain because the remaining error is correlated, "" if it cannot.
+
+    In doubt, the gain with the next narrower observer decides: an observer hides slow errors, and with them what an
+    effect explains, whereas model error imitates an effect the less, the longer it adds up.
+    """
     variance = long_run_variance(with_effect, effect.label, data)
     if without.cost - with_effect.cost >= criteria.min_chance_gain * variance:
         return ""
+    if with_effect.bandwidth != SIMULATION:
+        reduced, complete = (narrower_observer(f, data) for f in (without, with_effect))
+        variance = long_run_variance(complete, effect.label, data)
+        if reduced.cost - complete.cost >= criteria.min_chance_gain * variance:
+            return ""
     return "reduces the error by no more than chance may, since the remaining error is correlated in time"
 
 

@@ -17,7 +17,7 @@ from .criteria import SelectionCriteria
 from .dataset import Dataset
 from .estimation import Fit
 from .evidence import doubt_about_candidate, doubt_beside_others
-from .model_error import fit_with_model_error, minimum_gain, with_narrower_observer
+from .model_error import fit_with_model_error, likelihood_deficit, minimum_gain, narrower_observer
 from .prediction import SEARCH_BANDWIDTH, SIMULATION
 from .rivals import close_rivals, more_likely_rival, simplest_first
 from .trial_fits import (
@@ -157,8 +157,8 @@ class EffectSearch:
         enough = minimum_gain(current, self._criteria)  # reduction of chi-squared per sample
         found = self._passing(current, enough, structures=True)
         if found is None and current.bandwidth != SIMULATION:
-            narrower, less_likely = with_narrower_observer(current, self._data)
-            found = self._passing(narrower, enough + less_likely)
+            narrower = narrower_observer(current, self._data)
+            found = self._passing(narrower, enough + likelihood_deficit(narrower, current, self._data))
         return found
 
     def _passing(self, current: Fit, enough: float, *, structures: bool = False) -> tuple[Fit, list[Fit]] | None:

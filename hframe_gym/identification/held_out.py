@@ -4,19 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from ..errors import InputError
-from ..machine import AppliedEffect, Machine
+from ..machine import Machine
 from ..recordings import Recording
-from .dataset import Dataset
+from .dataset import Dataset, PreparedRecording
 from .estimation import Fit, prediction_cost
-from .evidence import effect_force
 from .forward_selection import SelectedEffect
 from .inverse_dynamics import force_error
 from .model_error import CONTRADICTION
-from .prediction import POLISH_STEP
+from .prediction import POLISH_STEP, SEARCH_BANDWIDTH, map_runs
+from .start_uncertainty import prediction_residuals
 
 _HOLD_OUT_EVERY = 4  # Every fourth run is held out.
-_MIN_EXCITATION = 0.05  # force during the held-out runs relative to that during the fitted ones
+_MIN_EXCITATION = 0.05  # change of the predictions relative to their errors, root mean square
 
 
 def hold_out(recordings: Sequence[Recording], chosen: Sequence[str] = ()) -> tuple[str, ...]:
@@ -57,10 +59,14 @@ def held_out_gain(selected: SelectedEffect, machine: Machine, validation: Datase
     Returns:
         Fraction, dimensionless, at most 1; negative if the effect increases the error.
     """
-    others = tuple(e for e in machine.effects if e.label != selected.effect.label)
-    structural = selected.effect.definition.structure
-    without = selected.machine_without if structural else machine.replace(effects=others)
-    return error_reduction(without, machine, validation, bandwidth)
+    return error_reduction(_machine_without(selected, machine), machine, validation, bandwidth)
+
+
+def _machine_without(selected: SelectedEffect, machine: Machine) -> Machine:
+    """Return a machine without one of its effects."""
+    if selected.effect.definition.structure:  # the effect added coordinates
+        return selected.machine_without
+    return machine.replace(effects=tuple(e for e in machine.effects if e.label != selected.effect.label))
 
 
 def error_reduction(without: Machine, machine: Machine, validation: Dataset, bandwidth: float) -> float:
@@ -73,34 +79,41 @@ def error_reduction(without: Machine, machine: Machine, validation: Dataset, ban
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
 
     Returns:
-        Fraction, dimensionless, at most 1; negative if the error is larger. With an observer, it is the error of the
-        drives' force if the machines allow inverse dynamics.
+        Fraction, dimensionless, at most 1; negative if the error is larger. With the widest observer, it is the error
+        of the drives' force if the machines allow inverse dynamics.
     """
-    forces = [force_error(m, validation) if bandwidth else None for m in (without, machine)]
+    forces = [force_error(m, validation) if bandwidth == SEARCH_BANDWIDTH else None for m in (without, machine)]
     if forces[0] is not None and forces[1] is not None:
         return 1.0 - (forces[1] / forces[0]) ** 2
     costs = [prediction_cost(m, validation, bandwidth, longest_step=POLISH_STEP) for m in (without, machine)]
     return 1.0 - costs[1] / costs[0]
 
 
-def is_excited(effect: AppliedEffect, machine: Machine, validation: Dataset, data: Dataset) -> bool:
+def is_excited(selected: SelectedEffect, machine: Machine, validation: Dataset, bandwidth: float) -> bool:
     """Check whether the held-out runs (not fitted) can show an effect (deviation from the nominal model) at all.
 
+    A current limit that the held-out voltages never reach, or a constant force on a carriage that its friction holds,
+    does not change a prediction.
+
     Args:
-        effect: Effect to check.
-        machine: Machine with the effect.
+        selected: Effect that the search selected.
+        machine: Machine with all effects.
         validation: Held-out runs (times, voltages, measurements, SI).
-        data: Fitted runs.
+        bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
 
     Returns:
-        True for effects on the structure or on measurements, which no force describes. Otherwise, whether the effect's
-        root mean square force in the held-out runs is at least 1/20 of that in the fitted runs. A current limit that
-        the held-out voltages never reach is an example of False.
+        Whether the effect changes the predictions, as a root mean square, by at least 1/20 of their errors.
     """
-    if effect.definition.structure or effect.definition.measurement or effect.definition.measurement_delay:
-        return True
-    held_out, fitted = (effect_force(machine, effect, runs) for runs in (validation, data))
-    return held_out >= _MIN_EXCITATION * fitted
+    without = _machine_without(selected, machine)
+
+    def of_run(run: PreparedRecording) -> tuple[float, float]:
+        errors = [
+            prediction_residuals(m, run, validation, bandwidth, longest_step=POLISH_STEP) for m in (machine, without)
+        ]
+        return float(np.sum((errors[1] - errors[0]) ** 2)), float(np.sum(errors[0] ** 2))
+
+    change, error = np.sum(list(map_runs(of_run, validation)), axis=0)
+    return not change < _MIN_EXCITATION**2 * error  # not finite if the machine diverges without the effect
 
 
 def contradicting_held_out_runs(fitted: Fit, validation: Dataset) -> tuple[str, ...]:

@@ -88,7 +88,7 @@ def _innovation_variance(fitted: Fit, data: Dataset) -> tuple[float, float]:
     return float(weights @ variance), float(weights @ np.log(variance))
 
 
-def with_narrower_observer(fitted: Fit, data: Dataset) -> tuple[Fit, float]:
+def narrower_observer(fitted: Fit, data: Dataset) -> Fit:
     """Fit a machine with the next narrower one of the observers that correct predictions by the measurements.
 
     Args:
@@ -96,12 +96,24 @@ def with_narrower_observer(fitted: Fit, data: Dataset) -> tuple[Fit, float]:
         data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
-        narrower: Fit (machine, parameters theta, shape (k,), cost) at the next smaller bandwidth, rad/s.
-        less_likely: Reduction of its chi-squared per sample, dimensionless, that makes it as likely as the given fit.
+        Fit (machine, parameters theta, shape (k,), cost) at the next smaller bandwidth, rad/s.
     """
-    narrower = at_bandwidth(fitted, BANDWIDTHS[BANDWIDTHS.index(fitted.bandwidth) + 1], data)
-    loss = information_loss(narrower, data) - information_loss(fitted, data)
-    return narrower, max(0.0, loss) * _innovation_variance(narrower, data)[0]
+    return at_bandwidth(fitted, BANDWIDTHS[BANDWIDTHS.index(fitted.bandwidth) + 1], data)
+
+
+def likelihood_deficit(fitted: Fit, reference: Fit, data: Dataset) -> float:
+    """Return by how much chi-squared per sample of a fit must fall to make it as likely as another one.
+
+    Args:
+        fitted: Fit at any observer bandwidth.
+        reference: Fit of the same machine with another observer to correct predictions by the measurements.
+        data: Runs that were fitted (times, voltages, measurements, SI).
+
+    Returns:
+        Reduction of chi-squared per sample, dimensionless; 0 if the fit is at least as likely.
+    """
+    loss = information_loss(fitted, data) - information_loss(reference, data)
+    return max(0.0, loss) * _innovation_variance(fitted, data)[0]
 
 
 def fit_with_model_error(fitted: Fit, data: Dataset) -> Fit:

@@ -161,7 +161,7 @@ def _without_unconfirmed(outcome: SearchOutcome, validation: Dataset, log: Log) 
         runs = refine_starts(validation, after.machine, data)
         gains = {s.effect.label: held_out_gain(s, after.machine, runs, after.bandwidth) for s in selected}
         refuted = [
-            s for s in selected if gains[s.effect.label] <= 0.0 and is_excited(s.effect, after.machine, runs, data)
+            s for s in selected if gains[s.effect.label] <= 0.0 and is_excited(s, after.machine, runs, after.bandwidth)
         ]
         if not refuted:
             break

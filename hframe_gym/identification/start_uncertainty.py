@@ -128,6 +128,29 @@ def initial_state_projection(
     return InitialStateProjection(directions, 1.0 - 1.0 / np.sqrt(1.0 + sizes**2))
 
 
+def prediction_residuals(
+    machine: Machine, run: PreparedRecording, data: Dataset, bandwidth: float, *, longest_step: float = SEARCH_STEP
+) -> Array:
+    """Return a machine's prediction errors over a run, each divided by the standard deviation of the sensor's noise.
+
+    The part of the errors that an unknown initial stretch of the belts can explain is removed first, as in a fit.
+
+    Args:
+        machine: Machine that predicts.
+        run: Run to predict (times, voltages, measurements, SI), n samples.
+        data: Data set of the run.
+        bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
+        longest_step: Maximum integration step, s.
+
+    Returns:
+        Residuals, dimensionless, shape (n * sensors,), 0 where not measured; not finite if the prediction diverges.
+    """
+    motion = predict(machine, run, bandwidth, period=data.period, longest_step=longest_step)
+    residual = residuals(run, data, motion.readings)
+    projection = initial_state_projection(machine, run, data, bandwidth, longest_step=longest_step)
+    return np.ravel(residual if projection is None else projection(residual))
+
+
 def start_displacements(machine: Machine, initial: InitialState) -> Array:
     """Return the displacements by which the state at the start of a run may differ from the measured one.
 

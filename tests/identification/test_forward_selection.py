@@ -85,7 +85,8 @@ def test_an_effect_must_make_up_for_a_less_likely_narrower_observer(
 ) -> None:
     """A tenth of the excess is 0.9; the narrower observer is less likely by 1, so that the gain must be 1.9."""
     current, narrower = fit_with(chi2=10.0, bandwidth=60.0), fit_with(chi2=12.0, bandwidth=30.0)
-    monkeypatch.setattr(forward_selection, "with_narrower_observer", lambda *_: (narrower, 1.0))
+    monkeypatch.setattr(forward_selection, "narrower_observer", lambda *_: narrower)
+    monkeypatch.setattr(forward_selection, "likelihood_deficit", lambda *_: 1.0)
     scripted.trials = [[fit_with(DRAG, chi2=9.5, bandwidth=60.0)], [fit_with(PUSH, chi2=chi2, bandwidth=30.0)]]
     _, effects = scripted.search(max_effects=1).run(current)
     assert [s.effect for s in effects] == ([PUSH] if found else [])

@@ -7,9 +7,9 @@ from collections.abc import Callable, Mapping
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
-from hframe_gym.effects import EFFECTS
 from hframe_gym.errors import InputError
 from hframe_gym.identification import held_out, hold_out
 from tests.identification.scripted_fits import AXIS, DATA, DRAG, FRAME, PUSH, fit_with, runs, selected
@@ -62,15 +62,17 @@ def test_the_gain_of_a_structure_compares_with_the_machine_before_it(monkeypatch
     assert gain == pytest.approx(0.75)
 
 
-@pytest.mark.parametrize(("force", "excited"), [(0.051, True), (0.049, False)])
-def test_a_twentieth_of_the_fitted_force_is_excitation(
-    monkeypatch: pytest.MonkeyPatch, force: float, excited: bool
+@pytest.mark.parametrize(("change", "excited"), [(0.51, True), (0.49, False), (np.nan, True)])
+def test_an_effect_that_hardly_changes_a_prediction_is_not_excited(
+    monkeypatch: pytest.MonkeyPatch, change: float, excited: bool
 ) -> None:
-    fitted, validation = runs("ab"), runs("c")
-    monkeypatch.setattr(held_out, "effect_force", lambda m, e, data: 2.0 if data is fitted else 2.0 * force)
-    assert held_out.is_excited(PUSH, AXIS, validation, fitted) == excited
-    for effect in (FRAME, EFFECTS["sensor_scale"].at("x_m", g=1.01), EFFECTS["sensor_delay"].at("x_m", d=1e-3)):
-        assert held_out.is_excited(effect, AXIS, validation, fitted)
+    """The change is compared with a twentieth of the error, which is 10; a machine that diverges without it changes."""
+    errors = {("constant_force",): np.full(50, 10.0), (): np.full(50, 10.0 + change)}
+    monkeypatch.setattr(
+        held_out, "prediction_residuals", lambda machine, *_, **__: errors[tuple(e.name for e in machine.effects)]
+    )
+    monkeypatch.setattr(held_out, "map_runs", lambda function, data: map(function, data.runs))
+    assert held_out.is_excited(selected(PUSH), dataclasses.replace(AXIS, effects=(PUSH,)), runs("c"), 60.0) == excited
 
 
 @pytest.mark.parametrize(("chi2", "limit"), [(0.5, 10.0), (3.0, 30.0)])

@@ -20,8 +20,9 @@ from hframe_gym.identification.model_error import (
     fit_with_model_error,
     information_loss,
     leave_one_out_gain,
+    likelihood_deficit,
     minimum_gain,
-    with_narrower_observer,
+    narrower_observer,
 )
 from hframe_gym.identification.prediction import SEARCH_BANDWIDTH
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
@@ -263,7 +264,8 @@ def test_runs_of_different_length_are_compared_per_sample(monkeypatch: pytest.Mo
 def test_the_next_narrower_observer_and_the_gain_that_makes_it_as_likely(axis: Machine) -> None:
     data = recordings(axis, residue=0.1)
     best = fit_with_model_error(fitted_axis(axis, data), data)
-    narrower, gain = with_narrower_observer(best, data)
+    narrower = narrower_observer(best, data)
+    gain = likelihood_deficit(narrower, best, data)
     assert narrower.bandwidth == max(b for b in BANDWIDTHS if b < best.bandwidth)
     assert gain > 0.0
     as_likely = dataclasses.replace(narrower, cost=narrower.cost - gain * narrower.count)
