@@ -1,10 +1,12 @@
 """What do the parts of the recipe `apg` contribute? Trainings with one part changed each, of the same length.
 
-    python -m benchmarks.agent_ablation [--steps 400000] [--seeds 1] [--only NAME ...]
+    python -m benchmarks.agent_ablation [--steps 400000] [--seeds 1] [--only NAME ...] [--out FOLDER]
 
 Every variant is trained by `hframe_gym.agents.train`, and the agent that is kept is scored on 512 episodes of seed 0;
-the scores of the shipped agents use other ones. Short trainings show what learns fast, not what ends best. Results are
-added to results/agent_ablation.json, which keeps variants that are not run again.
+the scores of the shipped agents use other ones. Short trainings show what learns fast, not what ends best. The variants
+of `OFF_POLICY` compare the algorithms SAC, TQC and CrossQ: they have the number of steps of their recipes, because they
+update the weights many times per step. `--out` keeps the agents, for example for `hframe evaluate --protocol reach-v1`.
+Results are added to results/agent_ablation.json, which keeps variants that are not run again.
 """
 
 from __future__ import annotations
@@ -41,6 +43,11 @@ def _with(table: str, **values: Any) -> Callable[[Recipe], Recipe]:
     return lambda recipe: replace(recipe, **{table: {**getattr(recipe, table), **values}})
 
 
+def _as_crossq(recipe: Recipe) -> Recipe:
+    """Return a recipe of SAC for CrossQ, which has no target networks."""
+    return replace(_without("algorithm", "tau")(recipe), kind="crossq")
+
+
 VARIANTS: dict[str, tuple[str, Callable[[Recipe], Recipe]]] = {
     "apg": ("apg", lambda recipe: recipe),
     "without the voltages of transfers as features": ("apg", _without("features", "transfers")),
@@ -50,6 +57,13 @@ VARIANTS: dict[str, tuple[str, Callable[[Recipe], Recipe]]] = {
     "derivative by the state limited a hundred times less": ("apg", _with("algorithm", limit=300.0)),
     "without averaged weights": ("apg", _with("algorithm", averaging=0.0)),
     "PPO": ("ppo", lambda recipe: recipe),
+}
+OFF_POLICY: dict[str, tuple[str, Callable[[Recipe], Recipe]]] = {
+    "SAC": ("sac", lambda recipe: recipe),
+    "TQC, settings of SAC": ("sac", lambda recipe: replace(recipe, kind="tqc")),
+    "CrossQ, settings of SAC": ("sac", _as_crossq),
+    "TQC": ("tqc", lambda recipe: recipe),
+    "CrossQ": ("crossq", lambda recipe: recipe),
 }
 
 
@@ -65,12 +79,15 @@ def score(agent: Agent) -> dict[str, Any]:
     }
 
 
-def run(variant: str, steps: int, seed: int) -> dict[str, Any]:
-    """Train a variant and score the agent that it keeps."""
-    name, change = VARIANTS[variant]
-    recipe = replace(change(load_recipe(name, "reach")), steps=steps)
+def run(variant: str, steps: int, seed: int, out: Path | None) -> dict[str, Any]:
+    """Train a variant, score the agent that it keeps, and keep its folder if `out` is given."""
+    name, change = (VARIANTS | OFF_POLICY)[variant]
+    recipe = change(load_recipe(name, "reach"))
+    if variant in VARIANTS:
+        recipe = replace(recipe, steps=steps)
     began = time.process_time()
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = out / f"{variant.replace(', ', '_').replace(' ', '_')}-seed{seed}" if out else temporary
         card = train(recipe, seed=seed, out=folder, log=lambda line: None)
         cpu_s = time.process_time() - began
         scores = score(Agent.load(folder))
@@ -82,14 +99,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--steps", type=int, default=400_000)
     parser.add_argument("--seeds", type=int, default=1)
-    parser.add_argument("--only", nargs="+", choices=VARIANTS, default=list(VARIANTS))
+    parser.add_argument("--only", nargs="+", choices=VARIANTS | OFF_POLICY, default=list(VARIANTS))
+    parser.add_argument("--out", type=Path, help="keep the agents in subfolders of this folder")
     arguments = parser.parse_args()
+    every = [*VARIANTS, *OFF_POLICY]
     file = Path(RESULTS) / f"{NAME}.json"
     results = json.loads(file.read_text())["variants"] if file.exists() else {}
     for variant in arguments.only:
-        results[variant] = [run(variant, arguments.steps, seed) for seed in range(arguments.seeds)]
+        results[variant] = [run(variant, arguments.steps, seed, arguments.out) for seed in range(arguments.seeds)]
         print(variant, json.dumps(results[variant]), flush=True)
-        ordered = {name: results[name] for name in VARIANTS if name in results}
+        ordered = {name: results[name] for name in every if name in results}
         write_results(NAME, {"episodes": SCENARIO.episodes, "variants": ordered}, seed=SCENARIO.seed)
 
 
