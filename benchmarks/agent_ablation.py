@@ -4,8 +4,8 @@
 
 Every variant is trained by `hframe_gym.agents.train`, and the agent that is kept is scored on 512 episodes of seed 0;
 the scores of the shipped agents use other ones. Short trainings show what learns fast, not what ends best. The variants
-of `OFF_POLICY` compare the algorithms SAC, TQC and CrossQ: they have the number of steps of their recipes, because they
-update the weights many times per step. `--out` keeps the agents, for example for `hframe evaluate --protocol reach-v1`.
+of `OFF_POLICY` compare the algorithms SAC, TQC and CrossQ. `--steps` does not apply to them: one step costs several times
+as much as with the others, because the weights change every few steps. `--out` keeps the agents, for example for `hframe evaluate --protocol reach-v1`.
 Results are added to results/agent_ablation.json, which keeps variants that are not run again.
 """
 
@@ -48,6 +48,18 @@ def _as_crossq(recipe: Recipe) -> Recipe:
     return replace(_without("algorithm", "tau")(recipe), kind="crossq")
 
 
+def _many_environments(recipe: Recipe) -> Recipe:
+    """Return a recipe of SAC for CrossQ with the same number of updates, each from twice as many new steps."""
+    changed = _with("algorithm", gradient_steps=8, batch_size=512, learning_starts=12_000, buffer_size=320_000)(recipe)
+    return replace(_as_crossq(_with("env", num_envs=128)(changed)), steps=320_000)
+
+
+def _parts_of_apg(recipe: Recipe) -> Recipe:
+    """Return a recipe of SAC for CrossQ, with the actuation and features of the recipe `apg`."""
+    other = load_recipe("apg", "reach")
+    return replace(_as_crossq(recipe), actuation=other.actuation, features=other.features, steps=120_000)
+
+
 VARIANTS: dict[str, tuple[str, Callable[[Recipe], Recipe]]] = {
     "apg": ("apg", lambda recipe: recipe),
     "without the voltages of transfers as features": ("apg", _without("features", "transfers")),
@@ -62,9 +74,13 @@ OFF_POLICY: dict[str, tuple[str, Callable[[Recipe], Recipe]]] = {
     "SAC": ("sac", lambda recipe: recipe),
     "TQC, settings of SAC": ("sac", lambda recipe: replace(recipe, kind="tqc")),
     "CrossQ, settings of SAC": ("sac", _as_crossq),
+    "CrossQ, 128 environments, batches of 512": ("sac", _many_environments),
+    "CrossQ, estimates and held action of apg": ("sac", _parts_of_apg),
+    "CrossQ, 120000 steps": ("crossq", lambda recipe: replace(recipe, steps=120_000)),
     "TQC": ("tqc", lambda recipe: recipe),
     "CrossQ": ("crossq", lambda recipe: recipe),
 }
+GROUPS = {"variants": VARIANTS, "off_policy": OFF_POLICY}
 
 
 def score(agent: Agent) -> dict[str, Any]:
@@ -102,14 +118,17 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", choices=VARIANTS | OFF_POLICY, default=list(VARIANTS))
     parser.add_argument("--out", type=Path, help="keep the agents in subfolders of this folder")
     arguments = parser.parse_args()
-    every = [*VARIANTS, *OFF_POLICY]
     file = Path(RESULTS) / f"{NAME}.json"
-    results = json.loads(file.read_text())["variants"] if file.exists() else {}
+    previous = json.loads(file.read_text()) if file.exists() else {}
+    results = {group: previous.get(group, {}) for group in GROUPS}
     for variant in arguments.only:
-        results[variant] = [run(variant, arguments.steps, seed, arguments.out) for seed in range(arguments.seeds)]
-        print(variant, json.dumps(results[variant]), flush=True)
-        ordered = {name: results[name] for name in every if name in results}
-        write_results(NAME, {"episodes": SCENARIO.episodes, "variants": ordered}, seed=SCENARIO.seed)
+        runs = [run(variant, arguments.steps, seed, arguments.out) for seed in range(arguments.seeds)]
+        print(variant, json.dumps(runs), flush=True)
+        for group, variants in GROUPS.items():
+            known = results[group] | ({variant: runs} if variant in variants else {})
+            results[group] = {name: known[name] for name in variants if name in known}
+        write_results(NAME, {"episodes": SCENARIO.episodes, **results}, seed=SCENARIO.seed)
+
 
 
 if __name__ == "__main__":
