@@ -4,9 +4,10 @@
 
 Every variant is trained by `hframe_gym.agents.train`, and the agent that is kept is scored on 512 episodes of seed 0;
 the scores of the shipped agents use other ones. Short trainings show what learns fast, not what ends best. The variants
-of `OFF_POLICY` compare the algorithms SAC, TQC and CrossQ. `--steps` does not apply to them: one step costs several times
-as much as with the others, because the weights change every few steps. `--out` keeps the agents, for example for `hframe evaluate --protocol reach-v1`.
-Results are added to results/agent_ablation.json, which keeps variants that are not run again.
+of `OFF_POLICY` compare the algorithms SAC, TQC and CrossQ; run them by `--only`. `--steps` does not apply to them: one
+step costs several times as much as with the others, because the weights change every few steps. `--out` keeps the
+agents, for example for `hframe evaluate FOLDER --protocol reach-v1`. Results are added to results/agent_ablation.json,
+which keeps variants that are not run again.
 """
 
 from __future__ import annotations
@@ -77,6 +78,7 @@ OFF_POLICY: dict[str, tuple[str, Callable[[Recipe], Recipe]]] = {
     "CrossQ, 128 environments, batches of 512": ("sac", _many_environments),
     "CrossQ, estimates and held action of apg": ("sac", _parts_of_apg),
     "CrossQ, 120000 steps": ("crossq", lambda recipe: replace(recipe, steps=120_000)),
+    "SAC, settings of TQC": ("tqc", lambda recipe: replace(recipe, kind="sac")),
     "TQC": ("tqc", lambda recipe: recipe),
     "CrossQ": ("crossq", lambda recipe: recipe),
 }
@@ -128,7 +130,6 @@ def main() -> None:
             known = results[group] | ({variant: runs} if variant in variants else {})
             results[group] = {name: known[name] for name in variants if name in known}
         write_results(NAME, {"episodes": SCENARIO.episodes, **results}, seed=SCENARIO.seed)
-
 
 
 if __name__ == "__main__":
