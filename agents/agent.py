@@ -71,6 +71,25 @@ def policy_keywords(policy: Mapping[str, Any], features: Mapping[str, Any]) -> d
     }
 
 
+def policy_class(kind: str) -> Any:
+    """Return the policy class of an algorithm, for dict observations.
+
+    Args:
+        kind: Algorithm of a recipe, for example "sac". The analytic policy gradient uses the policy of PPO.
+
+    Returns:
+        Policy class of stable-baselines3 or sb3-contrib.
+
+    Raises:
+        ImportError: If the extra `agents` is not installed.
+    """
+    if kind == "crossq":
+        # CrossQ has no policy for dicts. This one accepts them, because its first layer is `LogScaleFeatures`.
+        return import_optional("sb3_contrib.crossq").MlpPolicy
+    module = {"sac": "stable_baselines3.sac", "tqc": "sb3_contrib.tqc"}.get(kind, "stable_baselines3.ppo")
+    return import_optional(module).MultiInputPolicy
+
+
 class Agent(Controller):
     """Controller of any number of environments that applies the mean action of a trained policy, without exploration.
 
@@ -205,13 +224,12 @@ class Agent(Controller):
         complete_commit(path)
         card = read_card(path, SCHEMA, AGENT_FILES)
         machine = load_machine(path / "machine.json")
-        algorithm = import_optional("stable_baselines3.sac" if card["kind"] == "sac" else "stable_baselines3.ppo")
         mapping = residual_action(machine, card["settings"]["actuation"], card["period"])
         space = observation_space(machine, card["previews"])
         expected = feature_parameters(machine)
         if any(_shape(card["features"][key]) != _shape(expected[key]) for key in expected):
             raise InputError(f"{path / 'agent.json'}: features do not fit the machine in machine.json")
-        policy = algorithm.MultiInputPolicy(
+        policy = policy_class(card["kind"])(
             mapping.observation_space(space) if mapping else space,
             mapping.action_space() if mapping else action_space(machine),
             lambda _: 0.0,  # learning rate, which only training uses

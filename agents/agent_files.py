@@ -39,6 +39,9 @@ class _Policy(_Table):
     net_arch: Layers | dict[Literal["pi", "vf", "qf"], Layers] = [64, 64]
     log_std_init: Annotated[FiniteFloat, Field(ge=-20.0, le=5.0)] = 0.0
     n_critics: Annotated[int, Field(ge=1, le=16)] = 2
+    n_quantiles: Annotated[int, Field(ge=1, le=1000)] = 25
+    batch_norm_momentum: Fraction = 0.01
+    renorm_warmup_steps: Annotated[int, Field(ge=0)] = 100_000
     ortho_init: bool = True
     use_sde: bool = False
     use_expln: bool = False
@@ -84,7 +87,7 @@ class _Card(_Table):
     schema_: int = Field(alias="schema")
     name: Annotated[str, Field(max_length=200)]
     task: Annotated[str, Field(max_length=200)]
-    kind: Literal["ppo", "sac", "apg"]
+    kind: Literal["ppo", "sac", "tqc", "crossq", "apg"]
     machine: Annotated[str, Field(max_length=1000)]
     seed: int
     recipe: Annotated[str, Field(max_length=200)]

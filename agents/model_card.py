@@ -138,8 +138,11 @@ def progress_line(row: Mapping[str, Any]) -> str:
     return f"{prefix}  {fractions}; settles to 0.2mm in {row['settling_s_0.2mm']:.3f} s"
 
 
-def versions() -> dict[str, str]:
+def versions(further: Sequence[str] = ()) -> dict[str, str]:
     """List the installed versions of Python and of the packages that determine a training run.
+
+    Args:
+        further: Names of packages that are listed beside those that every run needs.
 
     Returns:
         Version strings by package name, and that of Python by "python".
@@ -147,7 +150,7 @@ def versions() -> dict[str, str]:
     Raises:
         PackageNotFoundError: If one of the packages is not installed.
     """
-    return {"python": platform.python_version(), **{name: metadata.version(name) for name in PACKAGES}}
+    return {"python": platform.python_version(), **{name: metadata.version(name) for name in (*PACKAGES, *further)}}
 
 
 def write_card(folder: str | Path, card: Mapping[str, Any]) -> None:

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from typing import Any
 
 EXTRA_MODULES = ("torch", "stable_baselines3", "safetensors.torch", "tensorboard")
+CONTRIB_ALGORITHMS = ("tqc", "crossq")  # of sb3-contrib, which the other algorithms do not need
 
 
 def import_optional(module: str) -> Any:
@@ -29,13 +30,16 @@ def import_optional(module: str) -> Any:
         raise ImportError(f"learned controllers need {package}: pip install 'hframe_gym[agents]'") from error
 
 
-def require_training_packages() -> None:
+def require_training_packages(kind: str) -> None:
     """Import every package that training needs, so that a missing one is reported before any work starts.
+
+    Args:
+        kind: Algorithm of the recipe, for example "ppo".
 
     Raises:
         ImportError: If a package of the optional dependencies `hframe_gym[agents]` is not installed.
     """
-    for module in EXTRA_MODULES:
+    for module in (*EXTRA_MODULES, *(("sb3_contrib",) if kind in CONTRIB_ALGORITHMS else ())):
         import_optional(module)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 from ..envs import EnvConfig
 from ..errors import InputError
 
-ALGORITHMS = ("ppo", "sac", "apg")
+ALGORITHMS = ("ppo", "sac", "tqc", "crossq", "apg")
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,8 @@ class Recipe:
 
     Attributes:
         name: Name of the recipe, ALGORITHM_TASK, for example "ppo_reach".
-        kind: Algorithm, "ppo", "sac" or "apg" (`AnalyticPolicyGradient`).
+        kind: Algorithm, one of `ALGORITHMS`: "ppo" or "sac" of stable-baselines3, "tqc" or "crossq" of sb3-contrib, or
+            "apg" (`AnalyticPolicyGradient`).
         steps: Environment steps of a run.
         env: Keyword arguments of the vector environment `HFrameVecEnv`.
         algorithm: Keyword arguments of the algorithm's class. A pair is a rate that changes linearly from the

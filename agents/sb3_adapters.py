@@ -1,5 +1,6 @@
 """Classes of stable-baselines3 for training and for policies. Importing this module needs the extra `agents`.
 
+JointReplayBuffer     lets CrossQ concatenate dict observations
 LogScaleFeatures      evaluates the features of features.py in torch, as the first layer of a policy
 TrainingCallback      connects a training run with the loop of an algorithm
 ResidualActionVecEnv  applies a `ResidualAction` to a vector environment
@@ -16,6 +17,7 @@ import numpy as np
 import torch
 from gymnasium import spaces
 from numpy.typing import NDArray
+from stable_baselines3.common.buffers import DictReplayBuffer
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.vec_env import VecEnvWrapper
@@ -80,6 +82,33 @@ class LogScaleFeatures(BaseFeaturesExtractor):
         entries = torch.cat([observation[key] for key in self.keys], dim=1)
         scaled = entries @ self.matrix
         return torch.sign(scaled) * torch.log1p(scaled.abs()) * self.gain
+
+
+class ObservationBatch(dict[str, torch.Tensor]):
+    """Batch of dict observations, arrays of shape (batch, entries) by key, that `torch.cat` concatenates by key."""
+
+    @classmethod
+    def __torch_function__(
+        cls, function: Callable[..., torch.Tensor], types: Any, args: Any = (), kwargs: dict[str, Any] | None = None
+    ) -> ObservationBatch:
+        """Apply a function of torch to the tensors of each key; its first argument is a sequence of batches."""
+        batches, *further = args
+        keywords = kwargs or {}
+        return cls({key: function([batch[key] for batch in batches], *further, **keywords) for key in batches[0]})
+
+
+class JointReplayBuffer(DictReplayBuffer):
+    """Replay buffer for CrossQ with dict observations.
+
+    CrossQ evaluates its critics on present and next observations in one pass, which normalizes them together. It
+    concatenates them by `torch.cat`, which refuses plain dicts.
+    """
+
+    def _get_samples(self, batch_inds: NDArray[np.int64], env: Any = None) -> Any:
+        """Return the transitions of given indices, shape (batch,), with observations that `torch.cat` accepts."""
+        samples = super()._get_samples(batch_inds, env)
+        present, following = (ObservationBatch(o) for o in (samples.observations, samples.next_observations))
+        return samples._replace(observations=present, next_observations=following)
 
 
 class TrainingCallback(BaseCallback):

@@ -26,12 +26,17 @@ from ..file_limits import read_json
 from ..locked_folders import complete_commit, locked_folder
 from ..machine import Machine
 from ..recordings import load_machine
-from .agent import SCHEMA, Agent, load_weights, policy_keywords
+from .agent import SCHEMA, Agent, load_weights, policy_class, policy_keywords
 from .agent_files import refuse_unsigned, sign_checkpoint
 from .controller_source import shipped_agent_folder
 from .features import feature_parameters
 from .model_card import improves, progress_line, score_agent, versions, write_card
-from .optional_dependencies import import_optional, require_training_packages, single_threaded_torch
+from .optional_dependencies import (
+    CONTRIB_ALGORITHMS,
+    import_optional,
+    require_training_packages,
+    single_threaded_torch,
+)
 from .recipe import ALGORITHMS, Recipe, load_recipe
 from .residual_action import residual_action
 
@@ -42,7 +47,7 @@ TRAINING_SEED = 10_000_000
 SEED_STRIDE = 100_000
 EVALUATION_EPISODES = 256
 EVALUATIONS_PER_RUN = 12
-RESUME_FILES = ("card.json", "checkpoint.zip", "environment.pkl", "replay.pkl")  # the last one for SAC only
+RESUME_FILES = ("card.json", "checkpoint.zip", "environment.pkl", "replay.pkl")  # the last one for SAC, TQC, CrossQ
 SHORTEST_INTERVAL = 2_000  # environment steps between evaluations
 
 Log = Callable[[str], None]
@@ -69,7 +74,7 @@ def train(
 
     Args:
         algorithm: Settings of the training run (a recipe), or the first part of the name of a recipe in the package:
-            "ppo", "sac", "sac_her", "residual", "adapt" or "apg".
+            "ppo", "sac", "tqc", "crossq", "sac_her", "residual", "adapt" or "apg".
         machine: Machine to train on, a preset name or the path of a machine.json.
         task: Name of the task, "reach" or "track".
         steps: Environment steps in total, including those before a resume. Default: the recipe's.
@@ -91,10 +96,10 @@ def train(
             that this installation did not write, or another process writes to `out`.
         ImportError: If the extra `agents` is not installed; the message names it.
     """
-    require_training_packages()
     recipe = algorithm if isinstance(algorithm, Recipe) else load_recipe(algorithm, task)
     if recipe.kind not in ALGORITHMS:
         raise InputError(f"recipe {recipe.name}: kind is {recipe.kind!r}, choose one of {', '.join(ALGORITHMS)}")
+    require_training_packages(recipe.kind)
     if randomize is not None:
         recipe = replace(recipe, env={**recipe.env, "randomize": randomize})
     # In all of it: the decomposition that draws the first weights has other last bits with more threads.
@@ -170,21 +175,24 @@ class _Run:
     def _new_model(self) -> Any:
         """Build the model with random weights."""
         recipe = self.recipe
-        hindsight = {}
+        adapters = import_module("hframe_gym.agents.sb3_adapters")
+        replay: dict[str, Any] = {}
+        if recipe.kind == "crossq":
+            replay = {"replay_buffer_class": adapters.JointReplayBuffer}
         if recipe.hindsight:
             buffer = import_optional("stable_baselines3").HerReplayBuffer
-            hindsight = {"replay_buffer_class": buffer, "replay_buffer_kwargs": recipe.hindsight}
+            replay = {"replay_buffer_class": buffer, "replay_buffer_kwargs": recipe.hindsight}
         model = _algorithm(recipe.kind)(
-            "MultiInputPolicy",
+            policy_class(recipe.kind),
             self.environment,
             seed=self.seed,
             device="cpu",
             policy_kwargs=policy_keywords(recipe.policy, self.card["features"]),
-            **hindsight,
+            **replay,
             **recipe.algorithm_keywords,
         )
         if "base" in recipe.actuation:
-            import_module("hframe_gym.agents.sb3_adapters").set_mean_action_to_zero(model.policy)
+            adapters.set_mean_action_to_zero(model.policy)
         return model
 
     def _load_checkpoint(self) -> Any:
@@ -297,7 +305,8 @@ def _algorithm(kind: str) -> Any:
         from .analytic_gradient import AnalyticPolicyGradient
 
         return AnalyticPolicyGradient
-    return getattr(import_optional("stable_baselines3"), kind.upper())
+    package = import_optional("sb3_contrib" if kind in CONTRIB_ALGORITHMS else "stable_baselines3")
+    return package.CrossQ if kind == "crossq" else getattr(package, kind.upper())
 
 
 def _build_task(name: str, settings: dict[str, Any]) -> Task:
@@ -330,6 +339,6 @@ def _new_card(recipe: Recipe, machine: Machine, task: str, seed: int) -> dict[st
         "settings": recipe.as_dict(),
         "period": recipe.period,
         "features": feature_parameters(machine, recipe.period, **recipe.features),
-        "versions": versions(),
+        "versions": versions(("sb3-contrib",) if recipe.kind in CONTRIB_ALGORITHMS else ()),
         "curve": [],
     }

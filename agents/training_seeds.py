@@ -61,8 +61,8 @@ def train_seeds(
     """
     if len(set(seeds)) < len(seeds):
         raise InputError(f"seeds {', '.join(map(str, seeds))}: one is given twice")
-    require_training_packages()
     recipe = algorithm if isinstance(algorithm, Recipe) else load_recipe(algorithm, task)
+    require_training_packages(recipe.kind)
     folders, done = [Path(out) / f"seed_{seed}" for seed in seeds] if len(seeds) > 1 else [Path(out)], 0
 
     def write(index: int, trained: tuple[dict[str, Any], dict[str, bytes]]) -> None:

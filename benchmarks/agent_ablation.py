@@ -1,10 +1,13 @@
 """What do the parts of the recipe `apg` contribute? Trainings with one part changed each, of the same length.
 
-    python -m benchmarks.agent_ablation [--steps 400000] [--seeds 1] [--only NAME ...]
+    python -m benchmarks.agent_ablation [--steps 400000] [--seeds 1] [--only NAME ...] [--out FOLDER]
 
 Every variant is trained by `hframe_gym.agents.train`, and the agent that is kept is scored on 512 episodes of seed 0;
-the scores of the shipped agents use other ones. Short trainings show what learns fast, not what ends best. Results are
-added to results/agent_ablation.json, which keeps variants that are not run again.
+the scores of the shipped agents use other ones. Short trainings show what learns fast, not what ends best. The variants
+of `OFF_POLICY` compare the algorithms SAC, TQC and CrossQ; run them by `--only`. `--steps` does not apply to them: one
+step costs several times as much as with the others, because the weights change every few steps. `--out` keeps the
+agents, for example for `hframe evaluate FOLDER --protocol reach-v1`. Results are added to results/agent_ablation.json,
+which keeps variants that are not run again.
 """
 
 from __future__ import annotations
@@ -41,6 +44,23 @@ def _with(table: str, **values: Any) -> Callable[[Recipe], Recipe]:
     return lambda recipe: replace(recipe, **{table: {**getattr(recipe, table), **values}})
 
 
+def _as_crossq(recipe: Recipe) -> Recipe:
+    """Return a recipe of SAC for CrossQ, which has no target networks."""
+    return replace(_without("algorithm", "tau")(recipe), kind="crossq")
+
+
+def _many_environments(recipe: Recipe) -> Recipe:
+    """Return a recipe of SAC for CrossQ with the same number of updates, each from twice as many new steps."""
+    changed = _with("algorithm", gradient_steps=8, batch_size=512, learning_starts=12_000, buffer_size=320_000)(recipe)
+    return replace(_as_crossq(_with("env", num_envs=128)(changed)), steps=320_000)
+
+
+def _parts_of_apg(recipe: Recipe) -> Recipe:
+    """Return a recipe of SAC for CrossQ, with the actuation and features of the recipe `apg`."""
+    other = load_recipe("apg", "reach")
+    return replace(_as_crossq(recipe), actuation=other.actuation, features=other.features, steps=120_000)
+
+
 VARIANTS: dict[str, tuple[str, Callable[[Recipe], Recipe]]] = {
     "apg": ("apg", lambda recipe: recipe),
     "without the voltages of transfers as features": ("apg", _without("features", "transfers")),
@@ -51,6 +71,18 @@ VARIANTS: dict[str, tuple[str, Callable[[Recipe], Recipe]]] = {
     "without averaged weights": ("apg", _with("algorithm", averaging=0.0)),
     "PPO": ("ppo", lambda recipe: recipe),
 }
+OFF_POLICY: dict[str, tuple[str, Callable[[Recipe], Recipe]]] = {
+    "SAC": ("sac", lambda recipe: recipe),
+    "TQC, settings of SAC": ("sac", lambda recipe: replace(recipe, kind="tqc")),
+    "CrossQ, settings of SAC": ("sac", _as_crossq),
+    "CrossQ, 128 environments, batches of 512": ("sac", _many_environments),
+    "CrossQ, estimates and held action of apg": ("sac", _parts_of_apg),
+    "CrossQ, 120000 steps": ("crossq", lambda recipe: replace(recipe, steps=120_000)),
+    "SAC, settings of TQC": ("tqc", lambda recipe: replace(recipe, kind="sac")),
+    "TQC": ("tqc", lambda recipe: recipe),
+    "CrossQ": ("crossq", lambda recipe: recipe),
+}
+GROUPS = {"variants": VARIANTS, "off_policy": OFF_POLICY}
 
 
 def score(agent: Agent) -> dict[str, Any]:
@@ -65,12 +97,15 @@ def score(agent: Agent) -> dict[str, Any]:
     }
 
 
-def run(variant: str, steps: int, seed: int) -> dict[str, Any]:
-    """Train a variant and score the agent that it keeps."""
-    name, change = VARIANTS[variant]
-    recipe = replace(change(load_recipe(name, "reach")), steps=steps)
+def run(variant: str, steps: int, seed: int, out: Path | None) -> dict[str, Any]:
+    """Train a variant, score the agent that it keeps, and keep its folder if `out` is given."""
+    name, change = (VARIANTS | OFF_POLICY)[variant]
+    recipe = change(load_recipe(name, "reach"))
+    if variant in VARIANTS:
+        recipe = replace(recipe, steps=steps)
     began = time.process_time()
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = out / f"{variant.replace(', ', '_').replace(' ', '_')}-seed{seed}" if out else temporary
         card = train(recipe, seed=seed, out=folder, log=lambda line: None)
         cpu_s = time.process_time() - began
         scores = score(Agent.load(folder))
@@ -82,15 +117,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--steps", type=int, default=400_000)
     parser.add_argument("--seeds", type=int, default=1)
-    parser.add_argument("--only", nargs="+", choices=VARIANTS, default=list(VARIANTS))
+    parser.add_argument("--only", nargs="+", choices=VARIANTS | OFF_POLICY, default=list(VARIANTS))
+    parser.add_argument("--out", type=Path, help="keep the agents in subfolders of this folder")
     arguments = parser.parse_args()
     file = Path(RESULTS) / f"{NAME}.json"
-    results = json.loads(file.read_text())["variants"] if file.exists() else {}
+    previous = json.loads(file.read_text()) if file.exists() else {}
+    results = {group: previous.get(group, {}) for group in GROUPS}
     for variant in arguments.only:
-        results[variant] = [run(variant, arguments.steps, seed) for seed in range(arguments.seeds)]
-        print(variant, json.dumps(results[variant]), flush=True)
-        ordered = {name: results[name] for name in VARIANTS if name in results}
-        write_results(NAME, {"episodes": SCENARIO.episodes, "variants": ordered}, seed=SCENARIO.seed)
+        runs = [run(variant, arguments.steps, seed, arguments.out) for seed in range(arguments.seeds)]
+        print(variant, json.dumps(runs), flush=True)
+        for group, variants in GROUPS.items():
+            known = results[group] | ({variant: runs} if variant in variants else {})
+            results[group] = {name: known[name] for name in variants if name in known}
+        write_results(NAME, {"episodes": SCENARIO.episodes, **results}, seed=SCENARIO.seed)
 
 
 if __name__ == "__main__":

@@ -306,8 +306,18 @@ def agents(results: dict[str, Any]) -> str:
 
 def agent_ablation(results: dict[str, Any]) -> str:
     """Format the scores of short trainings with one part of the recipe changed each."""
+    return _trainings(results["variants"])
+
+
+def agent_off_policy(results: dict[str, Any]) -> str:
+    """Format the scores of trainings with SAC, TQC and CrossQ."""
+    return _trainings(results["off_policy"])
+
+
+def _trainings(variants: dict[str, Any]) -> str:
+    """Format the costs and scores of trainings, given as runs by name."""
     rows = []
-    for name, runs in results["variants"].items():
+    for name, runs in variants.items():
         for r in runs:
             rates = [f"{100 * r['success'][band]:.1f} %" for band in ("0.2mm", "0.05mm")]
             rows.append([name, str(r["seed"]), str(r["steps"]), f"{r['cpu_s']:.0f}", *rates, _ratio(r, "over_bound")])
@@ -508,6 +518,7 @@ TABLES: dict[str, Callable[[dict[str, Any]], str]] = {
     "controllers": controllers,
     "agents": agents,
     "agent_ablation": agent_ablation,
+    "agent_off_policy": agent_off_policy,
     "closed_loop": closed_loop,
     "ray_scaling": ray_scaling,
     "cluster_plan": cluster_plan,
@@ -515,7 +526,7 @@ TABLES: dict[str, Callable[[dict[str, Any]], str]] = {
     "real_machines_ced": real_machines_ced,
     "real_machines_xl330": real_machines_xl330,
 }
-SOURCES = {"cluster_plan": "ray_scaling"}  # results of tables that are not named after their file
+SOURCES = {"cluster_plan": "ray_scaling", "agent_off_policy": "agent_ablation"}  # of tables not named after their file
 
 
 def surroundings(results: dict[str, Any]) -> str:
