@@ -13,6 +13,7 @@ import pytest
 from hframe_gym.dynamics import simulate_batch
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, Fit, default_free_parameters, fit, model_error, prepare
+from hframe_gym.identification.estimation import prediction_cost
 from hframe_gym.identification.evidence import long_run_variance, residue_force
 from hframe_gym.identification.free_parameters import FreeParameter
 from hframe_gym.identification.model_error import (
@@ -270,3 +271,36 @@ def test_the_next_narrower_observer_and_the_gain_that_makes_it_as_likely(axis: M
     assert gain > 0.0
     as_likely = dataclasses.replace(narrower, cost=narrower.cost - gain * narrower.count)
     assert information_loss(as_likely, data) == pytest.approx(information_loss(best, data))
+
+
+@pytest.mark.parametrize(("cross_validated", "in_simulation"), [(0.0, True), (np.inf, False)])
+def test_the_final_fit_is_the_one_that_simulates_best(
+    axis: Machine, monkeypatch: pytest.MonkeyPatch, cross_validated: float, in_simulation: bool
+) -> None:
+    data = recordings(axis, residue=0.1)
+    best = fit_with_model_error(fitted_axis(axis, data), data)
+    monkeypatch.setattr(model_error, "_cross_validated_cost", lambda fitted, data: cross_validated)
+    refined = model_error.refined_in_simulation(best, data)
+    assert (refined.bandwidth == 0.0) == in_simulation
+    costs = [prediction_cost(f.machine, data, 0.0) for f in (refined, best)]
+    assert costs[0] <= costs[1]
+
+
+def test_a_fit_in_simulation_stays_as_it_is(axis: Machine) -> None:
+    data = recordings(axis)
+    best = fit_with_model_error(fitted_axis(axis, data), data)
+    assert best.bandwidth == 0.0
+    assert model_error.refined_in_simulation(best, data) is best
+
+
+def test_cross_validation_predicts_runs_that_were_not_fitted(axis: Machine) -> None:
+    """A machine that fits three equal runs also predicts each of them; a run with a force of its own is no such run."""
+    equal, other = recordings(axis), recordings(axis, forces=(0.0, 0.6, 0.0, 0.0))
+    ratios = []
+    for data in (equal, other):
+        fitted = fitted_axis(axis, data, constant_force=True)
+        ratios.append(model_error._cross_validated_cost(fitted, data) / prediction_cost(fitted.machine, data, 60.0))
+    assert ratios[0] < 1.05
+    assert ratios[1] > 1.2
+    one = equal.with_runs([equal.runs[0].name])
+    assert model_error._cross_validated_cost(fitted_axis(axis, one), one) == np.inf
