@@ -12,7 +12,14 @@ from .dataset import Dataset
 from .estimation import Fit, fit, prediction_cost
 from .forward_selection import ConsideredEffect, EffectSearch, Log, SelectedEffect, Selection
 from .free_parameters import default_free_parameters
-from .model_error import contradicting_run, explains, fit_with_model_error, polish, refined_in_simulation
+from .model_error import (
+    CONTRADICTION,
+    contradicting_run,
+    explains,
+    fit_with_model_error,
+    polish,
+    refined_in_simulation,
+)
 from .nonparametric import add_tables
 from .prediction import SEARCH_BANDWIDTH, SIMULATION
 from .result import Verdict
@@ -51,9 +58,9 @@ def search_effects(
 ) -> SearchOutcome:
     """Refit a machine and search for the effects that it lacks.
 
-    A run that contradicts the others is left out if no effect explains both, although the others are explained to
-    within their noise: effects are searched for in the other runs first, and the suspect run must agree with these
-    effects and one more.
+    A run that contradicts the others is left out if no effect explains both: effects are searched for in the other runs
+    first. If they explain these to within their noise, the suspect run must agree with them and one more effect.
+    Otherwise effects are also searched for in all runs, and these must not leave ten times the error.
 
     Args:
         machine: Machine as declared.
@@ -73,7 +80,11 @@ def search_effects(
     others = _Search(machine, data.with_runs([run.name for run in data.runs if run.name != suspect]), criteria, log)
     outcome = others.run()
     if not outcome.explained:
-        return all_runs.run()
+        complete = all_runs.run()
+        if complete.explained or _wide_chi2(complete) < CONTRADICTION * _wide_chi2(outcome):
+            return complete
+        log(f"no effect explains {suspect}; it is not used")
+        return outcome._replace(contradiction=suspect)
     log(f"searching for an effect that explains {suspect}")
     after, effects = outcome.after, outcome.selected
     wide = converge(fit(after.machine, after.free, data, SEARCH_BANDWIDTH, theta=after.theta), data, thorough=True)
@@ -84,6 +95,11 @@ def search_effects(
         return all_runs.run(extended)
     log(f"no effect explains {suspect}; it is not used")
     return outcome._replace(contradiction=suspect)
+
+
+def _wide_chi2(outcome: SearchOutcome) -> float:
+    """Return chi-squared per sample of the final machine at the bandwidth at which all machines can be compared."""
+    return prediction_cost(outcome.after.machine, outcome.data, SEARCH_BANDWIDTH) / outcome.data.count
 
 
 class _Search:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 
 import numpy as np
@@ -22,6 +23,7 @@ from .residual import missing_force
 from .screening import ScoredCandidate, screen, screen_structures
 
 Array = NDArray[np.float64]
+_SHAPES = 2  # starting values of an effect at a site that are fitted
 _TRIAL_ITERATIONS, _TRIAL_TOLERANCE = 8, 1e-3  # A trial need not converge fully to be ranked.
 
 
@@ -68,10 +70,17 @@ def _trial_fits_from(start: Fit, current: Fit, data: Dataset, enough: float, cri
     for scored in promising:
         # Where a candidate explains the data, only those that may be its rivals are fitted as well.
         if scored.gain > criteria.rival_promise * best_promise:
-            trials.append(fit_with_candidate(start, scored, scales, data))
+            trials = _with_better_shape(trials, fit_with_candidate(start, scored, scales, data))
             if unexplained_fraction(current, trials, criteria) < criteria.rival_remainder:
                 best_promise = max(best_promise, scored.gain)
     return trials
+
+
+def _with_better_shape(trials: list[Fit], trial: Fit) -> list[Fit]:
+    """Return the trials with one more, of which only the better shape of an effect at a site is kept."""
+    label = trial.machine.effects[-1].label
+    same = [t for t in trials if t.machine.effects[-1].label == label]
+    return [*(t for t in trials if t not in same), min((*same, trial), key=lambda t: t.cost)]
 
 
 def structural_trial_fits(
@@ -184,25 +193,27 @@ def fit_in_place_of(current: Fit, label: str, rival: AppliedEffect, data: Datase
 def _promising(
     current: Fit, ranked: list[ScoredCandidate], data: Dataset, enough: float, criteria: SelectionCriteria
 ) -> list[ScoredCandidate]:
-    """Return the few best candidates, one shape of each effect and site, that may reduce the cost by enough.
+    """Return the few best candidates that may reduce the cost by enough, up to two shapes of each effect and site.
 
-    Candidates with less force than what would remain unexplained beside them are left out before anything is fitted.
+    A fit does not find the way from one period to another, and linearization may rank a wrong one first. Candidates
+    with less force than what would remain unexplained beside them are left out before anything is fitted.
     """
-    best: dict[str, ScoredCandidate] = {}
+    best: dict[str, list[ScoredCandidate]] = {}
     least = criteria.linear_gain_ratio * enough * data.count
     if ranked:
         least = max(least, criteria.min_promise * ranked[0].gain)
     residue = residue_force(current, data)
     for scored in ranked:
+        shapes = best.get(scored.candidate.label, [])
         if scored.gain <= least or len(best) == criteria.max_full_fits:
             break
-        if scored.candidate.label in best:
+        if len(shapes) == _SHAPES:
             continue
         remaining = residue * np.sqrt(max(1.0 - scored.gain / current.cost, 0.0))
         size = effect_force(current.machine, scored.candidate.applied(scored.amounts), data)
         if size >= criteria.min_promised_force_ratio * remaining:
-            best[scored.candidate.label] = scored
-    return list(best.values())
+            best[scored.candidate.label] = [*shapes, scored]
+    return sorted(itertools.chain(*best.values()), key=lambda scored: -scored.gain)
 
 
 def fit_with_candidate(current: Fit, scored: ScoredCandidate, scales: TypicalScales, data: Dataset) -> Fit:

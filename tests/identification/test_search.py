@@ -159,3 +159,16 @@ def test_a_suspect_run_is_used_if_the_others_are_not_explained_either(scripted_s
     scripted_search.suspect = "c"
     outcome = scripted_search.run()
     assert (outcome.contradiction, outcome.verdict, len(outcome.data.runs)) == (None, "unexplained", 4)
+
+
+@pytest.mark.parametrize(("all_runs", "left_out"), [(101.0, True), (99.0, False)])
+def test_a_suspect_run_that_spoils_everything_is_left_out_although_the_others_are_not_explained(
+    scripted_search: ScriptedSearch, monkeypatch: pytest.MonkeyPatch, all_runs: float, left_out: bool
+) -> None:
+    """The others leave an error of 10; together with the suspect run, more than ten times that is too much."""
+    scripted_search.suspect = "c"
+    errors = {4: all_runs, 3: 10.0}
+    monkeypatch.setattr(search, "_wide_chi2", lambda outcome: errors[len(outcome.data.runs)])
+    outcome = scripted_search.run()
+    assert outcome.contradiction == ("c" if left_out else None)
+    assert len(outcome.data.runs) == (3 if left_out else 4)

@@ -61,3 +61,33 @@ def test_candidates_are_also_tried_from_the_declared_parameters(
     if at_limit:
         np.testing.assert_array_equal(starts[1].theta, 0.0)
         assert starts[1].machine.parameters == pytest.approx(axis.parameters)
+
+
+def test_the_better_one_of_two_shapes_is_kept(axis: Machine) -> None:
+    """Linearization may rank a wrong period first, from which a fit does not find the right one."""
+    data = prepare(recordings(axis, 1), axis)
+    fits = [
+        dataclasses.replace(fit(axis.with_effects(effect), (), data, SEARCH_BANDWIDTH, iterations=1), cost=cost)
+        for effect, cost in (
+            (EFFECTS["position_friction"].at("x", A=0.2, L=0.04, p=0.0), 3.0),
+            (EFFECTS["constant_force"].at("x", size=0.1), 9.0),
+            (EFFECTS["position_friction"].at("x", A=0.2, L=0.1, p=0.0), 2.0),
+            (EFFECTS["position_friction"].at("x", A=0.2, L=0.3, p=0.0), 5.0),
+        )
+    ]
+    trials: list[Fit] = []
+    for trial in fits:
+        trials = trial_fits._with_better_shape(trials, trial)
+    assert sorted(t.cost for t in trials) == [2.0, 9.0]
+
+
+def test_two_shapes_of_an_effect_are_fitted(axis: Machine) -> None:
+    """A periodic friction whose period the search does not know: two of its starting values are tried."""
+    rig = axis.with_effects(EFFECTS["position_friction"].at("x", A=0.5, L=0.03, p=0.0))
+    data = prepare(recordings(rig, 2), axis)
+    current = fit(axis, default_free_parameters(axis), data, SEARCH_BANDWIDTH)
+    _, ranked = trial_fits._ranked_candidates(current, data)
+    promising = trial_fits._promising(current, ranked, data, 1e-6, SelectionCriteria(min_promise=0.0))
+    labels = [scored.candidate.label for scored in promising]
+    assert max(labels.count(label) for label in labels) == 2
+    assert [s.gain for s in promising] == sorted((s.gain for s in promising), reverse=True)
