@@ -172,9 +172,9 @@ def refined_in_simulation(fitted: Fit, data: Dataset) -> Fit:
 
     Returns:
         Fit of the same k parameters (theta of shape (k,)) whose simulation has the smallest error, with the shortest
-        integration step; the given one if none is better.
+        integration step; the given one if none is better, or for a single run, which cannot confirm another fit.
     """
-    if fitted.bandwidth == SIMULATION:
+    if fitted.bandwidth == SIMULATION or len(data.runs) == 1:
         return fitted
     best, narrower = fitted, fitted
     least = prediction_cost(fitted.machine, data, SIMULATION, longest_step=POLISH_STEP)
@@ -193,8 +193,6 @@ def _cross_validated_cost(fitted: Fit, data: Dataset) -> float:
     """Return the cost of all runs, each with parameters that were fitted to runs of the other two thirds."""
     names = [run.name for run in data.runs]
     folds = [names[first::_FOLDS] for first in range(min(_FOLDS, len(names)))]
-    if len(folds) < 2:
-        return math.inf
     step = search_step(fitted.bandwidth)
     total = 0.0
     for left_out in folds:

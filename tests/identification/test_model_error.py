@@ -302,5 +302,9 @@ def test_cross_validation_predicts_runs_that_were_not_fitted(axis: Machine) -> N
         ratios.append(model_error._cross_validated_cost(fitted, data) / prediction_cost(fitted.machine, data, 60.0))
     assert ratios[0] < 1.05
     assert ratios[1] > 1.2
-    one = equal.with_runs([equal.runs[0].name])
-    assert model_error._cross_validated_cost(fitted_axis(axis, one), one) == np.inf
+
+
+def test_one_run_confirms_no_other_fit(axis: Machine) -> None:
+    data = recordings(axis, residue=0.1).with_runs(["run_0"])
+    fitted = fitted_axis(axis, data)
+    assert model_error.refined_in_simulation(fitted, data) is fitted
