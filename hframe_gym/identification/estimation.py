@@ -22,7 +22,7 @@ from ..machine import Machine, Uncertainty
 from .dataset import Dataset, PreparedRecording
 from .free_parameters import FreeParameter, bounded_step, parameter_table, prior_precision, values_at
 from .linearization import ResidualModel
-from .prediction import POLISH_STEP, SEARCH_STEP, map_runs, predict, residuals
+from .prediction import POLISH_STEP, SEARCH_STEP, block_size, map_runs, predict, residuals
 from .start_uncertainty import initial_state_projection, prediction_residuals
 
 Array = NDArray[np.float64]
@@ -154,7 +154,7 @@ def prediction_cost(machine: Machine, data: Dataset, bandwidth: float, *, longes
     return total if math.isfinite(total) else math.inf
 
 
-_BLOCK_S = 0.5  # s; longer than the correlation of the residual
+BLOCK_S = 0.5  # s; longer than the correlation of the residual, vibrations included
 _MAX_LEVERAGE = 0.99  # Fraction of the information in one block that the correction of its residual assumes at most.
 _MAX_DIFFERENCE = 0.01  # Theta; central differences over less do not notice the curvature of the exponential.
 # Standard deviation of the delay between inputs and measurements, in sampling periods. Recordings state times to no
@@ -311,7 +311,7 @@ def _linearize(fitted: Fit, run: PreparedRecording, data: Dataset, directions: A
     k = len(fitted.free)
     responses = (rows[1 : k + 1] - rows[k + 1 : 2 * k + 1]) / 2.0  # (k, rows)
     delay = (rows[-1] - rows[0]) / _DELAY_DIFFERENCE
-    size = max(1, round(_BLOCK_S / data.period)) * len(machine.sensors)
+    size = block_size(BLOCK_S, machine, data)
     blocks = [slice(first, first + size) for first in range(0, rows.shape[1], size)]
     return _RunPart(
         np.array([responses[:, block] @ responses[:, block].T for block in blocks]),

@@ -16,7 +16,7 @@ from ..dynamics import net_forces
 from ..machine import HOOKS, AppliedEffect, Machine, argument_names
 from .criteria import SelectionCriteria
 from .dataset import Dataset, PreparedRecording
-from .estimation import Fit
+from .estimation import BLOCK_S, Fit
 from .free_parameters import prior_precision
 from .linearization import ResidualModel
 from .machine_validation import validation_fault
@@ -28,7 +28,7 @@ from .model_error import (
     narrower_observer,
     search_step,
 )
-from .prediction import SEARCH_BANDWIDTH, SIMULATION, map_runs, observer_gains, predict, prediction_error
+from .prediction import SEARCH_BANDWIDTH, SIMULATION, block_size, map_runs, observer_gains, predict, prediction_error
 
 Array = NDArray[np.float64]
 
@@ -44,8 +44,7 @@ _VARIABLES = {
     "s": "extension",
     "rate": "extension",
 }
-_BLOCK_S = 0.5  # s; longer than the correlation of a vibration
-_INDEPENDENT_S = (0.05, _BLOCK_S, 1e6)  # s; longer than the correlation of a sensor's noise; ...; complete runs
+_NOISE_S = 0.05  # s; longer than the correlation of a sensor's noise
 _CHANCE = 1e-4  # probability of a false effect among a hundred candidates: 1 %
 
 
@@ -199,20 +198,22 @@ def long_run_variance(fitted: Fit, label: str, data: Dataset) -> float:
     runs = list(map_runs(lambda run: model.linearize_run(run, fitted.theta), data))
     if not all(np.isfinite(run.jacobian).all() and np.isfinite(run.residual).all() for run in runs):
         return math.inf
-    own = np.array([parameter.name.startswith(f"{label}.") for parameter in fitted.free])
+    of_effect = np.array([parameter.name.startswith(f"{label}.") for parameter in fitted.free])
+    others = ~of_effect
     hessian = sum((run.jacobian @ run.jacobian.T for run in runs), prior_precision(fitted.free))
     # Change of the effect's parameters with adapted other parameters: one row per parameter of the effect.
-    directions = np.eye(len(own))[own]
-    directions[:, ~own] = -np.linalg.solve(hessian[np.ix_(~own, ~own)], hessian[np.ix_(~own, own)]).T
+    directions = np.eye(len(fitted.free))[of_effect]
+    directions[:, others] = -np.linalg.solve(hessian[np.ix_(others, others)], hessian[np.ix_(others, of_effect)]).T
     responses = [directions @ run.jacobian for run in runs]
     inverse = np.linalg.pinv(sum(response @ response.T for response in responses), hermitian=True)
-    largest, rows = 0.0, round(1.0 / data.period) * len(fitted.machine.sensors)  # residuals per second
-    for seconds in _INDEPENDENT_S:
-        size = max(1, round(rows * seconds))
+    short, long = (block_size(seconds, fitted.machine, data) for seconds in (_NOISE_S, BLOCK_S))
+    largest = 0.0
+    for size in (short, long, max(run.residual.size for run in runs)):
         blocks = [_block_sums(j * run.residual, size) for j, run in zip(responses, runs, strict=True)]
         scores = np.concatenate(blocks, axis=1)  # (parameters of the effect, blocks)
         largest = max(largest, float(np.linalg.eigvals(inverse @ scores @ scores.T).real.max()))
-    count, parameters = sum(-(-run.residual.size // round(rows * _BLOCK_S)) for run in runs), int(own.sum())
+    count = sum(-(-run.residual.size // long) for run in runs)
+    parameters = len(directions)
     quantiles = fdtri(parameters, count, 1.0 - _CHANCE), chdtri(parameters, _CHANCE) / parameters
     return max(1.0, largest * float(quantiles[0] / quantiles[1]))
 
@@ -235,17 +236,10 @@ def doubt_about_candidate(current: Fit, trial: Fit, data: Dataset, criteria: Sel
     Returns:
         Clause that follows "it "; empty if nothing speaks against the effect.
     """
-    effect = trial.machine.effects[-1]
     # While other effects are missing, a fit without one run says little about the machine, and what they leave is
     # correlated in time; `doubt_beside_others` repeats these tests.
     nearly_explained = current.chi2 < criteria.explained_chi2
-    return (
-        (_unconfirmed(current, trial, data, criteria) if nearly_explained else "")
-        or validation_fault(trial.machine)
-        or (_by_chance(current, trial, effect, data, criteria) if nearly_explained else "")
-        or _too_small(current, trial, effect, data, criteria)
-        or _form_error(current, trial, effect, data, criteria)
-    )
+    return _doubt(current, trial, trial.machine.effects[-1], data, criteria, nearly_explained=nearly_explained)
 
 
 def doubt_beside_others(
@@ -265,12 +259,25 @@ def doubt_beside_others(
     """
     if reduced.cost - complete.cost < minimum_gain(complete, criteria) * data.count:
         return "has no effect on the error"
+    return _doubt(reduced, complete, effect, data, criteria, nearly_explained=True)
+
+
+def _doubt(
+    without: Fit,
+    with_effect: Fit,
+    effect: AppliedEffect,
+    data: Dataset,
+    criteria: SelectionCriteria,
+    *,
+    nearly_explained: bool,
+) -> str:
+    """Return the first reason against an effect; two of the tests need a machine that nearly explains the data."""
     return (
-        _unconfirmed(reduced, complete, data, criteria)
-        or validation_fault(complete.machine)
-        or _by_chance(reduced, complete, effect, data, criteria)
-        or _too_small(reduced, complete, effect, data, criteria)
-        or _form_error(reduced, complete, effect, data, criteria)
+        (_unconfirmed(without, with_effect, data, criteria) if nearly_explained else "")
+        or validation_fault(with_effect.machine)
+        or (_by_chance(without, with_effect, effect, data, criteria) if nearly_explained else "")
+        or _too_small(without, with_effect, effect, data, criteria)
+        or _form_error(without, with_effect, effect, data, criteria)
     )
 
 
@@ -290,14 +297,17 @@ def _by_chance(
     In doubt, the gain with the next narrower observer decides: an observer hides slow errors, and with them what an
     effect explains, whereas model error imitates an effect the less, the longer it adds up.
     """
-    variance = long_run_variance(with_effect, effect.label, data)
-    if without.cost - with_effect.cost >= criteria.min_chance_gain * variance:
-        return ""
-    if with_effect.bandwidth != SIMULATION:
-        reduced, complete = (narrower_observer(f, data) for f in (without, with_effect))
+
+    def exceeds_chance(reduced: Fit, complete: Fit) -> bool:
         variance = long_run_variance(complete, effect.label, data)
-        if reduced.cost - complete.cost >= criteria.min_chance_gain * variance:
-            return ""
+        return reduced.cost - complete.cost >= criteria.min_chance_gain * variance
+
+    if exceeds_chance(without, with_effect):
+        return ""
+    if with_effect.bandwidth != SIMULATION and exceeds_chance(
+        narrower_observer(without, data), narrower_observer(with_effect, data)
+    ):
+        return ""
     return "reduces the error by no more than chance may, since the remaining error is correlated in time"
 
 

@@ -184,6 +184,20 @@ def mechanical_rows_per_block(data: Dataset) -> int:
     return max(1, round(_BLOCK_S / data.period))
 
 
+def block_size(seconds: float, machine: Machine, data: Dataset) -> int:
+    """Return how many values of the residual belong to a block of consecutive rows.
+
+    Args:
+        seconds: Duration of the block, s.
+        machine: Machine with its sensors.
+        data: Data set, for the sampling period.
+
+    Returns:
+        Number of values (rows times sensors), at least those of one row.
+    """
+    return max(1, round(seconds / data.period)) * len(machine.sensors)
+
+
 def prediction_error(run: PreparedRecording, data: Dataset, measurements: Array, *, fitted: bool = False) -> Array:
     """Return measured minus predicted values, corrected for the uncertain zeros of the sensors.
 
@@ -233,10 +247,7 @@ def residuals(
         Residuals, dimensionless, shape (batch, n // rows_per_block * sensors); zero where a value was not measured or
         `run.rows` excludes it.
     """
-    weights = run.weights if fitted else np.isfinite(run.outputs).astype(float)
-    scales = np.sqrt(weights) / run.noise
-    if run.rows is not None:
-        scales[~run.rows] = 0.0
+    scales = np.sqrt(run.counted if fitted else run.counted > 0.0) / run.noise
     with np.errstate(over="ignore", invalid="ignore"):  # parameters that make a machine diverge cost infinitely much
         error = prediction_error(run, data, measurements, fitted=fitted) * scales
     batch, rows, sensors = error.shape

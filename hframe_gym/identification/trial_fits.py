@@ -79,8 +79,9 @@ def _trial_fits_from(start: Fit, current: Fit, data: Dataset, enough: float, cri
 def _with_better_shape(trials: list[Fit], trial: Fit) -> list[Fit]:
     """Return the trials with one more, of which only the better shape of an effect at a site is kept."""
     label = trial.machine.effects[-1].label
+    others = [t for t in trials if t.machine.effects[-1].label != label]
     same = [t for t in trials if t.machine.effects[-1].label == label]
-    return [*(t for t in trials if t not in same), min((*same, trial), key=lambda t: t.cost)]
+    return [*others, min((*same, trial), key=lambda t: t.cost)]
 
 
 def structural_trial_fits(
