@@ -290,7 +290,7 @@ def write_new_effect(folder: Path, name: str, path: Path, number: int, table: st
         InputError: If the folder has no such table or formula, or the name or the file cannot be used.
     """
     from ..effects.formulas import write_effect_file
-    from ..identification.formulas import formulas_of_folder
+    from ..identification.saved_formulas import formulas_of_folder
 
     proposed = formulas_of_folder(folder, name, table)
     for index, p in enumerate(proposed, start=1):
