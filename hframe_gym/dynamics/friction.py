@@ -12,15 +12,11 @@ position of a coordinate is its belt travel, m (radius * angle of a rotary one),
 
 from __future__ import annotations
 
-from numba import njit
-
-from .simd import absolute, any_of, copysign, fma, where
+from .simd import absolute, any_of, copysign, fma, inlined, where
 from .simd_math import exp
 
 # Argument b h / m up to which the series are accurate to 1e-12; strongly damped machines beyond it use the exponential.
 _SMALL = 0.5
-
-inlined = njit(forceinline=True, nogil=True, error_model="numpy")
 
 
 @inlined

@@ -16,7 +16,7 @@ from typing import Any
 
 from llvmlite import ir
 from llvmlite.binding import get_host_cpu_features
-from numba import types
+from numba import njit, types
 from numba.core import cgutils
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import lower_builtin, models, register_model
@@ -31,6 +31,8 @@ __all__ = [
     "copysign",
     "floor",
     "fma",
+    "helper",
+    "inlined",
     "load",
     "maximum",
     "minimum",
@@ -40,6 +42,16 @@ __all__ = [
     "store",
     "where",
 ]
+
+# Decorators of functions that only compiled code calls; without wrappers for Python and C they compile faster.
+_OPTIONS: dict[str, Any] = {
+    "nogil": True,
+    "error_model": "numpy",
+    "no_cpython_wrapper": True,
+    "no_cfunc_wrapper": True,
+}
+helper: Any = njit(**_OPTIONS)
+inlined: Any = njit(forceinline=True, **_OPTIONS)
 
 # With AVX-512 two registers of eight: one hides the latency of the other. Other processors have too few registers.
 LANES = 16 if get_host_cpu_features().get("avx512f") else 8

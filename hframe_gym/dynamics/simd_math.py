@@ -7,13 +7,10 @@ the functions of `elementwise` with Numba.
 
 from __future__ import annotations
 
-from typing import Any
-
-from numba import njit
 from numba.extending import overload
 
 from .elementwise import cos, exp, floor, fma, maximum, minimum, pow2, rint, sin, where
-from .simd import SimdVector
+from .simd import SimdVector, inlined
 
 __all__ = ["cos", "exp", "maximum", "minimum", "sin"]
 
@@ -70,12 +67,8 @@ def _vector_sin_shifted(x, quarter_turns):  # type: ignore[no-untyped-def]
     return where(quadrant >= 2.0, -value, value)
 
 
-def _inlined(function: Any) -> Any:
-    return njit(forceinline=True, nogil=True, error_model="numpy")(function)
-
-
-_exp = _inlined(_vector_exp)
-_sin_shifted = _inlined(_vector_sin_shifted)
+_exp = inlined(_vector_exp)
+_sin_shifted = inlined(_vector_sin_shifted)
 
 
 @overload(exp, inline="never")

@@ -2,10 +2,11 @@
 import numpy as np
 from numba import njit
 from hframe_gym.dynamics.friction import (
-    decay_integral, direction, end_weight, friction_force, inlined, stop_or_reverse, update_speed
+    decay_integral, direction, end_weight, friction_force, stop_or_reverse, update_speed
 )
 from hframe_gym.dynamics.simd import (
-    LANES, absolute, align_stack, any_of, copysign, floor, fma, load, maximum, minimum, rint, sqrt, store, where
+    LANES, absolute, align_stack, any_of, copysign, floor, fma, helper, inlined, load, maximum, minimum, rint, sqrt,
+    store, where
 )
 from hframe_gym.dynamics.simd_math import cos, exp, sin
 
@@ -305,7 +306,7 @@ def measurement_delays(parameters, delays):
     store(delays, 3, 0.0)
 
 
-@njit(nogil=True, error_model='numpy')
+@helper
 def held_mean(time, values, start: float, end: float, hint: int) -> float:
     """Return the mean over [start, end] of an input that is held from each time until the next.
 
@@ -334,7 +335,7 @@ def held_mean(time, values, start: float, end: float, hint: int) -> float:
         i += 1
 
 
-@njit(nogil=True, error_model='numpy')
+@helper
 def interpolated(rows, i: int, lane: int, j: int, back: float) -> float:
     """Return an earlier reading of a sensor of one machine, interpolated quadratically between samples.
 
@@ -358,7 +359,7 @@ def interpolated(rows, i: int, lane: int, j: int, back: float) -> float:
     return middle + 0.5 * u * (after - before) + 0.5 * u * u * (after - 2.0 * middle + before)
 
 
-@njit(nogil=True, error_model='numpy')
+@helper
 def most_steps(time, longest_step: float) -> int:
     """Return the largest number of integration steps between two consecutive samples.
 
@@ -375,7 +376,7 @@ def most_steps(time, longest_step: float) -> int:
     return steps
 
 
-@njit(nogil=True, error_model='numpy')
+@helper
 def start_block(block: int, start_time: float, parameters, start, state, block_parameters) -> None:
     """Copy parameters and initial states of up to LANES of B machines to the arrays of a block, one column (lane) each.
 
@@ -403,7 +404,7 @@ def start_block(block: int, start_time: float, parameters, start, state, block_p
             state[k, lane] = start[b, k - 1]
 
 
-@njit(nogil=True, error_model='numpy')
+@helper
 def copy_lanes(block: int, i: int, rows, table) -> None:
     """Copy the first k rows of a block of LANES machines to one sample of a table, unless the table is empty.
 
@@ -418,7 +419,7 @@ def copy_lanes(block: int, i: int, rows, table) -> None:
             table[block * LANES + lane, i, k] = rows[k, lane]
 
 
-@njit(nogil=True, error_model='numpy')
+@helper
 def delay_readings(time, i: int, sensor_delays, past_readings, reading) -> None:
     """Delay the readings of one sample by each sensor's delay, for a block of LANES machines.
 
@@ -440,7 +441,7 @@ def delay_readings(time, i: int, sensor_delays, past_readings, reading) -> None:
                 reading[j, lane] = interpolated(past_readings, i, lane, j, sensor_delays[j, lane] / sample_period)
 
 
-@njit(nogil=True, error_model='numpy')
+@helper
 def inject_outputs(block: int, i: int, machines: int, measured, gains, reading, state) -> None:
     """Correct the states of LANES machines by the measurements of a sample: state += gains @ (measured - reading).
 
@@ -464,7 +465,7 @@ def inject_outputs(block: int, i: int, machines: int, measured, gains, reading, 
                     state[k, lane] += gains[k, j] * innovation
 
 
-@njit(nogil=True, error_model='numpy')
+@helper
 def hold_inputs(
     block: int, parameters, time, i: int, steps: int, h: float, inputs, extra, drive_delays, voltages, external_forces
 ) -> None:
