@@ -123,7 +123,7 @@ def _initial_state(machine: Machine, recording: Recording) -> InitialState:
     usable = _without_saturated(machine, recording, noise)
     initial = measured_initial_state(usable, machine, EncoderZeros.of_machine(machine), quanta)
     refined = bool(machine.effects) and bool(initial.offset_known.any())
-    initial = dataclasses.replace(initial, offsets_refined=refined)
+    initial = dataclasses.replace(initial, zeros_refined=refined)
     state = model_initial_state(machine, initial)
     max_means = max_zero_means(behind_belts(machine), quanta)
     measured = np.isfinite(usable.outputs)

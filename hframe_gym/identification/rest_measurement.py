@@ -38,7 +38,7 @@ class InitialState:
         resting_rows: Number of rows at rest at the beginning of the run.
         offset_known: True for each encoder that kept its zero in all runs and resolves the stretch of the belts, shape
             (sensors,).
-        offsets_refined: Whether a fitted machine has corrected the encoders' zeros.
+        zeros_refined: Whether a fitted machine has corrected the encoders' zeros.
         position_measured: Whether sensors with a known zero measure the position at rest.
         lasers_measured: Whether sensors with a fixed zero alone measure the position at rest.
         position_known: Whether these sensors determine the position at rest, if necessary by later measurements.
@@ -56,7 +56,7 @@ class InitialState:
     offset: Array
     resting_rows: int
     offset_known: NDArray[np.bool_]
-    offsets_refined: bool = False
+    zeros_refined: bool = False
     position_measured: bool = True
     lasers_measured: bool = True
     position_known: bool = True
@@ -167,20 +167,20 @@ def estimate_initial_state(recording: Recording, machine: Machine, zeros: Encode
         usable |= replaced
         warnings = (_position_warning(recording, machine, fixed & ~measured, replaced),)
     # An angle is as accurate as a length once it is multiplied by the radius.
-    weight = np.where(known, np.where(zeros.stretched, _STRETCHED_WEIGHT, 1.0), _FALLBACK_WEIGHT)
+    weight = np.where(known, np.where(zeros.resolves_stretch, _STRETCHED_WEIGHT, 1.0), _FALLBACK_WEIGHT)
     weight = np.where(usable, np.where(fixed, 1.0, weight) * machine.travel_per_unit[site], 0.0)
     # Weighted least squares for the motion that stretches no belt.
     position_from_reading = rigid @ np.linalg.pinv(weight[:, None] * seen, rcond=1e-12) * weight
     reading = np.where(usable, reading, np.nan)
     position = position_from_reading @ np.nan_to_num(reading)
-    for j in np.flatnonzero(known & measured & zeros.stretched):
+    for j in np.flatnonzero(known & measured & zeros.resolves_stretch):
         position[site[j]] = reading[j] / machine.sensors[j].row[machine.sensors[j].coordinate]
     offset = np.where(known, zeros.offset, np.where(measured, measurement - machine.sensor_matrix @ position, 0.0))
     return InitialState(
         np.concatenate([position, np.zeros_like(position)]),
         offset,
         rows,
-        zeros.stretched,
+        zeros.resolves_stretch,
         position_measured=position_measured,
         lasers_measured=lasers_measured,
         position_known=position_measured or _rank(seen[(fixed | known) & usable]) == _rank(seen),

@@ -223,7 +223,7 @@ def _score(candidate: Candidate, information: Array, gradient: Array, before: Ar
     ridge = _RIDGE * np.diag(np.maximum(np.diag(information), 1e-300))
     if candidate.effect.family == TABLE_FAMILY:
         ridge += chi2 * second_difference_penalty(len(gradient))
-    if candidate.fixed:
+    if candidate.has_no_amplitude:
         amounts: Array = np.ones_like(gradient)
     else:
         amounts = np.array(-np.linalg.solve(information + ridge, gradient), float)

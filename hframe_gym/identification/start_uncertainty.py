@@ -19,7 +19,7 @@ from scipy.linalg import null_space
 
 from ..dynamics import Equations
 from ..machine import Machine
-from .dataset import Dataset, PreparedRecording, refine_encoder_offsets
+from .dataset import Dataset, PreparedRecording, refine_encoder_zeros
 from .prediction import POLISH_STEP, SEARCH_STEP, SIMULATION, map_runs, predict, residuals
 from .rest_measurement import InitialState, rigid_basis
 
@@ -231,7 +231,7 @@ def most_probable_initial_state(machine: Machine, run: PreparedRecording, data: 
 def refine_starts(data: Dataset, machine: Machine, reference: Dataset | None = None) -> Dataset:
     """Correct what is assumed about the starts of the runs with a fitted machine.
 
-    These are the zeros of the encoders, see `dataset.refine_encoder_offsets`, and the states of effects that remember
+    These are the zeros of the encoders, see `dataset.refine_encoder_zeros`, and the states of effects that remember
     motion before the recording. Fits linearize around the states, whose influence is nonlinear where a hysteresis has
     almost reached its limit.
 
@@ -245,7 +245,7 @@ def refine_starts(data: Dataset, machine: Machine, reference: Dataset | None = N
         Copy with corrected starts and measurements, m or rad, shape (n, sensors) for each run; `data` itself if there
         is nothing to correct.
     """
-    data = refine_encoder_offsets(data, machine, reference)
+    data = refine_encoder_zeros(data, machine, reference)
     if not np.any(_effect_state_spreads(machine) > 0.0):
         return data
 
