@@ -20,7 +20,7 @@ from ..effects.smooth_table import TABLE_FAMILY
 from ..machine import AppliedEffect, Effect, EffectParameter, Machine
 from .dataset import Dataset, TypicalScales
 from .free_parameters import FreeParameter
-from .screening import has_no_small_version
+from .screening import replaces_model_part
 from .sensor_properties import UNLIMITED
 
 Array = NDArray[np.float64]
@@ -120,7 +120,7 @@ def candidates(
     present = {e.label for e in machine.effects}
     proposed: list[Candidate] = []
     for effect in EFFECTS.values():
-        if has_no_small_version(effect) or effect.refitted:
+        if replaces_model_part(effect) or effect.refitted:
             continue
         for site in effect_sites(effect, machine):
             if f"{effect.name}@{site}" in present:
