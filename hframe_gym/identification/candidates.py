@@ -64,7 +64,7 @@ class Candidate:
 
     @property
     def has_no_amplitude(self) -> bool:
-        """Whether the effect (deviation from the model) has no amplitude, a parameter that is 0 without the effect."""
+        """Whether the effect (deviation from the model) has no amplitude that could be reduced to zero."""
         return not self.effect.amplitudes
 
     def applied(self, amounts: Sequence[float]) -> AppliedEffect:
@@ -201,9 +201,9 @@ def _range_shapes(j: int, data: Dataset) -> list[Mapping[str, float]]:
 def effect_parameters(effect: AppliedEffect, machine: Machine, scales: TypicalScales) -> tuple[FreeParameter, ...]:
     """List the parameters of an effect that a fit changes (free parameters), with their priors and bounds.
 
-    The optimizer changes one dimensionless variable theta per parameter, see `FreeParameter`. A positive parameter is
-    start * exp(theta). A parameter that may be zero or negative is start + size * theta, with a typical size. The
-    ordinates of a table (a curve given by its values at knots) are size * theta: their prior is centered at 0.
+    The optimizer changes one dimensionless variable theta per parameter, see `FreeParameter`. With the starting value
+    `start`, a positive parameter is start * exp(theta); one that may be zero or negative is start + size * theta, with
+    a typical size. The ordinates of a table (a curve given by its values at knots) are size * theta.
 
     Args:
         effect: Effect (deviation from the nominal model) with its starting values.
@@ -222,7 +222,7 @@ def effect_parameters(effect: AppliedEffect, machine: Machine, scales: TypicalSc
         size = p.scale * at_site.get(p.unit, 1.0)
         lower, upper = _bounds(p, value, at_site)
         if effect.definition.family == TABLE_FAMILY:
-            # Centered at zero, because the prior of a smooth curve (`along`) penalizes the ordinates' own differences.
+            # Centered at zero, because the prior of a smooth curve (`along`) penalizes differences of the ordinates.
             free.append(FreeParameter(name, 0.0, prior=10.0, scale=size, lower=lower, upper=upper, along=effect.label))
         elif p.amplitude or p.role == "phase":
             free.append(FreeParameter(name, value, prior=10.0, scale=size, lower=lower, upper=upper))
@@ -309,9 +309,8 @@ def periodogram_peaks(motion: Array, *, friction: bool) -> Array:
 def slow_rates(position: Array) -> Array:
     """Return a grid of spatial rates (2 pi / period) of slow variations of friction over the position.
 
-    The grid has 0.5 to 6 periods over the range of the positions. Noise can hide slow variations of friction in the
-    missing force, in whose periodogram they have no peak then, but they are visible in the position error of a
-    simulation.
+    The grid has 0.5 to 6 periods over the range of the positions. It is tried in addition to `periodogram_peaks`,
+    because noise in the missing force can hide slow variations that are visible in the position error of a simulation.
 
     Args:
         position: Positions of one coordinate over all rows of all runs, in its unit, shape (n,).

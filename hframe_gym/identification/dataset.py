@@ -177,7 +177,7 @@ def with_known_positions(data: Dataset) -> tuple[Dataset, tuple[str, ...]]:
         data: Data set of prepared runs (times, voltages, measurements, SI).
 
     Returns:
-        data: Copy without these runs; the given data set if no run would remain.
+        data: Copy without these runs (measurements of shape (n, sensors) each); the given one if no run would remain.
         warnings: One sentence for each run that was left out.
     """
     located = [run.name for run in data.runs if run.initial.position_known]

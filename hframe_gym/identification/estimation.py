@@ -60,7 +60,7 @@ class Fit:
 
     @property
     def chi2(self) -> float:
-        """Chi-squared per sample, dimensionless: cost / independent values, 1 if only the sensors' noise remains."""
+        """Chi-squared per sample (mean squared residual / noise variance), 1 if only the sensors' noise remains."""
         return self.cost / self.count
 
     @property
@@ -87,9 +87,8 @@ def fit(
 ) -> Fit:
     """Fit free parameters of a machine to a data set by the Levenberg-Marquardt method.
 
-    The fit minimizes the cost, which is the sum of squared residuals in units of the sensors' noise, plus the quadratic
-    penalty of the Gaussian priors. The optimizer changes one dimensionless variable theta per free parameter, see
-    `FreeParameter`.
+    The fit minimizes the cost (sum of squared residuals in units of the noise) plus the penalty of the Gaussian priors.
+    The optimizer changes one dimensionless variable theta per free parameter, see `FreeParameter`.
 
     Args:
         machine: Machine that supplies the model and the values of all other parameters.
@@ -102,8 +101,7 @@ def fit(
         longest_step: Maximum integration step, s.
 
     Returns:
-        Fit with the machine, theta, shape (k,), and the cost, dimensionless, at the minimum. The cost excludes the
-        penalty of the priors; it is infinite if the machine diverges.
+        Fit at the minimum: machine, theta, shape (k,), and cost without the penalty, infinite if the machine diverges.
     """
     model = ResidualModel(machine, tuple(free), data, bandwidth, longest_step)
     theta = np.zeros(len(free)) if theta is None else np.array(theta, float)

@@ -22,10 +22,10 @@ _BELT_PRIOR = 0.3
 _LENGTH_PRIOR = 0.1
 _MOTOR_PRIOR = 0.2
 _EFFECT_PRIOR = 0.5
-# A parameter that is fitted as a logarithm may move this many standard deviations of its prior. Wider limits let a
-# refit without the missing effects go so far astray (a mass twenty times the declared one stands for a spring) that the
-# search does not return. Linear parameters have no such limit: the typical sizes by which they are divided are rough (a
-# spring may be stronger than the drives).
+# A parameter that is fitted as a logarithm may move this many standard deviations of its prior. With wider limits, a
+# refit without the missing effects may end so far away (a mass twenty times the declared one instead of a spring) that
+# the search does not return. Linear parameters have no such limit: the typical sizes by which they are divided are only
+# rough estimates (a spring may be stronger than the drives).
 _MAXIMUM_DEVIATION = 4.0
 _LIMIT_TOLERANCE = 0.01  # relative
 # Friction of a coordinate that declares none: unit of theta as a fraction of the typical force.

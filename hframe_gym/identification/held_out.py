@@ -106,7 +106,7 @@ def is_excited(selected: SelectedEffect, machine: Machine, validation: Dataset, 
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
 
     Returns:
-        True if the root mean square change of the predictions is at least 1/20 of that of their errors.
+        True if the root mean square change of the predictions is at least 1/20 of the root mean square error.
     """
     without = _machine_without(selected, machine)
 

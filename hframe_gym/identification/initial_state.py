@@ -32,8 +32,8 @@ def measured_initial_state(recording: Recording, machine: Machine, zeros: Encode
     """Estimate the initial state of a run from its measurements at rest and the encoder zeros of its session.
 
     A zero is the measurement at position 0; a session is all runs of a rig together. An encoder may have been switched
-    on anew for this run. Its zero in the session is not used if it puts the pulley further away from static equilibrium
-    than friction can hold it.
+    on anew for this run. Therefore a zero of the session is not used if the pulley angle that results from it is
+    further away from static equilibrium than friction can hold the pulley.
 
     Args:
         recording: The run (times, voltages, measurements); saturated measurements are NaN.
@@ -192,7 +192,8 @@ def encoder_angles(machine: Machine, initial: InitialState) -> dict[int, float]:
 def concentric_angle(machine: Machine, index: int, angle: float) -> float:
     """Convert the angle of an eccentric pulley at rest to that of a concentric pulley with the same belt travel.
 
-    The model's coordinates are angles of concentric pulleys, whose belt travel is radius * angle.
+    A simulation starts from the angles of concentric pulleys, whose belt travel is radius * angle. The conversion is
+    accurate to first order in the eccentricity.
 
     Args:
         machine: Machine with its effects (deviations from the nominal model), such as eccentric pulleys.

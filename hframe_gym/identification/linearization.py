@@ -117,7 +117,7 @@ class NormalEquations:
 
     @property
     def chi2(self) -> float:
-        """Chi-squared per sample, dimensionless: cost / count, 1 if only the sensors' noise remains."""
+        """Chi-squared per sample (mean squared residual / noise variance), 1 if only the sensors' noise remains."""
         return self.cost / self.count
 
     @property
@@ -242,7 +242,7 @@ class ResidualModel:
                 shape (m, rows). Default: none.
 
         Returns:
-            Jacobian, shape (k, rows), residual, (rows,), and responses, without what the initial belt stretch explains.
+            Jacobian, shape (k, rows), residual, (rows,), and responses, all projected by `initial_state_projection`.
         """
         machine = self.machine_at(theta)
         thetas = np.vstack([theta, theta + DIFFERENCE_STEP * np.eye(len(self.free))])
@@ -328,7 +328,7 @@ class Linearization:
     def costs(self, thetas: Array) -> Array:
         """Compute the costs of trial parameters by new predictions, not from the linearization.
 
-        The initial states, and what they may explain of the residual, are those of the expansion point.
+        The initial states, and the projection that removes their uncertainty, are those of the expansion point.
 
         Args:
             thetas: Dimensionless variables of the k free parameters for each trial of a batch, shape (batch, k).

@@ -1,4 +1,4 @@
-"""The error of a model beyond the sensors' noise: its size, and whether an effect stands out from it.
+"""The error of a model beyond the sensors' noise: its size, and whether an effect is larger.
 
 No model of a real machine is exact. A small force that no effect of the library describes (a residue) accumulates in a
 simulation to many times the sensors' noise, and effects that do not exist can reproduce parts of this error. Three
@@ -233,7 +233,7 @@ def _leave_one_out_cost(fitted: Fit, data: Dataset) -> float:
 
 
 def contradicting_run(fitted: Fit, data: Dataset) -> str | None:
-    """Find the run that contradicts the other runs most: the machine that explains them does not explain it.
+    """Find the run that contradicts the other runs: the machine that is fitted to them does not explain this run.
 
     The cause may be a mistake (a loose connector, a slipped belt, another amplifier setting) or an effect that only
     this run excites. Only a search for effects can distinguish the two.

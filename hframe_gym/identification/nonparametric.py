@@ -54,7 +54,8 @@ def table_candidates(
 
     - the ones that explain most, because a force on one coordinate also appears in the missing force of the others;
     - one over time, because a position that differs from run to run correlates with time;
-    - one over the position of the coordinate, because refitted friction can hide such a force in the missing force.
+    - one over the position of the coordinate, because refitted friction can reproduce a part of such a force, which is
+      then absent from the missing force.
 
     Args:
         machine: Machine with the effects (deviations from the nominal model) that have been selected so far.

@@ -103,8 +103,8 @@ def inseparable_parameters(machine: Machine, declared: Machine) -> tuple[Insepar
     """Find sets of parameters that the data do not separate: only some weighted sums influence the measurements.
 
     The covariance is scaled by the standard deviations of the priors. Its eigenvectors with an eigenvalue above 0.25
-    are directions along which the data reduced the variance of the prior by less than a factor of four. Parameters that
-    share such a direction are not separated from each other.
+    are directions along which the data reduced the variance of the prior by less than a factor of four. The data do not
+    separate the parameters that contribute to the same direction.
 
     Args:
         machine: Identified machine with its uncertainty.

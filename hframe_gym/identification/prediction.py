@@ -137,8 +137,7 @@ def predict(
             (batch, n, coordinates). Default: none.
         extra_measurement: Value added to the sensors' output, in their units, shape (batch, n, sensors). Default: none.
         initial_state: Positions, then velocities, in the coordinates' units, shape (batch, 2 * coordinates) or
-            (2 * coordinates,). The encoders of the whole batch count from the first state. Default:
-            `run.initial_state(machine)`.
+            (2 * coordinates,). Encoders count from the first state. Default: `run.initial_state(machine)`.
         longest_step: Maximum integration step, s.
         states: Whether to return positions and velocities too.
 
@@ -177,7 +176,7 @@ def predict(
 def mechanical_rows_per_block(data: Dataset) -> int:
     """Return how many rows of a residual may be combined into one without loss of mechanical effects.
 
-    Mechanical effects change the measurements more slowly than in 4 ms, see `residuals` for the combination of rows.
+    Mechanical effects hardly change the residual within 4 ms. `residuals` describes how rows are combined.
 
     Args:
         data: Data set, for its sampling period.

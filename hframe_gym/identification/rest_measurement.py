@@ -135,9 +135,8 @@ def estimate_initial_state(recording: Recording, machine: Machine, zeros: Encode
     """Estimate the state at rest and the sensors' zeros (measurements at position 0) from one run.
 
     Sensors with a known zero determine the position: lasers, whose zero is fixed, and encoders whose zero is given.
-    Other encoders are used only where nothing else measures. Belts count as unstretched, except where an encoder with a
-    known zero resolves their stretch. If a laser measures nothing at rest, for example because it is saturated, its
-    later measurements are used, minus the displacement that the encoders measure from rest until then.
+    Other encoders are used only where nothing else measures. Only encoders with a known zero measure a stretch of the
+    belts. A laser that is saturated at rest is replaced by its later measurements minus the encoders' displacement.
 
     Args:
         recording: The run (times, voltages, measurements); saturated measurements are NaN.
@@ -145,8 +144,7 @@ def estimate_initial_state(recording: Recording, machine: Machine, zeros: Encode
         zeros: Zeros of the encoders, from all runs together. Default: unknown.
 
     Returns:
-        Positions at rest, m or rad, shape (coordinates,), and zeros of the sensors, m or rad, shape (sensors,). Its
-        `warnings` state what no sensor measures and what is assumed instead.
+        Positions at rest, m or rad, zeros of the sensors, shape (sensors,), and warnings about what is not measured.
     """
     rows = count_resting_rows(recording)
     zeros = zeros or EncoderZeros.of_machine(machine).without(np.ones(len(machine.sensors), np.bool_))

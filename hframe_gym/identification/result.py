@@ -169,13 +169,13 @@ class IdentificationResult:
 
     @property
     def explained(self) -> float:
-        """Fraction (at most 1) of the squared error beyond noise, on held-out runs, that all effects together remove."""
+        """Fraction (at most 1) of the squared error beyond noise, on held-out runs, that all the effects remove."""
         before, after = (max(e.held_out.noise_ratio**2 - 1.0, 0.0) for e in (self.before, self.after))
         return 1.0 - after / before if self.effects and before > 0.0 else 0.0
 
     @property
     def left(self) -> float:
-        """Simulation error / sensor noise (rms over channels) that the selected effects leave on the held-out runs."""
+        """Ratio of simulation error to sensor noise (rms over channels) with all effects, on the held-out runs."""
         return self.after.held_out.noise_ratio
 
     @property
@@ -299,7 +299,8 @@ def plot_data(result: IdentificationResult) -> dict[str, Array]:
           machine, in the sensors' units, shape (n, sensors).
         - ``force/variable``: variable that the residual force of the fitted runs depends on most, thinned to m points,
           SI, shape (m,); absent if there is none.
-        - ``force/before``, ``force/after``: residual force of the two machines at these points, N or Nm, shape (m,).
+        - ``force/before``, ``force/after``: residual force of the refitted and of the corrected machine at these
+          points, N or Nm, shape (m,).
         - ``coverage/NAME``: positions, velocities and inputs of the fitted runs, thinned, SI, shape (m,).
     """
     curves: dict[str, Array] = {}

@@ -37,7 +37,8 @@ def simplest_first(trials: list[Fit], current: Fit, data: Dataset, criteria: Sel
         criteria: Decision thresholds, among them the margin.
 
     Returns:
-        First the trials that are as good as the best one, by the number of their parameters; then all others by cost.
+        First the trials that are as good as the best one, by the number k of their parameters (theta, shape (k,)); then
+        all others by cost.
     """
     ranked = sorted(trials, key=lambda trial: trial.cost)
     if not ranked:

@@ -103,7 +103,7 @@ def independent_values(time_s: Array, outputs: Array, quanta: Array) -> Array:
     """Return how many independent values each measurement counts as, at most 1.
 
     While a machine rests, all measurements of a quantized sensor have the same rounding error. Together, they contain
-    no more information about the position than one of them, so they share the count of 1.
+    no more information about the position than one of them, so their counts add up to 1.
 
     Args:
         time_s: Sample times, s, shape (n,).
@@ -154,7 +154,7 @@ def clock_jitter(times: Sequence[Array], channel: Sequence[Array], noise: float)
 
     Returns:
         Standard deviation of the sampling time relative to the recorded time, s. It is 0 unless the variance due to
-        jitter exceeds the sensor's own variance, because vibrations may cause smaller values.
+        jitter exceeds that of the sensor's noise, because vibrations may cause smaller values.
     """
     squares, speeds = [], []
     for time_s, values in zip(times, channel, strict=True):

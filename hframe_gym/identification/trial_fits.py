@@ -95,7 +95,7 @@ def structural_trial_fits(
     """Fit the machine with each of the most promising effects that replace a part of the model, one at a time.
 
     These effects add coordinates (structural effects) or replace dry friction. Their trials take longer than those of
-    other effects, because each needs its own compiled simulation code.
+    other effects, because each needs newly compiled simulation code.
 
     Args:
         current: Fit without candidates; the trials have its observer bandwidth.

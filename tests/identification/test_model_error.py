@@ -19,9 +19,9 @@ from hframe_gym.identification.free_parameters import FreeParameter
 from hframe_gym.identification.model_error import (
     BANDWIDTHS,
     fit_with_model_error,
-    likelihood_loss,
     leave_one_out_gain,
     likelihood_deficit,
+    likelihood_loss,
     minimum_gain,
     narrower_observer,
 )
