@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from .rest_measurement import InitialState
 
 Array = NDArray[np.float64]
-# Runs needed to tell an encoder that keeps its zero from one that was switched on for every run.
+# Runs needed to distinguish an encoder that keeps its zero from one that is switched on anew for every run.
 _MIN_RUNS_FOR_ZERO = 3
 _MIN_STRETCH = 0.1e-3  # rad; zeros that scatter by less from run to run show no stretch of the belts.
 _MAX_SCATTER = 4.0  # Standard deviations of the scatter from run to run within which an encoder kept its zero.

@@ -202,7 +202,7 @@ class EffectSearch:
     def _exchange(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection:
         """Replace earlier effects by others that explain the data better beside the later ones (recursively).
 
-        The first effects are selected while others are still missing, and may stand for a mixture of causes.
+        The first effects are selected while others are still missing, and may represent a mixture of causes.
         """
         data, criteria = self._data, self._criteria
         if current.chi2 <= criteria.noise_level:

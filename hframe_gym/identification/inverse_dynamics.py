@@ -97,7 +97,7 @@ def _inverse_dynamics(
 def _centered_mean(time_s: Array, values: Array, delay: float) -> Array:
     """Return the mean of a delayed, held input over one period around each sample, shape (n,).
 
-    A central difference of the measured motion sees the force around its sample, half of which the previous input
+    A central difference of the measured motion shows the force around its sample, half of which the previous input
     still determines.
     """
     period = float(np.median(np.diff(time_s)))

@@ -138,15 +138,15 @@ class NormalEquations:
         """
         hessian = self.information + precision
         right_side = np.column_stack([self.cross_products, self.gradient])
-        mimicked = self.cross_products.T @ np.linalg.solve(hessian, right_side)  # (m, m + 1)
+        reproduced = self.cross_products.T @ np.linalg.solve(hessian, right_side)  # (m, m + 1)
         return NormalEquations(
             information=np.zeros((0, 0)),
             gradient=np.zeros(0),
             cost=self.cost,
             count=self.count,
             cross_products=np.zeros((0, len(self.response_gradient))),
-            response_information=self.response_information - mimicked[:, :-1],
-            response_gradient=self.response_gradient - mimicked[:, -1],
+            response_information=self.response_information - reproduced[:, :-1],
+            response_gradient=self.response_gradient - reproduced[:, -1],
         )
 
 

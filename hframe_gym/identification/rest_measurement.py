@@ -246,7 +246,7 @@ def _later_measurements(recording: Recording, at_rest: Array, machine: Machine, 
 def _position_warning(
     recording: Recording, machine: Machine, silent: NDArray[np.bool_], replaced: NDArray[np.bool_]
 ) -> str:
-    """Return the sentence that says how an unmeasured position was determined."""
+    """Return a sentence about how an unmeasured position was determined."""
     channels = np.array(machine.output_channels)
     if silent.any() and np.array_equal(silent, replaced):
         return (
