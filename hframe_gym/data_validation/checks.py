@@ -18,23 +18,23 @@ from .wiring import check_wiring, rigid_misfit, rigid_prediction
 
 Array = NDArray[np.float64]
 
-_MIN_REST = 0.05  # s at rest that determine the initial state and the sensors' zeros
+_MIN_REST = 0.05  # s; a shorter rest hardly determines the initial state and the sensors' zeros
 _REST_TOLERANCE = 1e-6  # s; times in a file are rounded
 _STUCK_AFTER = 0.1  # s; a channel that is constant for a shorter time is not stuck
 _LONGEST_BLANK = 0.02  # s; longer times between two measurements are not bridged
-_MOVES = 0.1  # of its span in the run; a channel that should have moved by less may have been at rest
-_STRETCH_MARGIN = 2.0  # friction, drives and stiffness are as declared, which may be wrong by this factor
+_MOVES = 0.1  # fraction of a channel's span in the run; a channel that should have moved by less may have been at rest
+_STRETCH_MARGIN = 2.0  # factor by which the declared friction, drives and stiffness may be wrong
 _NOISE_SPAN = 8.0  # peak-to-peak noise in standard deviations
-_MORE_NOISE = 3.0  # times the declared noise
-_CONSISTENT = 0.3  # of the motion; other channels that contradict each other by more prove nothing
+_MORE_NOISE = 3.0  # ratio of measured to declared noise above which the noise is reported as advice
+_CONSISTENT = 0.3  # fraction of the motion; other channels that contradict each other by more prove nothing
 
 
 def check_recordings(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
     """Check recordings of a machine before identification.
 
-    The checks cover the clock, the rest before the motion, sensors (noise, outliers, empty, stuck or clipped channels),
-    wiring (signs, swapped channels, units, ratios), excitation, and the precision with which parameters can be
-    estimated.
+    The checks cover the clock, the rest before the motion, the sensors (noise, outliers, empty, stuck or clipped
+    channels), the wiring (signs, swapped channels, units, gear ratios), the excitation, and the precision with which
+    parameters can be estimated. If the times of a run appear to be in milliseconds, only this is reported.
 
     Args:
         recordings: Runs of the machine (times, voltages, measurements), at least one.
@@ -62,17 +62,19 @@ def check_recordings(recordings: Sequence[Recording], machine: Machine) -> list[
 
 
 def check_before_fit(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
-    """Find the faults that make a fit meaningless, and what it has to cope with; `hframe identify` calls it first.
+    """Find faults in recordings that make a fit meaningless, and defects that impair it.
 
-    It is the part of `check_recordings` that concerns the data and not the experiment: clock, inputs that never change,
-    outliers, stuck or clipped outputs, and wiring (signs, swapped channels, units, ratios).
+    `hframe identify` calls this function first. It makes those checks of `check_recordings` that concern the quality of
+    the data: clock, inputs that never change, outliers, stuck or clipped outputs, and wiring (signs, swapped channels,
+    units, gear ratios). It does not check whether the excitation suffices.
 
     Args:
         recordings: Runs of the machine (times, voltages, measurements), at least one.
         machine: Machine as declared, before identification.
 
     Returns:
-        Findings (severity, run, channel, message) of severity "fault" (the data contradict themselves), then "advice".
+        Findings (severity, run, channel, message): first those of severity "fault", which make a fit meaningless, then
+        those of severity "advice".
     """
     if wrong_times := times_in_milliseconds(recordings):
         return wrong_times
@@ -90,7 +92,10 @@ def _faults_and_advice(
     moving: Sequence[str],
     machine: Machine,
 ) -> list[Finding]:
-    """Check clock, outliers, stuck outputs and wiring of runs as recorded, without outliers, and prepared for a fit."""
+    """Check slow sensors, sampling, outliers, stuck outputs and wiring.
+
+    The runs are given as recorded, without outliers (`cleaned`), and prepared for a fit (`data`).
+    """
     findings = slow_sensors(recordings, machine)
     for recording, without in zip(recordings, cleaned, strict=True):
         findings += check_sampling(recording) + _outliers(without_repetitions(recording), without, machine)
@@ -171,8 +176,8 @@ def _outliers(recording: Recording, cleaned: Recording, machine: Machine) -> lis
 def _stuck_outputs(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
     """Report outputs that keep one value while they should move.
 
-    At an end of its span over all runs, a sensor with a fixed zero may be at the end of its range, which identification
-    handles. Elsewhere the channel is certainly stuck.
+    If this value is the smallest or the largest over all runs, a sensor with a fixed zero may have reached the end of
+    its range (advice), which identification handles. Otherwise the channel is stuck (fault).
     """
     findings = []
     # Ends of the channels' spans over all runs, (2, sensors).
@@ -245,7 +250,7 @@ def _longest_stuck_interval(
 
 
 def _consistent(outputs: Array, channel: int, machine: Machine) -> bool:
-    """Return whether the other channels agree with each other, as far as their number allows to tell."""
+    """Return whether the other channels do not contradict each other; True if they are not redundant."""
     others = outputs.copy()
     others[:, channel] = np.nan
     complete = np.isfinite(others) | ~np.isfinite(others).any(axis=0)

@@ -25,16 +25,16 @@ from .wiring import sensor_motions
 Array = NDArray[np.float64]
 
 _OVERVOLTAGE = 1.2  # times the rated voltage, above which the column's unit is doubted
-_NARROW_TRAVEL = 0.3  # of a coordinate's range; less does not determine what depends on position
-_WIDE_TRAVEL = 1.05  # of a coordinate's range; more contradicts the declared range
-_ONE_SIDED = 0.15  # of the moving time in the rarer direction; less does not determine direction-dependent friction
-_SLOW = 0.1  # of the top speed; motion below is slow
-_SLOW_TIME = 0.05  # of the moving time that should be slow, to determine friction at low speed
-_MOVING = 0.01  # of the top speed; motion below is rest
+_NARROW_TRAVEL = 0.3  # fraction of a coordinate's range; less does not determine effects that depend on position
+_WIDE_TRAVEL = 1.05  # fraction of a coordinate's range; more contradicts the declared range
+_ONE_SIDED = 0.15  # fraction of the moving time in the rarer direction that direction-dependent friction requires
+_SLOW = 0.1  # fraction of the top speed; motion below is slow
+_SLOW_TIME = 0.05  # fraction of the moving time that should be slow, to determine friction at low speed
+_MOVING = 0.01  # fraction of the top speed; motion below is rest
 _WINDOW = 0.02  # s, time over which speed is measured
-_TOP_PERCENTILE = 99  # of the speeds; the maximum would be noise
-_MODE_MARGIN = 0.7  # of the lowest belt mode; power above excites the belts
-_MODE_POWER = 1e-3  # of the total power that should be near or above the lowest belt mode
+_TOP_PERCENTILE = 99  # percentile of the speeds that counts as top speed; the maximum would be noise
+_MODE_MARGIN = 0.7  # fraction of the lowest belt frequency; power above it excites the belts
+_MODE_POWER = 1e-3  # fraction of the total power that should be near or above the lowest belt frequency
 
 
 def check_excitation(recordings: Sequence[Recording], data: Dataset, machine: Machine) -> list[Finding]:
@@ -49,8 +49,8 @@ def check_excitation(recordings: Sequence[Recording], data: Dataset, machine: Ma
         machine: Declared machine.
 
     Returns:
-        Findings (severity, run, channel, message): advice where excitation is insufficient and notes elsewhere. Except
-        for constant inputs they are about all runs together.
+        Findings (severity, run, channel, message): "advice" where the excitation is insufficient or contradicts the
+        machine file, "note" where it suffices. All are about all runs together, except for those about constant inputs.
     """
     findings = constant_inputs(recordings, machine) + _overvoltage(recordings, machine)
     if rigid_motions(machine):
@@ -245,8 +245,8 @@ def cramer_rao_bounds(data: Dataset, machine: Machine, names: Sequence[str] = ()
             are left out.
 
     Returns:
-        One bound per parameter, in the order of the names: standard deviation relative to the value, dimensionless, and
-        largest correlation with another parameter.
+        One bound per parameter, in the order of `names`: smallest possible standard deviation divided by the value,
+        dimensionless, and the largest correlation with another parameter.
 
     Raises:
         KeyError: If the machine has no parameter of a given name.
@@ -261,7 +261,7 @@ def cramer_rao_bounds(data: Dataset, machine: Machine, names: Sequence[str] = ()
     at_declared = np.zeros(len(names))
 
     def normal_equations(run: PreparedRecording) -> NormalEquations:
-        """Combine forward and backward differences to central ones; forward ones separate parameters by rounding."""
+        """Use central differences; rounding in forward ones would seem to separate inseparable parameters."""
         rows = forward.linearize_run(run, at_declared)
         opposite = backward.linearize_run(run, at_declared)  # derivatives with respect to decreases
         return NormalEquations.from_rows((rows.jacobian - opposite.jacobian) / 2, rows.residual)
@@ -270,7 +270,9 @@ def cramer_rao_bounds(data: Dataset, machine: Machine, names: Sequence[str] = ()
 
 
 def check_parameters(data: Dataset, machine: Machine) -> list[Finding]:
-    """Report how precisely each parameter that identification refits can be estimated (Cramer-Rao bound).
+    """Report how precisely the recordings can determine each parameter that identification refits.
+
+    The precision is the Cramer-Rao bound: the smallest standard deviation of any unbiased estimate.
 
     Args:
         data: Runs prepared by `identification.prepare` (times, voltages, measurements, SI), in which the machine moves.

@@ -46,14 +46,17 @@ class Finding:
 
 
 def group_findings(findings: Sequence[Finding]) -> list[Finding]:
-    """Merge findings that several runs have in common: same severity, channel and message except for its numbers.
+    """Merge equal findings of several runs into one.
+
+    Findings belong to one group if severity, channel and message are equal; numbers in the message may differ. Findings
+    about all runs together (`run` is "") are merged only if their messages are identical.
 
     Args:
         findings: Findings (severity, run, channel, message) in any order.
 
     Returns:
-        One finding per group in the order of first occurrence: the group's first finding, whose `run` also gives the
-        number of further runs. Findings about all runs (`run` is "") are merged only if they are identical.
+        The first finding of each group, in the order of first occurrence. Its `run` names the first run and the number
+        of further ones, for example "run_01 and 2 more runs".
     """
     groups: dict[tuple[str, str, str], list[Finding]] = {}
     for finding in findings:
@@ -69,9 +72,10 @@ def _merged(group: list[Finding]) -> Finding:
 
 
 def print_findings(findings: Sequence[Finding], console: Console) -> None:
-    """Print findings and their number by severity: as a table on a terminal, as lines of text elsewhere.
+    """Print findings, then the number of findings of each severity.
 
-    Similar findings are merged by `group_findings` before they are printed.
+    `group_findings` merges equal findings of several runs first. A terminal shows a table, other output one line of
+    text per finding.
 
     Args:
         findings: Findings (severity, run, channel, message) in the order of printing.
@@ -101,8 +105,8 @@ def refuse_faults(findings: Sequence[Finding], folder: Path) -> None:
         folder: Folder of the recordings, for the message.
 
     Raises:
-        InputError: If a finding has the severity "fault". The message has one line: file, channel and what to do for
-            each fault, and the option that fits nevertheless.
+        InputError: If a finding has the severity "fault". The message states file, channel and message of each fault,
+            and that the option --force fits nevertheless.
     """
     faults = [finding for finding in findings if finding.severity == "fault"]
     if not faults:

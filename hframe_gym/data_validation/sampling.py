@@ -1,4 +1,4 @@
-"""Checks of when samples were taken: clock, lost samples, and sensors that are slower than the log."""
+"""Checks of the sample times: clock, lost samples, and sensors that are slower than the log."""
 
 from __future__ import annotations
 
@@ -14,19 +14,21 @@ from .findings import Finding, Severity
 
 _LONG_PERIOD = 0.2  # s; slower samples cannot record the motion of a machine
 _LONG_RUN = 120.0  # s
-_JITTER = 0.02  # of the period; standard deviation of the time steps from which it is noted
-_IRREGULAR = 0.1  # of the period; standard deviation above which identification may suffer
+_JITTER = 0.02  # standard deviation of the time steps / period above which it is noted
+_IRREGULAR = 0.1  # standard deviation of the time steps / period above which identification may suffer
 _SAME_RATE = 1.02  # ratio of sampling periods up to which runs have one rate
 
 
 def times_in_milliseconds(recordings: Sequence[Recording]) -> list[Finding]:
-    """Report runs whose samples are too far apart for seconds.
+    """Report runs whose times are probably in milliseconds instead of seconds.
+
+    A median time step of at least 0.2, read as seconds, is too long to record the motion of a machine.
 
     Args:
         recordings: Runs of a machine (times, s).
 
     Returns:
-        A fault for each such run.
+        One finding of severity "fault" for each such run.
     """
     periods = {r.name: float(np.median(np.diff(r.time_s))) for r in recordings if len(r.time_s) > 1}
     advice = "is it in milliseconds? Convert it: hframe import FILE --unit time_s=ms --out RUNS"
@@ -38,13 +40,14 @@ def times_in_milliseconds(recordings: Sequence[Recording]) -> list[Finding]:
 
 
 def check_sampling(recording: Recording) -> list[Finding]:
-    """Report lost samples and irregular sampling of one run.
+    """Check number of rows, gaps, duration and jitter of one run.
 
     Args:
         recording: Run of n rows (times, s, shape (n,)).
 
     Returns:
-        Findings about gaps, duration, jitter, and too few rows, which are a fault.
+        Findings (severity, run, channel, message). Too few rows for identification are a fault. Lost samples, a
+        duration above 120 s and irregular sampling are advice; a small jitter is a note. Empty if nothing is wrong.
     """
     steps = np.diff(recording.time_s)
     if len(steps) + 1 < MIN_ROWS:
@@ -72,13 +75,13 @@ def check_sampling(recording: Recording) -> list[Finding]:
 
 
 def sampling_rate(recordings: Sequence[Recording]) -> Finding:
-    """Report number, duration and sampling rate of the runs.
+    """Report number, total duration and sampling rate of the runs.
 
     Args:
         recordings: Runs of a machine (times, s).
 
     Returns:
-        A note.
+        One finding of severity "note" about all runs.
     """
     periods = [float(np.median(np.diff(r.time_s))) for r in recordings if len(r.time_s) > 1]
     seconds = sum(float(r.time_s[-1] - r.time_s[0]) for r in recordings)
@@ -88,13 +91,15 @@ def sampling_rate(recordings: Sequence[Recording]) -> Finding:
 
 
 def overlapping_clocks(recordings: Sequence[Recording]) -> list[Finding]:
-    """Report runs that overlap in time: their clocks were restarted.
+    """Report runs that overlap in time, because the clock was restarted between them.
+
+    Without a common clock, a drift over the session (all runs of a rig) cannot be identified.
 
     Args:
         recordings: Runs of a machine (times, s).
 
     Returns:
-        A note, or nothing.
+        One finding of severity "note" if runs overlap, otherwise an empty list.
     """
     ordered = sorted(recordings, key=lambda recording: recording.time_s[0])
     overlapping = [b.name for a, b in pairwise(ordered) if b.time_s[0] < a.time_s[-1]]
@@ -107,14 +112,14 @@ def overlapping_clocks(recordings: Sequence[Recording]) -> list[Finding]:
 
 
 def slow_sensors(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
-    """Report the channels whose measurements are repeated, because their sensor is slower than the log.
+    """Report channels whose sensor is slower than the log, so that the log repeats its last measurement.
 
     Args:
         recordings: Runs of the machine (times, s; measurements, m or rad).
         machine: Machine with the sensors.
 
     Returns:
-        Advice for each such channel.
+        One finding of severity "advice" for each such channel.
     """
     findings = []
     for j, channel in enumerate(machine.output_channels):

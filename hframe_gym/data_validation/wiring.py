@@ -36,24 +36,24 @@ _MAX_RATIO_ERROR = 0.5  # a larger relative error is no wrong radius but another
 _RATIO_CORRELATION = 0.9  # minimum correlation at which a ratio is reported
 _MIN_ROWS = 10  # rows that a correlation or slope needs
 _SPEED_FACTOR = 8.0  # factor between measured and simulated speed beyond which a unit is suspected
-_CONTRADICTION = (
-    4.0  # factor between a channel and its prediction by the others beyond which they contradict each other
-)
-_UNIT_TOLERANCE = 2.0  # factor by which the speed of a machine without redundant sensors may differ from the simulated
+_CONTRADICTION = 4.0  # factor between measured motion and prediction by other channels that proves a contradiction
+_UNIT_TOLERANCE = 2.0  # factor between measured and simulated speed, beyond that of a unit, that a model may cause
 _CAUSE = "is its unit or gain wrong?"
 # Suspected unit by the unit of the channel: value per m or rad, and its name.
 _SUSPECTS = {"m": ((1000.0, "millimeters"), (0.001, "kilometers")), "rad": ((180 / np.pi, "degrees"),)}
 
 
 def sensor_motions(machine: Machine) -> Array:
-    """Return how much each sensor's measurement changes per unit of each rigid motion, which stretches no belt.
+    """Return how much each sensor's measurement changes per unit of each rigid motion.
+
+    A rigid motion is a motion that stretches no belt, see `machine.rigid_motions`.
 
     Args:
         machine: Machine with sensors.
 
     Returns:
-        Change of the measurement in the sensor's unit (m or rad) per unit of the motion (m or rad), shape
-        (sensors, motions), with the motions in the order of `rigid_motions`.
+        Change of each measurement, m or rad, per m or rad of each motion, shape (sensors, motions), with the motions in
+        the order of `rigid_motions`.
     """
     motions = np.array(list(rigid_motions(machine).values())).reshape(-1, len(machine.coordinates))
     return machine.sensor_matrix @ motions.T
@@ -69,9 +69,11 @@ def rigid_prediction(outputs: Array, channel: int, machine: Machine) -> tuple[Ar
         machine: Machine with these sensors.
 
     Returns:
-        Predicted measurements up to a constant, m or rad, shape (n,), and the weights of all sensors in the prediction,
-        in the unit of the predicted sensor per unit of the other, shape (sensors,), 0 for unused ones. None instead of
-        both if the other sensors do not determine this one.
+        prediction: Predicted measurements, m or rad, shape (n,), correct except for an unknown constant.
+        weights: Weight of each sensor in the prediction, in the unit of the predicted sensor per unit of the weighted
+            one, shape (sensors,); 0 for sensors that are not used.
+
+        None instead of both if the other sensors do not determine this one.
     """
     M = sensor_motions(machine)  # (sensors, rigid motions)
     others = [k for k in range(len(M)) if k != channel and np.isfinite(outputs[:, k]).any()]
@@ -91,8 +93,8 @@ def rigid_prediction(outputs: Array, channel: int, machine: Machine) -> tuple[Ar
 def rigid_misfit(motion: Array, machine: Machine) -> float:
     """Compute which fraction of a measured motion contradicts rigid kinematics (belts that do not stretch).
 
-    Channels are divided by their change per unit of motion, so that angles and lengths are comparable. Rows in which a
-    channel is missing are left out.
+    A rigid motion is fitted to each row by least squares. Channels are first divided by their change per unit of
+    motion, so that angles and lengths are comparable. Rows in which a channel is missing are left out.
 
     Args:
         motion: Displacements or changes of the measurements, m or rad, shape (n, sensors), NaN where not measured. A
@@ -100,8 +102,8 @@ def rigid_misfit(motion: Array, machine: Machine) -> float:
         machine: Machine with these sensors.
 
     Returns:
-        Root of the residual sum of squares of the best rigid motion over the total sum of squares, dimensionless, 0 to
-        1; 0 if the channels are not redundant or nothing moves.
+        sqrt(sum of squared residuals / sum of squared motions), dimensionless, 0 to 1. It is 0 if nothing moves or if
+        there are too few channels for them to contradict each other.
     """
     M = sensor_motions(machine)  # (sensors, rigid motions)
     used = np.isfinite(motion).any(axis=0) & (np.linalg.norm(M, axis=1) > 0)
@@ -119,8 +121,8 @@ def rigid_misfit(motion: Array, machine: Machine) -> float:
 def check_wiring(data: Dataset, machine: Machine) -> list[Finding]:
     """Check for channels with a wrong sign, unit or gear ratio and for swapped channels.
 
-    Measured speeds are compared with those that the machine simulates under the recorded voltages, over all runs
-    together and then in each run.
+    Measured speeds are compared with the speeds that the machine reaches in a simulation with the recorded voltages:
+    over all runs together and, if these show no fault, in each run.
 
     Args:
         data: Runs prepared by `identification.prepare` in which the machine moves (times, voltages, measurements, SI),
@@ -128,8 +130,8 @@ def check_wiring(data: Dataset, machine: Machine) -> list[Finding]:
         machine: Declared machine.
 
     Returns:
-        Findings (severity, run, channel, message) about all runs together, and about single runs that differ from the
-        others; empty if no mistake is suspected.
+        Findings (severity, run, channel, message) about all runs together, and faults of single runs; empty if no
+        mistake is suspected.
     """
     # Matrices that undo one mistake (a sign, or two swapped channels), by its description.
     output_corrections, input_corrections = _single_corrections(machine)
@@ -205,7 +207,7 @@ def _corrections(channels: Sequence[str], groups: Sequence[str]) -> dict[str, Ar
 def _signs_and_swaps(
     measured: Array, simulated: Array, output_corrections: dict[str, Array], input_labels: list[str], machine: Machine
 ) -> list[Finding]:
-    """Report the single correction that makes measured and simulated speeds agree, or that none does."""
+    """Report the single correction that makes measured and simulated speeds agree, or that they do not agree."""
     unchanged = np.eye(len(machine.sensors))
     initial_score = _score(measured, simulated[0], unchanged, machine)
     agreement, misfit = _agreement(measured, simulated[0]), rigid_misfit(measured, machine)
@@ -237,8 +239,8 @@ def _signs_and_swaps(
 def _units(measured: Array, simulated: Array, data: Dataset, machine: Machine) -> list[Finding]:
     """Report channels whose measured speed is a multiple or a fraction of the simulated one.
 
-    It is a fault if the other channels contradict the channel too, or if nothing else measures the motion and the
-    factor is that of a known unit. Otherwise the machine file may be wrong.
+    This is a fault if the other channels contradict the channel too, or if no other channel measures the motion and the
+    factor is that of a known unit. Otherwise the machine file may be wrong, and the finding is advice.
     """
     findings = []
     for j, sensor in enumerate(machine.sensors):
@@ -281,8 +283,8 @@ def _channel_unit(sensor: Sensor, machine: Machine) -> str:
 def _ratios(data: Dataset, machine: Machine) -> list[Finding]:
     """Report rotary channels that turn too far for the travel that the linear sensors measure.
 
-    Complete travels are compared, because fast motion also stretches the belts. It is no fault, because a scale error
-    of the linear sensors, which identification can find, looks alike.
+    Positions are compared over complete runs, because fast motion also stretches the belts. The finding is advice, not
+    a fault: a scale error of the linear sensors, which identification can find, has the same appearance.
     """
     findings = []
     rotary = [j for j, s in enumerate(machine.sensors) if machine.coordinate(s.coordinate).kind == "rotary"]
@@ -313,7 +315,7 @@ def _ratios(data: Dataset, machine: Machine) -> list[Finding]:
 
 
 def _score(measured: Array, simulated: Array, correction: Array, machine: Machine) -> float | None:
-    """Return agreement with the simulation minus rigid misfit after a correction, or None if nothing moves."""
+    """Return the score of a correction: agreement with the simulation minus rigid misfit; None if nothing moves."""
     available = np.isfinite(measured).any(axis=0)
     missing = np.abs(correction) @ (~available).astype(float) > 0
     corrected = np.where(missing, np.nan, np.nan_to_num(measured) @ correction.T)

@@ -1,8 +1,9 @@
 """List the candidates of the search: every effect of the library at every site, with several starting values.
 
-A site is the component that an effect acts on: a coordinate, a drive, a sensor or the machine. The library gives
-sizes relative to the machine (0.3 of the typical force, a tenth of the top speed); `TypicalScales` converts them to
-values. For effects that are periodic in position, the peaks of the missing force's periodogram are the starting values.
+An effect is a deviation from the nominal model, such as cogging. A site is the component that an effect acts on: a
+coordinate, a drive, a sensor or the machine. The library gives starting values relative to typical sizes (0.3 of the
+typical force, a tenth of the top speed); `TypicalScales` holds these sizes. The starting values of periods are the
+peaks of a periodogram of the missing force, the force that the model lacks.
 """
 
 from __future__ import annotations
@@ -19,14 +20,15 @@ from ..effects.smooth_table import TABLE_FAMILY
 from ..machine import AppliedEffect, Effect, EffectParameter, Machine
 from .dataset import Dataset, TypicalScales
 from .free_parameters import FreeParameter
-from .screening import has_no_small_version
+from .screening import replaces_model_part
 from .sensor_properties import UNLIMITED
 
 Array = NDArray[np.float64]
-_MAX_SHAPES = 64  # Starting values per effect and site.
-_END_FRACTION = 0.005  # Fraction of the measurements at an end of a range that makes it worth a try.
+_MAX_SHAPES = 64  # Sets of starting values per effect and site.
+_END_FRACTION = 0.005  # Fraction of the measurements at one outermost value above which it may be the end of a range.
 
-# Periodogram. Rates are counted in periods over the traveled distance. Less than a period of a force is a spring's.
+# Periodogram. Rates are counted in periods over the range of the positions. Less than one period of a force cannot be
+# distinguished from a spring.
 _MIN_FRICTION_PERIODS, _MIN_FORCE_PERIODS, _MAX_PERIODS = 0.5, 1.0, 150.0
 _LEAST_PERIOD_PRIOR = 0.1  # relative
 _POINTS_PER_PERIOD = 4  # Grid points per resolvable period.
@@ -44,9 +46,9 @@ class Candidate:
     Attributes:
         effect: Definition of the effect.
         site: Name of the coordinate, drive or sensor on which the effect acts, or "machine".
-        columns: Complete sets of effect parameters, by parameter name. Each set is one basis function of the effect at
-            its typical size (for example sine and cosine); the effect is their weighted sum. An effect without an
-            amplitude has a single set, which is the effect itself.
+        columns: Basis functions of the effect (for example sine and cosine), whose weighted sum is the effect. Each is
+            a complete set of effect parameters, by parameter name, with the amplitude at its typical size. An effect
+            without an amplitude has a single set, which is the effect itself.
         scales: Typical sizes at the site, by unit of the effect's parameters, see `TypicalScales.of`.
     """
 
@@ -61,21 +63,21 @@ class Candidate:
         return f"{self.effect.name}@{self.site}"
 
     @property
-    def fixed(self) -> bool:
-        """Whether the effect (deviation from the model) has no amplitude, so that no parameter switches it off."""
+    def has_no_amplitude(self) -> bool:
+        """Whether the effect (deviation from the model) has no amplitude that could be reduced to zero."""
         return not self.effect.amplitudes
 
     def applied(self, amounts: Sequence[float]) -> AppliedEffect:
-        """Return the effect (deviation from the model) that is the weighted sum of the candidate's basis functions.
+        """Return the effect (deviation from the model) that is the weighted sum of the basis functions in `columns`.
 
-        For an effect with a phase the two weights, of the sine and of the cosine, become amplitude and phase. An effect
-        without amplitudes ignores the weights.
+        The two weights of an effect with a phase belong to sine and cosine; they are converted to amplitude and phase.
+        An effect without amplitudes ignores the weights.
 
         Args:
-            amounts: Dimensionless weight of each basis function (each entry of `columns`), shape (basis functions,).
+            amounts: Dimensionless weight of each basis function, shape (basis functions,).
 
         Returns:
-            Effect at the site; its parameters are clipped to their bounds.
+            Effect at the candidate's site, with parameters clipped to their bounds.
         """
         values = dict(self.columns[0])
         phase = next((p.name for p in self.effect.parameters if p.role == "phase"), None)
@@ -105,20 +107,20 @@ def candidates(
         data: Prepared recordings (times, voltages, measurements).
         scales: Typical sizes of force, speed and so on, by which relative starting values are multiplied.
         missing_force: By coordinate name, an array of shape (n, 3) over all rows of all runs: position, velocity and
-            the force that the model lacks, in the coordinate's units, see `residual.missing_force`. The periods of
-            periodic effects are those of this force (peaks of its periodogram over the position).
-        slow_friction: Whether friction that is periodic in position is also tried with all long periods, see
+            the force that the model lacks, in the coordinate's units, see `residual.missing_force`. The strongest
+            periods of this force over the position are the starting values of the periods of effects.
+        slow_friction: Whether friction that is periodic in position is also tried with the long periods of
             `slow_rates`.
 
     Returns:
-        Candidates that add a force or change a measurement, at most 64 sets of starting values per effect and site.
-        Excluded are effects that changed parameters of the machine can represent, and those that replace a part of the
-        model, which `screening.screen_structures` tries.
+        One candidate per effect, site and set of starting values, at most 64 per effect and site. Effects that a refit
+        of the machine's parameters can represent are left out. Effects that replace a part of the model are left out
+        as well; `screening.screen_structures` tries them.
     """
     present = {e.label for e in machine.effects}
     proposed: list[Candidate] = []
     for effect in EFFECTS.values():
-        if has_no_small_version(effect) or effect.refitted:
+        if replaces_model_part(effect) or effect.refitted:
             continue
         for site in effect_sites(effect, machine):
             if f"{effect.name}@{site}" in present:
@@ -130,7 +132,7 @@ def candidates(
 
 
 def _scales_at(effect: Effect, site: str, machine: Machine, scales: TypicalScales) -> Mapping[str, float]:
-    """Return the typical sizes at a site; those of the first drive serve for all drives."""
+    """Return the typical sizes at a site; an effect on all drives together takes those of the first drive."""
     shared = site not in [d.name for d in machine.drives] and site == "drives"
     return scales.of(machine.coordinate_of_site(machine.drives[0].name if shared else site, effect.site) or "")
 
@@ -138,7 +140,7 @@ def _scales_at(effect: Effect, site: str, machine: Machine, scales: TypicalScale
 def _columns(
     effect: Effect, shape: Mapping[str, float], scales: Mapping[str, float]
 ) -> tuple[Mapping[str, float], ...]:
-    """Return the parameters of the perturbations that span an effect: sine and cosine, or each amplitude."""
+    """Return the parameter sets of an effect's basis functions: sine and cosine, or one per amplitude."""
     zero = dict.fromkeys(effect.amplitudes, 0.0)
     size = {p.name: p.scale * scales.get(p.unit, 1.0) for p in effect.parameters if p.amplitude}
     phase = next((p.name for p in effect.parameters if p.role == "phase"), None)
@@ -199,18 +201,17 @@ def _range_shapes(j: int, data: Dataset) -> list[Mapping[str, float]]:
 def effect_parameters(effect: AppliedEffect, machine: Machine, scales: TypicalScales) -> tuple[FreeParameter, ...]:
     """List the parameters of an effect that a fit changes (free parameters), with their priors and bounds.
 
-    Each follows from a dimensionless variable theta that the optimizer changes, see `FreeParameter`: the logarithm of
-    the ratio to the starting value, or for parameters that may be zero or negative the difference from it, divided by
-    a typical size. Theta is 0 at the starting value. The ordinates of a table (a curve given by its values at knots)
-    start at zero.
+    The optimizer changes one dimensionless variable theta per parameter, see `FreeParameter`. With the starting value
+    `start`, a positive parameter is start * exp(theta); one that may be zero or negative is start + size * theta, with
+    a typical size. The ordinates of a table (a curve given by its values at knots) are size * theta.
 
     Args:
         effect: Effect (deviation from the nominal model) with its starting values.
         machine: Machine that it acts on.
-        scales: Typical sizes on this machine, which set the change of such a parameter per unit of theta.
+        scales: Typical sizes on this machine.
 
     Returns:
-        One free parameter for every parameter of the effect that is not fixed.
+        One free parameter for every parameter of the effect, except those that its definition declares as fixed.
     """
     at_site = _scales_at(effect.definition, effect.site, machine, scales)
     free = []
@@ -221,7 +222,7 @@ def effect_parameters(effect: AppliedEffect, machine: Machine, scales: TypicalSc
         size = p.scale * at_site.get(p.unit, 1.0)
         lower, upper = _bounds(p, value, at_site)
         if effect.definition.family == TABLE_FAMILY:
-            # Centered at zero, because the prior of a smooth curve (`along`) penalizes the ordinates' own differences.
+            # Centered at zero, because the prior of a smooth curve (`along`) penalizes differences of the ordinates.
             free.append(FreeParameter(name, 0.0, prior=10.0, scale=size, lower=lower, upper=upper, along=effect.label))
         elif p.amplitude or p.role == "phase":
             free.append(FreeParameter(name, value, prior=10.0, scale=size, lower=lower, upper=upper))
@@ -235,8 +236,8 @@ def effect_parameters(effect: AppliedEffect, machine: Machine, scales: TypicalSc
 
 
 def _period_prior(parameter: EffectParameter, value: float, scales: Mapping[str, float]) -> float:
-    """Return the relative standard deviation of a period or rate: half a period in the distance traveled."""
-    span = scales.get("position", 0.0)  # distance traveled
+    """Return the relative standard deviation of a period or rate: half a period over the range of the positions."""
+    span = scales.get("position", 0.0)  # range of the positions
     periods = span * value / (2 * np.pi) if parameter.role == "rate" else span / value
     return max(_LEAST_PERIOD_PRIOR, 0.5 / max(periods, _MIN_FRICTION_PERIODS))
 
@@ -244,7 +245,7 @@ def _period_prior(parameter: EffectParameter, value: float, scales: Mapping[str,
 def _bounds(parameter: EffectParameter, value: float, scales: Mapping[str, float]) -> tuple[float, float]:
     """Return the bounds between which a fit may change a parameter of this value.
 
-    They are those of its definition, without values that the recorded motion cannot tell from another effect.
+    They are those of its definition, without values that the recorded motion cannot distinguish from another effect.
     """
     lower, upper = parameter.lower, min(parameter.upper, parameter.largest * scales.get(parameter.unit, 1.0))
     if parameter.role == "rate" and "position" in scales:
@@ -253,19 +254,21 @@ def _bounds(parameter: EffectParameter, value: float, scales: Mapping[str, float
 
 
 def periodogram_peaks(motion: Array, *, friction: bool) -> Array:
-    """Find the spatial rates at which a sine of the position explains most of the missing force (periodogram).
+    """Find the strongest spatial rates (2 pi / period over position) of the missing force by a periodogram.
 
-    At each rate, a sine and a cosine are fitted by least squares together with a constant, viscous and dry friction.
-    Rates from 1 (friction: 0.5) to 150 periods over the range of the positions are searched.
+    The missing force is the force that the model lacks. At each rate, a sine and a cosine of the position are fitted to
+    it by least squares, together with a constant, viscous and dry friction. Rates from 1 (friction: 0.5) to 150 periods
+    over the range of the positions are tried.
 
     Args:
-        motion: Position, velocity and missing force of one coordinate, in its units, one row each, shape (n, 3).
+        motion: Position, velocity and missing force of one coordinate, in its units, one column each, shape (n, 3).
         friction: True for a periodic friction level, whose force changes sign with the velocity; False for a periodic
             force.
 
     Returns:
-        Rates, rad per unit of position, shape (at most 6,): the rate that explains most power in each band of rates,
-        then those that explain most of all. Empty if the position does not change.
+        At most six rates, rad per unit of position, shape (rates,). First the strongest of each of four bands (limits:
+        3, 12 and 40 periods over the range), by decreasing strength, then the strongest of the others. Empty if the
+        position does not change.
 
     References:
         Lomb (1976), Least-squares frequency analysis of unequally spaced data.
@@ -304,10 +307,10 @@ def periodogram_peaks(motion: Array, *, friction: bool) -> Array:
 
 
 def slow_rates(position: Array) -> Array:
-    """Return spatial rates of 0.5 to 6 periods over the range of the positions, as finely spaced as data can resolve.
+    """Return a grid of spatial rates (2 pi / period) of slow variations of friction over the position.
 
-    Noise can hide slow variations of friction in the force residual (measured minus modeled force), but they are
-    visible in the position error of a simulation.
+    The grid has 0.5 to 6 periods over the range of the positions. It is tried in addition to `periodogram_peaks`,
+    because noise in the missing force can hide slow variations that are visible in the position error of a simulation.
 
     Args:
         position: Positions of one coordinate over all rows of all runs, in its unit, shape (n,).

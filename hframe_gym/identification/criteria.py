@@ -19,9 +19,9 @@ class SelectionCriteria:
     Chi-squared per sample is the mean squared residual in units of the sensors' noise (1: only noise is left). The gain
     of an effect is the reduction of chi-squared per sample that it causes. The cost is chi-squared summed over all
     samples. A linearized gain is predicted from the derivatives of the residual before any fit. A structural candidate
-    is an effect that adds coordinates or replaces dry friction. A table is a force or friction level that is
-    interpolated over one variable. In simulation, measurements only give the initial state; in one-step prediction, an
-    observer corrects the state by the measurements at every sample.
+    is an effect that replaces a part of the model: it adds coordinates or replaces dry friction. A table is a force or
+    friction level that is interpolated over one variable. In simulation, measurements only give the initial state; in
+    one-step prediction, an observer corrects the state by the measurements at every sample.
 
     Pass a changed copy to `identify(..., criteria=SelectionCriteria(max_effects=3))`. `print` shows all values.
 
@@ -150,7 +150,7 @@ class SelectionCriteria:
         return "\n".join(f"{name} = {value:g}" for name, value in self.as_json().items())
 
     def as_json(self) -> dict[str, float]:
-        """Convert the thresholds of the search for effects to the entry `criteria` of report.json.
+        """Convert the thresholds to the entry `criteria` of report.json.
 
         Returns:
             Value of each threshold by its attribute name, dimensionless or in the unit that the class docstring states.

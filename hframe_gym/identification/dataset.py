@@ -13,7 +13,7 @@ from ..machine import Machine
 from ..recordings import Recording, fill_gaps
 from .encoder_zeros import EncoderZeros, common_encoder_zeros
 from .free_parameters import typical_force
-from .initial_state import encoder_zero_errors, measured_initial_state, model_initial_state, refine_offsets
+from .initial_state import correct_encoder_zeros, encoder_zero_errors, measured_initial_state, model_initial_state
 from .rest_measurement import InitialState, behind_belts, estimate_initial_state
 from .sensor_properties import clock_jitter, independent_values, noise_by_row, sensor_noise, sensor_quantum
 
@@ -50,19 +50,19 @@ class PreparedRecording:
 
     @property
     def counted(self) -> Array:
-        """Number of independent values that each measurement adds to the residual, shape (n, sensors)."""
+        """How many independent values each measurement counts as, 0 (not measured or used) to 1, shape (n, sensors)."""
         return self.weights if self.rows is None else self.weights * self.rows[:, None]
 
     @property
     def count(self) -> float:
-        """Number of independent measured values (dimensionless) that enter the residual."""
+        """Number of independent measured values that enter the residual, dimensionless: the sum of `counted`."""
         return float(self.counted.sum())
 
     def initial_state(self, machine: Machine) -> Array:
         """Return the state from which a machine is simulated over this run.
 
-        The measurements at rest determine it. It also depends on the machine, because effects may change what sensors
-        measure, and forces at rest stretch the belts.
+        It follows from the measurements at rest and from the machine, because effects may change what sensors measure,
+        and forces at rest stretch the belts.
 
         Args:
             machine: Machine with its effects (deviations from the nominal model), which may add coordinates.
@@ -83,7 +83,7 @@ class Dataset:
         noise: Standard deviations of the sensors' noise, in their units, shape (sensors,).
         quantum: Quantization steps of the sensors, in their units, 0 where there is none, shape (sensors,).
         behind_belts: True for encoders on pulleys, which elastic belts separate from the tool, shape (sensors,).
-        zeros: Zeros of the encoders that kept them in all runs. None: unknown.
+        zeros: Zeros (measurements at position 0) of the encoders that kept them in all runs. None: unknown.
     """
 
     runs: tuple[PreparedRecording, ...]
@@ -130,9 +130,9 @@ class Dataset:
 
 
 def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:
-    """Prepare recordings for a fit: fill gaps, estimate initial states and the sensors' properties.
+    """Prepare recordings for a fit: fill gaps, and estimate initial states and properties of the sensors.
 
-    These properties are the zeros (measurements at position 0), quantization steps (quanta) and noise.
+    The estimated properties are zeros (measurements at position 0), quantization steps and noise.
 
     Args:
         recordings: Runs of one rig (times, s; voltages, V; measurements, m or rad), at least one.
@@ -189,9 +189,9 @@ def with_known_positions(data: Dataset) -> tuple[Dataset, tuple[str, ...]]:
 
 
 def _common_jitter(recordings: Sequence[Recording], machine: Machine, noise: Sequence[float]) -> float:
-    """Return the jitter of the clock, s, that all encoders show, or all sensors where there are no encoders.
+    """Return the jitter of the clock, s: the smallest estimate of all encoders, or of all sensors without encoders.
 
-    Encoders resolve it best. A single channel that vibrates does not make the clock jitter.
+    Encoders resolve the jitter best. The smallest estimate is used, because vibration of a single channel looks alike.
     """
     encoders = [j for j, sensor in enumerate(machine.sensors) if sensor.incremental]
     measured = np.isfinite(np.concatenate([r.outputs for r in recordings])).any(axis=0)
@@ -207,15 +207,14 @@ def _common_jitter(recordings: Sequence[Recording], machine: Machine, noise: Seq
 
 
 def with_all_measurements(data: Dataset, recordings: Sequence[Recording]) -> Dataset:
-    """Return a data set with all measurements, including those at the ends of a sensor's range that a fit leaves out.
+    """Restore the saturated measurements (at the ends of a sensor's range), which a fit leaves out.
 
     Args:
         data: Data set prepared from recordings whose saturated measurements were replaced by NaN.
-        recordings: Original recordings of the runs in `data`, whose gaps are filled as by `fill_gaps`; other
-            recordings are ignored.
+        recordings: The same recordings with these measurements; recordings of other runs are ignored.
 
     Returns:
-        Copy with the original measurements minus the estimated zeros of the sensors, m or rad, shape (n, sensors).
+        Copy with all measurements minus the estimated zeros of the sensors, m or rad, shape (n, sensors).
 
     Raises:
         KeyError: If the recording of a run is missing.
@@ -232,11 +231,11 @@ def with_all_measurements(data: Dataset, recordings: Sequence[Recording]) -> Dat
     return dataclasses.replace(data, runs=tuple(runs))
 
 
-def refine_encoder_offsets(data: Dataset, machine: Machine, reference: Dataset | None = None) -> Dataset:
+def refine_encoder_zeros(data: Dataset, machine: Machine, reference: Dataset | None = None) -> Dataset:
     """Correct the estimated zeros (measurements at position 0) of the encoders with a fitted machine.
 
-    Zeros are first estimated as if belts were unstretched at rest. The machine's effects give the forces that stretch
-    them, see `encoder_zero_errors`.
+    `prepare` estimates zeros as if the belts were unstretched at rest. The effects of the fitted machine give the
+    forces that stretch the belts at rest, and so the errors of these zeros, see `encoder_zero_errors`.
 
     Args:
         data: Data set to correct (times, voltages, measurements, SI).
@@ -252,9 +251,10 @@ def refine_encoder_offsets(data: Dataset, machine: Machine, reference: Dataset |
     if not machine.effects or not any(np.any(run.initial.offset_known) for run in data.runs):
         return data
     errors = encoder_zero_errors(machine, [run.initial for run in runs])
+    initial = [correct_encoder_zeros(run.initial, machine, errors) for run in data.runs]
     corrected = (
-        dataclasses.replace(run, initial=refine_offsets(run.initial, machine, errors), outputs=run.outputs - errors)
-        for run in data.runs
+        dataclasses.replace(run, initial=state, outputs=run.outputs - errors)
+        for run, state in zip(data.runs, initial, strict=True)
     )
     zeros = data.zeros and data.zeros._replace(offset=data.zeros.offset + errors)
     return dataclasses.replace(data, runs=tuple(corrected), zeros=zeros)
@@ -263,7 +263,7 @@ def refine_encoder_offsets(data: Dataset, machine: Machine, reference: Dataset |
 def with_encoder_zeros(machine: Machine, data: Dataset) -> Machine:
     """Write the zeros of the encoders (measurements at position 0) to the sensors of a machine.
 
-    All runs of a session together determined them. With the zeros in the machine,
+    The zeros are estimated from all runs together. With the zeros in the machine,
     `recording_simulation.simulate_recording` determines the same initial state from a single run.
 
     Args:
@@ -273,7 +273,7 @@ def with_encoder_zeros(machine: Machine, data: Dataset) -> Machine:
     Returns:
         Copy with the zeros; the machine itself if none are known.
     """
-    zeros = refine_encoder_offsets(data, machine).zeros
+    zeros = refine_encoder_zeros(data, machine).zeros
     return machine if zeros is None else zeros.in_machine(machine)
 
 
@@ -299,14 +299,14 @@ class TypicalScales:
             coordinate: Name of the coordinate; any other text, such as "", gives the general sizes only.
 
         Returns:
-            Size by key (such as "force" or "A", see the class), in the coordinate's units (N, m/s, m or Nm, rad/s, rad)
-            or SI.
+            Typical size by key. Keys such as "force" and "speed" (see the class) are in the coordinate's units (N, m/s,
+            m or Nm, rad/s, rad); a key that is a unit, such as "A", is in this unit.
         """
         return {**self.general, **self.by_coordinate.get(coordinate, {})}
 
 
 def scales_of_motion(machine: Machine, positions: Array, velocities: Array, inputs: Sequence[Array]) -> TypicalScales:
-    """Compute typical sizes from a motion: top speed, range of positions, largest current and belt force, drive force.
+    """Compute typical sizes of forces, speeds, positions, currents and belt extensions from a motion.
 
     Args:
         machine: Machine that moved.
@@ -315,7 +315,7 @@ def scales_of_motion(machine: Machine, positions: Array, velocities: Array, inpu
         inputs: Drive voltages by run, V, shape (rows of the run, drives) each; n rows in total.
 
     Returns:
-        Typical sizes by coordinate and in general, SI, all positive.
+        Typical sizes by coordinate and, for belts, in general, all positive, see `TypicalScales` for keys and units.
     """
     force = typical_force(machine)
     top_speed = np.maximum(np.percentile(np.abs(velocities), 99, axis=0), 1e-9)

@@ -1,8 +1,8 @@
 """Zeros of the encoders of a session: measurements at position 0 with unstretched belts.
 
-An incremental encoder counts from where it was switched on. If it stayed on for a session, its zero is the same in all
-runs, which all of them together determine. An identified machine carries these zeros (`Sensor.zero`), so that a single
-run is simulated from the initial state that identification determined.
+An incremental encoder counts from where it was switched on. If it stayed on for a session (consecutive recordings of a
+rig), its zero is the same in all runs and is estimated from all of them. An identified machine carries these zeros
+(`Sensor.zero`), so that a single run is simulated from the same initial state as in identification.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from .rest_measurement import InitialState
 
 Array = NDArray[np.float64]
-# Runs needed to tell an encoder that keeps its zero from one that was switched on for every run.
+# Runs needed to distinguish an encoder that keeps its zero from one that is switched on anew for every run.
 _MIN_RUNS_FOR_ZERO = 3
-_MIN_STRETCH = 0.1e-3  # rad; zeros that scatter by less show no stretch of the belts.
+_MIN_STRETCH = 0.1e-3  # rad; zeros that scatter by less from run to run show no stretch of the belts.
 _MAX_SCATTER = 4.0  # Standard deviations of the scatter from run to run within which an encoder kept its zero.
 
 
@@ -31,8 +31,9 @@ class EncoderZeros(NamedTuple):
 
     Attributes:
         offset: Zero of each sensor in its unit, NaN where it is unknown, shape (sensors,).
-        spread: Standard deviation of the zero from run to run, in the sensor's unit, by which belts were stretched at
-            rest; 0 where the encoder does not resolve it, shape (sensors,).
+        spread: Standard deviation of the measured zero from run to run, in the sensor's unit, shape (sensors,). Its
+            cause is the stretch of the belts at rest, which differs from run to run; 0 where the encoder does not
+            resolve this stretch.
     """
 
     offset: Array
@@ -44,8 +45,8 @@ class EncoderZeros(NamedTuple):
         return np.isfinite(self.offset)
 
     @property
-    def stretched(self) -> NDArray[np.bool_]:
-        """Mask of encoders with a known zero that resolve how far friction keeps belts stretched, shape (sensors,)."""
+    def resolves_stretch(self) -> NDArray[np.bool_]:
+        """Mask of the encoders that resolve the stretch in which friction holds the belts at rest, shape (sensors,)."""
         # The stretch at rest differs from run to run, and with it the measured zero.
         return self.known & (self.spread > 0.0)
 
@@ -57,7 +58,7 @@ class EncoderZeros(NamedTuple):
             machine: Machine; the sensors of an identified one may have a zero, see `machine.Sensor`.
 
         Returns:
-            Zeros of all sensors, m or rad, shape (sensors,); NaN, unknown, where the machine has none.
+            Zeros of all sensors, m or rad, shape (sensors,); NaN (unknown) where the machine file has none.
         """
         return cls(
             np.array([np.nan if s.zero is None else s.zero for s in machine.sensors], float),
@@ -71,14 +72,14 @@ class EncoderZeros(NamedTuple):
             machine: Machine with these sensors.
 
         Returns:
-            Copy with the zeros, and without one for sensors whose zero is unknown.
+            Copy whose sensors have these zeros; sensors whose zero is unknown have none.
         """
         return machine.replace(
             sensors=tuple(
                 dataclasses.replace(
                     sensor,
                     zero=float(self.offset[j]) if self.known[j] else None,
-                    zero_std=float(self.spread[j]) if self.stretched[j] else None,
+                    zero_std=float(self.spread[j]) if self.resolves_stretch[j] else None,
                 )
                 for j, sensor in enumerate(machine.sensors)
             )
@@ -108,8 +109,8 @@ def common_encoder_zeros(initial: Sequence[InitialState], machine: Machine, quan
         quanta: Quantization steps of the sensors, in their units, shape (sensors,).
 
     Returns:
-        Median zeros of the encoders that kept them, m or rad, shape (sensors,), NaN for all other sensors. Without
-        belts or with fewer than three runs, they are those that the machine declares.
+        Median over the runs of the zero of each such encoder, m or rad, shape (sensors,), NaN for all other sensors.
+        With fewer than three runs or without belts: the zeros that the machine declares.
     """
     zeros = EncoderZeros.of_machine(machine)
     if not machine.belts or len(initial) < _MIN_RUNS_FOR_ZERO:
@@ -131,9 +132,10 @@ def common_encoder_zeros(initial: Sequence[InitialState], machine: Machine, quan
 
 
 def max_held_angle(machine: Machine) -> Array:
-    """Return how far static friction can keep each pulley from its angle with unstretched belts.
+    """Return how far static friction can hold each pulley away from its angle with unstretched belts.
 
-    The friction of all coordinates together is assumed to stretch a belt of mean stiffness.
+    This is a generous estimate: 2 F / (k r) with the Coulomb friction F of all coordinates together, as a force at the
+    belt, the mean stiffness k of the belts and the radius r of the pulley.
 
     Args:
         machine: Machine with belts.
@@ -149,14 +151,17 @@ def max_held_angle(machine: Machine) -> Array:
 
 
 def zero_tolerance(machine: Machine, zeros: EncoderZeros, quanta: Array) -> Array:
-    """Return by how much the zero of an encoder (measurement at position 0) in one run may differ from the session's.
+    """Return by how much an encoder's zero in one run may differ from its zero in the session (all runs together).
+
+    The zero is the measurement at position 0. If it differs by more, the encoder was switched on anew for this run.
 
     Args:
         machine: Machine with belts.
-        zeros: Zeros of the session (all runs together), with their standard deviations from run to run.
+        zeros: Zeros of the session, with their standard deviations from run to run.
         quanta: Quantization steps of the sensors, in their units, shape (sensors,).
 
     Returns:
-        Largest differences of an encoder that was not switched on anew, in the sensors' units, shape (sensors,).
+        Largest permitted differences, in the sensors' units, shape (sensors,): the sum of twice the angle of
+        `max_held_angle`, four standard deviations and two quantization steps.
     """
     return np.asarray(2 * max_held_angle(machine) + _MAX_SCATTER * zeros.spread + 2 * quanta)

@@ -1,9 +1,12 @@
 """Estimation of a machine's parameters and of their covariance.
 
-The Levenberg-Marquardt method fits the parameters. They have a mild Gaussian prior around the declared machine, so that
-what the data do not determine stays as declared. Every iteration linearizes the residual by one batched simulation and
-tries several dampings in another. Dry friction needs no smoothing: its exact solution depends continuously on the
-parameters.
+The Levenberg-Marquardt method fits the parameters. They have a weak Gaussian prior around the declared machine, so that
+parameters that the data do not determine keep their declared values. Every iteration linearizes the residual by one
+batched simulation and tries several dampings in another. Dry friction needs no smoothing: its exact solution depends
+continuously on the parameters.
+
+An observer may correct a prediction by the measurements at every sample; its bandwidth, rad/s, states how strongly.
+Bandwidth 0 means no observer, a simulation. The cost is the sum of squared residuals in units of the sensors' noise.
 """
 
 from __future__ import annotations
@@ -57,7 +60,7 @@ class Fit:
 
     @property
     def chi2(self) -> float:
-        """Chi-squared per sample, dimensionless: cost per measured value, 1 if only the sensors' noise remains."""
+        """Chi-squared per sample (mean squared residual / noise variance), 1 if only the sensors' noise remains."""
         return self.cost / self.count
 
     @property
@@ -84,8 +87,8 @@ def fit(
 ) -> Fit:
     """Fit free parameters of a machine to a data set by the Levenberg-Marquardt method.
 
-    Minimized is the sum of squared residuals in units of the noise (cost) plus the quadratic form of the Gaussian
-    priors. The optimizer changes one dimensionless variable theta per free parameter, see `FreeParameter`.
+    The fit minimizes the cost (sum of squared residuals in units of the noise) plus the penalty of the Gaussian priors.
+    The optimizer changes one dimensionless variable theta per free parameter, see `FreeParameter`.
 
     Args:
         machine: Machine that supplies the model and the values of all other parameters.
@@ -98,7 +101,7 @@ def fit(
         longest_step: Maximum integration step, s.
 
     Returns:
-        Fit at the lowest cost: machine, theta, shape (k,), and cost, dimensionless; infinite if the machine diverges.
+        Fit at the minimum: machine, theta, shape (k,), and cost without the penalty, infinite if the machine diverges.
     """
     model = ResidualModel(machine, tuple(free), data, bandwidth, longest_step)
     theta = np.zeros(len(free)) if theta is None else np.array(theta, float)
@@ -134,7 +137,9 @@ def fit(
 
 
 def prediction_cost(machine: Machine, data: Dataset, bandwidth: float, *, longest_step: float = SEARCH_STEP) -> float:
-    """Return the sum of a machine's squared residuals, see `prediction_residuals`, over all runs (cost).
+    """Return the cost of a machine: the sum of the squared residuals of its predictions over all runs.
+
+    The residuals are prediction errors divided by the sensors' noise, see `prediction_residuals`.
 
     Args:
         machine: Machine that predicts.
@@ -143,7 +148,7 @@ def prediction_cost(machine: Machine, data: Dataset, bandwidth: float, *, longes
         longest_step: Maximum integration step, s.
 
     Returns:
-        Cost, dimensionless, summed over all values of all runs; infinite if a prediction diverges.
+        Cost, dimensionless; infinite if a prediction diverges.
     """
 
     def of_run(run: PreparedRecording) -> float:
@@ -155,10 +160,10 @@ def prediction_cost(machine: Machine, data: Dataset, bandwidth: float, *, longes
 
 
 BLOCK_S = 0.5  # s; longer than the correlation of the residual, vibrations included
-_MAX_LEVERAGE = 0.99  # Fraction of the information in one block that the correction of its residual assumes at most.
-_MAX_DIFFERENCE = 0.01  # Theta; central differences over less do not notice the curvature of the exponential.
-# Standard deviation of the delay between inputs and measurements, in sampling periods. Recordings state times to no
-# better than that, and 1 % changes the identified inertia of a motor by more than the sensors' noise does.
+_MAX_LEVERAGE = 0.99  # Largest fraction of the information in one block for which its residual is corrected.
+_MAX_DIFFERENCE = 0.01  # Theta; over shorter central differences, the curvature of the exponential is negligible.
+# Standard deviation of the delay between inputs and measurements, in sampling periods. The times of recordings are no
+# more accurate than that, and 1 % changes the identified inertia of a motor by more than the sensors' noise does.
 _DELAY_STD = 0.005
 _DELAY_DIFFERENCE = 0.05  # sampling periods
 
@@ -187,19 +192,18 @@ def with_uncertainty(fitted: Fit, data: Dataset) -> Machine:
 
     The covariance is the sum of three parts:
 
-    - The residual's, by the sandwich estimator over blocks of 0.5 s. It holds for residuals that are correlated inside
-      a block, and also for few blocks: the residual of each block is corrected for what the fit took from it (estimator
-      CR2 of cluster-robust variances). No smaller variance is reported than white noise of the assumed size causes.
-      Few blocks estimate a variance inaccurately: standard deviations are larger by the ratio of the 95 % intervals of
-      Student's t and the normal distribution, so that the value +- 1.96 standard deviations is a 95 % interval.
-    - The prior's. Combinations of parameters that the data do not determine keep its spread.
-    - That of a delay between inputs and measurements that the machine lacks: the delay that the residual shows, and
-      another of 0.5 % of a sampling period.
+    - Residual: the sandwich estimator over blocks of 0.5 s, which permits a residual that is correlated in time inside
+      a block. The correction CR2 compensates for the part of each block's residual that the fit removed. Few blocks
+      estimate a variance inaccurately; standard deviations are therefore multiplied by the ratio of the 95 % quantiles
+      of Student's t and the normal distribution, so that the value +- 1.96 standard deviations is a 95 % interval.
+    - Prior: combinations of parameters that the data do not determine keep the standard deviation of the prior.
+    - Delay: the machine may lack a delay between inputs and measurements. Assumed are the delay that the residual
+      indicates, and in addition 0.5 % of a sampling period.
 
-    Derivatives of the residual are central differences along the principal axes of the fit's information (directions),
-    over one standard deviation each. Differences along single parameters would give two parameters of the same
-    influence (viscous friction and back-EMF) a difference of influence, which is rounding and would count as
-    information.
+    The first two parts together are at least the variance that white noise of the assumed size causes.
+
+    Derivatives are central differences along the principal axes of the Fisher information, not along single parameters.
+    Otherwise rounding would seem to separate parameters of equal influence, such as viscous friction and back-EMF.
 
     Args:
         fitted: Fit of k parameters: machine, parameter values and cost.
@@ -247,11 +251,11 @@ def with_uncertainty(fitted: Fit, data: Dataset) -> Machine:
 def _student_widening(information: Array, estimator: Array) -> Array:
     """Return by which factor few blocks widen the 95 % interval of each parameter, shape (k,), at least 1.
 
+    The degrees of freedom are the effective number of blocks that determine a parameter (Satterthwaite).
+
     Args:
         information: Information of each block, shape (blocks, k, k).
-        estimator: Change of the parameters by the products of responses and residual, shape (k, k).
-
-    The degrees of freedom are the effective number of blocks that determine a parameter (Satterthwaite).
+        estimator: Change of the parameters per unit of the products of responses and residual, shape (k, k).
     """
     variances = np.einsum("jm,bmn,jn->bj", estimator, information, estimator, optimize=True)  # by each block
     effective = np.sum(variances, axis=0) ** 2 / np.maximum(np.sum(variances**2, axis=0), 1e-300)
@@ -301,7 +305,7 @@ def _linearize(fitted: Fit, run: PreparedRecording, data: Dataset, directions: A
     delayed = run.inputs.copy()
     delayed[1:] -= _DELAY_DIFFERENCE * np.diff(run.inputs, axis=0)
     rows = np.vstack([residual(run, table), residual(dataclasses.replace(run, inputs=delayed))])
-    # Parameters with which the simulation diverges say nothing about the residual near the fit.
+    # Where the simulation diverges with changed parameters, the residual counts as unchanged.
     rows = np.where(np.isfinite(rows).all(axis=1, keepdims=True), rows, rows[0])
     projection = initial_state_projection(
         machine, run, data, fitted.bandwidth, initial_state=initial_state, longest_step=POLISH_STEP
@@ -323,7 +327,7 @@ def _linearize(fitted: Fit, run: PreparedRecording, data: Dataset, directions: A
 
 
 def _estimated_delay(parts: list[_RunPart], inverse: Array) -> float:
-    """Return the delay of the inputs, in sampling periods, by which the residual of the fit would be least.
+    """Return the delay of the inputs, in sampling periods, that minimizes the residual of the fit.
 
     Args:
         parts: Linearized residual of every run.

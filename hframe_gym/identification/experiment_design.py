@@ -1,9 +1,9 @@
 """Design the next experiment: voltages for which two machines that fit equally well predict different motions.
 
-A family of excitations (alternating steps, ramps through breakaway, staircases, chirps, random steps), along every
-combination of the drives and at several amplitudes, is simulated with both machines. Those that keep both machines
-inside the travel are compared by the difference of the predictions that remains when the second machine's parameters
-adapt to the new run as far as their covariance allows (optimal discrimination between models, linearized).
+Many excitations are simulated with both machines: alternating steps, ramps through breakaway, staircases, sines, chirps
+and random steps, along every combination of the drives and at several amplitudes. Excitations that drive a machine out
+of its travel are discarded. The others are compared by the difference of the predictions that remains when the second
+machine's parameters adapt to the new run as far as their covariance allows (linearized optimal discrimination).
 
 References:
     Atkinson and Fedorov (1975), "The design of experiments for discriminating between two rival models".
@@ -105,18 +105,20 @@ def design_discriminating_experiment(
 ) -> ExperimentDesign | None:
     """Design the run that decides between an identified effect (deviation from the nominal model) and its best rival.
 
+    A rival is another effect that explains the same data equally well.
+
     Args:
         current: Fit of the machine with all selected effects, among them the identified one.
         corrected: The same machine with the covariance of its parameters.
         label: Label (name@site) of the identified effect.
-        rivals: Other effects that explain the data equally well, with fitted parameters, best first.
+        rivals: Rivals with fitted parameters, best first. Those that add coordinates (structural effects) and those
+            that the machine already has are not considered.
         data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
-        Design of the run with its voltages, V, shape (n, drives). None if the identified effect or every rival is
-        structural (adds coordinates), if there is no rival, if the machine with the rival diverges, or if the
-        predictions of the two models differ by less than `MINIMUM_SIGMA` (10) standard deviations of the noise on every
-        simulated run.
+        Design of the run with its voltages, V, shape (n, drives). None if the identified effect is structural, if no
+        rival remains, if the machine with the rival diverges, or if the predictions of the two machines differ by less
+        than `MINIMUM_SIGMA` (10) standard deviations of the noise on every simulated run.
     """
     present = {e.label: e for e in current.machine.effects}
     alternatives = [r for r in rivals if r.label not in present and not r.definition.structure]
@@ -131,12 +133,15 @@ def design_discriminating_experiment(
 def separate_machines(
     first: Machine, second: Machine, labels: tuple[str, str], data: Dataset
 ) -> ExperimentDesign | None:
-    """Design the run whose predictions by two machines differ most.
+    """Design the run on which the predictions of two machines differ most.
+
+    Many trial voltages are simulated with both machines, see the module. The parameters of the second machine adapt to
+    each trial run within their uncertainty; only the difference that remains counts.
 
     Args:
         first: One machine.
-        second: The other, whose parameters adapt to the new run within their uncertainty. The machines may differ in
-            their effects (deviations from the nominal model), but not in their sensors and drives.
+        second: The other machine, with its uncertainty. The machines may differ in their effects (deviations from the
+            nominal model), but not in their sensors and drives.
         labels: Labels (name@site) of the effects that distinguish the first and the second machine.
         data: Recordings that both were fitted to (times, voltages, measurements, SI). They supply the sensors' noise,
             the sampling period and, for a coordinate without a declared range, the permitted travel.
@@ -147,7 +152,7 @@ def separate_machines(
     """
     rows = round(_DURATION_S / data.period)
     time_s: Array = np.arange(rows, dtype=np.float64) * data.period
-    # Of the voltages with the largest differences, those count that a refit of the second machine cannot explain.
+    # The voltages with the largest differences are compared by the part that a refit of the second machine leaves.
     finalists = [
         (inputs, difference)
         for inputs in _largest_differences(first, second, time_s, data)
@@ -171,7 +176,7 @@ def separate_machines(
 
 
 def _largest_differences(first: Machine, second: Machine, time_s: Array, data: Dataset) -> list[Array]:
-    """Return the inputs (n, drives) that keep both machines inside the travel with the largest differences."""
+    """Return the inputs (n, drives) with the largest differences that keep both machines inside the travel."""
     waves = _excitations(time_s, len(first.drives))
     rated = np.array([d.rated_voltage for d in first.drives])
     low, high = _travel(first, data)

@@ -1,8 +1,13 @@
 """Forward selection of the effects that a machine lacks.
 
-The best candidates of the screening are fitted together with the machine's parameters; the best of them is selected if
-it reduces chi-squared per sample by enough, and the search continues from there. At the end, effects that no longer
-reduce it by enough are removed. `SelectionCriteria` holds the thresholds. A gain is a reduction of chi-squared.
+An effect is a deviation from the nominal model, such as cogging. The best candidates of the screening are fitted
+together with the machine's parameters. The best of them is selected if it reduces chi-squared per sample by enough and
+passes the tests of `evidence`; the search continues from there. At the end, effects that fail a test beside the others
+are removed. `SelectionCriteria` holds the thresholds. A gain is a reduction of chi-squared per sample. A rival is
+another effect that explains the same data equally well.
+
+Predictions are corrected by an observer, which feeds the measurements back. An observer with a wide bandwidth tolerates
+a model that is still wrong, but hides slow errors, see `model_error`.
 """
 
 from __future__ import annotations
@@ -64,6 +69,7 @@ class SelectedEffect:
         return dataclasses.replace(self, effect=effect)
 
 
+# Fit of a machine with all selected effects, and these effects.
 Selection = tuple[Fit, tuple[SelectedEffect, ...]]
 
 
@@ -104,14 +110,14 @@ class EffectSearch:
         self._structures_tried = (math.nan, math.inf)
 
     def with_data(self, data: Dataset) -> EffectSearch:
-        """Return a search in other data that remembers the effects (deviations from the model) considered so far.
+        """Return a new search in other data, with the effects that this search has considered.
 
         Args:
             data: Prepared recordings to fit (times, voltages, measurements, SI), for example with corrected zeros of
                 the encoders.
 
         Returns:
-            New search.
+            Search with the same machine, thresholds and log; its `considered` is a copy.
         """
         search = EffectSearch(data, self._plain, self._criteria, self._log)
         search.considered = dict(self.considered)
@@ -120,15 +126,17 @@ class EffectSearch:
     def run(self, current: Fit, selected: tuple[SelectedEffect, ...] = ()) -> Selection:
         """Add effects (deviations from the model) one by one while one reduces the error enough and passes all tests.
 
-        `evidence` lists the tests. An observer corrects predictions by the measurements.
+        The tests are those of `evidence`. After each effect, the bandwidth of the observer that corrects predictions by
+        the measurements is chosen anew, see `model_error.fit_with_model_error`. Effects that fail a test are added to
+        `considered`.
 
         Args:
             current: Fit of the machine with the effects selected so far.
             selected: Effects selected so far.
 
         Returns:
-            Fit of the machine with all effects, at the observer bandwidth (rad/s; 0: none) that makes the data most
-            likely, and all selected effects with their fitted parameters.
+            fit: Fit of the machine with all effects.
+            selected: All selected effects with their fitted parameters.
         """
         data, criteria = self._data, self._criteria
         self._structures_tried = (math.nan, math.inf)
@@ -148,11 +156,11 @@ class EffectSearch:
         return current, tuple(s.with_values(current.machine) for s in selected)
 
     def _next_effect(self, current: Fit) -> tuple[Fit, list[Fit]] | None:
-        """Return the fit without the next effect, and trial fits with effects, the selected one first.
+        """Return the fit without the next effect, and trial fits with one effect each, the selected one first.
 
-        If none passes with the observer that the model's error requires, the next narrower one is tried: an observer
-        hides slow errors, and with them what an effect explains. There the effect must also make up for how much less
-        likely the narrower observer is. None if no effect passes.
+        If no effect passes with the present observer, the next narrower one is tried, because an observer hides slow
+        errors, and with them the benefit of an effect. The effect must then also compensate for the lower likelihood of
+        the narrower observer. None if no effect passes.
         """
         enough = minimum_gain(current, self._criteria)  # reduction of chi-squared per sample
         found = self._passing(current, enough, structures=True)
@@ -175,9 +183,9 @@ class EffectSearch:
         return current, [best, *(t for t in trials if t.machine.effects[-1].label != label)]
 
     def _worth_structures(self, current: Fit, trials: list[Fit]) -> bool:
-        """Return whether the other effects leave enough of the error to try effects that replace part of the model.
+        """Return whether the trials leave enough of the error to try effects that replace a part of the model as well.
 
-        Structural effects that did not pass are tried again once the error is clearly smaller.
+        If these did not pass before, they are tried again only after the error has become clearly smaller.
         """
         criteria = self._criteria
         floor = criteria.one_step_floor if current.bandwidth >= SEARCH_BANDWIDTH else 1.0
@@ -194,7 +202,7 @@ class EffectSearch:
     def _exchange(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection:
         """Replace earlier effects by others that explain the data better beside the later ones (recursively).
 
-        The first effects are selected while others are still missing, and may stand for a mixture of causes.
+        The first effects are selected while others are still missing, and may represent a mixture of causes.
         """
         data, criteria = self._data, self._criteria
         if current.chi2 <= criteria.noise_level:
@@ -233,16 +241,18 @@ class EffectSearch:
         return None
 
     def settle_rivals(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection:
-        """Replace effects (deviations from the model) by rivals that are more likely beside all other effects.
+        """Replace effects (deviations from the model) by rivals that explain the data with a higher likelihood.
 
-        When an effect is selected, others are missing, and a wide observer hides what distinguishes it from its rivals.
+        When an effect was selected, other effects were still missing, and the wide observer (feedback of the
+        measurements) hid its difference from the rivals. Now each is compared with its rivals beside all other effects.
 
         Args:
             current: Fit of the machine with all selected effects.
             selected: All selected effects, with their rivals.
 
         Returns:
-            `Selection` of the fit with the more likely effects, and these with their fitted parameters.
+            fit: Fit of the machine with the more likely effects.
+            selected: These effects with their fitted parameters.
         """
         for old in selected:
             better = more_likely_rival(current, old.effect.label, old.rival_effects, self._data, self._criteria)
@@ -255,18 +265,19 @@ class EffectSearch:
         return current, tuple(s.with_values(current.machine) for s in selected)
 
     def prune(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection:
-        """Remove effects (deviations from the model) that fail a test in the machine with all others, weakest first.
+        """Remove effects (deviations from the model) that fail a test beside all other effects, weakest first.
 
-        Later effects may make earlier ones superfluous. A structural effect is kept if another effect acts on a
-        coordinate that it adds.
+        The tests are those of `evidence`; later effects may have made earlier ones superfluous. A structural effect,
+        which adds coordinates, is kept if another effect acts on one of them. Removed effects are added to
+        `considered`.
 
         Args:
             current: Fit of the machine with all selected effects; its observer bandwidth is used throughout.
             selected: All selected effects.
 
         Returns:
-            `Selection` of the fit of the machine with the remaining effects, with the shortest integration step, and
-            the remaining effects with their fitted parameters.
+            fit: Fit of the machine with the remaining effects; `current` if no effect was removed.
+            selected: The remaining effects with their fitted parameters.
         """
         for candidate in sorted(selected, key=lambda s: s.gain):
             reduced = without_effect(current, candidate.effect.label, self._data, self._plain)
@@ -278,7 +289,7 @@ class EffectSearch:
                 self.considered[candidate.effect.label] = ConsideredEffect(
                     candidate.effect, current.machine, reduced.machine, doubt
                 )
-                # The others are examined again: what was worth its place beside this effect need not be so alone.
+                # The others are tested again: an effect that passed beside this one may fail without it.
                 return self.prune(reduced, tuple(s for s in selected if s is not candidate))
         return current, tuple(s.with_values(current.machine) for s in selected)
 

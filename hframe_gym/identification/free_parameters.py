@@ -22,10 +22,10 @@ _BELT_PRIOR = 0.3
 _LENGTH_PRIOR = 0.1
 _MOTOR_PRIOR = 0.2
 _EFFECT_PRIOR = 0.5
-# A parameter that is fitted as a logarithm may move this many standard deviations of its prior. Wider limits let a
-# refit without the missing effects go so far astray (a mass twenty times the declared one stands for a spring) that the
-# search does not return. Linear parameters have no such limit: the typical sizes by which they are divided are rough (a
-# spring may be stronger than the drives).
+# A parameter that is fitted as a logarithm may move this many standard deviations of its prior. With wider limits, a
+# refit without the missing effects may end so far away (a mass twenty times the declared one instead of a spring) that
+# the search does not return. Linear parameters have no such limit: the typical sizes by which they are divided are only
+# rough estimates (a spring may be stronger than the drives).
 _MAXIMUM_DEVIATION = 4.0
 _LIMIT_TOLERANCE = 0.01  # relative
 # Friction of a coordinate that declares none: unit of theta as a fraction of the typical force.
@@ -59,7 +59,7 @@ class FreeParameter:
 
     @property
     def theta_limit(self) -> float:
-        """Largest absolute value of theta that a fit may reach, dimensionless."""
+        """Largest absolute value of the optimizer's variable theta in a fit, dimensionless; infinite with `scale`."""
         return _MAXIMUM_DEVIATION * self.prior if self.scale is None else math.inf
 
     def at_limit(self, theta: float) -> bool:
@@ -163,8 +163,8 @@ def second_difference_penalty(count: int) -> Array:
 def prior_precision(free: Sequence[FreeParameter]) -> Array:
     """Return the inverse covariance of the Gaussian prior of theta, the dimensionless variables of the optimizer.
 
-    The prior's mean is 0. The parameters are independent with the standard deviations `prior`. In addition, second
-    differences of the ordinates of a curve have unit variance, which favors smooth curves.
+    The prior has mean 0 and independent components with the standard deviations `FreeParameter.prior`. In addition, the
+    second differences of the ordinates of a curve have a prior with unit variance, which favors smooth curves.
 
     Args:
         free: Free parameters, k of them.
@@ -180,7 +180,9 @@ def prior_precision(free: Sequence[FreeParameter]) -> Array:
 
 
 def bounded_step(free: Sequence[FreeParameter], theta: Array, hessian: Array, gradient: Array) -> Array:
-    """Return the step that minimizes a quadratic model of the cost while every theta stays within its limit.
+    """Return the step of the optimizer's variables theta that minimizes a quadratic model of the cost within limits.
+
+    The model is cost + 2 gradient^T step + step^T hessian step. Each |theta| stays within `FreeParameter.theta_limit`.
 
     Args:
         free: Free parameters, k of them, with the limits of theta.
@@ -189,8 +191,8 @@ def bounded_step(free: Sequence[FreeParameter], theta: Array, hessian: Array, gr
         gradient: Half the derivative of the cost at theta, dimensionless, shape (k,).
 
     Returns:
-        Step of theta, shape (k,): -hessian^-1 gradient if this stays within the limits. Otherwise some parameters end
-        at their limits, and the others are the best ones beside those.
+        Step of theta, shape (k,): -hessian^-1 gradient if this stays within the limits, otherwise the minimum of the
+        model within the limits.
     """
     step = np.asarray(np.linalg.solve(hessian, -gradient), float)
     limits = np.array([f.theta_limit for f in free])
@@ -222,11 +224,13 @@ def typical_force(machine: Machine) -> float:
 def default_free_parameters(machine: Machine, *, effects: bool = True) -> tuple[FreeParameter, ...]:
     """Return the parameters that identification refits by default.
 
-    These are masses, friction, belts, the torque constant of every drive but the first, back-EMF constants and the
-    declared effects. Voltages determine forces only relative to the first drive's torque constant, which therefore
-    stays fixed. Back-EMF acts like viscous friction, so only their sum is identifiable; it may be smaller than the
-    declared back-EMF alone, so both are free. Friction that is declared as zero may become positive. Parameters that
-    the machine ties to others are left out.
+    These are masses, viscous and dry friction, belts, torque and back-EMF constants, and the declared effects, except:
+
+    - The torque constant of the first drive stays fixed, because voltages determine forces only relative to it.
+    - Parameters that the machine ties to others are left out.
+
+    Friction that is declared as zero may become positive. Back-EMF acts like viscous friction, so the data determine
+    only their sum. Both are free, because this sum may be smaller than the declared back-EMF alone.
 
     Args:
         machine: Declared machine.

@@ -1,4 +1,4 @@
-"""Held-out runs: which they are, and by how much effects reduce their error."""
+"""Held-out runs, which no fit uses: choose them, and evaluate by how much effects reduce their error."""
 
 from __future__ import annotations
 
@@ -50,6 +50,8 @@ def hold_out(recordings: Sequence[Recording], chosen: Sequence[str] = ()) -> tup
 def held_out_gain(selected: SelectedEffect, machine: Machine, validation: Dataset, bandwidth: float) -> float:
     """Return the fraction of the squared error of the held-out runs that one effect alone removes.
 
+    It compares the machine with all effects to the same machine without this effect, see `error_reduction`.
+
     Args:
         selected: Effect (deviation from the nominal model) that the search selected.
         machine: Machine with all effects.
@@ -63,14 +65,17 @@ def held_out_gain(selected: SelectedEffect, machine: Machine, validation: Datase
 
 
 def _machine_without(selected: SelectedEffect, machine: Machine) -> Machine:
-    """Return a machine without one of its effects."""
+    """Return a machine without one of its effects; for an effect that added coordinates, the machine before it."""
     if selected.effect.definition.structure:  # the effect added coordinates
         return selected.machine_without
     return machine.replace(effects=tuple(e for e in machine.effects if e.label != selected.effect.label))
 
 
 def error_reduction(without: Machine, machine: Machine, validation: Dataset, bandwidth: float) -> float:
-    """Return the fraction by which the squared prediction error of a machine is smaller than that of another one.
+    """Return by which fraction the squared error of a machine is smaller than that of another machine.
+
+    The error is the prediction error. Only with the widest observer (60 rad/s) and for machines that permit inverse
+    dynamics, it is the error of the drives' force, see `inverse_dynamics.force_error`.
 
     Args:
         without: Machine to compare with, for example without an effect (deviation from the nominal model).
@@ -79,8 +84,7 @@ def error_reduction(without: Machine, machine: Machine, validation: Dataset, ban
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
 
     Returns:
-        Fraction, dimensionless, at most 1; negative if the error is larger. With the widest observer, it is the error
-        of the drives' force if the machines allow inverse dynamics.
+        Fraction, dimensionless, at most 1; negative if the error is larger.
     """
     forces = [force_error(m, validation) if bandwidth == SEARCH_BANDWIDTH else None for m in (without, machine)]
     if forces[0] is not None and forces[1] is not None:
@@ -90,10 +94,10 @@ def error_reduction(without: Machine, machine: Machine, validation: Dataset, ban
 
 
 def is_excited(selected: SelectedEffect, machine: Machine, validation: Dataset, bandwidth: float) -> bool:
-    """Check whether the held-out runs (not fitted) can show an effect (deviation from the nominal model) at all.
+    """Check whether an effect (deviation from the nominal model) changes the predictions of the held-out runs at all.
 
-    A current limit that the held-out voltages never reach, or a constant force on a carriage that its friction holds,
-    does not change a prediction.
+    Examples of effects that do not: a current limit that the held-out voltages never reach, or a constant force on a
+    carriage that friction holds.
 
     Args:
         selected: Effect that the search selected.
@@ -102,7 +106,7 @@ def is_excited(selected: SelectedEffect, machine: Machine, validation: Dataset, 
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
 
     Returns:
-        Whether the effect changes the predictions, as a root mean square, by at least 1/20 of their errors.
+        True if the root mean square change of the predictions is at least 1/20 of the root mean square error.
     """
     without = _machine_without(selected, machine)
 
@@ -120,15 +124,15 @@ def contradicting_held_out_runs(fitted: Fit, validation: Dataset) -> tuple[str, 
     """Find the held-out runs that a fitted machine explains far worse than the runs that it was fitted to.
 
     Either something was wrong with such a run (a loose connector, a slipped belt, another amplifier setting), or it
-    excites what the fitted runs do not show.
+    excites an effect that the fitted runs do not excite.
 
     Args:
         fitted: Fit of the machine.
         validation: Held-out runs.
 
     Returns:
-        Names of the runs whose chi-squared per sample is more than ten times that of the fit, at its observer
-        bandwidth.
+        Names of the runs whose chi-squared per sample (mean squared residual in units of the noise), at the observer
+        bandwidth of the fit, exceeds ten times the larger of 1 and that of the fitted runs.
     """
     limit = CONTRADICTION * max(1.0, fitted.chi2)
     runs = [validation.with_runs([run.name]) for run in validation.runs]

@@ -1,7 +1,8 @@
 """The initial state of a run for a given machine.
 
-`rest_measurement` estimates the position from the measurements alone. A machine with effects knows more: an effect on a
-reading is inverted, and pulleys are in static equilibrium with the forces that act at rest.
+`rest_measurement` estimates the position from the measurements alone. With the effects of a machine (deviations from
+the nominal model, such as cables and tilt) the estimate is better: effects on the sensors' readings are inverted, and
+pulleys are in static equilibrium with the forces that act at rest.
 
 Fits take their initial states from here; `recording_simulation` determines that of a single run for every command.
 """
@@ -28,11 +29,11 @@ _STRETCH_STEPS = 2  # The force at rest changes little with the stretch of the b
 
 
 def measured_initial_state(recording: Recording, machine: Machine, zeros: EncoderZeros, quanta: Array) -> InitialState:
-    """Estimate the initial state of a run with the encoder zeros of its session, where the run agrees with them.
+    """Estimate the initial state of a run from its measurements at rest and the encoder zeros of its session.
 
-    A zero is the measurement at position 0; a session is all runs of a rig together. The zero of an encoder is not used
-    if its measurement at rest differs from that in static equilibrium by more than friction can maintain: the encoder
-    was switched on anew.
+    A zero is the measurement at position 0; a session is all runs of a rig together. An encoder may have been switched
+    on anew for this run. Therefore a zero of the session is not used if the pulley angle that results from it is
+    further away from static equilibrium than friction can hold the pulley.
 
     Args:
         recording: The run (times, voltages, measurements); saturated measurements are NaN.
@@ -42,8 +43,8 @@ def measured_initial_state(recording: Recording, machine: Machine, zeros: Encode
         quanta: Quantization steps of the sensors, in their units, shape (sensors,).
 
     Returns:
-        Initial state (positions at rest, m or rad, shape (coordinates,), zeros of the sensors, shape (sensors,));
-        `warnings` names the encoders whose zero was not used.
+        Initial state: positions at rest, m or rad, shape (coordinates,), and zeros of the sensors, m or rad, shape
+        (sensors,). Its `warnings` name the encoders whose zero in the session was not used.
     """
     alone = estimate_initial_state(recording, machine)
     if not zeros.known.any() or not machine.belts:
@@ -61,11 +62,11 @@ def measured_initial_state(recording: Recording, machine: Machine, zeros: Encode
 
 
 def _switched_on_anew(machine: Machine, alone: InitialState, zeros: EncoderZeros, quanta: Array) -> NDArray[np.bool_]:
-    """Mark the encoders (sensors,) whose zero a run contradicts.
+    """Mark the encoders (sensors,) whose measurements at rest contradict their zero in the session.
 
     Args:
         machine: Machine with belts.
-        alone: Initial state that was measured without these zeros.
+        alone: Initial state that was estimated without these zeros.
         zeros: Zeros of the encoders in the session.
         quanta: Quanta of the sensors, in their units, shape (sensors,).
     """
@@ -73,7 +74,7 @@ def _switched_on_anew(machine: Machine, alone: InitialState, zeros: EncoderZeros
     fixed = np.array([not s.incremental for s in machine.sensors])
     tolerance = zero_tolerance(machine, zeros, quanta)
     if not alone.position_known:
-        # One laser cannot tell which encoder it contradicts.
+        # One laser cannot show which of several encoders it contradicts.
         rigid = rigid_basis(machine)
         checked = (zeros.known | fixed) & np.isfinite(alone.reading)
         reading = (alone.reading - np.where(zeros.known, zeros.offset, 0.0))[checked]
@@ -94,16 +95,14 @@ def _switched_on_anew(machine: Machine, alone: InitialState, zeros: EncoderZeros
 def static_equilibrium(machine: Machine, position: Array) -> Array:
     """Return the positions of all coordinates at rest, stretched belts included, for a given position of the tool.
 
-    The belts stretch where effects exert forces at rest (cables, tilt).
-
-    Static friction carries the load up to the Coulomb level. Any excess force displaced the carriage; it came to rest
-    at the far end of its first swing, at twice the displacement of the excess, or where the belts carry the entire
-    force.
+    Effects such as cables and tilt exert forces at rest. Static friction carries such a force up to the Coulomb level.
+    A larger force displaced the carriage, which came to rest at the far end of its first swing: there the belts carry
+    twice the force in excess of the Coulomb level, but at most the entire force.
 
     Args:
         machine: Machine with its effects (deviations from the nominal model).
-        position: Positions of the first coordinates, m or rad, shape (at most coordinates,); only those of the linear
-            coordinates are used.
+        position: Positions of all coordinates, or of the first ones, m or rad, shape (at most coordinates,); only
+            those of the linear coordinates are used.
 
     Returns:
         Positions, m or rad, shape (coordinates,).
@@ -118,7 +117,7 @@ def static_equilibrium(machine: Machine, position: Array) -> Array:
     friction = np.array([c.coulomb for c in machine.coordinates])[linear]
     rotary = ~linear & ~np.isin(names, machine.spring_loaded)
     stiffness = stiffness_matrix(machine, at_rest)[np.ix_(linear, rotary)]  # N/rad, (carriages, pulleys)
-    # The displacement beyond friction is twice that of the excess force, but not more than belts carry alone.
+    # The belts carry twice the force in excess of friction, but at most the entire force.
     carried = np.sign(force) * np.clip(2.0 * (np.abs(force) - friction), 0.0, np.abs(force))
     # The pulleys turn by the smallest angles at which the belts carry these forces.
     at_rest[rotary] += np.linalg.lstsq(stiffness, carried, rcond=None)[0]
@@ -135,13 +134,13 @@ def _force_at_rest(machine: Machine, position: Array) -> Array:
 def model_initial_state(machine: Machine, initial: InitialState) -> Array:
     """Return the state from which a simulation of a machine starts, given the measurements at rest.
 
-    Effects of the machine may change its static equilibrium or the sensors' readings, so the state depends on them.
-    The angle of a pulley is the one that its encoder measures if the zero of the encoder (its measurement at position
-    0) is known. Otherwise it is the angle in static equilibrium.
+    The state depends on the machine's effects, which may change the sensors' readings and exert forces at rest. If the
+    zero of an encoder (its measurement at position 0) is known, the encoder gives the angle of its pulley. All other
+    angles are those in static equilibrium.
 
-    Zeros that were determined without an effect can be wrong, and would then show a belt stretch that does not exist.
-    Until `refine_offsets` has corrected them, static equilibrium therefore determines also the angles of eccentric
-    pulleys, and those of all pulleys if an effect changes the measurement of a laser at rest.
+    Zeros that were estimated without an effect may be wrong and would indicate a belt stretch that does not exist.
+    Therefore, until `correct_encoder_zeros` has corrected them, the static equilibrium gives the angles of eccentric
+    pulleys as well, and the angles of all pulleys if an effect changes what a laser measures at rest.
 
     Args:
         machine: Machine with its effects (deviations from the nominal model); structural ones may have added
@@ -149,22 +148,23 @@ def model_initial_state(machine: Machine, initial: InitialState) -> Array:
         initial: Measured initial state (positions at rest, zeros of the sensors).
 
     Returns:
-        Positions, then velocities (zero), in the coordinates' units, shape (2 * coordinates,).
+        Positions, then velocities (zero), in the coordinates' units, shape (2 * coordinates,). Without belts, added
+        coordinates start at 0.
     """
     if not machine.belts:
         added = len(machine.coordinates) - len(initial.position)  # coordinates of structural effects, at rest at 0
         return np.concatenate([np.pad(half, (0, added)) for half in np.split(initial.state, 2)])
-    # Encoders are not used where an effect changes the position that lasers measure and the zeros do not know it yet.
+    # Encoders are not used if an effect changes the position that lasers measure and their zeros are not corrected yet.
     measured = position_from_measurements(machine, initial)
     position = static_equilibrium(machine, measured)
-    if initial.offsets_refined or np.array_equal(measured, initial.position):
+    if initial.zeros_refined or np.array_equal(measured, initial.position):
         eccentric = [
             machine.coordinate_of_site(e.site, e.definition.site)
             for e in machine.effects
             if e.definition.rest_angle_offset
         ]
         for i, angle in encoder_angles(machine, initial).items():
-            if initial.offsets_refined or machine.coordinate_names[i] not in eccentric:
+            if initial.zeros_refined or machine.coordinate_names[i] not in eccentric:
                 position[i] = angle
     return np.concatenate([position, np.zeros_like(position)])
 
@@ -172,8 +172,8 @@ def model_initial_state(machine: Machine, initial: InitialState) -> Array:
 def encoder_angles(machine: Machine, initial: InitialState) -> dict[int, float]:
     """Return the angles at rest of all pulleys whose encoder has a known zero.
 
-    The zero of an encoder is its measurement at position 0; the angle counts from there. An eccentric pulley is
-    represented by the concentric pulley with the same belt travel (radius * angle), see `concentric_angle`.
+    The zero of an encoder is its measurement at position 0, from which the angle counts. For an eccentric pulley, the
+    angle is that of a concentric pulley with the same belt travel, see `concentric_angle`.
 
     Args:
         machine: Machine with its effects (deviations from the nominal model).
@@ -190,7 +190,10 @@ def encoder_angles(machine: Machine, initial: InitialState) -> dict[int, float]:
 
 
 def concentric_angle(machine: Machine, index: int, angle: float) -> float:
-    """Convert the angle of an eccentric pulley at rest to that of a concentric one with the same belt travel.
+    """Convert the angle of an eccentric pulley at rest to that of a concentric pulley with the same belt travel.
+
+    A simulation starts from the angles of concentric pulleys, whose belt travel is radius * angle. The conversion is
+    accurate to first order in the eccentricity.
 
     Args:
         machine: Machine with its effects (deviations from the nominal model), such as eccentric pulleys.
@@ -210,11 +213,11 @@ def concentric_angle(machine: Machine, index: int, angle: float) -> float:
 
 
 def position_from_measurements(machine: Machine, initial: InitialState) -> Array:
-    """Return the positions at rest for which the machine's sensors would give the measured values.
+    """Compute the positions at rest from the measurements at rest, without the influence of the machine's effects.
 
-    Effects on the measurements of lasers (skew, scale) are inverted iteratively. A coordinate whose laser is at the end
-    of its range keeps the position that the other sensors determine. Where encoders replace a laser, their angles are
-    corrected for eccentric pulleys and for belts that forces stretch at rest.
+    Effects on the measurements of lasers (skew, scale) are inverted iteratively. If a laser measured nothing at rest
+    (end of its range), the other sensors give the position. Where encoders replace a laser, their angles are corrected
+    for eccentric pulleys and for the belt stretch that forces cause at rest.
 
     Args:
         machine: Machine with its effects (deviations from the nominal model).
@@ -271,11 +274,11 @@ def _without_measurement_effects(machine: Machine, initial: InitialState, positi
 def encoder_zero_errors(machine: Machine, initial: Sequence[InitialState]) -> Array:
     """Estimate the errors of the encoders' zeros (measurements at position 0) from the equilibrium of a fitted machine.
 
-    `common_encoder_zeros` assumes that the belts are unstretched on average. A force that acts at rest, from a cable or
-    a tilt, stretches them in one direction, and a machine with that force predicts by how much. The error is the median
-    over the runs of the measured angle minus the angle in static equilibrium; friction adds to it in either direction.
-    Runs whose position the encoders determined, because a laser measures nothing at rest, say nothing about the zeros
-    and are used only if there are no others.
+    `common_encoder_zeros` assumes that the belts are unstretched on average over the runs. This is wrong if a force at
+    rest, from a cable or a tilt, always stretches them in the same direction. A machine with that force predicts the
+    stretch: the error of a zero is the median over the runs of measured angle minus angle in static equilibrium. The
+    median suppresses the influence of friction, which acts in both directions. Runs without a laser measurement at rest
+    do not show the zeros, because encoders gave their position; they are used only if there are no others.
 
     Args:
         machine: Fitted machine.
@@ -301,8 +304,8 @@ def encoder_zero_errors(machine: Machine, initial: Sequence[InitialState]) -> Ar
     return errors
 
 
-def refine_offsets(initial: InitialState, machine: Machine, errors: Array) -> InitialState:
-    """Correct the encoder zeros (measurements at position 0) of an initial state, and the pulley angles from them.
+def correct_encoder_zeros(initial: InitialState, machine: Machine, errors: Array) -> InitialState:
+    """Correct the encoder zeros (measurements at position 0) of an initial state, and the positions that use them.
 
     Args:
         initial: Measured initial state.
@@ -310,7 +313,7 @@ def refine_offsets(initial: InitialState, machine: Machine, errors: Array) -> In
         errors: Values to add to the zeros, in the sensors' units, shape (sensors,), see `encoder_zero_errors`.
 
     Returns:
-        Corrected copy (zeros, m or rad, shape (sensors,); angles, rad), marked by `offsets_refined=True`.
+        Copy with corrected zeros, m or rad, shape (sensors,), and corrected positions; its `zeros_refined` is True.
     """
     state, reading = initial.state.copy(), initial.reading
     if len(reading):
@@ -323,4 +326,4 @@ def refine_offsets(initial: InitialState, machine: Machine, errors: Array) -> In
         i = machine.coordinate_names.index(sensor.coordinate)
         state[i] = initial.state[i] - errors[j] / sensor.row[sensor.coordinate]
     offset = initial.offset + errors
-    return dataclasses.replace(initial, state=state, reading=reading, offset=offset, offsets_refined=True)
+    return dataclasses.replace(initial, state=state, reading=reading, offset=offset, zeros_refined=True)

@@ -23,11 +23,12 @@ _CREEP = 1e-12  # m/s or rad/s; a velocity that has a direction only
 
 
 def force_error(machine: Machine, data: Dataset) -> float | None:
-    """Return the relative error of the drives' force, |F_drive - F_model| / |F_drive| (root mean squares).
+    """Return the relative error of the drives' force: rms(F_drive - F_model) / rms(F_drive).
 
-    F_drive follows from the voltages, F_model from the measured motion and the machine (inverse dynamics). Positions
-    are filtered at 100 Hz without phase lag and differentiated centrally; forces are decimated by ten. Where the sensor
-    resolves no motion, dry friction has the value within its limits that explains the drives' force best.
+    F_drive follows from the voltages. F_model is the force that the machine needs for the measured motion (inverse
+    dynamics). Positions are low-pass filtered at 100 Hz without phase lag and differentiated centrally; forces are
+    decimated by ten. Where the motion is too slow for the sensor to resolve, dry friction may have any value within its
+    limits, and the one that makes the error smallest is used.
 
     Args:
         machine: Machine to evaluate.
@@ -35,7 +36,7 @@ def force_error(machine: Machine, data: Dataset) -> float | None:
 
     Returns:
         Error over all runs, dimensionless. None if the machine has belts, if a coordinate lacks a drive or a sensor
-        that measures it alone, or if no run is complete.
+        that measures only this coordinate, or if no run has complete measurements.
 
     References:
         Janot, Gautier and Brunot (2019), the EMPS benchmark.
@@ -72,8 +73,8 @@ def _inverse_dynamics(
 ) -> tuple[Array, Array]:
     """Return the forces of the drives and of the model along a measured motion, N or Nm, (n, coordinates) each.
 
-    The drives are those of the machine without effects; what effects change, even at a drive, counts for the model. At
-    zero velocity dry friction has the value within its limits that explains the drives' force best.
+    The force of the drives is that of the machine without effects. All effects, even those on a drive, belong to the
+    force of the model. At zero velocity, dry friction has the value within its limits that makes the error smallest.
     """
     delays = Equations(machine).voltage_delays()
     mean_voltages = [_centered_mean(run.time_s, run.inputs[:, j], delay) for j, delay in enumerate(delays)]
@@ -96,7 +97,7 @@ def _inverse_dynamics(
 def _centered_mean(time_s: Array, values: Array, delay: float) -> Array:
     """Return the mean of a delayed, held input over one period around each sample, shape (n,).
 
-    A central difference of the measured motion sees the force around its sample, half of which the previous input
+    A central difference of the measured motion shows the force around its sample, half of which the previous input
     still determines.
     """
     period = float(np.median(np.diff(time_s)))

@@ -1,13 +1,13 @@
 """Linearize the prediction residual of a data set around a machine's free parameters.
 
-Everything in identification that needs a Jacobian calls this module: estimation, screening of candidates, covariance
-and experiment design.  All perturbed machines of a run are simulated in one batch, one SIMD lane per free parameter,
-and the products of the Jacobian's columns are summed over runs.  The unknown initial stretch of the
-belts is projected out of the residual and of every column.
+All perturbed machines of a run are simulated in one batch, one SIMD lane per free parameter, and the products of the
+Jacobian's columns are summed over runs. The part of the residual and of every column that an unknown initial stretch of
+the belts explains is removed by projection.
 
-Notation: theta (k,) are the free parameters, r(theta) is the residual in units of the sensors' noise, J = dr/dtheta and
-E (m columns) are optional responses to perturbations that no free parameter describes. A "row" is one element of r: one
-measured value, or the scaled sum of a block of consecutive ones.
+Notation: theta (k,) are the optimizer's variables of the free parameters, r(theta) is the residual in units of the
+sensors' noise, J = dr/dtheta. E (m columns) are the changes of r by m perturbations, such as forces of candidate
+effects. A "row" is one element of r: one measured value, or the scaled sum of a block of consecutive ones. The
+expansion point is the theta at which J is taken.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from .start_uncertainty import InitialStateProjection, initial_state_projection
 
 Array = NDArray[np.float64]
 
-# Forward difference in units of theta: far above rounding, far below the scale on which the residual bends.
+# Forward difference in units of theta: far above rounding, far below the scale on which the residual is nonlinear.
 DIFFERENCE_STEP = 1e-4
 
 
@@ -36,7 +36,8 @@ def forward_differences(values: Array, step: float = DIFFERENCE_STEP) -> Array:
     """Approximate the derivatives of values with respect to k variables by forward differences.
 
     Args:
-        values: Values, any unit: at the expansion point, then with a variable increased by `step`, shape (k + 1, ...).
+        values: Values, any unit, shape (k + 1, ...): first at the expansion point, then with one variable after another
+            increased by `step`.
         step: Increment of each variable, in its unit.
 
     Returns:
@@ -79,12 +80,12 @@ class NormalEquations:
         Args:
             jacobian: J transposed, derivatives of the residual with respect to k parameters, shape (k, rows).
             residual: Residual r in units of the noise (dimensionless), shape (rows,).
-            responses: E transposed: change of the residual that each of m perturbations causes, for example the force
-                of a candidate effect, in units of the noise, shape (m, rows). Default: none.
+            responses: E transposed: change of the residual by each of m perturbations, for example the force of a
+                candidate effect, in units of the noise, shape (m, rows). Default: none.
             count: Number of independent measured values, dimensionless. Default: the number of rows.
 
         Returns:
-            Inner products of J, E and r, dimensionless: J^T J, shape (k, k), J^T E, shape (k, m), r^T r, and so on.
+            All inner products of J, E and r, dimensionless: J^T J, shape (k, k), J^T E, shape (k, m), and so on.
         """
         parts = [jacobian, residual[None]] if responses is None else [jacobian, responses, residual[None]]
         stacked = np.vstack(parts)
@@ -116,36 +117,36 @@ class NormalEquations:
 
     @property
     def chi2(self) -> float:
-        """Chi-squared per sample, dimensionless: cost per measured value, 1 if only the sensors' noise remains."""
+        """Chi-squared per sample (mean squared residual / noise variance), 1 if only the sensors' noise remains."""
         return self.cost / self.count
 
     @property
     def finite(self) -> bool:
-        """Whether cost, gradient and matrix are finite: no machine near the expansion point diverges."""
+        """Whether cost, gradient and J^T J are finite; if not, a machine at or near the expansion point diverges."""
         return bool(np.isfinite(self.cost) and np.isfinite(self.gradient).all() and np.isfinite(self.information).all())
 
     def eliminate_parameters(self, precision: Array) -> NormalEquations:
-        """Eliminate the k parameters by the Schur complement, so that only the amounts of the m perturbations remain.
+        """Eliminate the k parameters (Schur complement), so that the amounts of the m perturbations are the unknowns.
 
-        The products of the perturbations lose the part that a change of the parameters can reproduce.
+        What a change of the parameters can reproduce is removed from the responses to the perturbations.
 
         Args:
             precision: Inverse covariance of the parameters' prior, dimensionless, shape (k, k).
 
         Returns:
-            Normal equations with k = 0, matrix of shape (m, m), for m amounts. `cost` and `count` do not change.
+            Copy with k = 0, reduced `response_information`, shape (m, m), and `response_gradient`, shape (m,).
         """
         hessian = self.information + precision
         right_side = np.column_stack([self.cross_products, self.gradient])
-        mimicked = self.cross_products.T @ np.linalg.solve(hessian, right_side)  # (m, m + 1)
+        reproduced = self.cross_products.T @ np.linalg.solve(hessian, right_side)  # (m, m + 1)
         return NormalEquations(
             information=np.zeros((0, 0)),
             gradient=np.zeros(0),
             cost=self.cost,
             count=self.count,
             cross_products=np.zeros((0, len(self.response_gradient))),
-            response_information=self.response_information - mimicked[:, :-1],
-            response_gradient=self.response_gradient - mimicked[:, -1],
+            response_information=self.response_information - reproduced[:, :-1],
+            response_gradient=self.response_gradient - reproduced[:, -1],
         )
 
 
@@ -159,7 +160,7 @@ class RunLinearization:
         residual: Residual at the expansion point, shape (rows,).
         initial_state: Positions, then velocities, from which the run is predicted, in the coordinates' units, shape
             (2 * coordinates,).
-        projection: Projection that removed that part; None where the initial state does not matter.
+        projection: Projection that removed the part which the initial state explains; None if there is none.
     """
 
     jacobian: Array
@@ -174,14 +175,14 @@ class Start(NamedTuple):
 
     Attributes:
         state: Positions, then velocities, in the coordinates' units, shape (2 * coordinates,).
-        projection: Removes from residuals what an error of this state explains; None where it does not matter.
+        projection: Removes from residuals what an error of this state explains; None if it explains nothing.
     """
 
     state: Array
     projection: InitialStateProjection | None
 
 
-# Responses (m, rows) of the residual of a run to perturbations along the motion (batch of one) of the expansion point.
+# Function from a run and its motion at the expansion point (batch of one) to the responses E^T, shape (m, rows).
 Responses = Callable[[PreparedRecording, Motion], Array]
 
 
@@ -195,7 +196,7 @@ class ResidualModel:
         data: Runs to predict.
         bandwidth: Bandwidth of the observer that corrects predictions by measurements, rad/s; 0 for a simulation.
         longest_step: Maximum integration step, s.
-        rows_per_block: How many rows are averaged into one, see `prediction.residuals`.
+        rows_per_block: How many samples are combined into one row, see `prediction.residuals`.
     """
 
     machine: Machine
@@ -224,24 +225,24 @@ class ResidualModel:
             predicted: Values of a batch of predictions, in the sensors' units, shape (batch, n, sensors).
 
         Returns:
-            (measured - predicted) / noise, dimensionless, shape (batch, rows), one sensor after another. Where
-            `rows_per_block` is above one, that many samples are averaged into one row, and noise keeps its size.
+            (measured - predicted) / noise, dimensionless, shape (batch, rows), all sensors of one sample before the
+            next. Blocks of `rows_per_block` samples are combined to one, see `prediction.residuals`.
         """
         return residuals(run, self.data, predicted, self.rows_per_block)
 
     def linearize_run(
         self, run: PreparedRecording, theta: Array, responses: Responses | None = None
     ) -> RunLinearization:
-        """Linearize the residual of one run.
+        """Linearize the residual (prediction error / noise) of one run as a function of the free parameters.
 
         Args:
             run: Run to predict.
             theta: Dimensionless variables of the k free parameters at the expansion point, shape (k,).
-            responses: Function that returns the changes of the residual by m perturbations, shape (m, rows), from the
-                run and its predicted motion. Default: none.
+            responses: Function from the run and its predicted motion to the changes of the residual by m perturbations,
+                shape (m, rows). Default: none.
 
         Returns:
-            Jacobian, shape (k, rows), residual, (rows,), and responses, without what the initial belt stretch explains.
+            Jacobian, shape (k, rows), residual, (rows,), and responses, all projected by `initial_state_projection`.
         """
         machine = self.machine_at(theta)
         thetas = np.vstack([theta, theta + DIFFERENCE_STEP * np.eye(len(self.free))])
@@ -265,7 +266,7 @@ class ResidualModel:
         return RunLinearization(forward_differences(residual), extra, residual[0], initial_state, projection)
 
     def linearize(self, theta: Array, responses: Responses | None = None) -> Linearization:
-        """Linearize the residual (prediction error / noise) of all runs as a function of the fitted parameters.
+        """Linearize the residual (prediction error / noise) of all runs as a function of the free parameters.
 
         Args:
             theta: Dimensionless variables of the k free parameters at the expansion point, shape (k,).
@@ -273,7 +274,7 @@ class ResidualModel:
                 as candidate forces, shape (m, rows). Default: none.
 
         Returns:
-            Linearization: normal equations J^T J, shape (k, k), J^T r, ... and initial state of each run.
+            Products of the linearized residual (J^T J, shape (k, k), J^T r, ...) and initial state of each run.
         """
 
         def of_run(run: PreparedRecording) -> tuple[NormalEquations, Start]:
@@ -325,9 +326,9 @@ class Linearization:
         return NormalEquations.total(self.by_run)
 
     def costs(self, thetas: Array) -> Array:
-        """Compute the costs of trial parameters by prediction, not from the linearization.
+        """Compute the costs of trial parameters by new predictions, not from the linearization.
 
-        Initial states and their projections are those of the expansion point.
+        The initial states, and the projection that removes their uncertainty, are those of the expansion point.
 
         Args:
             thetas: Dimensionless variables of the k free parameters for each trial of a batch, shape (batch, k).

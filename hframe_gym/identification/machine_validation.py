@@ -21,21 +21,22 @@ _HISTORIES, _SECONDS, _PERIOD = 4, 2.0, 1e-3  # s
 _MEAN_HOLD = 0.02  # s, mean time between two jumps of a voltage; longer ones drive a carriage out of its workspace
 _REACH = 1.5  # extensions are checked up to this multiple of those that the rated voltage causes
 _EXTENSION_POINTS = 401
-_LARGEST_SPEED_RATIO = 5.0  # of the machine with and without its effects; friction that is absent does not double it
+_LARGEST_SPEED_RATIO = 5.0  # top speed with / without the effects; absent friction does not even double the speed
 _FLAT = 1e-9  # fraction of the largest tension that counts as rounding error
 
 
 def monotonic_belts(machine: Machine) -> bool:
     """Check that the tension of no belt falls while it is extended, as far as the rated voltage can extend it.
 
-    The extensions are those of the machine without its effects under random voltages that switch between the positive
-    and the negative rated voltage, with a margin of 50 %. A tension that is constant (play, slack) is allowed.
+    The largest extension of each belt is simulated for the machine without its effects, under voltages that switch at
+    random between the positive and the negative rated voltage, and multiplied by 1.5. A tension that is constant (play,
+    slack) is allowed.
 
     Args:
         machine: Machine with its effects (deviations from the nominal model).
 
     Returns:
-        True if all belts are monotonic, and for a machine without effects on belts.
+        True if the tension of no belt falls, and for a machine without effects on belts.
     """
     effects_on_belts = [e for e in machine.effects if e.definition.tension]
     if not effects_on_belts:
@@ -51,14 +52,14 @@ def stable_under_rated_voltage(machine: Machine) -> bool:
     """Check that 2 s of random rated voltage move a machine within bounds.
 
     Every voltage switches between the positive and the negative rated one at random times (random telegraph signal).
-    The speeds must remain below five times those of the same machine without its effects, as long as this machine stays
-    in its workspace.
+    The top speed must not exceed five times that of the same machine without its effects. Only the time before the
+    machine without effects leaves its workspace is evaluated.
 
     Args:
         machine: Machine with its effects (deviations from the nominal model).
 
     Returns:
-        False if the simulated motion diverges or is faster than that.
+        False if the simulated motion diverges or exceeds this speed.
     """
     _, speeds = _random_motions(machine)
     if not machine.effects:

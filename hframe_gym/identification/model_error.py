@@ -1,15 +1,18 @@
-"""The error of a model beyond the sensors' noise: its size, and whether an effect stands out from it.
+"""The error of a model beyond the sensors' noise: its size, and whether an effect is larger.
 
 No model of a real machine is exact. A small force that no effect of the library describes (a residue) accumulates in a
-simulation to many times the sensors' noise, and effects that do not exist imitate parts of it. Three means keep them
-apart:
+simulation to many times the sensors' noise, and effects that do not exist can reproduce parts of this error. Three
+measures distinguish true effects from the residue:
 
-- The observer of the prediction stands for the residue. Its bandwidth is that of the steady-state Kalman filter for a
-  random force, so the bandwidth that maximizes the likelihood of the innovations estimates the residue's size. A model
-  without residue needs no observer; every effect is judged at the bandwidth that remains once it is part of the model.
+- An observer corrects the prediction by the measurements, as the steady-state Kalman filter for a random force would.
+  The bandwidth, rad/s, that maximizes the likelihood of the innovations (errors before each correction) corresponds to
+  the size of the residue. A model without residue needs no observer, which is called a simulation, bandwidth 0. After
+  every selected effect the bandwidth is chosen anew.
 - An effect must be larger than the residue: its force is compared with the force by which the observer corrects the
   prediction.
 - An effect must be confirmed by runs to which its parameters were not fitted (leave-one-run-out, linearized).
+
+The cost is the sum of squared residuals in units of the sensors' noise; chi-squared per sample is its mean.
 """
 
 from __future__ import annotations
@@ -40,8 +43,8 @@ BANDWIDTHS = (SEARCH_BANDWIDTH, 30.0, 15.0, 7.0, 3.0, SIMULATION)
 _FOLDS = 3  # parts of the runs that are left out in turn, where fits are repeated
 _MIN_RUNS, _PIECES = 4, 8  # fewer runs are divided into that many pieces for cross-validation
 _MIN_AGREEING = 2  # runs that must agree with each other for another one to contradict them
-CONTRADICTION = 10.0  # times the chi-squared of the other runs; effects that single runs excite reach 30
-_SEARCH_STEP_NARROW = 0.25e-3  # s; a narrow observer does not forgive the error of longer integration steps
+CONTRADICTION = 10.0  # chi-squared of a run / that of the other runs; effects that single runs excite reach 30
+_SEARCH_STEP_NARROW = 0.25e-3  # s; with a narrow observer, the errors of longer integration steps accumulate
 
 
 def search_step(bandwidth: float) -> float:
@@ -56,20 +59,21 @@ def search_step(bandwidth: float) -> float:
     return SEARCH_STEP if bandwidth >= SEARCH_BANDWIDTH else _SEARCH_STEP_NARROW
 
 
-def information_loss(fitted: Fit, data: Dataset) -> float:
-    """Return minus twice the log-likelihood of the innovations per measured value, without constants.
+def likelihood_loss(fitted: Fit, data: Dataset) -> float:
+    """Return -2 log(likelihood) of the innovations per measured value, without constants.
 
     Innovations are measured minus predicted values, where an observer corrects the prediction by the measurements.
-    Those of a steady-state Kalman filter with position gain K have 1 / (1 - K) times the variance of the sensor's
-    noise. The loss makes fits at different observer bandwidths comparable.
+    Their expected variance is that of a steady-state Kalman filter, the variance of the sensor's noise / (1 - K) with
+    the position gain K. It depends on the bandwidth; therefore this loss, not the cost, compares fits at different
+    observer bandwidths.
 
     Args:
         fitted: Fit at any observer bandwidth.
         data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
-        Loss, dimensionless; 1 for an exact model in simulation with white noise of the assumed size. Differences times
-        the number of measured values are likelihood ratios.
+        Loss, dimensionless; 1 for an exact model in simulation with white noise of the assumed size. The difference of
+        two losses times the number of measured values is -2 log(likelihood ratio).
 
     References:
         Ljung (1999), "System Identification", section 7.4.
@@ -79,7 +83,7 @@ def information_loss(fitted: Fit, data: Dataset) -> float:
 
 
 def _innovation_variance(fitted: Fit, data: Dataset) -> tuple[float, float]:
-    """Return the mean variance of the innovations of an exact model, relative to the noise, and that of its log."""
+    """Return the mean expected variance of the innovations, relative to the noise, and the mean of its logarithm."""
     # Position gain K of a critically damped observer: twice the bandwidth times the sampling period.
     gains = 2.0 * sensor_bandwidths(fitted.machine, fitted.bandwidth) * data.period
     variance = 1.0 / (1.0 - np.minimum(gains, 0.9))  # (sensors,)
@@ -89,90 +93,90 @@ def _innovation_variance(fitted: Fit, data: Dataset) -> tuple[float, float]:
 
 
 def narrower_observer(fitted: Fit, data: Dataset) -> Fit:
-    """Fit a machine with the next narrower one of the observers that correct predictions by the measurements.
+    """Fit a machine again with an observer (feedback of measurements) of the next smaller bandwidth in `BANDWIDTHS`.
 
     Args:
         fitted: Fit at one of the bandwidths `BANDWIDTHS` above 0.
         data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
-        Fit (machine, parameters theta, shape (k,), cost) at the next smaller bandwidth, rad/s.
+        Fit (machine, parameters theta, shape (k,), cost) at the next smaller bandwidth, rad/s; 0 is a simulation.
     """
     return at_bandwidth(fitted, BANDWIDTHS[BANDWIDTHS.index(fitted.bandwidth) + 1], data)
 
 
 def likelihood_deficit(fitted: Fit, reference: Fit, data: Dataset) -> float:
-    """Return by how much chi-squared per sample of a fit must fall to make it as likely as another one.
+    """Return by how much chi-squared per sample of a fit must fall to make it as likely as a reference.
 
     Args:
         fitted: Fit at any observer bandwidth.
-        reference: Fit of the same machine with another observer to correct predictions by the measurements.
+        reference: Fit of the same machine at another observer bandwidth (of the feedback of measurements).
         data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
         Reduction of chi-squared per sample, dimensionless; 0 if the fit is at least as likely.
     """
-    loss = information_loss(fitted, data) - information_loss(reference, data)
+    loss = likelihood_loss(fitted, data) - likelihood_loss(reference, data)
     return max(0.0, loss) * _innovation_variance(fitted, data)[0]
 
 
 def fit_with_model_error(fitted: Fit, data: Dataset) -> Fit:
     """Fit again at the observer bandwidth that maximizes the likelihood of the data.
 
-    An observer corrects the prediction by the measurements; the larger the error of the model, the wider the bandwidth
-    that it needs. Bandwidths below that of the given fit are tried while the likelihood increases, and the simulation
-    (no observer) in any case, because the likelihood may have a second maximum there: an observer disturbs phases in
-    which friction holds the machine at rest, a simulation does not.
+    An observer corrects the prediction by the measurements; the larger the error of the model, the larger the bandwidth
+    must be. Starting from the bandwidth of the given fit, smaller ones are tried as long as the likelihood increases.
+    The simulation (no observer) is always tried, because the likelihood may have a second maximum there: an observer
+    disturbs phases in which friction holds the machine at rest, a simulation does not.
 
     Args:
         fitted: Fit (machine, parameters, cost) at one of the bandwidths `BANDWIDTHS`.
         data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
-        Fit with the smallest loss, see `information_loss`: machine, theta, shape (k,), cost and bandwidth, rad/s.
+        Most likely fit, see `likelihood_loss`: machine, theta, shape (k,), cost and bandwidth, rad/s.
     """
     if fitted.bandwidth == SIMULATION:
         return fitted
     simulated = at_bandwidth(fitted, SIMULATION, data)
-    best, least_loss = fitted, information_loss(fitted, data)
+    best, least_loss = fitted, likelihood_loss(fitted, data)
     for bandwidth in BANDWIDTHS[BANDWIDTHS.index(fitted.bandwidth) + 1 : -1]:
         narrower = at_bandwidth(best, bandwidth, data)
-        loss = information_loss(narrower, data)
+        loss = likelihood_loss(narrower, data)
         if not loss < least_loss:
             break
         best, least_loss = narrower, loss
-    return simulated if information_loss(simulated, data) < least_loss else best
+    return simulated if likelihood_loss(simulated, data) < least_loss else best
 
 
 def polish(fitted: Fit, data: Dataset) -> Fit:
-    """Fit again with the shortest integration step, at the same bandwidth of the observer that corrects predictions.
+    """Fit again with the shortest integration step, 0.125 ms, which has a negligible integration error.
 
     Args:
-        fitted: Fit to refine.
+        fitted: Fit to refine; its parameters are the starting values.
         data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
-        Fit (machine, parameters theta, shape (k,), cost) from the parameters of the given one, without the integration
-        error of the search.
+        Fit (machine, parameters theta, shape (k,), cost) at the same observer bandwidth.
     """
     return fit(fitted.machine, fitted.free, data, fitted.bandwidth, theta=fitted.theta, longest_step=POLISH_STEP)
 
 
 def refined_in_simulation(fitted: Fit, data: Dataset) -> Fit:
-    """Fit a machine so that its simulation has the smallest error, as far as cross-validation confirms it.
+    """Fit the parameters again so that the simulation of the machine has the smallest error.
 
-    An observer hides slow errors from the fit, and with them what they say about the parameters. It protects the search
-    from the model's error; the final machine is used in simulation. Compared are the fit with this observer, fits with
-    narrower ones, and the fit in simulation. The parameters of the last one adapt to the model's error, so that its
-    error on runs that it was not fitted to counts.
+    An observer (feedback of the measurements) makes the fit robust against errors of the model, but it hides slow
+    errors and the information that they contain about the parameters. The final machine is used in simulation.
+    Therefore fits at all smaller observer bandwidths are compared by the error of their simulation. A fit in simulation
+    is compared as well; because its parameters adapt to errors of the model, its error is measured by cross-validation
+    over the runs.
 
     Args:
         fitted: Final fit at any observer bandwidth.
         data: Runs that were fitted.
 
     Returns:
-        Fit of the same k parameters (theta of shape (k,)) whose simulation has the smallest error, with the shortest
-        integration step; the given one if none is better, or for a single run, which cannot confirm another fit.
+        Fit of the same k parameters (theta of shape (k,)) with the best simulation, with the shortest integration step.
+        The given fit if none is better, or if there is only one run, which permits no cross-validation.
     """
     if fitted.bandwidth == SIMULATION or len(data.runs) == 1:
         return fitted
@@ -190,7 +194,7 @@ def refined_in_simulation(fitted: Fit, data: Dataset) -> Fit:
 
 
 def _cross_validated_cost(fitted: Fit, data: Dataset) -> float:
-    """Return the cost of all runs, each with parameters that were fitted to runs of the other two thirds."""
+    """Return the cost of all runs, each third with parameters that were fitted to the other two thirds."""
     names = [run.name for run in data.runs]
     folds = [names[first::_FOLDS] for first in range(min(_FOLDS, len(names)))]
     step = search_step(fitted.bandwidth)
@@ -203,20 +207,21 @@ def _cross_validated_cost(fitted: Fit, data: Dataset) -> float:
 
 
 def leave_one_out_gain(without: Fit, with_effect: Fit, data: Dataset) -> float:
-    """Return by how much an effect reduces the cost of every run if the other runs alone determine the parameters.
+    """Return by how much an effect reduces the error of runs to which it was not fitted (leave one run out).
 
-    The cost is the sum of squared residuals in units of the noise. Both models are linearized around their fit, where
-    leaving out one run moves the parameters by one Newton step. Fewer than four runs are divided into eight pieces in
-    all, which are left out instead: the other runs alone might not determine the parameters.
+    For each run, the parameters of both models are fitted to the other runs, and the cost (sum of squared residuals in
+    units of the noise) of this run is evaluated. The models are linearized, so that each of these fits is one Newton
+    step. Fewer than four runs are divided into at least eight pieces in all, which are left out instead of runs: too
+    few other runs might not determine the parameters.
 
     Args:
         without: Fit without the effect (deviation from the nominal model).
-        with_effect: Fit with it, with the same observer to correct predictions by the measurements.
+        with_effect: Fit with the effect, at the same observer bandwidth (of the feedback of measurements).
         data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
-        Reduction of chi-squared, dimensionless, summed over all runs. It is at most about the reduction on the fitted
-        runs; it is negative if the effect describes single runs rather than the machine.
+        Reduction of the cost, dimensionless, summed over all runs. It is usually smaller than the reduction on the
+        fitted runs, and negative if the effect describes single runs rather than the machine.
     """
     return _leave_one_out_cost(without, data) - _leave_one_out_cost(with_effect, data)
 
@@ -228,18 +233,18 @@ def _leave_one_out_cost(fitted: Fit, data: Dataset) -> float:
 
 
 def contradicting_run(fitted: Fit, data: Dataset) -> str | None:
-    """Find a run that does not agree with a machine on which the other runs agree.
+    """Find the run that contradicts the other runs: the machine that is fitted to them does not explain this run.
 
-    A loose connector, a slipped belt or another amplifier setting in one run is such a contradiction; so is an effect
-    that only one run excites, and only a search for effects can tell one from the other.
+    The cause may be a mistake (a loose connector, a slipped belt, another amplifier setting) or an effect that only
+    this run excites. Only a search for effects can distinguish the two.
 
     Args:
         fitted: Fitted machine with its observer bandwidth.
         data: Runs that were fitted.
 
     Returns:
-        Name of the run whose chi-squared per sample, with the parameters that the other runs determine, is more than
-        ten times theirs, and most; None if there is no such run, or fewer than three runs.
+        Name of the run with the largest ratio of its chi-squared per sample to that of the other runs, for parameters
+        that are fitted to the other runs. None if this ratio is at most 10, or if there are fewer than three runs.
     """
     if len(data.runs) < _MIN_AGREEING + 1:
         return None
@@ -253,7 +258,7 @@ def contradicting_run(fitted: Fit, data: Dataset) -> str | None:
 
 
 def _left_out_costs(fitted: Fit, data: Dataset, pieces: int) -> list[tuple[float, float]]:
-    """Return for each piece of the runs the cost of that piece, and of all others, with parameters from the others.
+    """Return for each piece of the runs its cost and that of all others, with parameters fitted to the others.
 
     The model is linearized around the fit, where leaving out a piece moves the parameters by one Newton step
     within the limits of the fit.
@@ -293,13 +298,13 @@ def explains(fitted: Fit, initial_chi2: float, criteria: SelectionCriteria) -> b
     """Return whether a fit leaves only the sensors' noise, or a negligible part of the initial residual.
 
     Args:
-        fitted: Fit whose predictions an observer corrects by the measurements, with the bandwidth that its error
-            requires.
+        fitted: Fit at the observer bandwidth that `fit_with_model_error` chose.
         initial_chi2: Chi-squared per sample, dimensionless, of the first fit, without effects.
         criteria: Decision thresholds `explained_chi2` and `explained_fraction`.
 
     Returns:
-        True if nothing noticeable remains.
+        True if chi-squared per sample of the fit is below `explained_chi2` (1.5 by default), or below
+        `explained_fraction` times `initial_chi2`.
     """
     return fitted.chi2 < max(criteria.explained_chi2, criteria.explained_fraction * initial_chi2)
 
@@ -325,15 +330,17 @@ def at_bandwidth(fitted: Fit, bandwidth: float, data: Dataset) -> Fit:
 def minimum_gain(current: Fit, criteria: SelectionCriteria) -> float:
     """Return the smallest reduction of chi-squared per sample for which an effect is selected.
 
+    It is the largest of three limits: one for the kind of prediction, one for the total over few samples, and a
+    fraction of the error beyond the noise.
+
     Args:
-        current: Fit without the effect. The bandwidth of the observer that corrects its predictions selects the
-            threshold: that of one-step prediction (60 rad/s), or that of slower observers and simulation.
-        criteria: Decision thresholds, which raise the result for short recordings and large residuals.
+        current: Fit without the effect. Its observer bandwidth selects the first limit: one-step prediction (60 rad/s,
+            strong feedback of the measurements), or narrower observers and simulation.
+        criteria: Decision thresholds.
 
     Returns:
         Required reduction of chi-squared per sample, dimensionless.
     """
-    # Three limits: for the kind of prediction, for the total of few samples, for a fraction of the error beyond noise.
     wide = current.bandwidth >= SEARCH_BANDWIDTH
     min_gain = criteria.min_gain_one_step if wide else criteria.min_gain_simulation
     excess = current.chi2 - 1.0

@@ -1,8 +1,8 @@
 """Nonparametric candidates: a table of a force or a friction level against one variable.
 
-They are the fallback for a residual that no effect of the library explains. The missing force of every coordinate is
-compared with every variable; the best pairs become candidates. The report names a table as a table, not as a physical
-effect.
+They are the fallback for a residual that no effect of the library explains. The missing force (the force that the model
+lacks) of every coordinate is compared with every variable; the best pairs become candidates. The report calls a table a
+table, not a physical effect.
 """
 
 from __future__ import annotations
@@ -49,22 +49,22 @@ def table_candidates(
 ) -> list[Candidate]:
     """Propose the tables (forces or friction levels over one variable) that explain most of the missing force.
 
-    The missing force is the one that the model needs in addition to follow the measurements. Several tables are
-    proposed for each coordinate:
+    The missing force is the force that would have to be added to the model for it to follow the measurements. Several
+    tables are proposed for each coordinate:
 
     - the ones that explain most, because a force on one coordinate also appears in the missing force of the others;
     - one over time, because a position that differs from run to run correlates with time;
-    - one over the position of the coordinate, because refitted friction can hide such a force in the missing force.
+    - one over the position of the coordinate, because refitted friction can reproduce a part of such a force, which is
+      then absent from the missing force.
 
     Args:
         machine: Machine with the effects (deviations from the nominal model) that have been selected so far.
         data: Prepared recordings (times, voltages, measurements, SI).
-        scales: Typical sizes on this machine; that of the force is the unit of the ordinates.
-        criteria: Decision thresholds; `max_tables_per_coordinate` limits the number.
+        scales: Typical sizes on this machine; a fraction of the typical force is the unit of the ordinates.
+        criteria: Decision thresholds; `max_tables_per_coordinate` is the number of best tables per coordinate.
 
     Returns:
-        Candidates: for each coordinate the best tables, one over time and one over its position; each has one basis
-        function per knot.
+        These tables as candidates, coordinate by coordinate; each has one basis function per knot.
     """
     motion_and_force = missing_force(machine, data)
     variables = table_variables(machine, data)
@@ -96,7 +96,7 @@ def table_candidates(
 def table_variables(machine: Machine, data: Dataset) -> dict[str, Array]:
     """Return the variables that a table (force interpolated over one variable) may depend on.
 
-    Motions are predictions that an observer keeps at the measurements (one-step prediction).
+    Positions and velocities are predictions that an observer corrects by the measurements at every sample.
 
     Args:
         machine: Machine that predicts the motion.
@@ -157,7 +157,7 @@ def _curve(variable_values: Array, values: Array, *, symmetric: bool) -> tuple[f
 
 
 def _candidate(table: Table, scales: TypicalScales) -> Candidate:
-    """Return a table as a candidate whose columns are the values at its knots."""
+    """Return a table as a candidate with one basis function (column) per knot."""
     effect = definition(table.effect)
     at_site = scales.of(table.site)
     knots = {f"k{i:02d}": float(k) for i, k in enumerate(table.knots)}
@@ -188,8 +188,8 @@ def add_tables(
         log: Called with a line of text for every table that is fitted to all data.
 
     Returns:
-        Fit of the machine with the tables.
-        All selected effects, the tables last, with their fitted parameters.
+        fit: Fit of the machine with the tables.
+        selected: All selected effects, the tables last, with their fitted parameters.
     """
     for _ in range(max_tables):
         scales = typical_scales(current, data)
@@ -217,10 +217,10 @@ def add_tables(
 def _cross_validation(
     current: Fit, scored: ScoredCandidate, scales: TypicalScales, data: Dataset, criteria: SelectionCriteria
 ) -> float:
-    """Return the cost of the data that a table was not fitted to, relative to the cost without the table.
+    """Return the cost of data that a table was not fitted to, relative to the cost without the table.
 
-    A table has two dozen values and can therefore fit errors that have another cause, but a table against the wrong
-    variable does not predict another run.
+    A table has two dozen values and can therefore fit errors of any cause; but a table over the wrong variable does not
+    predict other data.
     """
     by_run = scored.candidate.effect.against != "time"
     halves = _halves(data, by_run=by_run, blocks=criteria.cross_validation_blocks)

@@ -20,23 +20,24 @@ _HIGH_CORRELATION = 0.95
 # A standard deviation beyond this fraction of the prior's: the data hardly added to the declared value.
 _PRIOR_DOMINATES = 0.6
 _BOUND_TOLERANCE = 1e-6  # relative
-# Parameters that users know within a factor of two; friction and back-EMF may be a fraction of the declared value.
+# Parameters that users know to within a factor of two; friction and back-EMF may be a fraction of the declared value.
 _KNOWN_PARAMETERS = ("mass", "EA", "Kt")
 # A combination of parameters is not determined if its variance is beyond this fraction of the prior's.
 _UNDETERMINED_VARIANCE = 0.25
 _EFFECT_PRIOR = 0.5  # Standard deviation by which an effect's parameters are scaled, relative to their value.
-# A parameter belongs to a direction that is not determined if its component in multiples of the prior's standard
-# deviation, relative to the largest, and the fraction of its variance along the direction are at least this large.
+# A parameter belongs to a direction that is not determined if two values are at least this large: its component (in
+# units of the prior's standard deviation) relative to the largest one, and the fraction of its variance that is along
+# the direction.
 _MIN_MEMBERSHIP = 0.1
 
 
 @dataclass(frozen=True)
 class InseparableParameters:
-    """Parameters whose single values the data do not determine, but some combinations of them.
+    """Parameters whose single values the data do not determine; the data determine only some weighted sums of them.
 
     Attributes:
         names: Full names of the parameters.
-        combinations: Weights by parameter name of each sum of the parameters that the data do determine.
+        combinations: Weights by parameter name of each weighted sum that the data determine.
     """
 
     names: tuple[str, ...]
@@ -60,8 +61,9 @@ class InseparableParameters:
             machine: Identified machine with its uncertainty.
 
         Returns:
-            "parameters": names of the parameters. "determined": for each combination that the data determine, "weights"
-            by parameter name, and its "value" and standard deviation "std" in the unit of its first parameter.
+            "parameters": names of the parameters. "determined": one dictionary for each weighted sum that the data
+            determine, with its "weights" by parameter name, its "value", and its standard deviation "std", both in the
+            unit of its first parameter.
         """
         return {
             "parameters": list(self.names),
@@ -76,11 +78,10 @@ def sum_text(weights: Mapping[str, float]) -> str:
     """Format a weighted sum of parameters, for example "phi1.viscous + 1.13 motor1.Ke".
 
     Args:
-        weights: Weight, in the unit of the first parameter per unit of this one, by full parameter name; 1 is not
-            written.
+        weights: Weight by full parameter name, in the unit of the first parameter per unit of the weighted parameter.
 
     Returns:
-        Text with weights to three digits.
+        Text with weights to three digits; weights of 1 are left out.
     """
     text = ""
     for name, weight in weights.items():
@@ -99,19 +100,19 @@ def _value_and_std(machine: Machine, weights: dict[str, float]) -> tuple[float, 
 
 
 def inseparable_parameters(machine: Machine, declared: Machine) -> tuple[InseparableParameters, ...]:
-    """Find the sets of parameters that the data do not separate, because only some combinations have an influence.
+    """Find sets of parameters that the data do not separate: only some weighted sums influence the measurements.
 
-    The spectrum of the covariance, scaled by the standard deviations of the priors, shows the directions along which
-    the data did not reduce the prior's variance much. Each direction that involves several parameters leaves one
-    combination of them undetermined.
+    The covariance is scaled by the standard deviations of the priors. Its eigenvectors with an eigenvalue above 0.25
+    are directions along which the data reduced the variance of the prior by less than a factor of four. The data do not
+    separate the parameters that contribute to the same direction.
 
     Args:
         machine: Identified machine with its uncertainty.
         declared: Machine as it was declared, whose parameters are the centers of the priors.
 
     Returns:
-        Disjoint sets of at least two parameters each, with the combinations that the data determine; ordinates of
-        tables are left out. Empty if the machine has no uncertainty.
+        Disjoint sets of at least two parameters each, with the weighted sums that the data determine. Ordinates of
+        tables (curves) are left out. Empty if the machine has no uncertainty.
     """
     if machine.uncertainty is None:
         return ()
@@ -231,8 +232,8 @@ def _connected(members: NDArray[np.bool_]) -> list[list[int]]:
 def parameters_at_limit(machine: Machine, declared: Machine) -> dict[str, str]:
     """Describe the masses, belt stiffnesses and torque constants that the fit moved to the limit of their range.
 
-    A value so far away means that the machine file, or a unit or gear ratio of the recordings, is wrong by a factor, or
-    that the machine lacks an effect; the other parameters are then wrong as well.
+    A value so far from the declared one means that the machine file, or a unit or gear ratio of the recordings, is
+    wrong by a factor, or that the machine lacks an effect. The other parameters are then unreliable as well.
 
     Args:
         machine: Refitted machine.
@@ -257,16 +258,16 @@ def parameters_at_limit(machine: Machine, declared: Machine) -> dict[str, str]:
 def parameter_doubts(machine: Machine, declared: Machine) -> dict[str, list[str]]:
     """List for each identified parameter why its value may be unreliable.
 
-    Reasons are a value at its bound, a combination with other parameters of which the data determine only a sum, a
-    large standard deviation, a value that the prior determines, and a correlation above 0.95 with another parameter.
+    The reasons are: a value at a bound or at the limit of the fit, a parameter of which the data determine only a sum
+    with others, a large standard deviation, a value that the prior determines, and a correlation above 0.95.
 
     Args:
         machine: Identified machine with its uncertainty.
         declared: Machine as it was declared, whose parameters are the centers of the priors.
 
     Returns:
-        By full parameter name, phrases for the report; an empty list for a reliable parameter. Empty if the machine
-        has no uncertainty.
+        Phrases for the report by full parameter name; an empty list for a reliable parameter. An empty dictionary if
+        the machine has no uncertainty.
     """
     if machine.uncertainty is None:
         return {}

@@ -54,9 +54,8 @@ def identify(
 ) -> IdentificationResult:
     """Identify the effects (deviations such as friction curves or backlash) that a machine's model lacks.
 
-    The machine's parameters are fitted to the recordings. Effects are selected that reduce the remaining error. The
-    declared machine, the refitted one, and that with effects are simulated over the held-out runs, to which nothing was
-    fitted.
+    The machine's parameters are fitted to the recordings; then effects are selected that reduce the remaining error.
+    Three machines (declared, refitted, with effects) are simulated over the held-out runs, to which nothing was fitted.
 
     Args:
         recordings: Runs of one rig (times, s; voltages, V; measurements, m or rad), at least two.
@@ -153,8 +152,8 @@ def _prepare(
 def _without_unconfirmed(outcome: SearchOutcome, validation: Dataset, log: Log) -> SearchOutcome:
     """Remove effects that do not reduce the error of some held-out runs, weakest first.
 
-    The held-out runs can only remove an effect here, never add or change one. They say nothing about an effect that
-    they do not excite; then the runs that were left out in turn (`leave_one_out_gain`) must suffice.
+    The held-out runs can only remove an effect here, never add or change one. An effect that they do not excite is
+    kept: the fitted runs, left out one by one (`leave_one_out_gain`), have confirmed it.
     """
     before, before_explains, _, verdict, after, selected, considered, data, _ = outcome
     while selected and validation.runs:
@@ -170,7 +169,7 @@ def _without_unconfirmed(outcome: SearchOutcome, validation: Dataset, log: Log) 
         log(f"  {weakest.effect.label} is removed: it {reason}")
         refined = refine_starts(data, after.machine)
         reduced = without_effect(after, weakest.effect.label, refined, before.machine)
-        if reduced is None:  # another one acts on its coordinate
+        if reduced is None:  # another effect acts on a coordinate that this one added
             break
         entry = ConsideredEffect(weakest.effect, after.machine, reduced.machine, reason)
         selected = tuple(s for s in selected if s is not weakest)

@@ -60,7 +60,9 @@ def report_panels(report: Mapping[str, Any], curves: Mapping[str, Array], machin
 
 
 def save_plots(panels: Panels, folder: Path) -> list[Path]:
-    """Save the plots of a report as PNG files, one per plot; files of plots without panels are deleted.
+    """Save the plots of a report as PNG files NAME.png, one per plot.
+
+    The file of a plot without panels is deleted, so that no plot of an earlier result remains.
 
     Args:
         panels: Panels by name of the plot.
@@ -85,7 +87,7 @@ def save_plots(panels: Panels, folder: Path) -> list[Path]:
 
 
 def readable_unit(channel: str, largest: float) -> tuple[float, str]:
-    """Choose the unit in which an error of a channel is readable.
+    """Choose a unit (µm, mm, m; mrad, rad) in which the errors of a channel are numbers below 1000.
 
     Args:
         channel: Name of the output channel, which ends with its unit, for example "x_m".
@@ -249,7 +251,7 @@ def slow_fractions(curves: Mapping[str, Array]) -> dict[str, str]:
         curves: Curves by name, SI, shape (m,) each, see `result.plot_data`.
 
     Returns:
-        Fractions as text, such as "23 %", by name of the coordinate; without coordinates that never move.
+        Fraction as text, such as "23 %", by name of each coordinate that moves.
     """
     fractions = {}
     for name, velocity in curves.items():

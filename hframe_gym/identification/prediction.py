@@ -3,11 +3,11 @@
 A Luenberger observer feeds the difference of measured and predicted values back into position and velocity at every
 sample, so that the error of a wrong model remains local in time. Its bandwidth is an argument of every prediction:
 
-- `SEARCH_BANDWIDTH` (60 rad/s), the widest, suits a model that is still wrong;
+- `SEARCH_BANDWIDTH` (60 rad/s), the largest, suits a model that is still wrong (one-step prediction);
 - `SIMULATION` (0) means no feedback: the machine runs from its initial state;
 - between them, `model_error` chooses the bandwidth that the model's remaining error requires.
 
-`start_uncertainty` removes from the residual what the measurements at rest leave open about the initial state.
+`start_uncertainty` removes from the residual the part that an uncertain initial state explains.
 """
 
 from __future__ import annotations
@@ -68,13 +68,14 @@ def _linear_algebra() -> ThreadpoolController:
 
 
 def sensor_bandwidths(machine: Machine, bandwidth: float) -> Array:
-    """Return the bandwidth with which the measurements of every sensor correct a prediction (observer bandwidth).
+    """Return the observer bandwidth of every sensor: how fast its measurements correct a prediction.
 
-    Lasers beside encoders only correct what these cannot measure; their larger noise must not disturb the prediction.
+    If the machine has encoders, the bandwidth of its lasers is 5/12 of theirs, because lasers are noisier and only need
+    to correct what encoders cannot measure.
 
     Args:
         machine: Machine with its sensors.
-        bandwidth: Observer bandwidth of encoders, rad/s; that of lasers beside encoders is 5/12 of it.
+        bandwidth: Observer bandwidth of the encoders, or of all sensors if there are no encoders, rad/s.
 
     Returns:
         Bandwidths, rad/s, shape (sensors,).
@@ -95,8 +96,8 @@ def observer_gains(machine: Machine, period: float, bandwidth: float = SEARCH_BA
         bandwidth: Observer bandwidth of encoders, rad/s, see `sensor_bandwidths`.
 
     Returns:
-        Corrections per sample of positions (first half of the rows) and velocities (second half), in the coordinates'
-        units, per unit of measurement error, shape (2 * coordinates, sensors).
+        Corrections of positions (first half of the rows) and velocities (second half) at each sample, in the
+        coordinates' units, per unit of the sensor's error, shape (2 * coordinates, sensors).
     """
     count = len(machine.coordinates)
     gains = np.zeros((2 * count, len(machine.sensors)))
@@ -136,7 +137,7 @@ def predict(
             (batch, n, coordinates). Default: none.
         extra_measurement: Value added to the sensors' output, in their units, shape (batch, n, sensors). Default: none.
         initial_state: Positions, then velocities, in the coordinates' units, shape (batch, 2 * coordinates) or
-            (2 * coordinates,); encoders count from the first. Default: `run.initial_state(machine)`.
+            (2 * coordinates,). Encoders count from the first state. Default: `run.initial_state(machine)`.
         longest_step: Maximum integration step, s.
         states: Whether to return positions and velocities too.
 
@@ -150,7 +151,7 @@ def predict(
     if bandwidth > 0.0:
         start = run.initial.position
         encoders = [sensor.incremental for sensor in machine.sensors]
-        # Encoders count from where the run starts, wherever the machine puts that.
+        # Encoders count from the initial position, which differs from the measured one if effects change it.
         displacement = machine.sensor_matrix[:, : len(start)] @ (run_state[: len(start)] - start)
         measured = run.outputs + np.where(encoders, displacement, 0.0)
         if extra_measurement is not None:
@@ -173,7 +174,9 @@ def predict(
 
 
 def mechanical_rows_per_block(data: Dataset) -> int:
-    """Return how many rows of a recording may be averaged, as mechanical effects act more slowly than 4 ms.
+    """Return how many rows of a residual may be combined into one without loss of mechanical effects.
+
+    Mechanical effects hardly change the residual within 4 ms. `residuals` describes how rows are combined.
 
     Args:
         data: Data set, for its sampling period.
@@ -185,7 +188,7 @@ def mechanical_rows_per_block(data: Dataset) -> int:
 
 
 def block_size(seconds: float, machine: Machine, data: Dataset) -> int:
-    """Return how many values of the residual belong to a block of consecutive rows.
+    """Return how many values of the residual belong to a block of consecutive rows of a given duration.
 
     Args:
         seconds: Duration of the block, s.
@@ -199,17 +202,18 @@ def block_size(seconds: float, machine: Machine, data: Dataset) -> int:
 
 
 def prediction_error(run: PreparedRecording, data: Dataset, measurements: Array, *, fitted: bool = False) -> Array:
-    """Return measured minus predicted values, corrected for the uncertain zeros of the sensors.
+    """Return measured minus predicted values, without the constant error that uncertain sensor zeros cause.
 
-    Subtracted is the constant part that an error of the zeros (measurements at position 0) explains, see
-    `rest_measurement.sensor_zero_error`.
+    A zero is the measurement at position 0. `rest_measurement.sensor_zero_error` estimates the constant errors from the
+    rows at rest and, within limits, from the complete run.
 
     Args:
         run: Measured run, n samples.
         data: Data set of the run, for the sensors' quantization steps.
         measurements: Predicted measurements of a batch of predictions, m or rad, shape (batch, n, sensors).
-        fitted: Whether the zeros are the most likely ones, for a fit, instead of those that the rows at rest show.
-            Measurements with the same rounding error count as one then, see `PreparedRecording.weights`.
+        fitted: True for the residual of a fit: the limits are those of `rest_measurement.max_fitted_zero_means`, and
+            measurements with the same rounding error count as one in the means (`run.weights`). False for an
+            evaluation: the narrower limits of `rest_measurement.max_zero_means`, and equal weights.
 
     Returns:
         Errors in the sensors' units, shape (batch, n, sensors); arbitrary where a value was not measured.
@@ -232,16 +236,16 @@ def residuals(
 ) -> Array:
     """Return measured minus predicted values, divided by the standard deviations of the sensors' noise.
 
-    The constant part that an error of the sensors' zeros explains is subtracted, see `prediction_error`. For a fit,
-    measurements with the same rounding error count as one (`PreparedRecording.weights`).
+    The constant error that uncertain sensor zeros cause is subtracted first, see `prediction_error`.
 
     Args:
         run: Measured run, n samples, with the standard deviation of each value's noise.
         data: Data set of the run, for the sensors' quantization steps.
         measurements: Predicted measurements of a batch of predictions, m or rad, shape (batch, n, sensors).
-        rows_per_block: How many consecutive rows are summed into one and divided by the root of that number. White
-            noise keeps its size, and so do inner products of residuals that change more slowly, with fewer rows.
-        fitted: As in `prediction_error`.
+        rows_per_block: Number of consecutive rows that are combined into one: their sum divided by the root of this
+            number. White noise keeps its standard deviation, slow residuals keep their sum of squares.
+        fitted: As in `prediction_error`; if True, measurements with the same rounding error also count as one in the
+            sum of squared residuals.
 
     Returns:
         Residuals, dimensionless, shape (batch, n // rows_per_block * sensors); zero where a value was not measured or

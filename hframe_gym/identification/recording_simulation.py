@@ -41,7 +41,7 @@ class SimulatedRecording(NamedTuple):
     """A machine simulated over a recording, at the n times of that recording.
 
     Attributes:
-        trajectory: Positions, velocities and sensor readings; these include the zeros of the recording's sensors (their
+        trajectory: Positions, velocities and sensor readings. The readings include the zeros of the sensors (their
             measurements at position 0), so that they can be compared with the recording.
         error: Measured minus simulated values, in the sensors' units, NaN where nothing or an outlier was measured,
             shape (n, sensors).
@@ -61,15 +61,16 @@ class SimulatedRecording(NamedTuple):
 def simulate_recording(machine: Machine, recording: Recording) -> SimulatedRecording:
     """Simulate a machine over a recording and compare it with the measurements.
 
-    The simulation starts from the state that the measurements at rest determine, see `initial_state_of_recording`.
-    Samples that the logger dropped are filled in before the simulation. Outliers have no influence and do not count.
+    The simulation starts from the most probable state, see `initial_state_of_recording`, and uses no feedback of the
+    measurements. Samples that the logger dropped are filled in before the simulation. Outliers are ignored.
 
     Args:
         machine: Machine, declared or identified.
         recording: The run (times, voltages, measurements); outputs may be missing.
 
     Returns:
-        Trajectory, errors, m or rad, shape (n, sensors), and initial state.
+        Trajectory at the n times of the recording, errors (measured minus simulated), m or rad, shape (n, sensors), and
+        initial state.
 
     Raises:
         NotFiniteError: If the motion diverges.
@@ -93,21 +94,22 @@ def simulate_recording(machine: Machine, recording: Recording) -> SimulatedRecor
 def initial_state_of_recording(machine: Machine, recording: Recording) -> InitialState:
     """Determine the initial state from which a machine is simulated over a recording.
 
-    Measurements at the end of a sensor's range do not count; scale and skew of a sensor are corrected; pulleys are in
-    static equilibrium. Encoders whose zero (measurement at position 0) the machine declares measure how the belts are
-    stretched, unless the lasers show that the encoder was switched on anew. The states of hysteresis and bristles
-    follow from the motion.
+    The measurements at rest give a first estimate: saturated ones are ignored, scale and skew of a sensor are
+    corrected, and pulleys are in static equilibrium. Encoders whose zero (measurement at position 0) the machine
+    declares measure the stretch of the belts, unless the lasers show that the encoder was switched on anew. What
+    remains uncertain (belt stretch, states of hysteresis and bristles) is then estimated from the motion, see
+    `start_uncertainty.most_probable_start`.
 
     Args:
         machine: Machine, declared or identified.
         recording: The run (times, voltages, measurements); outputs may be missing.
 
     Returns:
-        Initial state of the machine: `state`, positions and velocities, shape (2 * coordinates,), states of the
-        effects, and `offset`, the zeros of the sensors, m or rad, shape (sensors,), with which the simulation from this
-        state fits the recording best; `warnings` lists what could not be determined. Identification reports the errors
-        of `simulate(..., initial.start(machine), offset=initial.offset)`. If the simulation diverges, the zeros are
-        those of the measurements at rest.
+        Initial state for `simulate(..., initial.start(machine), offset=initial.offset)`, the simulation whose errors
+        identification reports. Its `state` holds positions and velocities, shape (2 * coordinates,), its `offset` the
+        zeros of the sensors, m or rad, shape (sensors,), with which this simulation fits the recording best. If the
+        simulation diverges, the zeros are those of the measurements at rest. `warnings` lists what could not be
+        determined.
     """
     return _initial_state(machine, fill_gaps(only_measurements(recording, machine)))
 
@@ -123,7 +125,7 @@ def _initial_state(machine: Machine, recording: Recording) -> InitialState:
     usable = _without_saturated(machine, recording, noise)
     initial = measured_initial_state(usable, machine, EncoderZeros.of_machine(machine), quanta)
     refined = bool(machine.effects) and bool(initial.offset_known.any())
-    initial = dataclasses.replace(initial, offsets_refined=refined)
+    initial = dataclasses.replace(initial, zeros_refined=refined)
     state = model_initial_state(machine, initial)
     max_means = max_zero_means(behind_belts(machine), quanta)
     measured = np.isfinite(usable.outputs)
@@ -153,7 +155,8 @@ def _initial_state(machine: Machine, recording: Recording) -> InitialState:
 def _without_saturated(machine: Machine, recording: Recording, noise: Array) -> Recording:
     """Return a recording without saturated measurements.
 
-    The machine's effects ``sensor_range`` say where a sensor saturates; others are examined as in identification.
+    The machine's effects ``sensor_range`` define where a sensor saturates; other sensors are examined as in
+    identification.
     """
     criteria = SelectionCriteria()
     ends: dict[str, Range] = saturation_ranges([recording], machine, noise, criteria)
@@ -168,7 +171,7 @@ def evaluate_held_out(
 ) -> ModelEvaluation:
     """Simulate a machine over the held-out runs (not fitted) as ``hframe simulate`` does, and compare with the data.
 
-    The zeros of the encoders (measurements at position 0), which all fitted runs determine together, are written to the
+    The zeros of the encoders (measurements at position 0), estimated from all fitted runs together, are written to the
     machine. Everything else about the initial states follows from each recording alone.
 
     Args:
@@ -178,8 +181,8 @@ def evaluate_held_out(
         recordings: The recordings of these runs as they were measured; others are ignored.
 
     Returns:
-        The machine with these zeros and its simulation errors, m or rad, shape (n, sensors) for each run. Where its
-        motion diverges, the errors up to there are evaluated.
+        The machine with these zeros, its errors by channel, and its simulation errors (measured minus simulated), m or
+        rad, shape (n, sensors) for each run. If the motion of a run diverges, only finite errors are evaluated.
 
     Raises:
         KeyError: If the recording of a run is missing.

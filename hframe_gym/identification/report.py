@@ -33,9 +33,9 @@ def build_report(folder: Path, final_folder: Path | None = None) -> Path:
     """Draw the plots of an identification result and write report.html.
 
     Args:
-        folder: Folder that `hframe identify` wrote; the plots are written to its folder plots/. Page and plots become
-            visible together; inside `output_batch` of the folder, at the end of the batch.
-        final_folder: Folder that the commands on the page name, if the files are moved there. Default: `folder`.
+        folder: Folder that `hframe identify` wrote. The page is written there, the plots to its subfolder plots/. All
+            become visible together; if the caller has opened `output_batch` for the folder, at its end.
+        final_folder: Folder that the commands on the page name, if the files are moved there later. Default: `folder`.
 
     Returns:
         Path of report.html.
@@ -80,7 +80,8 @@ def build_report(folder: Path, final_folder: Path | None = None) -> Path:
 def verdict_sentence(report: Mapping[str, Any], channels: Sequence[str]) -> str:
     """Describe in words the verdict and the error on the held-out runs, which were not fitted.
 
-    The error is the mean simulation error in units of the noise, or the relative force error if the simulation drifts.
+    The error is the simulation error in units of the sensors' noise, averaged over the channels. If the simulation
+    drifts (more than 50 times the noise), it is the relative error of the drives' force.
 
     Args:
         report: Content of report.json.

@@ -1,7 +1,8 @@
 """Analyze what a fitted machine leaves unexplained: errors per channel, missing forces, and what these depend on.
 
-The force residual (missing force) is the force that would have to be added to the model for it to follow the
-measurements.
+The missing force, also called force residual, is the force that would have to be added to the model for it to follow
+the measurements. It is estimated from the corrections of an observer, which feeds the measurements back into a
+prediction, see `prediction`.
 """
 
 from __future__ import annotations
@@ -56,7 +57,9 @@ class Dependence(NamedTuple):
 
 
 def simulation_error(machine: Machine, run: PreparedRecording, data: Dataset) -> Array:
-    """Simulate a run; return measured minus simulated values, corrected for the uncertain zeros of the sensors.
+    """Simulate a run; return measured minus simulated values, without the constant errors of uncertain sensor zeros.
+
+    A zero is the measurement at position 0, see `prediction.prediction_error`.
 
     Args:
         machine: Machine, simulated without feedback from its most probable initial state in this run.
@@ -76,7 +79,7 @@ def channel_errors(machine: Machine, data: Dataset) -> dict[str, ChannelError]:
     """Return the simulation error of every output channel over all runs.
 
     Args:
-        machine: Machine to simulate; only the sensors' zeros are adjusted to the runs.
+        machine: Machine to simulate, without feedback of the measurements, from its most probable initial states.
         data: Measured runs (times, voltages, measurements, SI).
 
     Returns:
@@ -151,16 +154,16 @@ def smooth_force_residual(machine: Machine, run: PreparedRecording, data: Datase
 def missing_force(machine: Machine, data: Dataset) -> dict[str, Array]:
     """Estimate the force that the model lacks along all runs, together with the motion.
 
-    The force follows from the corrections of an observer, see `force_residual`, which are the missing force after a
-    low-pass with two equal poles. This low-pass is inverted, up to 40 Hz.
+    The corrections of an observer, see `force_residual`, show the missing force after a low-pass filter with two equal
+    poles at the observer's bandwidth. This function inverts the filter for frequencies up to 40 Hz.
 
     Args:
         machine: Machine that predicts.
         data: Measured runs with n rows in total (times, voltages, measurements, SI).
 
     Returns:
-        By coordinate name, an array of shape (n, 3): position, velocity and missing force, in m, m/s, N or rad, rad/s,
-        Nm.
+        By coordinate name, an array of shape (n, 3) with the columns position, velocity and missing force: m, m/s, N
+        for a linear and rad, rad/s, Nm for a rotary coordinate.
     """
     position_gains = observer_gains(machine, data.period)[: len(machine.coordinates)].sum(axis=1)
     time_constant = (
@@ -245,17 +248,17 @@ def _correlation_ratio(values: Array, variable: Array) -> float:
 
 
 def is_white(machine: Machine, data: Dataset) -> bool:
-    """Test whether the simulation error is white noise of the sensors' size, without correlation in time.
+    """Test whether the simulation error is white noise with the standard deviation of the sensors' noise.
 
-    The standard deviation of means over blocks of 20 ms decreases with the root of the block length for white noise,
-    but hardly for an error that is correlated in time.
+    The test evaluates means over blocks of 20 ms. For n samples per block, the standard deviation of such a mean is
+    1 / sqrt(n) of that of a sample if the error is white noise, but hardly smaller if it is correlated in time.
 
     Args:
         machine: Machine to simulate.
         data: Measured runs (times, voltages, measurements, SI).
 
     Returns:
-        True if the block means of every channel scatter by less than 0.6 standard deviations of its noise.
+        True if the standard deviation of the block means of every channel is at most 0.6 times that of its noise.
     """
     rows = max(2, round(_WHITENESS_BLOCK_S / data.period))
     errors = [simulation_error(machine, run, data) for run in data.runs]

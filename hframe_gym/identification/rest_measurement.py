@@ -1,8 +1,9 @@
 """Estimate from the measurements at rest the initial position of a run and the zero of every sensor.
 
-A recording begins at rest; the rows before the first input change measure the position there. Sensors with a fixed zero
-(lasers) determine the position of the tool. The pulleys follow from unstretched belts or from encoders whose zero is
-known. The zero of a sensor is its measurement at rest minus the reading that the model computes for that state.
+A recording begins at rest; the rows before the first input change measure the position there. The zero of a sensor is
+its measurement at position 0. Sensors with a fixed zero (called lasers here) determine the position of the tool. The
+angles of the pulleys follow from unstretched belts or from encoders whose zero is known. An unknown zero is the
+measurement at rest minus the reading that the model computes for the estimated state.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from ..recordings import Recording
 from .encoder_zeros import EncoderZeros
 
 Array = NDArray[np.float64]
-# Weights of encoders that are used only where no laser measures: behind stretched belts, and with an unknown zero.
+# Weights of encoders that matter only where no laser measures: behind stretched belts, and with an unknown zero.
 _STRETCHED_WEIGHT, _FALLBACK_WEIGHT = 1e-3, 1e-6
 # m; typical stretch of the belts at full voltage or speed, and the part of it that a linear model leaves.
 _TYPICAL_STRETCH, _STRETCH_RESIDUAL = 0.3e-3, 0.1e-3
@@ -33,22 +34,23 @@ class InitialState:
 
     Attributes:
         state: Positions and velocities at rest, in the coordinates' units, shape (2 * coordinates,).
-        offset: Zeros of the sensors (measurements at position 0): measurement minus the reading computed for `state`,
-            in the sensors' units, shape (sensors,).
+        offset: Zeros of the sensors (measurements at position 0), which `simulate` adds to the readings, in the
+            sensors' units, shape (sensors,).
         resting_rows: Number of rows at rest at the beginning of the run.
         offset_known: True for each encoder that kept its zero in all runs and resolves the stretch of the belts, shape
             (sensors,).
-        offsets_refined: Whether a fitted machine has corrected the encoders' zeros.
+        zeros_refined: Whether a fitted machine has corrected the encoders' zeros.
         position_measured: Whether sensors with a known zero measure the position at rest.
         lasers_measured: Whether sensors with a fixed zero alone measure the position at rest.
-        position_known: Whether these sensors determine the position at rest, if necessary by later measurements.
+        position_known: Whether sensors with a known zero determine the position at rest, if necessary by later
+            measurements.
         reading: Measurements at rest minus the known zeros, in the sensors' units, NaN where there is none, shape
             (sensors,).
         measured_at_rest: Whether each sensor measured something at rest, shape (sensors,).
         position_from_reading: Matrix that computes the positions of unstretched belts from `reading` (with 0 instead
             of NaN), shape (coordinates, sensors).
         effect_states: States of the machine's effects (hysteresis, bristles) at the start, in their units, by label and
-            component of the effect; those that are missing are zero.
+            component of the effect; an effect without an entry starts at zero.
         warnings: What could not be measured and what is assumed instead, one sentence each.
     """
 
@@ -56,7 +58,7 @@ class InitialState:
     offset: Array
     resting_rows: int
     offset_known: NDArray[np.bool_]
-    offsets_refined: bool = False
+    zeros_refined: bool = False
     position_measured: bool = True
     lasers_measured: bool = True
     position_known: bool = True
@@ -103,7 +105,7 @@ class InitialState:
 def count_resting_rows(recording: Recording) -> int:
     """Count the rows at the beginning of a run in which the machine is at rest.
 
-    These are the rows up to the first change of an input, included: its measurement still precedes the motion.
+    The row in which an input first changes is included, because its measurement still precedes the motion.
 
     Args:
         recording: The run (times, s; voltages, V; measurements, m or rad).
@@ -132,9 +134,9 @@ def settled_rows(resting_rows: int) -> slice:
 def estimate_initial_state(recording: Recording, machine: Machine, zeros: EncoderZeros | None = None) -> InitialState:
     """Estimate the state at rest and the sensors' zeros (measurements at position 0) from one run.
 
-    Sensors with a fixed zero (lasers) determine the position where they can, encoders where their zero is known or
-    where nothing else measures. Only encoders with a known zero measure a stretch of the belts. A laser that measures
-    nothing at rest, such as a saturated one, is replaced by its later measurements minus the encoders' displacement.
+    Sensors with a known zero determine the position: lasers, whose zero is fixed, and encoders whose zero is given.
+    Other encoders are used only where nothing else measures. Only encoders with a known zero measure a stretch of the
+    belts. A laser that is saturated at rest is replaced by its later measurements minus the encoders' displacement.
 
     Args:
         recording: The run (times, voltages, measurements); saturated measurements are NaN.
@@ -142,7 +144,7 @@ def estimate_initial_state(recording: Recording, machine: Machine, zeros: Encode
         zeros: Zeros of the encoders, from all runs together. Default: unknown.
 
     Returns:
-        Positions at rest, m or rad, zeros of the sensors, shape (sensors,), and warnings where no sensor measures them.
+        Positions at rest, m or rad, zeros of the sensors, shape (sensors,), and warnings about what is not measured.
     """
     rows = count_resting_rows(recording)
     zeros = zeros or EncoderZeros.of_machine(machine).without(np.ones(len(machine.sensors), np.bool_))
@@ -167,20 +169,20 @@ def estimate_initial_state(recording: Recording, machine: Machine, zeros: Encode
         usable |= replaced
         warnings = (_position_warning(recording, machine, fixed & ~measured, replaced),)
     # An angle is as accurate as a length once it is multiplied by the radius.
-    weight = np.where(known, np.where(zeros.stretched, _STRETCHED_WEIGHT, 1.0), _FALLBACK_WEIGHT)
+    weight = np.where(known, np.where(zeros.resolves_stretch, _STRETCHED_WEIGHT, 1.0), _FALLBACK_WEIGHT)
     weight = np.where(usable, np.where(fixed, 1.0, weight) * machine.travel_per_unit[site], 0.0)
     # Weighted least squares for the motion that stretches no belt.
     position_from_reading = rigid @ np.linalg.pinv(weight[:, None] * seen, rcond=1e-12) * weight
     reading = np.where(usable, reading, np.nan)
     position = position_from_reading @ np.nan_to_num(reading)
-    for j in np.flatnonzero(known & measured & zeros.stretched):
+    for j in np.flatnonzero(known & measured & zeros.resolves_stretch):
         position[site[j]] = reading[j] / machine.sensors[j].row[machine.sensors[j].coordinate]
     offset = np.where(known, zeros.offset, np.where(measured, measurement - machine.sensor_matrix @ position, 0.0))
     return InitialState(
         np.concatenate([position, np.zeros_like(position)]),
         offset,
         rows,
-        zeros.stretched,
+        zeros.resolves_stretch,
         position_measured=position_measured,
         lasers_measured=lasers_measured,
         position_known=position_measured or _rank(seen[(fixed | known) & usable]) == _rank(seen),
@@ -213,10 +215,10 @@ def _rank(rows: Array) -> int:
 
 
 def _later_measurements(recording: Recording, at_rest: Array, machine: Machine, rigid: Array) -> Array:
-    """Return what each sensor would have measured at rest, from its later rows (sensors,); NaN where they do not tell.
+    """Return what each sensor would have measured at rest, shape (sensors,), from its later rows; NaN if impossible.
 
-    The encoders measure the displacement since then, and the belts between them and the tool stretch as the drives
-    pull. A linear regression on voltages, speeds and directions of the motors removes this stretch.
+    The displacement that the encoders measure since the rest is subtracted. While the drives pull, the stretch of the
+    belts makes it wrong; a linear regression on voltages, speeds and directions of the motors removes this error.
     """
     unknown = np.full(len(machine.sensors), np.nan)
     encoders = np.array([s.incremental for s in machine.sensors]) & np.isfinite(at_rest)
@@ -230,7 +232,7 @@ def _later_measurements(recording: Recording, at_rest: Array, machine: Machine, 
     pull = np.hstack([recording.inputs, speed, np.sign(speed)])  # (n, regressors), 0 at rest
     pull /= np.maximum(np.abs(pull).max(axis=0), 1e-12)
     regressors = np.hstack([np.ones((len(pull), 1)), pull])
-    # Ridge: motions that do not tell the stretch from the position show a small stretch.
+    # Ridge: if the motion does not separate stretch and position, the stretch is assumed to be small.
     prior = _STRETCH_RESIDUAL / _TYPICAL_STRETCH * np.eye(regressors.shape[1])[1:]
     for j in range(len(machine.sensors)):
         rows = np.isfinite(start[:, j])
@@ -244,7 +246,7 @@ def _later_measurements(recording: Recording, at_rest: Array, machine: Machine, 
 def _position_warning(
     recording: Recording, machine: Machine, silent: NDArray[np.bool_], replaced: NDArray[np.bool_]
 ) -> str:
-    """Return the sentence that says how an unmeasured position was determined."""
+    """Return a sentence about how an unmeasured position was determined."""
     channels = np.array(machine.output_channels)
     if silent.any() and np.array_equal(silent, replaced):
         return (
@@ -259,23 +261,21 @@ def _position_warning(
 
 
 def sensor_zero_error(error: Array, weights: Array, resting_rows: int, max_mean: Array) -> Array:
-    """Estimate the constant part of a prediction error that wrong zeros (measurements at position 0) explain.
+    """Estimate the errors of the sensors' zeros (measurements at position 0) from prediction errors over a run.
 
-    It is the mean error over the later half of the rows at rest, because a sensor counts from where it was switched on.
-    The mean of the complete run beyond that is added up to the limit `max_mean`. The limit is half a quantum for a
-    quantized channel, whose zero the rows at rest determine only to within its quantum; a larger mean may come from a
-    constant force. It is infinite for an encoder behind belts, because friction holds an unknown stretch at rest.
+    The estimate is the mean error over the later half of the rows at rest, plus the difference from there to the mean
+    error over the complete run, limited to +- `max_mean`. The limit is needed because a constant force may also cause a
+    mean error.
 
     Args:
         error: Measured minus predicted values of a batch of predictions over n samples, in the sensors' units, 0 where
             not measured, shape (batch, n, sensors).
         weights: Weights of the measurements in the means, dimensionless, 0 where not measured, shape (n, sensors).
         resting_rows: Number of rows at rest at the beginning of the run, at least 1.
-        max_mean: Largest part of the run's mean that may be added, in the sensors' units, see `max_zero_means`, shape
-            (sensors,).
+        max_mean: Limit of the difference, in the sensors' units, shape (sensors,), see `max_zero_means`.
 
     Returns:
-        Errors of the zeros, in the sensors' units, shape (batch, 1, sensors).
+        Errors of the zeros, in the sensors' units, shape (batch, 1, sensors), to be subtracted from `error`.
     """
     rest = settled_rows(resting_rows)
     at_rest, of_run = (
@@ -286,35 +286,38 @@ def sensor_zero_error(error: Array, weights: Array, resting_rows: int, max_mean:
 
 
 def max_zero_means(behind: NDArray[np.bool_], quanta: Array) -> Array:
-    """Return how much of a run's mean prediction error may be attributed to each sensor's zero (value at position 0).
+    """Return the limits up to which a mean prediction error counts as an error of each sensor's zero.
 
-    The limit is half a quantization step, and unlimited for an encoder behind elastic belts, whose initial stretch is
-    unknown.
+    The zero is the measurement at position 0. The rows at rest determine it only to within the quantization; for an
+    encoder behind belts not at all, because friction holds an unknown stretch of the belts at rest. The limits are used
+    by `sensor_zero_error`.
 
     Args:
-        behind: Which sensors are encoders behind belts, see `behind_belts`, shape (sensors,).
-        quanta: Quantization steps of the sensors, in their units, shape (sensors,).
+        behind: True for encoders behind belts, see `behind_belts`, shape (sensors,).
+        quanta: Quantization steps of the sensors, in their units, 0 where there is none, shape (sensors,).
 
     Returns:
-        Limits in the sensors' units, infinite behind belts, shape (sensors,).
+        Limits, in the sensors' units, shape (sensors,): infinite behind belts, otherwise half a quantization step.
     """
     return np.where(behind, np.inf, quanta / 2)
 
 
 def max_fitted_zero_means(behind: NDArray[np.bool_], quanta: Array, at_rest: NDArray[np.bool_]) -> Array:
-    """Return how much of a run's mean prediction error a fit may attribute to each sensor's zero.
+    """Return the limits up to which, in a fit, a mean prediction error counts as an error of each sensor's zero.
 
-    These are the limits of `max_zero_means`, but there is none for a sensor without quantization. Its few measurements
-    at rest give the initial position, and their noise makes it wrong by a constant over the complete run. The mean
-    error of the run is the best estimate of this constant; otherwise, other parameters would adapt to it.
+    They differ from those of `max_zero_means` for a sensor without quantization. It gives the initial position, and the
+    noise of its few measurements at rest makes this position wrong by a constant over the complete run. The mean error
+    over the run is the best estimate of this constant. If it remained in the residual, parameters would adapt to it.
 
     Args:
-        behind: Which sensors are encoders behind belts, see `behind_belts`, shape (sensors,).
-        quanta: Quantization steps of the sensors, in their units, shape (sensors,).
-        at_rest: Which sensors measured at rest, shape (sensors,); the values of the others say where the run began.
+        behind: True for encoders behind belts, see `behind_belts`, shape (sensors,).
+        quanta: Quantization steps of the sensors, in their units, 0 where there is none, shape (sensors,).
+        at_rest: True for sensors that measured at rest, shape (sensors,). For all others the limits do not differ,
+            because their later measurements determine the initial position.
 
     Returns:
-        Limits in the sensors' units, infinite behind belts and without quantization, shape (sensors,).
+        Limits, in the sensors' units, shape (sensors,): infinite behind belts and for sensors without quantization that
+        measured at rest, otherwise half a quantization step.
     """
     return np.where((quanta == 0.0) & at_rest, np.inf, max_zero_means(behind, quanta))
 

@@ -58,9 +58,9 @@ class PredictionErrors:
         """Convert the errors to the format of report.json.
 
         Returns:
-            By channel name, a dictionary with rmse (simulation error, channel unit) and noise_ratio (rmse over the
-            standard deviation of the sensor's noise); and force_error (dimensionless, relative error of the drives'
-            force) for machines that allow inverse dynamics.
+            By channel name, a dictionary with "rmse" (simulation error, in the channel's unit) and "noise_ratio" (rmse
+            / standard deviation of the sensor's noise). In addition "force_error", the relative error of the drives'
+            force, dimensionless, for machines that permit inverse dynamics.
         """
         content: dict[str, Any] = {c: {"rmse": e.rmse, "noise_ratio": e.noise_ratio} for c, e in self.channels.items()}
         return content if self.force is None else content | {"force_error": self.force}
@@ -103,12 +103,12 @@ class RejectedEffect:
     reason: str
 
     def as_json(self) -> dict[str, Any]:
-        """Convert an effect (deviation from the model) that was not selected to an entry of `considered`, report.json.
+        """Convert the rejected effect (deviation from the model) to an entry of the list `considered` in report.json.
 
         Returns:
-            name, site (component), parameters (SI), size (force relative to that of the drives; None if no force
-            describes the effect), held_out_gain (fraction of the error of the held-out runs that it removes) and
-            reason.
+            "name"; "site": component on which the effect acts; "parameters": values by name, SI; "size": force relative
+            to that of the drives, None if no force describes the effect; "held_out_gain": fraction of the squared error
+            of the held-out runs that the effect removes, None if it is not finite; "reason": why it was rejected.
         """
         return {
             "name": self.effect.name,
@@ -169,13 +169,13 @@ class IdentificationResult:
 
     @property
     def explained(self) -> float:
-        """Fraction, at most 1, of the squared error beyond the sensors' noise on held-out runs that effects removed."""
+        """Fraction (at most 1) of the squared error beyond noise, on held-out runs, that all the effects remove."""
         before, after = (max(e.held_out.noise_ratio**2 - 1.0, 0.0) for e in (self.before, self.after))
         return 1.0 - after / before if self.effects and before > 0.0 else 0.0
 
     @property
     def left(self) -> float:
-        """Root mean square simulation error of the machine with the selected effects / sensor noise, dimensionless."""
+        """Ratio of simulation error to sensor noise (rms over channels) with all effects, on the held-out runs."""
         return self.after.held_out.noise_ratio
 
     @property
@@ -186,12 +186,12 @@ class IdentificationResult:
 
     @property
     def initial_state_warnings(self) -> tuple[str, ...]:
-        """What could not be determined about the initial states of the runs, one sentence each, without repetitions."""
+        """Runs that were not used, and what could not be determined about initial states, one sentence each."""
         fitted = [warning for run in self.fitted.runs for warning in run.initial.warnings]
         return tuple(dict.fromkeys([*self.excluded, *fitted, *self.after.warnings]))
 
     def as_json(self) -> dict[str, Any]:
-        """Return the content of report.json, schema 1.
+        """Return the content of report.json, schema 1, without warnings and formulas.
 
         Returns:
             Verdict, names of the runs, errors of the three machines, effects, residual and so on, by key, as
@@ -250,7 +250,8 @@ def write_result(
 ) -> None:
     """Write all files of a result except the plots and report.html, which `build_report` adds.
 
-    The files become visible together or not at all; inside `output_batch` of the folder, at the end of the batch.
+    All files become visible together or not at all. If the caller has opened `output_batch` for the folder, they become
+    visible at its end.
 
     Args:
         result: Result of `identify`.
@@ -283,7 +284,8 @@ def write_result(
 def plot_data(result: IdentificationResult) -> dict[str, Array]:
     """Compute the curves that the report plots.
 
-    The residual force is the force that would have to be added for a machine to follow the measurements.
+    The residual force is the force that would have to be added for a machine to follow the measurements. Thinned curves
+    have about 4000 points.
 
     Args:
         result: Result of `identify`.
@@ -297,7 +299,8 @@ def plot_data(result: IdentificationResult) -> dict[str, Array]:
           machine, in the sensors' units, shape (n, sensors).
         - ``force/variable``: variable that the residual force of the fitted runs depends on most, thinned to m points,
           SI, shape (m,); absent if there is none.
-        - ``force/before``, ``force/after``: residual force of the two machines at these points, N or Nm, shape (m,).
+        - ``force/before``, ``force/after``: residual force of the refitted and of the corrected machine at these
+          points, N or Nm, shape (m,).
         - ``coverage/NAME``: positions, velocities and inputs of the fitted runs, thinned, SI, shape (m,).
     """
     curves: dict[str, Array] = {}

@@ -294,7 +294,8 @@ def next_command(verdict: str, machine: Machine, folder: Path) -> str:
         folder: Folder of the result.
 
     Returns:
-        Command line: evaluate a controller on the machine, or check the recordings again.
+        Command line that evaluates a controller on the machine; for the verdict "unexplained", the one that checks the
+        recordings again.
     """
     if verdict == "unexplained":
         return "hframe check RUNS"

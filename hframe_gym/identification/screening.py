@@ -1,14 +1,14 @@
 """Rank candidate effects by the reduction of the cost that a linearized model predicts, without fitting any.
 
-The cost is chi-squared, the sum of squared residuals in units of the noise. A candidate of small
-size adds a known force, or a known change of a measurement, along the fitted machine's motion.
+The cost is chi-squared, the sum of squared residuals in units of the noise. A candidate effect (deviation from the
+nominal model) of small size adds a known force, or a known change of a measurement, along the fitted machine's motion.
 The response of the predicted measurements to it is one column of the linearized residual. After elimination of the
 machine's free parameters, the squared correlation of column and residual is the reduction of the cost that a fit of the
 candidate would achieve.
 
-Structural effects (a yawing bridge, idlers with inertia) and those that replace dry friction (presliding) have no small
-version to linearize around. Every starting value of theirs is simulated instead, and the difference from the present
-machine's prediction is the column.
+Effects that replace a part of the model cannot have a small size: structural effects add coordinates (a yawing bridge,
+idlers with inertia), others replace dry friction (presliding). Each of their starting values is simulated instead, and
+the difference from the present machine's prediction is the column.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ Array = NDArray[np.float64]
 _COLUMNS_AT_ONCE = 64  # bounds the memory of long recordings
 _MIMICKED = 1e-6  # fraction of a column's square below which the machine's parameters explain it entirely
 _RIDGE = 1e-9
-_SMALL_FRACTION = 1e-4  # of a column's typical amplitude
-_FITTED_STRUCTURES = 3
+_SMALL_FRACTION = 1e-4  # fraction of the typical amplitude at which a nonlinear effect is linearized
+_FITTED_STRUCTURES = 3  # effects that replace a part of the model and are fitted
 
 
 class Perturbation(NamedTuple):
@@ -75,10 +75,10 @@ class ScoredCandidate(NamedTuple):
 
 
 def screen(fit: Fit, candidates: Sequence[Candidate], data: Dataset) -> list[ScoredCandidate]:
-    """Rank candidates by their linearized reduction of chi-squared.
+    """Rank candidates by the reduction of chi-squared that a linearized model predicts, without fitting any.
 
-    The residual is linearized with respect to the weights of a candidate's basis functions (columns) and the machine's
-    free parameters. The best weights and parameters then follow from a linear equation, without any new fit.
+    The residual is linearized with respect to the weights of a candidate's basis functions and the machine's free
+    parameters. The best weights and parameters then follow from a linear equation.
 
     Args:
         fit: Fit of the machine without the candidates; the candidates are evaluated at its observer bandwidth.
@@ -87,8 +87,8 @@ def screen(fit: Fit, candidates: Sequence[Candidate], data: Dataset) -> list[Sco
 
     Returns:
         Scored candidates, largest reduction of chi-squared (dimensionless) first. The reduction is 0 if only an
-        amplitude outside the bounds of the effect would reduce chi-squared, or if the machine's free parameters have
-        the same influence on the measurements.
+        amplitude outside its bounds would reduce chi-squared, or if the machine's free parameters can represent the
+        candidate.
     """
     if not candidates:
         return []
@@ -117,19 +117,19 @@ def candidate_perturbations(
 ) -> Perturbation:
     """Compute the forces and measurement changes that candidate effects of typical size cause along a motion.
 
-    This is an approximation in three respects: the motion is that of the machine without the candidate, the machine's
-    present effects do not interact with it, and forces are constant from each sample to the next.
+    The result is approximate in three respects: the motion is that of the machine without the candidate, the candidate
+    does not interact with other effects, and forces are constant from each sample to the next.
 
     Args:
         machine: Machine that moves.
-        candidates: Candidate effects (deviations from the nominal model); neighbors of the same effect and site are
-            evaluated together.
+        candidates: Candidate effects (deviations from the nominal model). Successive ones with the same effect and site
+            are evaluated together.
         run: Run with the sample times and voltages of the motion.
         motion: Motion of the machine with positions and velocities, a batch of one, n samples.
 
     Returns:
         Forces, N or Nm, shape (columns, n, coordinates), and changes of measurements, m or rad, shape
-        (columns, n, sensors), by basis function, in the order of the candidates and of their `columns`.
+        (columns, n, sensors). A column is one basis function of one candidate, in the order of `Candidate.columns`.
     """
     # Ties refer to the parameters of effects; the machine's parameters already have their values.
     bare = dataclasses.replace(machine, effects=(), ties={})
@@ -179,7 +179,7 @@ def _measurement_change(machine: Machine, run: PreparedRecording, motion: Motion
 
 
 def _screening_model(fit: Fit, data: Dataset) -> ResidualModel:
-    """Return the residual of a fit with rows averaged to blocks, which mechanical effects do not notice."""
+    """Return the residual of a fit with rows combined to blocks that are short for mechanical effects."""
     return ResidualModel(fit.machine, fit.free, data, fit.bandwidth, rows_per_block=mechanical_rows_per_block(data))
 
 
@@ -223,7 +223,7 @@ def _score(candidate: Candidate, information: Array, gradient: Array, before: Ar
     ridge = _RIDGE * np.diag(np.maximum(np.diag(information), 1e-300))
     if candidate.effect.family == TABLE_FAMILY:
         ridge += chi2 * second_difference_penalty(len(gradient))
-    if candidate.fixed:
+    if candidate.has_no_amplitude:
         amounts: Array = np.ones_like(gradient)
     else:
         amounts = np.array(-np.linalg.solve(information + ridge, gradient), float)
@@ -237,8 +237,8 @@ def _score(candidate: Candidate, information: Array, gradient: Array, before: Ar
     return ScoredCandidate(candidate, gain, tuple(amounts.tolist()))
 
 
-def has_no_small_version(effect: Effect) -> bool:
-    """Check whether an effect replaces a part of the model, so that no small amplitude of it can be linearized.
+def replaces_model_part(effect: Effect) -> bool:
+    """Check whether an effect replaces a part of the model, so that it cannot be linearized at a small amplitude.
 
     Args:
         effect: Definition of the effect (deviation from the nominal model).
@@ -252,23 +252,23 @@ def has_no_small_version(effect: Effect) -> bool:
 def screen_structures(current: Fit, data: Dataset, scale: TypicalScales, minimum_gain: float) -> list[Machine]:
     """Build machines with the most promising effects that replace a part of the nominal model, one effect each.
 
-    These are structural effects, which add coordinates, and effects that replace dry friction. The linearization
-    underestimates their benefit, so the best one alone is not enough: the three best effects are returned, structural
-    ones with their two best starting values.
+    These effects add coordinates (structural effects) or replace dry friction. The linearization underestimates their
+    benefit and is no reliable ranking; therefore the three best effects are returned, structural ones with their two
+    best sets of starting values.
 
     Args:
         current: Fit of the machine without such an effect; the effects are evaluated at its observer bandwidth.
         data: Runs that were fitted (times, voltages, measurements, SI).
-        scale: Typical sizes on this machine, to which the starting values are relative.
+        scale: Typical sizes on this machine, by which relative starting values are multiplied.
         minimum_gain: Smallest linearized reduction of chi-squared per sample, dimensionless, of a promising effect.
 
     Returns:
-        Copies of the present machine with one more effect, the last in its list; best first.
+        Copies of the fitted machine, each with one more effect, the last in its list; most promising first.
     """
     machine = current.machine
     present = {e.label for e in machine.effects}
     promising: list[tuple[float, list[Machine]]] = []
-    for effect in filter(has_no_small_version, EFFECTS.values()):
+    for effect in filter(replaces_model_part, EFFECTS.values()):
         for site in effect_sites(effect, machine):
             if f"{effect.name}@{site}" in present:
                 continue
@@ -291,9 +291,10 @@ def _starting_values(effect: Effect, typical: Mapping[str, float]) -> list[dict[
 
 
 def _structure_gains(variants: list[Machine], current: Fit, data: Dataset) -> Array:
-    """Return the cost that moving from the present machine towards each variant would save, shape (variants,).
+    """Return the linearized reduction of the cost from the present machine towards each variant, shape (variants,).
 
-    The step from one to the other, less what the free parameters can mimic, is scaled by its best positive weight.
+    The difference of the two predictions, without the part that the free parameters can reproduce, is multiplied by its
+    best positive weight.
     """
     model = _screening_model(current, data)
     table = np.concatenate([parameter_batch(variant) for variant in variants])
@@ -306,7 +307,7 @@ def _structure_gains(variants: list[Machine], current: Fit, data: Dataset) -> Ar
 
 
 def _structure_responses(model: ResidualModel, variant: Machine, table: Array) -> Responses:
-    """Return the function that gives the steps of a run's residual to variants with parameters (variants, P)."""
+    """Return the function that computes the change of a run's residual by each variant; parameters: (variants, P)."""
 
     def responses(run: PreparedRecording, motion: Motion) -> Array:
         moved = predict(variant, run, model.bandwidth, period=model.data.period, parameters=table)

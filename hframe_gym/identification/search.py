@@ -56,11 +56,14 @@ class SearchOutcome(NamedTuple):
 def search_effects(
     machine: Machine, data: Dataset, criteria: SelectionCriteria, log: Log, *, leave_out: bool = True
 ) -> SearchOutcome:
-    """Refit a machine and search for the effects that it lacks.
+    """Refit a machine and search for the effects (deviations from the nominal model) that it lacks.
 
-    A run that contradicts the others is left out if no effect explains both: effects are searched for in the other runs
-    first. If they explain these to within their noise, the suspect run must agree with them and one more effect.
-    Otherwise effects are also searched for in all runs, and these must not leave ten times the error.
+    If one run contradicts the others, effects are searched for in the other runs first. The contradicting run is left
+    out, and named in the outcome, if no effect explains it:
+
+    - If effects explain the other runs to within the noise, these and at most one more effect must explain all runs.
+    - Otherwise effects are also searched for in all runs together. They must explain all runs, or leave less than ten
+      times the chi-squared per sample of the search without this run.
 
     Args:
         machine: Machine as declared.
@@ -70,7 +73,7 @@ def search_effects(
         leave_out: Whether a run that contradicts the others may be left out.
 
     Returns:
-        Verdict, fits and effects.
+        Verdict, fits of the machine without and with the effects, and effects, selected and rejected.
     """
     all_runs = _Search(machine, data, criteria, log)
     suspect = contradicting_run(all_runs.base, data) if leave_out else None
@@ -98,7 +101,7 @@ def search_effects(
 
 
 def _wide_chi2(outcome: SearchOutcome) -> float:
-    """Return chi-squared per sample of the final machine at the bandwidth at which all machines can be compared."""
+    """Return chi-squared per sample of the final machine at the largest observer bandwidth, common to all machines."""
     return prediction_cost(outcome.after.machine, outcome.data, SEARCH_BANDWIDTH) / outcome.data.count
 
 
@@ -171,7 +174,7 @@ class _Search:
         current, effects = search.run(*start)
         refined = refine_starts(data, current.machine)
         if refined is not data:
-            # The encoders' zeros are known better with the effects, which may reveal further ones.
+            # With the effects, the encoders' zeros are more accurate, which may reveal further effects.
             data, search = refined, search.with_data(refined)
             current = polish(current, data)
             current, effects = search.run(fit_with_model_error(current, data), effects)
@@ -192,7 +195,7 @@ class _Search:
         for start, known, count in ((self.base, (), 1), (wide, effects, 2)):
             fitted, more = add_tables(start, known, data, criteria=criteria, max_tables=count, log=log)
             if len(more) > len(known):
-                # No further search beside a table: what its straight pieces leave looks like many a small effect.
+                # No further search beside a table: many small effects resemble the error of its straight pieces.
                 refined = polish(fit_with_model_error(fitted, data), data)
                 candidate, kept = EffectSearch(data, self.before.machine, criteria, log).prune(refined, more)
                 limit = criteria.max_table_cost_fraction * min(self.base.cost, wide.cost)
@@ -201,7 +204,7 @@ class _Search:
         return None
 
     def _wide_cost(self, fitted: Fit) -> float:
-        """Return the cost of a machine at the bandwidth of the search, at which all machines can be compared."""
+        """Return the cost of a machine at the largest observer bandwidth, common to all machines."""
         return prediction_cost(fitted.machine, self._data, SEARCH_BANDWIDTH)
 
     def _reduces_error(self, after: Fit) -> bool:

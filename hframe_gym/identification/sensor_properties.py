@@ -1,8 +1,8 @@
 """Estimate properties of the sensors from the recordings alone: quantum, noise and the ends of their range.
 
-A sensor saturates where many measurements lie together at the outermost value while the encoders show that the machine
-moves. Those rows carry no position: they are kept out of the fit, and the effect ``sensor_range`` goes into the
-machine.
+A quantum is the quantization step of a sensor. A sensor saturates where many measurements lie together at the outermost
+value while the encoders show that the machine moves. Saturated measurements contain no position: they are left out of
+the fit, and the effect ``sensor_range`` is added to the machine.
 """
 
 from __future__ import annotations
@@ -49,27 +49,26 @@ def quantum_of(values: Array) -> float:
 
 
 def sensor_quantum(channel: Sequence[Array], resolution: float) -> float:
-    """Estimate the quantization step of a sensor as the median over the runs in which it can be determined.
-
-    It cannot be determined in a run in which the sensor hardly moves.
+    """Estimate the quantization step (quantum) of a sensor from all runs.
 
     Args:
         channel: Measurements of the sensor by run, in its unit, each of shape (n,), NaN where not measured.
-        resolution: Declared resolution, in the sensor's unit, returned if no run determines the quantum.
+        resolution: Declared resolution, in the sensor's unit, 0 if there is none.
 
     Returns:
-        Quantum in the sensor's unit; 0 where there is none.
+        Median over the runs that show a quantum, in the sensor's unit; the declared resolution if no run shows one, for
+        example because the sensor hardly moves.
     """
     quanta = [quantum for quantum in map(quantum_of, channel) if quantum > 0.0]
     return float(np.median(quanta)) if quanta else resolution
 
 
 def sensor_noise(channel: Sequence[Array], resting_rows: Sequence[int], quantum: float, declared: float) -> float:
-    """Estimate the standard deviation of a sensor's noise.
+    """Estimate the standard deviation of a sensor's noise from the rows at rest.
 
-    It is estimated from the rows at rest. If these are fewer than 30, the declared value is used, or if none is
-    declared, an estimate from third differences of the measurements. The result is at least the standard deviation of
-    the rounding error, quantum / sqrt(12).
+    If fewer than about 30 rows of all runs together are at rest, the declared value is used. If none is declared, third
+    differences of the measurements give an estimate, because smooth motion hardly contributes to them. The result is at
+    least the standard deviation of the rounding error, quantum / sqrt(12).
 
     Args:
         channel: Measurements of the sensor by run, in its unit, each of shape (n,), NaN where not measured.
@@ -101,10 +100,10 @@ _REST_S = 0.02  # s; a quantized measurement that stays the same for longer show
 
 
 def independent_values(time_s: Array, outputs: Array, quanta: Array) -> Array:
-    """Return as how many independent values measurements count.
+    """Return how many independent values each measurement counts as, at most 1.
 
-    While a machine rests, all measurements of a quantized sensor have the same rounding error. However many they are,
-    they say no more about the position than one of them.
+    While a machine rests, all measurements of a quantized sensor have the same rounding error. Together, they contain
+    no more information about the position than one of them, so their counts add up to 1.
 
     Args:
         time_s: Sample times, s, shape (n,).
@@ -112,9 +111,8 @@ def independent_values(time_s: Array, outputs: Array, quanta: Array) -> Array:
         quanta: Quantization steps of the sensors, in their units, 0 where there is none, shape (sensors,).
 
     Returns:
-        Number of independent values that each measurement stands for, shape (n, sensors): 0 where not measured, 1 in
-        motion and without quantization, and 1 divided by the number of measurements that stay the same for more than
-        20 ms.
+        Counts, dimensionless, shape (n, sensors): 0 where not measured; 1 / N for N equal measurements in succession
+        over more than 20 ms; otherwise, and always without quantization, 1.
     """
     counts = np.isfinite(outputs).astype(float)
     for values, count, quantum in zip(outputs.T, counts.T, quanta, strict=True):
@@ -143,10 +141,11 @@ def _difference_noise(channel: Sequence[Array]) -> float:
 
 
 def clock_jitter(times: Sequence[Array], channel: Sequence[Array], noise: float) -> float:
-    """Estimate the jitter of the clock from a moving channel.
+    """Estimate the jitter of the clock from the noise of a channel during fast motion.
 
-    A measurement that is late by dt is off by dt times the speed. Fifth differences of the measurements contain the
-    noise but hardly any smooth motion; what they have beyond the noise at rest, relative to the speed, is the jitter.
+    A measurement that is late by dt has an error of dt * speed. Fifth differences of the measurements contain this
+    error and the sensor's noise, but hardly any smooth motion. Their variance during fast motion therefore gives
+    jitter^2 = (variance - noise^2) / speed^2.
 
     Args:
         times: Sample times by run, s, shape (n,) each.
@@ -154,8 +153,8 @@ def clock_jitter(times: Sequence[Array], channel: Sequence[Array], noise: float)
         noise: Standard deviation of the sensor's noise at rest, in its unit.
 
     Returns:
-        Standard deviation of the sampling time relative to the recorded time, s; 0 unless the jitter adds at least as
-        much to the noise of fast motion as the sensor has at rest, since vibrations leave smaller differences.
+        Standard deviation of the sampling time relative to the recorded time, s. It is 0 unless the variance due to
+        jitter exceeds that of the sensor's noise, because vibrations may cause smaller values.
     """
     squares, speeds = [], []
     for time_s, values in zip(times, channel, strict=True):
@@ -180,7 +179,7 @@ def clock_jitter(times: Sequence[Array], channel: Sequence[Array], noise: float)
 
 
 def noise_by_row(time_s: Array, outputs: Array, noise: Array, jitter: float) -> Array:
-    """Return the standard deviation of every measurement for a clock with jitter.
+    """Return the standard deviation of every measurement from the sensor's noise and the jitter of the clock.
 
     Args:
         time_s: Sample times, s, shape (n,).
@@ -189,7 +188,7 @@ def noise_by_row(time_s: Array, outputs: Array, noise: Array, jitter: float) -> 
         jitter: Standard deviation of the sampling time, s.
 
     Returns:
-        Root sum of squares of the noise and of jitter times speed, in the sensors' units, shape (n, sensors).
+        sqrt(noise^2 + (jitter * speed)^2), in the sensors' units, shape (n, sensors).
     """
     by_row = np.tile(noise, (len(time_s), 1))
     for j, values in enumerate(outputs.T):
@@ -200,7 +199,7 @@ def noise_by_row(time_s: Array, outputs: Array, noise: Array, jitter: float) -> 
 
 
 def smooth_speed(time_s: Array, values: Array) -> Array:
-    """Estimate the speed of a channel by a least-squares parabola over eleven samples.
+    """Estimate the speed of a channel as the slope of a least-squares parabola over eleven samples.
 
     Args:
         time_s: Sample times, s, shape (n,), n at least 11.
@@ -242,7 +241,7 @@ def saturation_ranges(
         channel = [r.outputs[:, j] for r in recordings]
         motion = [positions[:, i] for positions in positions_by_run]
         ends = [_end(channel, motion, float(noise[j]), sign, 1.0, criteria) for sign in (-1.0, 1.0)]
-        # A sensor that saturates at one end may well do so at the other; less evidence suffices there.
+        # A sensor that saturates at one end probably does so at the other as well; less evidence suffices there.
         if any(end is not None for end in ends):
             factor = criteria.second_end_factor
             ends = [_end(channel, motion, float(noise[j]), sign, factor, criteria) for sign in (-1.0, 1.0)]
@@ -303,7 +302,7 @@ def _end(
 def blank_saturated(
     recording: Recording, ranges: Mapping[str, Range], machine: Machine, noise: Array, criteria: SelectionCriteria
 ) -> Recording:
-    """Set the saturated measurements of a recording to NaN: those at or beyond the ends of a sensor's range.
+    """Replace the saturated measurements of a recording, at or beyond the ends of a sensor's range, by NaN.
 
     Args:
         recording: One run (times, s; voltages, V; measurements, m or rad).
@@ -324,11 +323,12 @@ def blank_saturated(
 
 
 def range_effects(ranges: Mapping[str, Range], selected: Sequence[AppliedEffect] = ()) -> tuple[AppliedEffect, ...]:
-    """Convert the ranges of saturated sensors to effects ``sensor_range`` (modeled deviations) of the machine.
+    """Convert the ranges of saturated sensors to effects ``sensor_range``, which limit the readings of a machine.
 
     Args:
         ranges: Lower and upper end of the measuring range by channel name, m or rad.
-        selected: Effects that the fit selected. Where one of them limits the same sensor, the nearer ends are used.
+        selected: Effects that the search selected. If one of them is the ``sensor_range`` of the same sensor, the
+            intersection of both ranges is used.
 
     Returns:
         One effect per channel in `ranges`, with the parameters `low` and `high`, m or rad.

@@ -1,10 +1,10 @@
-"""What the measurements at rest leave open about the initial state of a run, and how the run itself shows it.
+"""The uncertainty that the measurements at rest leave about the initial state of a run, and its estimate from the run.
 
 Static friction holds an unknown stretch of the belts when a run begins: encoders behind belts do not resolve it, and an
 encoder that was switched on anew does not measure it at all. Where no laser measures at rest, the position is uncertain
 as well. A bristle or a cable with hysteresis remembers motion that was not recorded. The motion that follows depends on
-all of this. A fit removes the response to them from its residual (variable
-projection); a simulation over a recording starts from the most probable state.
+all of these unknowns. A fit removes the response to them from its residual (variable projection); a simulation over a
+recording starts from the most probable state.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from scipy.linalg import null_space
 
 from ..dynamics import Equations
 from ..machine import Machine
-from .dataset import Dataset, PreparedRecording, refine_encoder_offsets
+from .dataset import Dataset, PreparedRecording, refine_encoder_zeros
 from .prediction import POLISH_STEP, SEARCH_STEP, SIMULATION, map_runs, predict, residuals
 from .rest_measurement import InitialState, rigid_basis
 
@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 _HELD_FRICTION = 0.1
 _SMALLEST_HELD_ANGLE = 1e-6  # rad; keeps the column of a motor without friction away from zero
 _UNMEASURED_POSITION = 2e-4  # m; error of a position that follows from later measurements
-# Iterations of `most_probable_start`, the fractions of a step it tries, and its differences in standard deviations.
+# Iterations of `most_probable_start`, fractions of a step that it tries, and its differences in standard deviations.
 _ITERATIONS, _FRACTIONS, _DIFFERENCE = 4, np.array([1.0, 0.5, 0.25, 0.1]), 0.3
 _SMALLEST_DECREASE = 0.01  # of the cost per iteration, below which `most_probable_start` ends
 
@@ -39,7 +39,8 @@ class InitialStateProjection:
 
     Attributes:
         directions: Orthonormal responses of the residual to s independent initial belt stretches, shape (rows, s).
-        weights: Fraction of the residual along each that is removed, 0 (stretch known by the prior) to 1, shape (s,).
+        weights: Fraction of the residual along each direction that is removed, 0 (the prior determines the stretch) to
+            1 (the data determine it), shape (s,).
     """
 
     directions: Array
@@ -58,7 +59,7 @@ class InitialStateProjection:
 
 
 def _held_belt_angles(machine: Machine) -> dict[str, float]:
-    """Return by which motor angles static friction typically keeps the belts stretched at rest.
+    """Return the motor angles by which static friction typically holds the belts stretched at rest.
 
     Args:
         machine: Machine with or without belts.
@@ -87,12 +88,12 @@ def initial_state_projection(
     longest_step: float = SEARCH_STEP,
     rows_per_block: int = 1,
 ) -> InitialStateProjection | None:
-    """Return the projection that removes from residuals what the unknown initial belt stretch of a run explains.
+    """Return the projection that removes from residuals what an uncertain initial state explains.
 
-    Static friction maintains an unknown stretch of the belts when a run begins, which encoders behind belts do not
-    resolve. The response of the residual to it, one vector per motor, is removed from residual and Jacobian alike
-    (variable projection), with a Gaussian prior of the size that friction can maintain. A run whose position no laser
-    measures at rest has further such vectors, one per motion that stretches no belt.
+    The initial state is uncertain mainly because static friction holds an unknown stretch of the belts at rest;
+    `start_displacements` lists all uncertain displacements and their standard deviations (Gaussian prior). The run is
+    simulated once for each of them. The projected residual has the sum of squares that the best displacements would
+    give, prior included (variable projection), so a fit need not estimate them.
 
     Args:
         machine: Machine that predicts.
@@ -102,10 +103,11 @@ def initial_state_projection(
         initial_state: Positions, velocities and states of the effects, in their units, shape (2 * coordinates + effect
             states,). Default: `run.initial_state(machine)`.
         longest_step: Maximum integration step, s.
-        rows_per_block: Number of consecutive rows summed into one, as in `residuals`.
+        rows_per_block: Number of consecutive rows combined into one, as in `residuals`.
 
     Returns:
-        Projection of residuals, shape (batch, rows). None if nothing is uncertain or the simulation diverges.
+        Projection for residuals and for columns of a Jacobian, shape (batch, rows). None if nothing is uncertain or the
+        simulation diverges.
 
     References:
         Golub and Pereyra (1973), variable projection.
@@ -123,7 +125,7 @@ def initial_state_projection(
     columns = (residual[1:] - residual[0]).T  # (rows, displacements), in units of the prior's standard deviation
     if not np.all(np.isfinite(columns)):
         return None
-    # The minimum of |residual - columns w|^2 + |w|^2 over w is the squared norm of the residual projected like this.
+    # The squared norm of the projected residual is the minimum over w of |residual - columns w|^2 + |w|^2.
     directions, sizes, _ = np.linalg.svd(columns, full_matrices=False)
     return InitialStateProjection(directions, 1.0 - 1.0 / np.sqrt(1.0 + sizes**2))
 
@@ -133,7 +135,8 @@ def prediction_residuals(
 ) -> Array:
     """Return a machine's prediction errors over a run, each divided by the standard deviation of the sensor's noise.
 
-    The part of the errors that an unknown initial stretch of the belts can explain is removed first, as in a fit.
+    The part of the errors that an unknown initial stretch of the belts can explain is removed, as in a fit, see
+    `initial_state_projection`.
 
     Args:
         machine: Machine that predicts.
@@ -152,19 +155,20 @@ def prediction_residuals(
 
 
 def start_displacements(machine: Machine, initial: InitialState) -> Array:
-    """Return the displacements by which the state at the start of a run may differ from the measured one.
+    """Return the independent displacements by which the state at the start of a run may differ from the measured one.
 
-    Static friction holds an unknown stretch of the belts, one displacement per motor. A run whose position no laser
-    measures at rest has further displacements, one per motion that stretches no belt. The state of an effect with an
-    `initial_spread` is a displacement as well.
+    They have three causes: static friction holds an unknown stretch of the belts (one displacement per motor); no laser
+    measures at rest (one displacement per unmeasured motion that stretches no belt); an effect such as hysteresis
+    remembers motion before the recording (one per state of an effect that defines an `initial_spread`).
 
     Args:
         machine: Machine that predicts.
         initial: Measured initial state of the run.
 
     Returns:
-        Displacements of the state (positions, velocities, states of the effects), each as large as one standard
-        deviation, in the coordinates' and the effects' units, shape (displacements, 2 * coordinates + effect states).
+        Displacements of the state (positions, velocities, states of the effects), one per row, each of the size of one
+        standard deviation, in the coordinates' and the effects' units, shape (displacements, 2 * coordinates + effect
+        states).
     """
     held_angles = _held_belt_angles(machine)
     displacements = np.zeros((len(held_angles), len(machine.coordinates)))
@@ -223,17 +227,17 @@ def most_probable_initial_state(machine: Machine, run: PreparedRecording, data: 
         motion = predict(machine, run, SIMULATION, period=data.period, initial_state=states, longest_step=POLISH_STEP)
         return residuals(run, data, motion.readings, fitted=False)  # as `recording_simulation` does for a single run
 
-    # Whatever the effects' states were assumed to be, they are estimated anew.
+    # Only positions and velocities are passed: the effects' states are estimated anew, starting from 0.
     state = run.initial_state(machine)[: 2 * len(machine.coordinates)]
     return most_probable_start(machine, run.initial, state, errors)
 
 
 def refine_starts(data: Dataset, machine: Machine, reference: Dataset | None = None) -> Dataset:
-    """Correct what is assumed about the starts of the runs with a fitted machine.
+    """Correct the encoder zeros and the initial states of effects of all runs with a fitted machine.
 
-    These are the zeros of the encoders, see `dataset.refine_encoder_offsets`, and the states of effects that remember
-    motion before the recording. Fits linearize around the states, whose influence is nonlinear where a hysteresis has
-    almost reached its limit.
+    The zeros are the measurements at position 0, see `dataset.refine_encoder_zeros`. The corrected states are those of
+    effects that remember motion before the recording, such as hysteresis. A fit treats their uncertainty as linear,
+    which is accurate only near the true states.
 
     Args:
         data: Data set to correct (times, voltages, measurements, SI).
@@ -242,10 +246,10 @@ def refine_starts(data: Dataset, machine: Machine, reference: Dataset | None = N
             Default: `data`.
 
     Returns:
-        Copy with corrected starts and measurements, m or rad, shape (n, sensors) for each run; `data` itself if there
-        is nothing to correct.
+        Copy with corrected initial states, and with measurements minus the corrected zeros, m or rad, shape
+        (n, sensors) for each run; `data` itself if there is nothing to correct.
     """
-    data = refine_encoder_offsets(data, machine, reference)
+    data = refine_encoder_zeros(data, machine, reference)
     if not np.any(_effect_state_spreads(machine) > 0.0):
         return data
 
@@ -262,10 +266,9 @@ def most_probable_start(
 ) -> Array:
     """Return the state from which a run most probably began, given all of its measurements.
 
-    It is the state of maximum posterior density: the squared errors of the simulation over the run, plus the squared
-    displacements from the measured state in units of what the measurements at rest leave open, are minimal. The errors
-    of a model that is still wrong count less, by their mean square in units of the noise. Steps that increase the cost
-    are not taken.
+    It is the state of maximum posterior density. It minimizes the sum of squared simulation errors in units of the
+    noise plus the sum of squared displacements from the measured state in units of their standard deviations, see
+    `start_displacements`. The squared errors of an inaccurate model are first divided by their mean if it exceeds 1.
 
     Args:
         machine: Machine to simulate.
@@ -276,7 +279,7 @@ def most_probable_start(
 
     Returns:
         Positions, velocities (zero), and the states of the effects, in their units, shape (2 * coordinates + effect
-        states,). If nothing is uncertain or the simulation diverges, the given state, and zeros for the effects.
+        states,). If nothing is uncertain or the simulation diverges: the given state, with effect states of zero.
 
     References:
         Nocedal and Wright (2006), "Numerical optimization", chapter 10 (Gauss-Newton method with a line search).

@@ -1,4 +1,9 @@
-"""Fit candidate effects together with the machine's parameters, with few iterations, so that they can be ranked."""
+"""Fit candidate effects together with the machine's parameters, with few iterations, so that they can be ranked.
+
+An effect is a deviation from the nominal model. A structural effect adds coordinates. A trial is the fit of a machine
+with one candidate effect, the last one in its list. The cost is chi-squared, the sum of squared residuals in units of
+the sensors' noise.
+"""
 
 from __future__ import annotations
 
@@ -30,18 +35,18 @@ _TRIAL_ITERATIONS, _TRIAL_TOLERANCE = 8, 1e-3  # A trial need not converge fully
 def trial_fits(current: Fit, data: Dataset, enough: float, criteria: SelectionCriteria) -> list[Fit]:
     """Fit the machine with each of the most promising effects (deviations from the model), one at a time.
 
-    The candidates are ranked first by the reduction of chi-squared that linearization predicts. If a parameter of the
-    fit without them is at its limit, that fit may be in a local minimum; the candidates are then also ranked at the
-    declared parameters and fitted from there.
+    A linearized model ranks the candidates by the reduction of chi-squared; the best few are fitted. If a parameter of
+    the fit without candidates is at its limit, that fit may be in a local minimum; the candidates are then also ranked
+    at the declared parameters and fitted from there.
 
     Args:
-        current: Fit without the candidates; they are fitted at its observer bandwidth.
+        current: Fit without candidates; the trials have its observer bandwidth.
         data: Prepared recordings to fit (times, voltages, measurements).
         enough: Smallest useful reduction of chi-squared per sample, dimensionless.
         criteria: Decision thresholds.
 
     Returns:
-        One fit (machine, parameters theta, shape (k,), cost) per candidate with few iterations, in no particular order.
+        One fit (machine, parameters theta, shape (k,), cost) per candidate, after few iterations, in no given order.
     """
     trials = _trial_fits_from(current, current, data, enough, criteria)
     if any(f.at_limit(t) for f, t in zip(current.free, current.theta, strict=True)):
@@ -59,7 +64,7 @@ def _at_declared_parameters(current: Fit, data: Dataset) -> Fit:
 
 
 def _trial_fits_from(start: Fit, current: Fit, data: Dataset, enough: float, criteria: SelectionCriteria) -> list[Fit]:
-    """Return fits with the most promising candidates, ranked at one set of parameters, of a machine fitted before."""
+    """Return fits with the most promising candidates, ranked at the parameters of `start` and fitted from there."""
     if not math.isfinite(start.cost):
         return []
     scales, ranked = _ranked_candidates(start, data)
@@ -77,7 +82,7 @@ def _trial_fits_from(start: Fit, current: Fit, data: Dataset, enough: float, cri
 
 
 def _with_better_shape(trials: list[Fit], trial: Fit) -> list[Fit]:
-    """Return the trials with one more, of which only the better shape of an effect at a site is kept."""
+    """Add a trial; of trials with the same effect at the same site, keep only the one with the lowest cost."""
     label = trial.machine.effects[-1].label
     others = [t for t in trials if t.machine.effects[-1].label != label]
     same = [t for t in trials if t.machine.effects[-1].label == label]
@@ -89,18 +94,20 @@ def structural_trial_fits(
 ) -> list[Fit]:
     """Fit the machine with each of the most promising effects that replace a part of the model, one at a time.
 
-    These are structural effects (which add coordinates) and those that replace dry friction. Each needs compiled
-    simulation code of its structure.
+    These effects add coordinates (structural effects) or replace dry friction. Their trials take longer than those of
+    other effects, because each needs newly compiled simulation code.
 
     Args:
-        current: Fit without the candidates; they are fitted at its observer bandwidth.
-        trials: Fits of the other candidates, which they have to surpass.
+        current: Fit without candidates; the trials have its observer bandwidth.
+        trials: Trials with other effects. Candidates with a much smaller linearized gain than the best of these
+            (`criteria.min_structural_promise`) are not fitted.
         data: Prepared recordings to fit (times, voltages, measurements, SI).
         enough: Smallest useful reduction of chi-squared per sample, dimensionless.
         criteria: Decision thresholds.
 
     Returns:
-        One fit (machine, parameters theta, shape (k,), cost) per candidate with few iterations, in no particular order.
+        One fit (machine, parameters theta, shape (k,), cost) per candidate, after few iterations, best linearized gain
+        first.
     """
     scales = typical_scales(current, data)
     useful = max((current.cost - t.cost for t in trials), default=0.0) / data.count
@@ -110,7 +117,11 @@ def structural_trial_fits(
 
 
 def unexplained_fraction(current: Fit, trials: list[Fit], criteria: SelectionCriteria) -> float:
-    """Return the fraction of the excess of chi-squared (squared error / noise variance) that the best trial leaves.
+    """Return the fraction of the error beyond the noise that the best trial leaves.
+
+    The error beyond the noise is chi-squared per sample (mean squared error / noise variance) minus its value for a
+    correct model. This value is 1, but `criteria.one_step_floor` at an observer bandwidth of 60 rad/s (one-step
+    prediction), where quantization keeps it above 1.
 
     Args:
         current: Fit without candidates.
@@ -118,8 +129,7 @@ def unexplained_fraction(current: Fit, trials: list[Fit], criteria: SelectionCri
         criteria: Decision thresholds.
 
     Returns:
-        Fraction, dimensionless; 1 without trials. The excess is chi-squared per sample minus that of a correct model:
-        `one_step_floor` in one-step prediction, where quantization keeps it above 1, and otherwise 1.
+        Fraction, dimensionless, at most 1; 1 without trials.
     """
     floor = criteria.one_step_floor if current.bandwidth >= SEARCH_BANDWIDTH else 1.0
     smallest = min((t.chi2 for t in trials), default=current.chi2)
@@ -142,20 +152,20 @@ def _ranked_candidates(current: Fit, data: Dataset) -> tuple[TypicalScales, list
 def replacement_fit(
     current: Fit, reduced: Fit, replaced: str, data: Dataset, criteria: SelectionCriteria
 ) -> Fit | None:
-    """Fit the machine with the effect that may explain the data better than one which was selected before.
+    """Replace one selected effect by the most promising other effect and fit the machine again.
 
-    Effects that were selected while others were missing may stand for a mixture of several causes.
+    An effect that was selected while other effects were missing may represent a mixture of several causes.
 
     Args:
         current: Fit with all selected effects (deviations from the nominal model).
-        reduced: Fit without one of them, at the same observer bandwidth.
-        replaced: Label of that effect, name@site.
+        reduced: Fit without the effect to replace, at the same observer bandwidth.
+        replaced: Label (name@site) of the effect to replace.
         data: Prepared recordings to fit (times, voltages, measurements, SI).
         criteria: Decision thresholds.
 
     Returns:
-        Converged fit (machine, parameters theta, shape (k,), cost). None if linearization predicts for every other
-        effect too small a part of the reduction of the cost that the replaced one achieved.
+        Converged fit (machine, parameters theta, shape (k,), cost) with the other effect. None if linearization
+        predicts a much smaller reduction of the cost than by the replaced effect.
     """
     scales, ranked = _ranked_candidates(reduced, data)
     best = next((scored for scored in ranked if scored.candidate.label != replaced), None)
@@ -196,8 +206,9 @@ def _promising(
 ) -> list[ScoredCandidate]:
     """Return the few best candidates that may reduce the cost by enough, up to two shapes of each effect and site.
 
-    A fit does not find the way from one period to another, and linearization may rank a wrong one first. Candidates
-    with less force than what would remain unexplained beside them are left out before anything is fitted.
+    A shape is a set of starting values, such as a period. Two are fitted, because a fit does not move from one period
+    to another, and linearization may rank a wrong one first. Candidates with clearly less force than what remains
+    unexplained are left out before anything is fitted.
     """
     best: dict[str, list[ScoredCandidate]] = {}
     least = criteria.linear_gain_ratio * enough * data.count
@@ -220,7 +231,7 @@ def _promising(
 def fit_with_candidate(current: Fit, scored: ScoredCandidate, scales: TypicalScales, data: Dataset) -> Fit:
     """Add a candidate effect (deviation from the model) to the machine and fit the parameters of both together.
 
-    The fit has few iterations.
+    The fit has only a few iterations.
 
     Args:
         current: Fit without the effect; the new one has the same observer bandwidth.
@@ -241,8 +252,8 @@ def fit_with_candidate(current: Fit, scored: ScoredCandidate, scales: TypicalSca
 def _replace(current: Fit, machine: Machine, scales: TypicalScales, data: Dataset) -> Fit:
     """Fit a machine in which an effect replaces a part of the model, with default free parameters.
 
-    Where the structure is new, the search starts from the declared parameters: those fitted without the effect
-    compensate for it. A machine that needs only a narrow observer is close enough already.
+    For a structural effect, the fit starts from the declared parameters, because parameters that were fitted without
+    the effect compensate for it. With a narrower observer, the present parameters are accurate enough.
     """
     effect = machine.effects[-1]
     if effect.definition.structure and current.bandwidth >= SEARCH_BANDWIDTH:
@@ -275,9 +286,9 @@ def converge(trial: Fit, data: Dataset, *, thorough: bool) -> Fit:
     Args:
         trial: Fit with a candidate effect, not fully converged.
         data: Prepared recordings to fit (times, voltages, measurements, SI).
-        thorough: Whether to fit a second time, from the declared parameters of the machine (those of its effects are
-            kept), and to return the better of the two fits. The parameters of the trial were first fitted without the
-            effect, and may be near a local minimum in which they compensate for it.
+        thorough: Whether to fit a second time, from the declared parameters of the machine and the present parameters
+            of its effects, and to return the better fit. Otherwise the fit may end in a local minimum, because the
+            parameters of the trial were first fitted without the effect and compensate for it.
 
     Returns:
         Converged fit (machine, parameters theta, shape (k,), cost).
@@ -297,12 +308,12 @@ def without_effect(current: Fit, label: str, data: Dataset, plain: Machine, *, t
         current: Fit of the machine with the effect; the new one has the same observer bandwidth.
         label: Label of the effect, name@site.
         data: Prepared recordings to fit (times, voltages, measurements, SI).
-        plain: Machine before effects were added, from which a machine without a structural effect is built.
+        plain: Machine before effects were added. It is used only if the effect is structural (adds coordinates).
         thorough: Whether to fit until convergence with the shortest integration step, rather than with few iterations.
 
     Returns:
-        Fit (machine, parameters theta, shape (k,), cost) without the effect; None if another effect acts on a
-        coordinate that it adds.
+        Fit (machine, parameters theta, shape (k,), cost) without the effect. None if the effect cannot be removed,
+        because another effect acts on a coordinate that it adds.
     """
     others = tuple(e for e in current.machine.effects if e.label != label)
     machine = current.machine.replace(effects=others)

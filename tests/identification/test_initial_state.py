@@ -10,7 +10,7 @@ import pytest
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, InitialState, PreparedRecording, initial_state_of_recording, prepare
-from hframe_gym.identification.dataset import refine_encoder_offsets
+from hframe_gym.identification.dataset import refine_encoder_zeros
 from hframe_gym.identification.initial_state import encoder_zero_errors, model_initial_state, static_equilibrium
 from hframe_gym.identification.residual import channel_errors
 from hframe_gym.machine import Machine, rest_state
@@ -92,7 +92,7 @@ def test_an_eccentric_pulley_rests_where_the_simulator_has_it(hframe: Machine) -
     stage = reference.Stage(reference.Rig(eccentricity_m=(0.0, e), eccentricity_phase=(0.0, p)), position)
     measured = stage.position[2:4]
     machine = hframe.with_effects(EFFECTS["eccentric_pulley"].at("motor2", e=e, p=p))
-    initial = dataclasses.replace(initial_at(position, measured, known=True), offsets_refined=True)
+    initial = dataclasses.replace(initial_at(position, measured, known=True), zeros_refined=True)
     # The state is that of a round pulley, whose belts are unstretched, up to second order in e / r.
     assert abs(model_initial_state(machine, initial)[3] - rigid(position)[1]) < 2 * (e / RADIUS) ** 2
     assert abs(measured[1] - rigid(position)[1]) > 20 * (e / RADIUS) ** 2
@@ -109,12 +109,12 @@ def test_zeros_are_refined_under_the_force_of_a_cable(hframe: Machine) -> None:
     data = Dataset(runs, np.full(4, 2e-5), np.zeros(4), np.array([True, True, False, False]))
     errors = encoder_zero_errors(machine, initial)
     np.testing.assert_allclose(errors[:2], wrong, atol=0.3e-3)  # 6 um, which friction may hold
-    refined = refine_encoder_offsets(data, machine)
+    refined = refine_encoder_zeros(data, machine)
     for before, after in zip(runs, refined.runs, strict=True):
         np.testing.assert_allclose(after.initial.state[2:4], before.initial.state[2:4] - errors[:2])
         np.testing.assert_allclose(after.outputs[:, :2], before.outputs[:, :2] - errors[:2])
     # A machine without effects predicts nothing about the zeros.
-    assert refine_encoder_offsets(data, hframe) is data
+    assert refine_encoder_zeros(data, hframe) is data
 
 
 # Starts and voltages of runs that leave and enter the range of a laser, +-0.1 m.

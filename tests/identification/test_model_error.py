@@ -19,9 +19,9 @@ from hframe_gym.identification.free_parameters import FreeParameter
 from hframe_gym.identification.model_error import (
     BANDWIDTHS,
     fit_with_model_error,
-    information_loss,
     leave_one_out_gain,
     likelihood_deficit,
+    likelihood_loss,
     minimum_gain,
     narrower_observer,
 )
@@ -76,8 +76,8 @@ def test_an_exact_model_is_simulated(axis: Machine) -> None:
     data = recordings(axis)
     best = fit_with_model_error(fitted_axis(axis, data), data)
     assert best.bandwidth <= 3.0
-    assert information_loss(best, data) == pytest.approx(1.0, abs=0.1)
-    assert information_loss(fitted_axis(axis, data), data) > information_loss(best, data)
+    assert likelihood_loss(best, data) == pytest.approx(1.0, abs=0.1)
+    assert likelihood_loss(fitted_axis(axis, data), data) > likelihood_loss(best, data)
 
 
 def test_a_residue_requires_an_observer_and_its_size_is_estimated(axis: Machine) -> None:
@@ -154,7 +154,7 @@ def test_a_narrow_observer_needs_short_steps() -> None:
 def test_the_bandwidth_has_the_largest_likelihood(
     monkeypatch: pytest.MonkeyPatch, losses: Mapping[int, float], expected: float
 ) -> None:
-    monkeypatch.setattr(model_error, "information_loss", lambda fitted, data: losses[int(fitted.bandwidth)])
+    monkeypatch.setattr(model_error, "likelihood_loss", lambda fitted, data: losses[int(fitted.bandwidth)])
     monkeypatch.setattr(
         model_error, "at_bandwidth", lambda fitted, bandwidth, data: dataclasses.replace(fitted, bandwidth=bandwidth)
     )
@@ -167,11 +167,11 @@ def test_the_loss_is_chi_squared_in_units_of_the_innovations_variance() -> None:
     """Position gain K = 2 * bandwidth * period; innovations have 1 / (1 - K) times the variance of the noise."""
     data: Any = SimpleNamespace(period=1e-3, runs=[SimpleNamespace(counted=np.ones((100, 1)))])
     variance = 1.0 / (1.0 - 2.0 * 30.0 * 1e-3)
-    loss = model_error.information_loss(fit_with(chi2=1.3, bandwidth=30.0), data)
+    loss = model_error.likelihood_loss(fit_with(chi2=1.3, bandwidth=30.0), data)
     assert loss == pytest.approx(1.3 / variance + np.log(variance))
-    assert model_error.information_loss(fit_with(chi2=1.3), data) == pytest.approx(1.3)
+    assert model_error.likelihood_loss(fit_with(chi2=1.3), data) == pytest.approx(1.3)
     slow: Any = SimpleNamespace(period=0.1, runs=data.runs)
-    assert model_error.information_loss(fit_with(chi2=1.3, bandwidth=60.0), slow) == pytest.approx(0.13 + np.log(10.0))
+    assert model_error.likelihood_loss(fit_with(chi2=1.3, bandwidth=60.0), slow) == pytest.approx(0.13 + np.log(10.0))
 
 
 def test_sensors_count_by_their_number_of_measurements() -> None:
@@ -183,7 +183,7 @@ def test_sensors_count_by_their_number_of_measurements() -> None:
     fitted = dataclasses.replace(fit_with(chi2=1.0, bandwidth=60.0), machine=machine)
     encoder, laser = 1.0 / (1.0 - 0.12), 1.0 / (1.0 - 0.05)
     expected = 1.0 / (0.75 * encoder + 0.25 * laser) + 0.75 * np.log(encoder) + 0.25 * np.log(laser)
-    assert model_error.information_loss(fitted, data) == pytest.approx(expected)
+    assert model_error.likelihood_loss(fitted, data) == pytest.approx(expected)
 
 
 class LinearModel:
@@ -270,7 +270,7 @@ def test_the_next_narrower_observer_and_the_gain_that_makes_it_as_likely(axis: M
     assert narrower.bandwidth == max(b for b in BANDWIDTHS if b < best.bandwidth)
     assert gain > 0.0
     as_likely = dataclasses.replace(narrower, cost=narrower.cost - gain * narrower.count)
-    assert information_loss(as_likely, data) == pytest.approx(information_loss(best, data))
+    assert likelihood_loss(as_likely, data) == pytest.approx(likelihood_loss(best, data))
 
 
 @pytest.mark.parametrize(("cross_validated", "in_simulation"), [(0.0, True), (np.inf, False)])

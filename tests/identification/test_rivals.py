@@ -41,7 +41,7 @@ def test_a_rival_that_is_more_likely_replaces_an_effect(
     current, other = fit_with(PUSH, chi2=2.0), fit_with(DRAG, chi2=loss)
     losses = {id(current): 2.0, id(other): loss}
     replaced: Mapping[str, Callable[..., Any]] = {
-        "information_loss": lambda fitted, data: losses[id(fitted)],
+        "likelihood_loss": lambda fitted, data: losses[id(fitted)],
         "fit_in_place_of": lambda current, label, rival, data: other,
         "polish": lambda fitted, data: fitted,
         "at_bandwidth": lambda fitted, bandwidth, data: fitted,
