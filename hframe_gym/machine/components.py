@@ -205,13 +205,13 @@ class SensorKind:
     def measure(reading: Array, noise: ArrayLike, resolution: ArrayLike, normal: ArrayLike) -> Array:
         """Convert ideal readings to measurements: add noise, then round to the resolution.
 
-        The four arguments broadcast against each other.
-
         Args:
-            reading: Ideal (noise-free, continuous) readings, m or rad.
-            noise: Standard deviation of the noise, m or rad.
-            resolution: Quantization step of the sensor, m or rad; 0 for a continuous sensor.
-            normal: Samples of the standard normal distribution, dimensionless; they are multiplied by `noise`.
+            reading: Ideal (noise-free, continuous) readings, m or rad, any shape.
+            noise: Standard deviation of the noise, m or rad, of a shape that broadcasts.
+            resolution: Quantization step of the sensor, m or rad, of a shape that broadcasts; 0 for a continuous
+                sensor.
+            normal: Samples of the standard normal distribution, dimensionless, of a shape that broadcasts; they are
+                multiplied by `noise`.
 
         Returns:
             Measured values, m or rad, in the broadcast shape of the four arguments.

@@ -30,8 +30,7 @@ class Machine:
         belts: Elastic belt sections.
         drives: Motors, in the order of the input channels.
         sensors: Sensors, in the order of the output channels.
-        effects: Additional physical phenomena (of friction, sensors, belts, ...), each at its site, the component on
-            which it acts.
+        effects: Additional physical phenomena, each at its site, the component on which it acts.
         uncertainty: Covariance of the parameters, if they were identified.
         description: One sentence for people.
         ties: Parameters that equal a factor times another parameter, by full name, for example {"phi3.radius":
