@@ -144,14 +144,14 @@ def simulate_batch(
             at rest at the origin.
         extra_force: External force, N or Nm, held like `inputs`, shape (n, coordinates) or (B, n, coordinates).
         measured: Measurements that correct the simulation, in the channels' units, shape (n, sensors) or (B, n,
-            sensors), NaN where not measured. Default: none.
-        gains: Observer gains with which they do, shape (2 * coordinates, sensors), in the coordinates' units (m or rad,
-            m/s or rad/s) per unit of the channel: at every sample positions and velocities change by gains @ (measured
-            - reading). None: no correction.
+            sensors); NaN: none.
+        gains: Observer gains of this correction, in the coordinates' units per unit of the channel, shape (2 *
+            coordinates, sensors): at every sample positions and velocities change by gains @ (measured - reading).
+            None: no correction.
         longest_step: Largest step of the integrator, s.
         states: Whether to return positions and velocities.
         readings: Whether to return sensor readings.
-        parallel: Whether to distribute the machines over threads. Use False if the caller does so.
+        parallel: Whether to distribute the machines over threads; False if the caller does so.
 
     Returns:
         `Motion`: positions and velocities, shape (B, n, coordinates), and noise-free readings, shape (B, n, sensors),
