@@ -40,13 +40,17 @@ def options(
 
 
 def main(interrupted: Callable[[], bool] = lambda: False) -> None:
-    """Run the `hframe` command; exceptions are printed as one line, unless the variable `DEBUG_VARIABLE` is set.
+    """Run the `hframe` command; an exception is printed as one line.
+
+    With the environment variable `HFRAME_DEBUG` (`DEBUG_VARIABLE`), exceptions keep their traceback.
 
     Args:
-        interrupted: Returns whether a signal has asked the process to end; exceptions then propagate.
+        interrupted: Function that returns whether the process was told to end (Ctrl-C, SIGTERM); exceptions are then
+            raised and not printed.
 
     Raises:
-        SystemExit: With exit code 0 (success), 1 (internal error) or 2 (faulty input or arguments).
+        SystemExit: With exit code 0 (success), 1 (internal error, or a fault that `hframe check` found) or 2 (faulty
+            input or arguments).
     """
     with warnings.catch_warnings():
         warnings.simplefilter("always", UserWarning)

@@ -143,11 +143,10 @@ def simulate_batch(
             (B, 2 * coordinates). Further columns are the states of the effects in their order (default: zero). Default:
             at rest at the origin.
         extra_force: External force, N or Nm, held like `inputs`, shape (n, coordinates) or (B, n, coordinates).
-        measured: Measurements that correct the simulation, in the channels' units, shape (n, sensors) or (B, n,
-            sensors); NaN: none.
-        gains: Observer gains of this correction, in the coordinates' units per unit of the channel, shape (2 *
-            coordinates, sensors): at every sample positions and velocities change by gains @ (measured - reading).
-            None: no correction.
+        measured: Measurements that correct the simulation (observer), in the channels' units, shape (n, sensors) or (B,
+            n, sensors), NaN where not measured.
+        gains: Observer gains, in the coordinates' units per unit of the channel, shape (2 * coordinates, sensors): at
+            every sample the correction of positions and velocities is gains @ (measured - reading). None: zero.
         longest_step: Largest step of the integrator, s.
         states: Whether to return positions and velocities.
         readings: Whether to return sensor readings.
@@ -155,8 +154,7 @@ def simulate_batch(
 
     Returns:
         `Motion`: positions and velocities, shape (B, n, coordinates), and noise-free readings, shape (B, n, sensors),
-        in the coordinates' and channels' units; empty where not requested. Motions that diverged have NaN or large
-        values.
+        in the coordinates' and channels' units; empty where not requested. Diverged motions have NaN or large values.
     """
     parameters = parameter_batch(machine) if parameters is None else parameters
     # The compiled functions work in belt travel: position * radius.
