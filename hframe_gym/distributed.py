@@ -248,10 +248,9 @@ def _local_processes(count: int) -> Iterator[_Run]:
 @contextmanager
 def _ray_workers(address: str, cores: int) -> Iterator[_Run]:
     """Provide a function that submits a task to Ray."""
+    # Ray then sends no usage statistics, and prints the workers' lines as they are.
     for variable in ("RAY_USAGE_STATS_ENABLED", "RAY_DEDUP_LOGS", "RAY_COLOR_PREFIX"):
-        os.environ.setdefault(
-            variable, "0"
-        )  # Ray sends nothing to its makers, and prints the workers' lines as they are
+        os.environ.setdefault(variable, "0")
     try:
         import ray
     except ImportError as error:

@@ -1,6 +1,7 @@
 """The `hframe` command: read files, call the library, print.
 
-Exit codes: 0 done, 2 the input is at fault (one line says where), 1 internal error, or `hframe check` found a fault.
+Exit codes: 0 for success; 1 for an internal error, or if `hframe check` found a fault; 2 for invalid input, with one
+line that says what is wrong and where.
 
 Every module `*_commands` registers its commands with `app` when it is imported here.
 """

@@ -1,4 +1,4 @@
-"""Draw a machine with matplotlib (extra `report`): plan view, and the factors between coordinates and components."""
+"""Draw a machine with matplotlib (extra `report`): its plan view, and a table of its coefficients."""
 
 from __future__ import annotations
 

@@ -84,9 +84,8 @@ def rest_state(machine: Machine, position: ArrayLike | None = None) -> Array:
         q[linear] = np.asarray(position, float)
     pulleys = [i for i in range(count) if i not in linear and machine.coordinate_names[i] not in machine.spring_loaded]
     if pulleys and machine.belts:
-        G = (
-            machine.belt_matrix
-        )  # (belts, coordinates); zero extension: G[:, pulleys] @ angles = -G[:, linear] @ positions
+        # Zero extension of every belt: G[:, pulleys] @ angles = -G[:, linear] @ positions.
+        G = machine.belt_matrix
         q[pulleys] = np.linalg.lstsq(G[:, pulleys], -G[:, linear] @ q[linear], rcond=None)[0]
     return np.concatenate([q, np.zeros(count)])
 
