@@ -64,7 +64,7 @@ class RunFormats(StrEnum):
 def examples(
     out: Annotated[Path, typer.Option(help="Folder to create; an existing one is not replaced.")],
 ) -> None:
-    """Copy the example recordings of two rigs, their description and the notebooks to a new folder.
+    """Copy the example recordings of two rigs, their description and example notebooks to a new folder.
 
     Example:  hframe examples --out examples
     """

@@ -299,7 +299,7 @@ class AppliedEffect:
         return dataclasses.replace(self, parameters=dict(parameters))
 
     def check_site(self, machine: Machine) -> None:
-        """Raise an error if a machine lacks the site, the component on which the effect acts.
+        """Raise an error if a machine lacks the component on which the effect acts (its site).
 
         Args:
             machine: Machine to check.

@@ -141,7 +141,7 @@ class Machine:
 
     @cached_property
     def sensor_matrix(self) -> Array:
-        """Reading of each sensor per unit of each coordinate, without products; shape (sensors, coordinates)."""
+        """Linear coefficients of the sensors' readings per unit of each coordinate, shape (sensors, coordinates)."""
         # Without the products of coordinates that a reading may contain.
         return np.array([self.coefficients(s.row) for s in self.sensors])
 
