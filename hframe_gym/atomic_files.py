@@ -1,7 +1,8 @@
 """Write files so that a reader finds either the complete new file or the old one, never a part.
 
-Where the file system can (`O_TMPFILE`, Linux), a file has no name while it is written: a process that is killed leaves
-nothing behind. `output_batch` does the same for all the files of a folder together; `locked_folders` describes how.
+On file systems with the flag `O_TMPFILE` (Linux), a file has no name while it is written: if the process is killed,
+nothing is left behind. `output_batch` extends this to several files of a folder, which appear together;
+`locked_folders` describes how.
 """
 
 from __future__ import annotations
@@ -125,9 +126,10 @@ _BATCH: ContextVar[_Batch | None] = ContextVar("_BATCH", default=None)
 
 @contextmanager
 def atomic_file(path: str | Path) -> Iterator[io.BufferedRandom]:
-    """Provide a binary file to write to, which replaces `path` when the `with` block ends without an error.
+    """Provide a binary file to write to; it replaces the file at `path` when the `with` block ends without an error.
 
-    Inside `output_batch` it does so at the end of the batch.
+    Until then a reader sees the old file. Inside an `output_batch` of the same folder, the file appears only at the end
+    of the batch.
 
     Args:
         path: File to write; its folder is created if necessary.
@@ -136,7 +138,7 @@ def atomic_file(path: str | Path) -> Iterator[io.BufferedRandom]:
         Empty file, open for writing and reading. If the block raises an error, an existing file at `path` is unchanged.
 
     Raises:
-        InputError: If `path` is a folder, a device or another thing that a file must not replace.
+        InputError: If `path` exists and is not a regular file, but a folder or a device, for example.
         OSError: If the folder cannot be created or written, or the disk is full; the error names `path`.
     """
     target = Path(path)
@@ -172,11 +174,14 @@ def atomic_file(path: str | Path) -> Iterator[io.BufferedRandom]:
 def write_text(path: str | Path, text: str) -> None:
     """Write a text file in UTF-8; if writing fails, an existing file is unchanged.
 
+    Inside an `output_batch` of the same folder, the file appears only at the end of the batch.
+
     Args:
         path: File to write; its folder is created if necessary.
         text: Content of the file.
 
     Raises:
+        InputError: If `path` exists and is not a regular file, but a folder or a device, for example.
         OSError: If the folder cannot be created or written, or the disk is full; the error names `path`.
     """
     with atomic_file(path) as file:
@@ -184,7 +189,9 @@ def write_text(path: str | Path, text: str) -> None:
 
 
 def remove_file(path: str | Path) -> None:
-    """Remove a file if it exists; inside `output_batch`, at the end of the batch.
+    """Remove a file if it exists.
+
+    Inside an `output_batch` of the same folder, an existing file disappears only at the end of the batch.
 
     Args:
         path: File to remove.
@@ -205,13 +212,16 @@ def remove_file(path: str | Path) -> None:
 
 
 def newest(path: str | Path) -> Path:
-    """Return the path by which the newest content of a file can be read, also before `output_batch` ends.
+    """Return a path from which the current content of a file can be read, also while an `output_batch` writes it.
+
+    A file that is written inside an `output_batch` does not appear under its name until the batch ends. Until then its
+    content is in a temporary file.
 
     Args:
         path: Path of the file.
 
     Returns:
-        The same path, or inside a batch that wrote the file another one, which is valid until the batch ends.
+        Path of the temporary file, valid until the batch ends, if the present batch has written the file; else `path`.
     """
     batch = _BATCH.get()
     name = _name_in(batch, Path(path))
@@ -220,9 +230,11 @@ def newest(path: str | Path) -> Path:
 
 @contextmanager
 def output_batch(folder: str | Path) -> Iterator[Path]:
-    """Make all files that the `with` block writes to a folder visible together at its end, or none of them.
+    """Make the files that the `with` block writes to a folder appear together at its end, or none of them.
 
-    The folder is locked meanwhile. Batches of the same folder may be nested: the outermost one counts.
+    It applies to files that are written with `atomic_file` or `write_text`, or removed with `remove_file`. The folder
+    is locked until the block ends, so that no other process of this package writes to it. In a batch within a batch of
+    the same folder, all files appear at the end of the outer one.
 
     Args:
         folder: Folder of the files; created if it does not exist.

@@ -1,7 +1,8 @@
 """Map a function over inputs in this process, in local processes, or on a Ray cluster, with the same results.
 
-A task runs on one core. If its worker dies (killed, out of memory, a lost node), another one repeats it from the
-beginning. The calling program receives every result exactly once and writes all files; workers share none.
+A task is one call of the function, on one core. If its worker process ends unexpectedly (killed, out of memory, a lost
+node), another one repeats the task from the beginning. The calling program receives every result exactly once and
+writes all files; workers write no common files.
 """
 
 from __future__ import annotations
@@ -46,29 +47,31 @@ def map_tasks(
     ray: str | None = None,
     completed: Callable[[int, Result], None] | None = None,
 ) -> Iterator[Result]:
-    """Call a function for every input and yield the results in the order of the inputs.
+    """Call a function for every input, possibly in parallel, and yield the results in the order of the inputs.
 
-    A task whose worker dies is repeated up to `ATTEMPTS` times. A repeated task gives the same result if the function
-    depends on its input alone and writes no files.
+    If the worker process of a task ends unexpectedly, the task starts again, up to three attempts in total
+    (`ATTEMPTS`). The function must depend on its input alone and write no files, so that a repetition gives the same
+    result.
 
     Args:
-        function: Function of one input; it can be pickled, for example a function of a module or a `partial` of one.
-        items: Inputs; they can be pickled.
-        jobs: Number of local worker processes. 1: the function runs in this process, unless `ray` is given. With a
-            Ray that is started here: its number of cores, where 1 means all of them.
-        ray: None for local processes, `LOCAL_RAY` for a Ray that is started on this machine, "auto" for the running
-            cluster that this machine belongs to, or "HOST:PORT" of a cluster's head node.
-        completed: Called with the index of an input and its result as soon as that is available, in any order but one
-            at a time, for example to write it to a file.
+        function: Function of one input. For jobs > 1 or with `ray` it must be picklable: a function of a module, for
+            example, or a `functools.partial` of one.
+        items: Inputs; picklable under the same condition.
+        jobs: Number of local worker processes; with 1, the function runs in this process. With `LOCAL_RAY`: number of
+            cores that Ray uses, where 1 means all. Ignored for a Ray cluster.
+        ray: None for local processes; `LOCAL_RAY` to start Ray on this machine; "auto" for the running cluster that
+            this machine belongs to; or "HOST:PORT" of a cluster's head node.
+        completed: Called with the index of an input and its result as soon as the result is available, for example to
+            write it to a file. The calls come in any order, one at a time.
 
     Yields:
         Result of each input, in the order of the inputs.
 
     Raises:
-        InputError: If the cluster cannot be reached, a worker has another version of this package, or all attempts of
-            a task end with the death of the worker.
-        ImportError: If Ray is requested and not installed; the message names the extra.
-        Exception: Whatever the function raises. Tasks that are running then are ended.
+        InputError: If the cluster cannot be reached, a worker has another version of this package, or the worker of a
+            task ended in all attempts.
+        ImportError: If Ray is requested and not installed; the message says how to install it.
+        Exception: Any exception that the function raises. Other running tasks are then stopped.
     """
     if ray is None and jobs < 2:
         for index, item in enumerate(items):
@@ -91,14 +94,17 @@ def map_tasks(
 
 
 def files_of(write: Callable[[Path], Result]) -> tuple[Result, dict[str, bytes]]:
-    """Let a function write to an empty temporary folder, and return the files, for `write_files` in another process.
+    """Run a function that writes files to a folder, and return the contents of these files.
+
+    The folder is temporary. A worker process sends its output to the calling program in this way, which writes it with
+    `write_files`.
 
     Args:
-        write: Function that writes files to the folder that it gets.
+        write: Function that takes the path of an empty folder and writes files to it.
 
     Returns:
         result: What the function returns.
-        files: Contents by path relative to the folder.
+        files: Contents of the files by path relative to the folder.
     """
     with scratch_folder() as scratch:
         folder = scratch / "files"  # the scratch folder itself is locked
@@ -109,7 +115,7 @@ def files_of(write: Callable[[Path], Result]) -> tuple[Result, dict[str, bytes]]
 
 
 def write_files(folder: str | Path, files: Mapping[str, bytes]) -> None:
-    """Write files to a folder, all together or none of them.
+    """Write files to a folder; they appear together, or none of them.
 
     Args:
         folder: Folder; created if it does not exist.
@@ -242,10 +248,9 @@ def _local_processes(count: int) -> Iterator[_Run]:
 @contextmanager
 def _ray_workers(address: str, cores: int) -> Iterator[_Run]:
     """Provide a function that submits a task to Ray."""
+    # Ray then sends no usage statistics, and prints the workers' lines as they are.
     for variable in ("RAY_USAGE_STATS_ENABLED", "RAY_DEDUP_LOGS", "RAY_COLOR_PREFIX"):
-        os.environ.setdefault(
-            variable, "0"
-        )  # Ray sends nothing to its makers, and prints the workers' lines as they are
+        os.environ.setdefault(variable, "0")
     try:
         import ray
     except ImportError as error:

@@ -1,6 +1,7 @@
-"""Limits on files that are read, so that no file exhausts the memory: size, expansion, nesting, length of numbers.
+"""Readers of JSON, text and .npz files with limits on size, compression ratio and nesting.
 
-Every reader of the package uses these functions. Nothing in a file is executed.
+The limits keep a damaged or hostile file from filling the memory. Every reader of the package uses these functions.
+Nothing in a file is executed.
 """
 
 from __future__ import annotations
@@ -28,13 +29,15 @@ MAX_VALUES = 1_000_000_000  # numbers of a table: 8 GB, two hours at 10 kHz with
 
 
 def expansion_limit(path: Path) -> int:
-    """Return how many bytes the content of a compressed file may have.
+    """Return the largest accepted size of the decompressed content of a file.
+
+    A small compressed file can expand to more than the memory holds; such a file is refused.
 
     Args:
-        path: The file.
+        path: The compressed file.
 
     Returns:
-        Number of bytes: `MAX_EXPANSION` times the size of the file, at least `FREE_EXPANSION`.
+        Number of bytes: 100 times the size of the file (`MAX_EXPANSION`), but at least 64 MB (`FREE_EXPANSION`).
 
     Raises:
         OSError: If the file does not exist.
@@ -43,14 +46,14 @@ def expansion_limit(path: Path) -> int:
 
 
 def refuse_expansion(path: Path, size: int) -> None:
-    """Check the size of the content of a compressed file; raise an error if it is out of proportion.
+    """Raise an error if the decompressed content of a file is larger than `expansion_limit`.
 
     Args:
-        path: The file, for its size and for the message.
-        size: Number of bytes of the content, or of the part that is decompressed so far.
+        path: The compressed file, for its size and for the message.
+        size: Number of bytes of the content, or of the part that has been decompressed so far.
 
     Raises:
-        InputError: If the content is larger than `expansion_limit`.
+        InputError: If the content is too large.
     """
     if size > expansion_limit(path):
         raise InputError(
@@ -60,46 +63,46 @@ def refuse_expansion(path: Path, size: int) -> None:
 
 
 def refuse_long_line(path: Path, length: int) -> None:
-    """Check the length of a line of a table; raise an error if no table has such a line.
+    """Raise an error if a line is too long for a row of a table of numbers.
 
     Args:
         path: File of the table, for the message.
-        length: Number of characters of the line, or of the part that is read so far.
+        length: Number of characters of the line, or of the part that has been read so far.
 
     Raises:
-        InputError: If the line has `MAX_LINE` characters or more.
+        InputError: If the line has 65536 characters (`MAX_LINE`) or more.
     """
     if length >= MAX_LINE:
         raise InputError(f"{path}: has a line of more than {MAX_LINE - 1} characters, so it is not a table")
 
 
 def refuse_many_values(path: Path, rows: int, columns: int) -> None:
-    """Check the number of values of a table; raise an error if it is too large for the memory.
+    """Raise an error if a table has more numbers than the memory can hold.
 
     Args:
         path: File of the table, for the message.
-        rows: Number of rows, or of those that are read so far.
+        rows: Number of rows, or of the rows that have been read so far.
         columns: Number of columns.
 
     Raises:
-        InputError: If the table has more than `MAX_VALUES` values.
+        InputError: If rows * columns exceeds 1e9 (`MAX_VALUES`, 8 GB).
     """
     if rows * columns > MAX_VALUES:
         raise InputError(f"{path}: has more than {MAX_VALUES:.0e} numbers; cut the recording into several runs")
 
 
 def read_document(path: Path, encoding: str = "utf-8") -> str:
-    """Read a text file that is a document, such as JSON or TOML, and not a table.
+    """Read a whole text file such as JSON or TOML, of at most 16 MB (`MAX_DOCUMENT`).
 
     Args:
         path: File to read.
         encoding: Encoding of the text.
 
     Returns:
-        Its text.
+        Text of the file.
 
     Raises:
-        InputError: If the file cannot be read, is larger than `MAX_DOCUMENT`, or is not text in this encoding.
+        InputError: If the file cannot be read, is larger than 16 MB, or is not text in this encoding.
     """
     try:
         with open(path, "rb") as file:
@@ -120,11 +123,11 @@ def read_json(path: Path) -> Any:
         path: File to read, UTF-8 with or without a byte order mark.
 
     Returns:
-        Its content: dictionaries, lists, texts, numbers, True, False and None.
+        Content of the file: dictionaries, lists, texts, numbers, True, False and None.
 
     Raises:
-        InputError: If the file cannot be read, is too large, is not JSON, is nested too deeply, or has a number of
-            too many digits or NaN or infinity.
+        InputError: If the file cannot be read, is larger than 16 MB or nested too deeply, or is not valid JSON. NaN,
+            infinity and integers of thousands of digits are not accepted.
     """
     try:
         return json.loads(read_document(path, "utf-8-sig"), parse_constant=_refuse_constant)
@@ -144,17 +147,19 @@ _DAMAGED = (
 
 
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """Read the arrays of an .npz file without executing anything.
+    """Read the arrays of an .npz file without executing code from the file.
+
+    Arrays of Python objects, which NumPy stores as pickles, are refused, because reading a pickle can execute code.
 
     Args:
         path: File that `numpy.savez` or `numpy.savez_compressed` wrote.
 
     Returns:
-        Arrays of numbers or texts by name, each with the shape (any) in which it was written.
+        Arrays of numbers or texts by name, each with the shape in which it was written.
 
     Raises:
-        InputError: If the file cannot be read, an array is damaged or holds Python objects, or the arrays are larger
-            than `expansion_limit`.
+        InputError: If the file cannot be read, an array is damaged or holds Python objects, or the arrays together are
+            larger than `expansion_limit`.
     """
     try:
         with zipfile.ZipFile(path) as archive:
@@ -190,12 +195,14 @@ def _refuse_constant(name: str) -> Any:
 
 
 def first_control_character(texts: Sequence[str]) -> str | None:
-    """Find a character that would control a terminal or break a line, in texts that are printed.
+    """Return the first character in some texts that is not printable, such as an escape code or a line break.
+
+    Printed to a terminal, such a character from a file could change the display or add lines.
 
     Args:
         texts: Texts from a file.
 
     Returns:
-        The first such character, None if there is none.
+        The character, or None if all characters are printable.
     """
     return next((character for text in texts for character in text if not character.isprintable()), None)

@@ -1,8 +1,9 @@
 """Folders for the output of commands: one writer at a time, and nothing left by processes that were killed.
 
-The lock belongs to the open folder, not to a file in it, so that it ends with its process, however that ends.
-`atomic_files` collects the new files of a folder in `COMMIT`, which appears complete by one rename; from then on they
-are the folder's content, and whoever opens the folder next completes moves that a kill interrupted.
+The lock belongs to the open folder and not to a file in it, so that the operating system releases it when the process
+ends for any reason. `atomic_files` collects the new files of a folder in a hidden subfolder, which becomes `COMMIT` by
+one rename when all files are complete. From then on these files count as the folder's content. They are then moved to
+their names; if a kill interrupts this, the next process that opens the folder completes it.
 """
 
 from __future__ import annotations
@@ -25,9 +26,11 @@ _HELD: set[Path] = set()  # folders that this process has locked
 
 @contextmanager
 def locked_folder(folder: str | Path) -> Iterator[Path]:
-    """Create a folder, keep other processes from writing to it, and remove what a killed process left in it.
+    """Lock a folder during the `with` block, so that no other process of this package writes to it.
 
-    The lock ends with the process, however that ends. A folder that the block leaves empty is removed if it is new.
+    The folder is created if necessary. What a killed process left in it is cleaned up first: complete files are moved
+    to their names (`move_committed`), incomplete ones are removed. The lock also ends if this process is killed. A
+    folder that was created here is removed again if it is still empty at the end.
 
     Args:
         folder: Folder for the output of a command.
@@ -65,15 +68,17 @@ def locked_folder(folder: str | Path) -> Iterator[Path]:
 
 
 def complete_commit(folder: str | Path) -> None:
-    """Complete the output of a process that was killed while it moved complete files to their names.
+    """Move the new files that a killed process left in the subfolder `COMMIT` to their names.
 
-    Call it before several files of a folder are read that belong together.
+    `output_batch` writes the new files of a folder completely before it moves the first one. If it is killed between
+    two moves, the folder holds new files beside old ones. Call this function before you read files of a folder that
+    belong together. While another process has locked the folder, the function does nothing.
 
     Args:
         folder: Folder that `output_batch` may have written.
 
     Raises:
-        OSError: If the moves are to be completed and the folder cannot be written.
+        OSError: If there are files to move and the folder cannot be written.
     """
     if not (Path(folder) / COMMIT).is_dir() or Path(folder).resolve() in _HELD:
         return
@@ -87,12 +92,13 @@ def complete_commit(folder: str | Path) -> None:
 
 @contextmanager
 def scratch_folder() -> Iterator[Path]:
-    """Provide a folder in the system's temporary folder, for libraries that write files by path.
+    """Provide an empty temporary folder; it is deleted at the end of the `with` block.
 
-    It is deleted at the end; folders that killed processes of this user left are deleted at the beginning.
+    It is for libraries that can write only to a path. Scratch folders that killed processes of the same user left are
+    deleted at the beginning.
 
     Yields:
-        Empty folder.
+        Empty folder in the system's folder for temporary files.
 
     Raises:
         OSError: If the folder cannot be created.
@@ -116,13 +122,13 @@ def scratch_folder() -> Iterator[Path]:
 
 
 def lock(descriptor: int) -> bool:
-    """Lock an open file or folder for this process.
+    """Lock an open file or folder for this process, if no other process has locked it.
 
     Args:
-        descriptor: Descriptor of the open file or folder; closing it ends the lock.
+        descriptor: File descriptor of the open file or folder; closing it ends the lock.
 
     Returns:
-        Whether no other process has locked it; True on a file system without locks.
+        True if this process now has the lock, or if the file system has no locks; False if another process has it.
     """
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -134,10 +140,12 @@ def lock(descriptor: int) -> bool:
 
 
 def move_committed(folder: Path) -> None:
-    """Move the files of a commit to their names; a repetition continues where it was interrupted.
+    """Move the new files in the subfolder `COMMIT` of a folder to their names, and delete the files that it lists.
+
+    If a call is interrupted, the next one does the rest. The caller has locked the folder.
 
     Args:
-        folder: Folder with a complete folder `COMMIT`; without one nothing happens.
+        folder: Folder in which `output_batch` has made `COMMIT`; without this subfolder nothing happens.
 
     Raises:
         OSError: If the folder cannot be written.
@@ -154,7 +162,7 @@ def move_committed(folder: Path) -> None:
 
 
 def with_parents(path: Path) -> Path:
-    """Create the folder of a file.
+    """Create the folder of a file, and the folders above it, where they do not exist.
 
     Args:
         path: Path of the file.

@@ -1,9 +1,9 @@
-"""Registries of named parts: classes or functions, such as controllers, tasks, rewards and sensor kinds.
+"""Registries: collections of classes or functions, such as controllers and tasks, that are selected by name.
 
-A part that is defined outside the package is available to every command and to `gym.make` without any change inside the
-package: a name of the form `package.module:name` imports the module first, and modules that installed packages declare
-as entry points of the group `hframe_gym.plugins`, or that the environment variable `HFRAME_PLUGINS` lists, are imported
-when a name is not registered yet.
+Code outside the package can register more of them, which every command and `gym.make` then accept. There are three
+ways: a name of the form `package.module:name` imports that module first; an installed package declares a module as an
+entry point of the group `hframe_gym.plugins`; the environment variable `HFRAME_PLUGINS` lists modules. The latter two
+are imported when a name is not registered yet.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ PLUGIN_VARIABLE = "HFRAME_PLUGINS"
 
 @cache
 def load_plugins() -> None:
-    """Import the plugins of installed packages and those that the environment names; later calls do nothing.
+    """Import all plugins; calls after the first one do nothing.
 
-    A plugin is a module that registers effects, controllers, tasks or other parts when it is imported. A package
-    declares it as an entry point of the group `hframe_gym.plugins`; the environment variable `HFRAME_PLUGINS` lists
-    names of modules or Python files, separated like the folders of PATH.
+    A plugin is a module that registers effects, controllers, tasks and so on when it is imported. The environment
+    variable `HFRAME_PLUGINS` lists names of modules or paths of Python files, with the separator of PATH between them.
+    An installed package declares a plugin as an entry point of the group `hframe_gym.plugins`.
 
     Raises:
         InputError: If a plugin of `HFRAME_PLUGINS` cannot be imported.
 
     Warns:
-        UserWarning: If a plugin of a package cannot be imported; the other plugins are still imported.
+        UserWarning: If a plugin of an installed package cannot be imported; the others are still imported.
     """
     for name in filter(None, os.environ.get(PLUGIN_VARIABLE, "").split(os.pathsep)):
         import_plugin(name)
@@ -73,7 +73,7 @@ def import_plugin(name: str) -> None:
 
 
 def import_modules(package: str, path: Iterable[str], *, skip: tuple[str, ...] = ()) -> None:
-    """Import every module of a package, so that the parts in them register themselves.
+    """Import every module of a package, so that the classes and functions in them register themselves by name.
 
     Args:
         package: Full name of the package, its `__name__`.
@@ -89,10 +89,10 @@ def import_modules(package: str, path: Iterable[str], *, skip: tuple[str, ...] =
 
 
 class Registry(Generic[T]):
-    """Collection of parts (classes or functions) of one kind, which options and commands select by name.
+    """Collection of classes or functions of one kind, such as controllers, which options and commands select by name.
 
     Args:
-        kind: Kind of the parts for error messages, for example "controller".
+        kind: What the collection holds, for error messages, for example "controller".
     """
 
     def __init__(self, kind: str) -> None:
@@ -103,13 +103,13 @@ class Registry(Generic[T]):
         """Return a decorator that adds a class or function to the registry.
 
         Args:
-            name: Name by which options and commands select the part.
+            name: Name by which options and commands select the class or function.
 
         Returns:
-            A decorator that returns its argument unchanged.
+            The decorator, which returns the class or function unchanged.
 
         Raises:
-            ValueError: By the decorator, if the name belongs to another part.
+            ValueError: When the decorator is applied, if another class or function has the name.
         """
 
         def add(part: P) -> P:
@@ -122,27 +122,29 @@ class Registry(Generic[T]):
         return add
 
     def unregister(self, name: str) -> None:
-        """Remove a part from the registry, for example after a test.
+        """Remove a class or function from the registry, for example at the end of a test.
 
         Args:
-            name: Name under which the part was registered.
+            name: Name under which it was registered.
 
         Raises:
-            KeyError: If no part has this name.
+            KeyError: If the name is not registered.
         """
         del self._parts[name]
 
     def get(self, name: str) -> T:
-        """Look up a part (class or function) by name; import plugins, or the given module, if necessary.
+        """Return the class or function that is registered under a name.
+
+        If the name is not registered yet, all plugins are imported before the name is looked up.
 
         Args:
-            name: Registered name, or `package.module:name` for a part that this module registers when it is imported.
+            name: Registered name. `package.module:name` first imports that module, which registers the name.
 
         Returns:
-            Class or function that was registered under the name.
+            The class or function.
 
         Raises:
-            InputError: If the module cannot be imported or no part has this name; the message lists all names.
+            InputError: If the module cannot be imported or the name is not registered; the message lists all names.
         """
         module, colon, key = name.rpartition(":")
         if colon:
@@ -156,14 +158,14 @@ class Registry(Generic[T]):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Registered names in the order of registration, without plugins that are not imported yet."""
+        """Registered names in the order of registration. Names of plugins that are not imported yet are missing."""
         return tuple(self._parts)
 
     def __contains__(self, name: object) -> bool:
-        """Return whether a part of this name is registered; plugins are imported before the answer is False.
+        """Return whether a name is registered; plugins are imported before the answer is False.
 
         Args:
-            name: Name under which the part may be registered.
+            name: Name to look up.
 
         Returns:
             True if it is registered.

@@ -1,7 +1,7 @@
 """Build self-contained web pages: one style sheet for light and dark displays, and plots as graphics inside the page.
 
-A plot is a `Panel`, a small set of axes with a title and a description. The same panel becomes a scalable graphic of
-a page, which takes its colors from the style sheet, and a part of a picture file for slides and papers. Needs
+A plot is a `Panel`, a small set of axes with a title and a description. The same panel becomes a scalable graphic of a
+page, which takes its colors from the style sheet, and part of a picture file for slides and papers. This module needs
 matplotlib and Jinja, the extra `report`.
 """
 
@@ -43,10 +43,13 @@ SERIES = ("after", "before", "series3", "series4", "series5", "series6")  # orde
 
 
 def color(role: str) -> str:
-    """Return the color of a plot element on a light display; a page replaces it by that of the reader's display.
+    """Return the color of a plot element, such as "ink" or "before", as it is on a light background.
+
+    Plots are drawn with these colors. In a web page, `panel_svg` replaces them by variables of the style sheet, which
+    give other colors on a dark display.
 
     Args:
-        role: What the color is for, a key of `COLORS`.
+        role: Key of `COLORS`.
 
     Returns:
         Hexadecimal color, "#rrggbb".
@@ -71,13 +74,13 @@ class Panel(NamedTuple):
 
 
 def plot_style() -> Any:  # matplotlib's type lists the names of all settings
-    """Return the settings of matplotlib (rcParams) for panels.
+    """Return the settings of matplotlib with which a plot (`Panel`) is drawn: fonts, colors, grid, no frame.
 
     Returns:
         Settings by name, a dictionary for `matplotlib.rc_context`.
 
     Raises:
-        ImportError: If matplotlib is missing; the message names the extra.
+        ImportError: If matplotlib is missing; the message says how to install it.
     """
     try:
         from cycler import cycler
@@ -110,17 +113,21 @@ def plot_style() -> Any:  # matplotlib's type lists the names of all settings
 
 
 def panel_svg(panel: Panel, prefix: str) -> str:
-    """Draw a panel as an SVG element for a page, whose colors are the variables of the page's style sheet.
+    """Draw a plot as an SVG element to be inserted into a web page.
+
+    Each color becomes a variable of the page's style sheet, for example `var(--ink)`, so that the plot follows the
+    light or dark display of the reader.
 
     Args:
-        panel: Plot: title, description and function that draws it.
-        prefix: Prefix of the element's identifiers, unique in the page: letters, digits, hyphens.
+        panel: Title, description and function that draws the plot.
+        prefix: Prefix of the identifiers in the element, a different one for each plot of a page: letters, digits,
+            hyphens.
 
     Returns:
-        Text `<svg ...>...</svg>` with the panel's description as its label.
+        Text `<svg ...>...</svg>`, with the plot's description as the alternative text.
 
     Raises:
-        ImportError: If matplotlib or Jinja is missing; the message names the extra.
+        ImportError: If matplotlib or Jinja is missing; the message says how to install them.
     """
     from io import StringIO
 
@@ -150,14 +157,15 @@ def panel_svg(panel: Panel, prefix: str) -> str:
 
 
 def save_panels(panels: Sequence[Panel], path: Path) -> None:
-    """Draw panels beside and below each other into a picture file, with the colors of a light display.
+    """Draw plots into one picture file, up to three in a row, with the colors of a light display.
 
     Args:
         panels: At least one plot (title, description, function that draws it).
-        path: File; the suffix gives the format (.png, .svg, .pdf). It appears complete or not at all.
+        path: File to write; the suffix gives the format (.png, .svg, .pdf). If writing fails, an existing file is
+            unchanged.
 
     Raises:
-        ImportError: If matplotlib is missing; the message names the extra.
+        ImportError: If matplotlib is missing; the message says how to install it.
         OSError: If the file cannot be written.
     """
     try:
@@ -198,16 +206,16 @@ def legend_above(axes: Any) -> None:
 
 
 def write_page(path: Path, package: str, template: str, values: Mapping[str, Any]) -> None:
-    """Fill a Jinja template and write the HTML page.
+    """Fill a Jinja template and write the result as an HTML page.
 
     Args:
-        path: File to write; it appears complete or not at all.
-        package: Package with a folder templates/, for example "hframe_gym.evaluation".
-        template: File name in this folder; it extends page.html.j2 of this package.
-        values: Variables of the template. A `Panel` is inserted by the macro `figure`.
+        path: File to write. If writing fails, an existing file is unchanged.
+        package: Python package with a folder templates/, for example "hframe_gym.evaluation".
+        template: File name in this folder. The template extends `page.html.j2` of the folder hframe_gym/templates.
+        values: Variables of the template. A plot (`Panel`) is drawn by the macro `figure` of `macros.html.j2`.
 
     Raises:
-        ImportError: If Jinja or matplotlib is missing; the message names the extra.
+        ImportError: If Jinja or matplotlib is missing; the message says how to install them.
         OSError: If the file cannot be written.
     """
     try:
@@ -229,13 +237,13 @@ def write_page(path: Path, package: str, template: str, values: Mapping[str, Any
 
 
 def number(value: float, digits: int = 3) -> str:
-    """Format a number for reading, without an exponent where that is short.
+    """Format a number for tables and texts.
 
     Args:
         value: Number to format, in any unit.
-        digits: Significant digits; numbers of 1000 and more keep all digits before the decimal point.
+        digits: Number of significant digits. A number from 1000 to 1e6 is rounded to an integer instead.
 
     Returns:
-        For example "0.0312", "18.3" or "12400".
+        Text, for example "0.0312", "18.3" or "12400".
     """
     return f"{value:.0f}" if 1e3 <= abs(value) < 1e6 else f"{value:.{digits}g}"

@@ -1,6 +1,7 @@
 """The `hframe` command: read files, call the library, print.
 
-Exit codes: 0 done, 2 the input is at fault (one line says where), 1 internal error, or `hframe check` found a fault.
+Exit codes: 0 for success; 1 for an internal error, or if `hframe check` found a fault; 2 for invalid input, with one
+line that says what is wrong and where.
 
 Every module `*_commands` registers its commands with `app` when it is imported here.
 """
@@ -40,13 +41,17 @@ def options(
 
 
 def main(interrupted: Callable[[], bool] = lambda: False) -> None:
-    """Run the `hframe` command; exceptions are printed as one line, unless the variable `DEBUG_VARIABLE` is set.
+    """Run the `hframe` command; an exception is printed as one line.
+
+    With the environment variable `HFRAME_DEBUG` (`DEBUG_VARIABLE`), exceptions keep their traceback.
 
     Args:
-        interrupted: Returns whether a signal has asked the process to end; exceptions then propagate.
+        interrupted: Function that returns whether the process was told to end (Ctrl-C, SIGTERM); exceptions are then
+            raised and not printed.
 
     Raises:
-        SystemExit: With exit code 0 (success), 1 (internal error) or 2 (faulty input or arguments).
+        SystemExit: With exit code 0 (success), 1 (internal error, or a fault that `hframe check` found) or 2 (faulty
+            input or arguments).
     """
     with warnings.catch_warnings():
         warnings.simplefilter("always", UserWarning)

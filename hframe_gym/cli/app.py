@@ -23,7 +23,7 @@ class CommandGroup(TyperGroup):
     """
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Return a command whose help has no line breaks within paragraphs.
+        """Return a command; remove the line breaks within the paragraphs of its help, so that they fill the terminal.
 
         Args:
             ctx: Click context of the group.
@@ -83,31 +83,34 @@ RayOption = Annotated[
 
 
 def log(line: str) -> None:
-    """Print a plain line immediately, on a terminal or in a log.
+    """Print a line of text at once, also if the output is not a terminal.
 
     Args:
-        line: Text without markup.
+        line: Text; markup of rich in it is printed as it is.
     """
     console.print(plain_text(line), markup=False, highlight=False)
 
 
 def plain_text(text: str) -> str:
-    """Replace characters that would control the terminal, which names in files may contain.
+    """Make a text safe to print: names in files may contain characters that control the terminal.
 
     Args:
         text: Text to print.
 
     Returns:
-        The text with their escape sequences in Python's notation in place of such characters.
+        The text with each such character replaced by its escape sequence in Python's notation.
     """
     return "".join(c if c.isprintable() or c in "\n\t" else repr(c)[1:-1] for c in text)
 
 
 def registered_choices() -> dict[str, str]:
-    """List the names that the commands accept for agents, algorithms, controllers, randomizations, sensors and tasks.
+    """List the names among which some options choose, such as tasks and controllers, for the help texts.
+
+    Plugins are imported first.
 
     Returns:
-        Names separated by commas, by the placeholder in the help texts, for example {"tasks": "reach, track"}.
+        Names separated by commas, by the placeholder that stands for them in the help texts, for example {"tasks":
+        "reach, track"}. There are agents, algorithms, controllers, protocols, randomizations, sensors and tasks.
     """
     from ..agents import recipe_names, shipped_agent_names
     from ..controllers import CONTROLLERS
@@ -136,14 +139,14 @@ class CommandWithChoices(TyperCommand):
     """
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the words of the command line; --ray without an address means a local Ray.
+        """Parse the command line; the option --ray may stand without an address, which means a local Ray.
 
         Args:
             ctx: Click context of the command.
             args: Words after the command's name.
 
         Returns:
-            Words that are left over.
+            Words that no option or argument has used.
         """
         words = []
         for word, following in zip(args, [*args[1:], ""], strict=True):
@@ -151,7 +154,7 @@ class CommandWithChoices(TyperCommand):
         return super().parse_args(ctx, words)
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
-        """Replace the placeholders in the help texts of all options, then write the help page.
+        """Write the help page, with the names of the registered tasks, controllers etc. for their placeholders.
 
         Args:
             ctx: Click context of the command.

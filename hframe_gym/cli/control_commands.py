@@ -69,9 +69,10 @@ def train(
 ) -> None:
     """Train an agent by a recipe: the settings of an algorithm for a task.
 
-    The folder receives the best agent so far, its card with the learning curve, TensorBoard logs and a checkpoint.
-    A run may be killed at any time and continued with --resume. Several seeds become the folders seed_0, seed_1, ...,
-    each complete when its training ends; to resume such a run, train its seed alone with --out FOLDER/seed_N.
+    The folder receives the best agent so far, its description (card.json) with the learning curve, TensorBoard logs and
+    a checkpoint. A run may be killed at any time and continued with --resume. Several seeds become the folders seed_0,
+    seed_1, ..., each complete when its training ends; to resume such a run, train its seed alone with --out
+    FOLDER/seed_N.
 
     Example:  hframe train ppo --out out/ppo
     """
@@ -271,7 +272,7 @@ def export(
     flat: Annotated[bool, typer.Option("--flat", help="Store an observation as one array instead of a dict.")] = False,
     author: Annotated[str | None, typer.Option(help="Author in the metadata of the data sets.")] = None,
 ) -> None:
-    """Write episodes of controllers as Minari data sets, one per controller.
+    """Write episodes of controllers as data sets for offline reinforcement learning (Minari), one per controller.
 
     Example:  hframe export pid ppo --episodes 100 --out out/minari
     """
@@ -317,7 +318,7 @@ def play(
     frames: Annotated[int | None, typer.Option(min=1, help="Stop after this number of frames (50 per second).")] = None,
     picture: Annotated[Path | None, typer.Option(help="PNG file for the last frame.")] = None,
 ) -> None:
-    """Drive a stage by mouse or keys, with a controller on the same task beside it.
+    """Drive a simulated stage by mouse or keys; with --beside, a controller has the same task on a second stage.
 
     Arrow keys push the tool (with Shift: full voltage); the left mouse button pulls it to the pointer, the right one
     sets a target. N begins a new episode, R repeats it, Space pauses, Q quits.

@@ -24,7 +24,7 @@ def simulate(
     out: Annotated[Path, typer.Option(help="File for the simulated recording (.csv or .csv.gz).")],
     machine: MachineOption = "hframe",
 ) -> None:
-    """Simulate a machine with the inputs of a recording; the output has the same columns and times.
+    """Simulate a machine with the voltages of a recording; write a recording with the same times and columns.
 
     Example:  hframe simulate --machine hframe --inputs examples/rig_b/run_01.csv.gz --out predicted.csv
     """
@@ -44,7 +44,7 @@ def simulate(
 
 @machines_app.callback(invoke_without_command=True)
 def machines(context: typer.Context) -> None:
-    """List the built-in machines; show a machine, describe a new one, print the JSON Schema.
+    """List the built-in machines. Subcommands show a machine, create a new one and print the JSON Schema.
 
     Example:  hframe machines
     """
@@ -60,7 +60,7 @@ def show_machine(
     machine: Annotated[str, typer.Argument(help="A machine.json or a built-in name (see `hframe machines`).")],
     plot: Annotated[Path | None, typer.Option(help="Draw the machine into this file (.png, .svg or .pdf).")] = None,
 ) -> None:
-    """Print a machine as tables with units, and draw it.
+    """Print a machine as tables with units; with --plot, also draw it.
 
     Example:  hframe machines show my.json --plot my.png
     """
@@ -163,9 +163,10 @@ def new_effect(
     formula: Annotated[int, typer.Option(min=0, help="Number of the formula (0: the recommended one).")] = 0,
     table: Annotated[str, typer.Option(help="Label of the table (default: the first one).")] = "",
 ) -> None:
-    """Write a formula for an unknown force as an effect (a deviation from the machine's model), a file to review.
+    """Write a formula that `hframe identify` found for an unknown force as a new effect, a Python file.
 
-    Where no known effect explains a force, `hframe identify` describes it by a table of values and proposes formulas.
+    Where no known effect (deviation from the machine's model) explains a force, `hframe identify` describes it by a
+    table of values and proposes formulas. Review the file, then name it in HFRAME_PLUGINS to use the effect.
 
     Example:  hframe effects new rail_catch --from out/rig
     """

@@ -69,13 +69,13 @@ class MachineAnswers:
     values: tuple[str, ...] = ()
 
     def options(self) -> MachineOptions:
-        """Convert the answers to the options of the new machine.
+        """Convert the answers, which are partly texts, to the options of the new machine.
 
         Returns:
             Options with numbers in SI units, for `new_machine`.
 
         Raises:
-            InputError: If a text is no number, or no PARAMETER=VALUE.
+            InputError: If a text is not a number, or has not the form PARAMETER=VALUE.
         """
         plain = ("pulley_radius", "gear_ratio", "rotor_inertia", "Kt", "resistance", "rated_voltage", "encoder_lines")
         values = {}
@@ -94,7 +94,9 @@ class MachineAnswers:
 
 
 def create_machine_file(answers: MachineAnswers, force: bool, log: Callable[[str], None]) -> None:
-    """Write a new machine.json; if template or file is not given, ask on the terminal for all missing values.
+    """Write a new machine.json from the options of `hframe machines new`.
+
+    If the template or the file is not given, all missing values are asked for on the terminal.
 
     Args:
         answers: Values of the command's options, empty or None where not given.
@@ -102,7 +104,7 @@ def create_machine_file(answers: MachineAnswers, force: bool, log: Callable[[str
         log: Called with a line of text for the user.
 
     Raises:
-        InputError: If a value is wrong, the file exists, or something is missing and there is no terminal to ask.
+        InputError: If a value is wrong, the file exists, or something is missing and there is no terminal.
     """
     if not answers.like or answers.out is None:
         missing = " and ".join(f"--{name}" for name in ("like", "out") if not getattr(answers, name))
@@ -151,10 +153,10 @@ def ask(answers: MachineAnswers, log: Callable[[str], None]) -> MachineAnswers:
 
 
 def template_value(template: Machine, option: str) -> str | float | int:
-    """Return the value that a template has for an option.
+    """Return the value of a template for an option of `hframe machines new`, the default of its question.
 
     Args:
-        template: Machine (model of a stage) that `new_machine` made without options.
+        template: Machine that `new_machine` made from the template without options.
         option: Name of the option, for example "pulley_radius".
 
     Returns:

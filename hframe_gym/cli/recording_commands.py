@@ -64,7 +64,7 @@ class RunFormats(StrEnum):
 def examples(
     out: Annotated[Path, typer.Option(help="Folder to create; an existing one is not replaced.")],
 ) -> None:
-    """Copy the example recordings of two rigs, their description and the notebooks to a new folder.
+    """Copy the example recordings of two rigs, their description and example notebooks to a new folder.
 
     Example:  hframe examples --out examples
     """
@@ -101,10 +101,11 @@ def import_logs(
     ] = 0.5,
     format: Annotated[RunFormats, typer.Option(help="Format of the recordings.")] = RunFormats.CSV_GZ,
 ) -> None:
-    """Convert logs to recordings: any separator, decimal mark and encoding, other names and units, several rates.
+    """Convert logs of controllers and data loggers to recordings, which the other commands read.
 
-    Columns are assigned by --map, or if their name without unit is that of a channel ("X (mm)" for x_m). Nothing else
-    is guessed. Everything that is converted, assumed or left out is printed. docs/import.md lists what is handled.
+    Logs may have any separator, decimal mark and encoding, other names and units, and several sampling rates. Columns
+    are assigned by --map, or if their name without unit is that of a channel ("X (mm)" for x_m). Nothing else is
+    guessed. Everything that is converted, assumed or left out is printed. docs/import.md lists what is handled.
 
     Example:  hframe import log.txt --map v1_V=U1 --map v2_V=U2 --unit phi1_rad=deg --out runs --split-at-rests
     """
@@ -134,7 +135,7 @@ def check(
 ) -> None:
     """Check recordings before a fit: clock, sensors, wiring, excitation and which parameters can be estimated.
 
-    The exit code is 1 if a fault is found (the data contradict themselves), else 0.
+    The exit code is 1 if there is a fault (an error in the data, such as a wrong sign), else 0.
 
     Example:  hframe check examples/rig_a
     """
@@ -184,10 +185,10 @@ def identify(
 ) -> None:
     """Fit a machine to its recordings, find the effects that its model lacks, and verify them on held-out runs.
 
-    The recordings are checked first; faults (see `hframe check`) stop the command before anything is fitted. Every
-    fourth run is held out unless --hold-out names others: it is not fitted, and the errors in the report are those on
-    such runs. The folder --out receives report.json, the declared, refitted and corrected machine, report.html and its
-    plots; with several rigs, it receives a folder with these files for each rig.
+    The recordings are checked first; faults (see `hframe check`) stop the command before anything is fitted. A held-out
+    run is not used for fitting; the errors in the report are those on held-out runs. Every fourth run is held out
+    unless --hold-out names others. The folder --out receives report.json, the declared, refitted and corrected machine,
+    report.html and its plots; with several rigs, it receives a folder with these files for each rig.
 
     Example:  hframe identify examples/rig_a --out out/rig_a
     """

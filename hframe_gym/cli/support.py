@@ -30,10 +30,10 @@ DEBUG_VARIABLE = "HFRAME_DEBUG"  # if set, errors keep their traceback
 
 
 def require_folder(path: Path) -> Path:
-    """Check that a path is a folder or does not exist yet.
+    """Raise an error if a path is a file where a folder is needed.
 
     Args:
-        path: Value of the option --out.
+        path: Value of the option --out; the folder need not exist yet.
 
     Returns:
         The same path.
@@ -47,13 +47,13 @@ def require_folder(path: Path) -> Path:
 
 
 def rig_folders(folder: Path) -> list[Path]:
-    """List the folders of runs in a folder of rigs.
+    """List the subfolders of a folder that contain recordings, one subfolder per rig.
 
     Args:
-        folder: Folder of runs, or of one folder of runs per rig.
+        folder: Folder of several rigs, or of the recordings of one.
 
     Returns:
-        Folders in alphabetical order; none if the folder itself has runs.
+        Subfolders in alphabetical order; none if the folder itself contains recordings.
     """
     from ..recordings import recording_files
 
@@ -63,7 +63,9 @@ def rig_folders(folder: Path) -> list[Path]:
 
 
 def require_several_runs(recordings: Sequence[Recording], folder: Path) -> None:
-    """Check that a folder has more than one run, because one is held out (excluded from the fit, to evaluate it).
+    """Raise an error if a folder has only one run.
+
+    An identification needs at least two: one is not fitted, but used to verify the result.
 
     Args:
         recordings: Runs of the folder (times, s; voltages, V; measurements, m or rad).
@@ -85,14 +87,14 @@ def require_several_runs(recordings: Sequence[Recording], folder: Path) -> None:
 
 
 def task_with_path(name: str, path: str | None) -> Any:
-    """Build the task that the options --task and --path select.
+    """Return the task that the options --task and --path select.
 
     Args:
         name: Name of a registered task.
         path: Value of --path: name of a path or a CSV file; None for the task's default path.
 
     Returns:
-        Task object for a task that follows a path, else the name of the task.
+        For a task in which the tool follows a path, a task object with this path; otherwise the name of the task.
 
     Raises:
         InputError: If the task is unknown, or if a path is given for a task that does not follow one.
@@ -126,13 +128,13 @@ def value_errors_as_input_errors() -> Iterator[None]:
 
 @contextmanager
 def progress_bar(description: str) -> Iterator[Callable[[int, int], None]]:
-    """Show a progress bar, on a terminal only.
+    """Show a progress bar during the `with` block, if the output is a terminal.
 
     Args:
         description: Text before the bar.
 
     Yields:
-        Function to call with the work that is done and the total, for example in bytes.
+        Function that updates the bar. Call it with the work done and the total work, for example in bytes.
     """
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
@@ -183,10 +185,10 @@ def print_warning(message: Warning | str, *_args: Any, **_keywords: Any) -> None
 
 @contextmanager
 def repeat_warnings() -> Iterator[list[str]]:
-    """Collect the texts of the library's warnings about results inside a `with` block; all are printed as without it.
+    """Collect the warnings of the library during the `with` block, to repeat them in a report; they are still printed.
 
     Yields:
-        List that receives the texts.
+        List that receives the texts of all warnings of the class UserWarning.
     """
     texts: list[str] = []
     show = warnings.showwarning
@@ -206,18 +208,18 @@ def repeat_warnings() -> Iterator[list[str]]:
 def check_recordings_before_fit(
     recordings: Sequence[Recording], machine: Machine, refuse: Path | None, log: Callable[[str], None]
 ) -> list[str]:
-    """Check the data of recordings, log the findings and refuse recordings with faults.
+    """Check recordings, print the findings, and stop if there is a fault.
 
-    A fault is a finding that makes the data wrong for certain, for example a stuck sensor or a swapped sign.
+    A fault is a finding that is certainly an error in the data, for example a stuck sensor or a wrong sign.
 
     Args:
         recordings: Runs to fit (times, s; voltages, V; measurements, m or rad).
         machine: Machine as declared.
-        refuse: Folder of the recordings, which the error names. None: faults are only logged.
+        refuse: Folder of the recordings, which the error names. None: faults are only printed.
         log: Called with a line of text for every group of similar findings.
 
     Returns:
-        One line of text per single finding.
+        One line of text per finding.
 
     Raises:
         InputError: If there is a fault and `refuse` is given.
@@ -233,10 +235,12 @@ def check_recordings_before_fit(
 
 
 def log_time_estimate(recordings: Sequence[Recording], machine: Machine, log: Callable[[str], None]) -> None:
-    """Estimate how long an identification takes, from the time of one simulation of all runs; log it if it is long.
+    """Estimate the duration of an identification and print it if it exceeds one minute.
+
+    The estimate is the measured time of one simulation of all runs, times a typical number of simulations.
 
     Args:
-        recordings: Runs to fit.
+        recordings: Runs to fit (times, s; voltages, V; measurements, m or rad).
         machine: Machine as declared.
         log: Called with a line of text.
     """
@@ -255,14 +259,17 @@ def log_time_estimate(recordings: Sequence[Recording], machine: Machine, log: Ca
 
 
 def proposed_formulas(result: IdentificationResult, log: Callable[[str], None]) -> tuple[TableComparison, ...]:
-    """Propose formulas for the tables of an identified machine, where scikit-learn is installed.
+    """Propose formulas for the forces that an identification could only describe by tables of values.
+
+    Such a table stands for a force that no known effect explains. This needs scikit-learn; without it, nothing is
+    proposed.
 
     Args:
         result: Result of `identify`.
         log: Called with a line of text for every formula, or with the reason why there is none.
 
     Returns:
-        One comparison of formulas with the table per table; empty without tables or without scikit-learn.
+        For each table, a comparison of formulas with it; empty without tables or without scikit-learn.
     """
     from ..identification.formulas import compare_formulas
 
@@ -274,9 +281,9 @@ def proposed_formulas(result: IdentificationResult, log: Callable[[str], None]) 
 
 
 def write_new_effect(folder: Path, name: str, path: Path, number: int, table: str, log: Callable[[str], None]) -> None:
-    """List the formulas proposed for a table of a saved identification and write one as an effect (Python file).
+    """Write a formula for a force that an identification described by a table of values as an effect, a Python file.
 
-    A table is a force interpolated over one variable, an effect a deviation from the nominal model of a machine.
+    An effect is a deviation from the nominal model of a machine. The proposed formulas are printed with their numbers.
 
     Args:
         folder: Folder that `hframe identify` wrote.

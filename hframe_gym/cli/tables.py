@@ -22,17 +22,17 @@ LISTED_MODES = 3
 
 
 def identification_table(report: Mapping[str, Any], channels: Sequence[str]) -> Table:
-    """Format the simulation errors of an identification on held-out recordings (not fitted) as a table.
+    """Format the simulation errors of an identification on held-out recordings (those not used for fitting) as a table.
 
     Args:
         report: Contents of report.json, the file that `hframe identify` writes.
         channels: Names of the machine's output channels (sensors).
 
     Returns:
-        Table (rich) with one row per channel: root-mean-square error in the channel's unit, and in parentheses as a
-        multiple of the sensor noise, for the declared machine, the refitted machine, and the machine with added effects
-        (deviations from the nominal model). A further row has the relative error of the drives' forces, %, where the
-        report contains it.
+        Table (rich) with one row per channel and three columns: errors of the machine as declared, with refitted
+        parameters, and with the identified effects as well. An error is the root mean square in the channel's unit and,
+        in parentheses, as a multiple of the sensor noise. If the report contains it, a last row has the relative error
+        of the drives' forces, %.
     """
     title = "simulation error on held-out recordings: rmse (x: multiple of the sensor noise)"
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
@@ -60,9 +60,10 @@ def score_table(scores: Mapping[str, Any]) -> Table:
         scores: Contents of scores.json, the file that `hframe evaluate` writes.
 
     Returns:
-        Table (rich) with one row per controller: episodes that end within each settling band around the goal, %; then
-        for a fixed goal mean settling times, s, and their ratio to the shortest possible time (time-optimal bound); for
-        a path the root mean square and largest contour and tracking errors, mm.
+        Table (rich) with one row per controller. The first columns are the fractions of episodes, %, that end within 1,
+        0.2 and 0.05 mm of the goal. For a fixed goal, the mean settling times to these bands, s, follow, and the ratio
+        to the shortest possible time (time-optimal bound); for a path to be followed, the root mean square and largest
+        contour and tracking errors, mm.
     """
     task = scores["task"].partition("(")[0].lower()
     title = (
@@ -101,15 +102,15 @@ def _path_cells(score: Mapping[str, Any]) -> list[str]:
 
 
 def protocol_tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
-    """Format the scores of entries in the parts of a protocol.
+    """Format the results of controllers in a protocol, one of the fixed benchmarks of the leaderboard.
 
     Args:
-        results: Contents of result files of one protocol.
+        results: Contents of result files of one protocol, one per controller.
 
     Returns:
-        One table (rich) per part of the protocol, with one row per entry: for moves the draws that settle within each
-        band, %, and the mean settling time to 0.2 mm, s, with its 95 % interval; for paths the contour error, rms and
-        maximum, mm, with its interval.
+        One table (rich) per part of the protocol, with one row per controller. For moves to a goal: the fractions of
+        episodes, %, that settle within 1, 0.2 and 0.05 mm, and the mean settling time to 0.2 mm, s, with its 95 %
+        interval. For paths: root mean square and largest contour error, mm, with their intervals.
     """
     tables = []
     for part, first in results[0]["scores"].items():
@@ -131,13 +132,13 @@ def protocol_tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
 
 
 def unknown_bound_reasons(scores: Mapping[str, Any]) -> list[str]:
-    """List the reasons why the time-optimal bound (shortest possible settling time) of episodes is unknown.
+    """List why the time-optimal bound, the shortest possible settling time, is missing in the scores of controllers.
 
     Args:
         scores: Contents of scores.json, the file that `hframe evaluate` writes.
 
     Returns:
-        Distinct reasons as text, in the order of the controllers; empty if all bounds are known.
+        Each different reason once, as text, in the order of the controllers; empty if all bounds are known.
     """
     reasons = (score.get("over_bound_reason") for score in scores["controllers"].values())
     return list(dict.fromkeys(reason for reason in reasons if reason))
@@ -147,8 +148,8 @@ def machine_table() -> Table:
     """Format the built-in machines as a table.
 
     Returns:
-        Table (rich) with one row per machine: name, and description with numbers of coordinates and belts and the
-        lowest natural frequencies of the masses on the belts (belt modes), Hz.
+        Table (rich) with one row per machine: name, description, numbers of coordinates and belts, and the lowest
+        natural frequencies of the masses on the belts (belt modes), Hz.
     """
     table = _table("machine", "description")
     for name, make_machine in BUILTIN_MACHINES.items():
@@ -163,13 +164,13 @@ def machine_table() -> Table:
 
 
 def effect_table() -> Table:
-    """Format the library's effects (additional physical terms that identification can select) as a table.
+    """Format the library of effects (additional physical terms that identification can select) as a table.
 
-    Names are never wrapped or truncated, so that the output can be searched in a pipe.
+    Plugins are loaded first. Names are never wrapped or truncated, so that a pipe can search them.
 
     Returns:
-        Table (rich) with one row per effect: name; below each other formula, site (the kind of component it acts on)
-        and parameters with units. Plugins are loaded first.
+        Table (rich) with one row per effect: its name, and below each other its formula, the kind of component it acts
+        on (site), and its parameters with units.
     """
     load_plugins()
     table = _table("effect", "formula, site, parameters")
@@ -194,13 +195,14 @@ def _count(count: int, noun: str) -> str:
 
 
 def machine_tables(machine: Machine) -> list[Table]:
-    """Format a machine as tables with units: coordinates, belts, drives, sensors, effects, and what the drives can do.
+    """Format a machine as tables with units: coordinates, belts, drives, sensors, effects, and limits of the motion.
 
     Args:
         machine: Machine to print, with its effects (deviations from the nominal model).
 
     Returns:
-        Tables (rich), without those that would be empty.
+        Tables (rich), without those that would be empty. The last one has force, acceleration and speed at rated
+        voltage.
     """
     tables = [_coordinate_table(machine), _belt_table(machine), _drive_table(machine), _sensor_table(machine)]
     effects = _titled("effects", "effect@site", "parameters")
@@ -306,7 +308,7 @@ def _limits_table(machine: Machine) -> Table:
 
 
 def belt_mode_line(machine: Machine) -> str:
-    """Describe the natural frequencies of a machine's masses on its belts, at position 0, in one line.
+    """Describe in one line the lowest natural frequencies of a machine's masses on its belts, at position 0.
 
     Args:
         machine: Machine to describe.

@@ -41,15 +41,15 @@ class BeltEquations(ParameterizedMachine):
     def belt_states(self, point: MotionPoint) -> list[BeltState]:
         """Return extension, stiffness and tension of each belt (eq. 38-44 of Sollmann et al. 2010).
 
-        Effects on belts, deviations from the nominal model such as slack, are included.
+        Effects on belts (deviations from the nominal model, such as slack) are included.
 
         Args:
-            point: Belt travel (radius * angle of a pulley), m, and its rate, m/s, of every coordinate, and the states
-                of effects: lists of floats, arrays of one common shape (...) or symbolic expressions.
+            point: Belt travel (position, or radius * angle of a pulley), m, and its rate, m/s, of every coordinate, and
+                the states of effects: lists of floats, arrays of one common shape (...) or symbolic expressions.
 
         Returns:
-            One `BeltState` per belt, in the machine's order: extension, m, rate, m/s, stiffness, N/m, tension, N, and
-            so on, each a value of the shape of the point's.
+            One `BeltState` per belt, in the machine's order: extension (m), its rate (m/s), stiffness (N/m), tension
+            (N) and further forces (N), each of shape (...).
         """
         travel = [self._belt_travel(i, point) for i in range(len(point.travel))]  # with eccentric pulleys
         speed = [v * arm for v, arm in zip(point.speed, self._lever_arms(point), strict=True)]
@@ -74,13 +74,14 @@ class BeltEquations(ParameterizedMachine):
         return [self._belt_state(b, s, rates[b], per_length.get(b)) for b, s in enumerate(extensions)]
 
     def constant_stiffness(self, b: int) -> Value:
-        """Return the stiffness of a belt whose length does not depend on the carriage's position.
+        """Return the stiffness EA / rest length of a belt section whose length does not depend on the position.
 
         Args:
             b: Index of the belt in the machine, from 0.
 
         Returns:
-            EA / rest length, N/m: a float, or an array of any shape or an expression if these parameters are.
+            Stiffness, N/m: a float, array of any shape or symbolic expression, as the values of the belt's parameters
+            are.
         """
         name = self.machine.belts[b].name
         return self.parameter(f"{name}.EA") / self.parameter(f"{name}.rest_length")
@@ -131,10 +132,11 @@ class BeltEquations(ParameterizedMachine):
         return arms
 
     def belt_forces(self, point: MotionPoint, belts: Sequence[BeltState]) -> list[Value]:
-        """Return the force of the belts on each coordinate: -G' T - (1/2) s^2 dk/dp.
+        """Return the force of the belts on each coordinate, the negative derivative of the belts' energy.
 
-        G is the extension of each belt per unit of belt travel p (radius * angle of a pulley), T the tension, s the
-        extension and k the stiffness. Values are floats, arrays of one common shape (...) or symbolic expressions.
+        For belt travel p (position, or radius * angle of a pulley) it is -G' T - (1/2) s^2 dk/dp, with extension s,
+        stiffness k, tension T, and the matrix G = ds/dp. Values are floats, arrays of one common shape (...) or
+        symbolic expressions.
 
         Args:
             point: Belt travel, m, and its rate, m/s, of every coordinate, one value each.
@@ -162,13 +164,14 @@ class BeltEquations(ParameterizedMachine):
 
 
 def combination(row: IndexRow, values: Sequence[Value]) -> Value:
-    """Return the sum of row[i] * values[i]; positive terms come first, because a leading minus costs an instruction.
+    """Return the weighted sum of some values: row[i] * values[i] for every index i in `row`.
+
+    Terms with positive factors come first, because generated code with a minus at the beginning costs an instruction.
 
     Args:
-        row: Factors by index, for example the extension of a belt per travel of each coordinate; absent ones count as
-            0.
-        values: Summands before scaling, in any unit, indexed by the keys of `row`: floats, arrays of one common shape
-            (...) or symbolic expressions.
+        row: Factor by index, for example the extension of a belt per travel of each coordinate.
+        values: Values that `row` indexes, in any unit: floats, arrays of one common shape (...) or symbolic
+            expressions.
 
     Returns:
         The sum, in the unit of row[i] * values[i], shape (...); 0.0 for an empty row.
@@ -182,12 +185,12 @@ def combination(row: IndexRow, values: Sequence[Value]) -> Value:
 
 
 def add_combination(total: Value, row: IndexRow, values: Sequence[Value]) -> Value:
-    """Return total + the sum of row[i] * values[i].
+    """Return total + the weighted sum of some values: row[i] * values[i] for every index i in `row`.
 
     Args:
         total: First summand, in the unit of row[i] * values[i]: a float, an array of shape (...) or an expression.
-        row: Factors by index; absent indices count as 0.
-        values: Quantities to scale and add, indexed by the keys of `row`, of the same kind and shape (...) as `total`.
+        row: Factor by index.
+        values: Values that `row` indexes, of the same kind and shape (...) as `total`.
 
     Returns:
         The sum, shape (...).

@@ -1,7 +1,8 @@
 """Effects of a machine, listed once for each component on which they act.
 
-An effect at "drives" acts on every drive, one at "belts" on every belt, and one at "machine" on every coordinate, with
-the same parameters. Each of these instances has its separate state, for example the current of its motor.
+An effect with the site "drives" acts on every drive, one at "belts" on every belt, and one at "machine" on every
+coordinate, always with the same parameters. Each of these instances has a separate state, for example the current of
+its motor.
 """
 
 from __future__ import annotations
@@ -29,14 +30,16 @@ class EffectInstance:
 
 
 def effect_instances(machine: Machine) -> list[EffectInstance]:
-    """List the effects of a machine (deviations from its nominal model), once for each component on which they act.
+    """List every effect of a machine (deviation from its nominal model) once for each component on which it acts.
+
+    An effect on all belts, for example, has one instance per belt.
 
     Args:
         machine: Machine with its effects.
 
     Returns:
         One `EffectInstance` (effect, component, indices of its coordinates) per effect and component, in the order of
-        the machine's effects; an effect on all belts gives one instance per belt.
+        the machine's effects, and for each in the order of the machine's components.
     """
     # An unknown name, such as that of a belt or sensor, gives the index -1: no coordinate.
     index = {name: i for i, name in enumerate(machine.coordinate_names)}
@@ -51,13 +54,16 @@ def effect_instances(machine: Machine) -> list[EffectInstance]:
 
 
 def instances_with_state(machine: Machine) -> list[EffectInstance]:
-    """List the effects of a machine that have a state, such as a bristle deflection, in the order of these states.
+    """List the effect instances of a machine that have a state, such as the deflection of friction bristles.
+
+    An instance is an effect (deviation from the nominal model) on one component; an effect on all belts has one per
+    belt.
 
     Args:
-        machine: Machine with its effects (deviations from its nominal model).
+        machine: Machine with its effects.
 
     Returns:
-        One `EffectInstance` per state; an effect on all belts, say, has one for each.
+        The instances in the order in which their states follow positions and velocities in an initial state.
     """
     return [instance for instance in effect_instances(machine) if instance.effect.definition.next_state]
 

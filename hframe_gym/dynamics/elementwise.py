@@ -152,7 +152,7 @@ def where(condition: Any, yes: Any, no: Any) -> Any:
     Args:
         condition: Truth value, array of truth values of any shape, or symbolic condition.
         yes: Value where the condition holds, any unit: number, array of a broadcastable shape, or expression.
-        no: Value elsewhere, in the same unit, likewise.
+        no: Value elsewhere, in the same unit: number, array of a broadcastable shape, or expression.
 
     Returns:
         The selected values, in the common shape.
@@ -223,12 +223,12 @@ def any_of(condition: Any) -> Any:
 
 
 def named(role: str, index: int, value: Any) -> Any:
-    """Give a value the variable name `role_index` in the generated simulation code; elsewhere this has no effect.
+    """Give a value the name `role_index` in the source text of the generated simulation code; elsewhere do nothing.
 
     Args:
         role: First part of the name: what the value is, for example "extension".
         index: Index of the coordinate, belt, drive, sensor or effect, for example 0 for "extension_0".
-        value: Value to name, in any unit: number, array of any shape, or traced expression.
+        value: Value to name, in any unit. Only a traced expression, from which code is generated, takes a name.
 
     Returns:
         The same value.
@@ -239,8 +239,8 @@ def named(role: str, index: int, value: Any) -> Any:
 def reciprocals(values: Sequence[Any]) -> list[Any]:
     """Return the reciprocal of each value.
 
-    For traced expressions, from which simulation code is generated, three values share one division: with the product
-    P = a b c, 1/a = b c / P and so on. A division costs as much as ten products.
+    In generated simulation code, three values share one division, which costs as much as ten multiplications: with the
+    product P = a b c, 1/a = b c / P and so on.
 
     Args:
         values: Numbers, arrays of one common shape (...) or symbolic expressions, none of them zero, in any units.
@@ -270,10 +270,12 @@ def reciprocals(values: Sequence[Any]) -> list[Any]:
 def update_if_any(
     condition: Callable[[], Any], values: Sequence[Any], update: Callable[[Sequence[Any]], Sequence[Any]]
 ) -> list[Any]:
-    """Return `update(values)`; generated simulation code skips the update if the condition holds for no machine.
+    """Return `update(values)`; in generated simulation code, behind an `if` that skips it where it has no effect.
+
+    Generated code computes several machines side by side. It calls `update` if the condition is true for at least one.
 
     Args:
-        condition: Function without arguments that returns the condition. Called for traced expressions only.
+        condition: Function without arguments that returns the condition; it is called only to generate code.
         values: Numbers, arrays of one common shape (...) or symbolic expressions to update, in any units.
         update: Function from the values to the new values. Where the condition is false it must change nothing.
 

@@ -62,9 +62,9 @@ class Equations(BeltEquations, SignalEquations):
     # -- drives ----------------------------------------------------------------------------------------------------
 
     def add_drive_forces(self, forces: Sequence[Value], motor_voltages: Sequence[Value]) -> list[Value]:
-        """Add the drive forces due to voltage, N Kt V / (R r) for gear ratio N and pulley radius r.
+        """Add the drives' forces at standstill, N Kt V / (R r) for gear ratio N and pulley radius r, to other forces.
 
-        This is eq. 17 of Sollmann et al. (2010) with w = 0; the back-EMF term is part of the viscous coefficient.
+        The back-EMF is not included, because it is part of the viscous coefficient (eq. 17 of Sollmann et al. 2010).
         Values are floats, arrays of one common shape (...) or symbolic expressions.
 
         Args:
@@ -72,7 +72,7 @@ class Equations(BeltEquations, SignalEquations):
             motor_voltages: Voltage at the terminals of each motor, V, from `motor_voltages`, shape (...) each.
 
         Returns:
-            The given forces plus those of the drives, along the belt travel of each coordinate, N, shape (...) each.
+            Sums along the belt travel of each coordinate, N, shape (...) each.
         """
         result = list(forces)
         for j, voltage in enumerate(motor_voltages):
@@ -81,14 +81,14 @@ class Equations(BeltEquations, SignalEquations):
         return result
 
     def ohmic_current(self, j: int, point: MotionPoint, motor_voltage: Value) -> Value:
-        """Return the current (V - Ke N w) / R of a drive (eq. 17 of Sollmann et al. 2010, with the gear ratio N).
+        """Return the current (V - Ke N w) / R of a drive, without inductance (eq. 17 of Sollmann et al. 2010).
 
-        V is the motor voltage, Ke the back-EMF constant, w the speed of the drive's coordinate (rad/s or m/s), and R
-        the resistance.
+        V is the motor voltage, Ke the back-EMF constant, N the gear ratio (which eq. 17 omits), w the speed of the
+        drive's coordinate (rad/s or m/s), and R the resistance.
 
         Args:
             j: Index of the drive in the machine, from 0.
-            point: Belt travel, m, and its rate, m/s, of every coordinate (radius * angle of a pulley), one value each.
+            point: Belt travel (position, or radius * angle of a pulley), m, and its rate, m/s, of every coordinate.
             motor_voltage: Voltage at the motor, V: float, array of shape (...) or symbolic expression.
 
         Returns:
@@ -117,21 +117,20 @@ class Equations(BeltEquations, SignalEquations):
     ) -> ForceBalance:
         """Add the forces of the effects to those of belts and drives, and determine the Coulomb friction force.
 
-        Effects are deviations from the nominal model, such as Stribeck friction. Those that are zero outside a region
-        are evaluated only inside it; those that react to the sum of all other forces come last. Back-EMF counts as
-        viscous friction and is in none of the forces. Values are floats, arrays of one common shape (...) or symbolic
-        expressions. Forces act along the belt travel (radius * angle of a pulley).
+        Effects are deviations from the nominal model, such as Stribeck friction. Back-EMF counts as viscous friction
+        and is in none of the forces. Forces act along the belt travel (position, or radius * angle of a pulley). Values
+        are floats, arrays of one common shape (...) or symbolic expressions.
 
         Args:
             point: Belt travel, m, and its rate, m/s, of every coordinate, and the states of the effects.
             motor_voltages: Voltage at each motor, V, from `motor_voltages`, shape (...) each.
-            forces: Forces of belts and drives (without back-EMF) on each coordinate, N, shape (...) each.
+            forces: Sum of the forces of belts and drives on each coordinate, N, shape (...) each.
 
         Returns:
             forces: Sum of all forces on each coordinate except viscous and Coulomb friction, N, shape (...) each.
             coulomb: Coulomb friction force (magnitude) on each coordinate, N, shape (...) each.
-            arguments: For effects with a state, by index in `instances`, what their formula `next_state` takes: the
-                Coulomb friction `level`, N or Nm, or the drive's current `i`, A.
+            arguments: What the states of effects need to advance (see `next_state`), by index in `instances`: the
+                Coulomb friction force `level`, N or Nm, or the current `i` of the drive, A.
         """
         arguments: dict[int, dict[str, Value]] = {}
         totals, levels = [], []
@@ -236,10 +235,10 @@ class Equations(BeltEquations, SignalEquations):
         return result
 
     def balance(self, point: MotionPoint, voltages: Sequence[Value]) -> ForceBalance:
-        """Return the sum of belt, drive and effect forces at a point, and the Coulomb friction force separately.
+        """Return the sum of belt, drive and effect forces on each coordinate, and the Coulomb friction force.
 
         Effects are deviations from the nominal model. Values are floats, arrays of one common shape (...) or symbolic
-        expressions. Forces act along the belt travel (radius * angle of a pulley).
+        expressions. Forces act along the belt travel (position, or radius * angle of a pulley).
 
         Args:
             point: Belt travel, m, and its rate, m/s, of every coordinate, and the states of the effects.
@@ -248,7 +247,7 @@ class Equations(BeltEquations, SignalEquations):
         Returns:
             forces: Sum of all forces on each coordinate except viscous and Coulomb friction, N, shape (...) each.
             coulomb: Coulomb friction force (magnitude) on each coordinate, N, shape (...) each.
-            arguments: Friction levels, N or Nm, and currents, A, by index in `instances`; see `force_balance`.
+            arguments: Quantities with which the states of effects advance, see `force_balance`.
         """
         motor_voltages = self.motor_voltages(voltages)
         forces = self.belt_forces(point, self.belt_states(point))
@@ -308,7 +307,7 @@ class Equations(BeltEquations, SignalEquations):
         time_s: Any = 0.0,
         effect_states: Mapping[int, Value] | None = None,
     ) -> MotionPoint:
-        """Convert positions and velocities in arrays to the belt travel that the equations use.
+        """Convert arrays of positions and velocities to the belt travel that the equations use.
 
         Args:
             positions: Positions, m or rad, real or complex, shape (..., coordinates).
@@ -318,8 +317,8 @@ class Equations(BeltEquations, SignalEquations):
                 its index in `instances`, shape (...) each; None: all zero.
 
         Returns:
-            The point: lists of belt travel (radius * angle of a pulley), m, and its rate, m/s, with one array of shape
-            (...) per coordinate.
+            The point: one array of shape (...) per coordinate for the belt travel (position, or radius * angle of a
+            pulley), m, and one for its rate, m/s; time and effect states as given.
         """
         q = 1.0 * np.asarray(positions)  # real or complex
         v = np.zeros_like(q) if velocities is None else 1.0 * np.asarray(velocities)

@@ -1,7 +1,7 @@
-"""The graph of a traced function: expressions, statements, and their source text for Numba.
+"""Expressions and statements of a function whose source text is generated, and the generation of this text for Numba.
 
-In the source text, what does not change between the steps of a loop is computed before it, and what is needed only
-inside an `if` block is computed there.
+A `Trace` (module `tracing`) records them. In the source text, a value that is the same in all steps of a loop is
+computed before the loop, and a value that is needed only inside an `if` block is computed there.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ _ATOM = 7  # names, numbers and calls
 
 
 class Expression:
-    """A node of a trace: a number, a variable, an element of an array, or an operation on other nodes.
+    """A value in a generated function: a number, a variable, a row of an array, or an operation on such values.
 
     Attributes:
-        trace: Trace to which the node belongs.
+        trace: Record of the function to which the expression belongs.
         operation: "number", "variable", "load" (row of an array), an operator such as "+", or the name of a function.
         operands: Operands; of a number its text, of a load its text, of a variable its name and its version. Every
             assignment to a variable makes a new version.
@@ -49,11 +49,13 @@ class Expression:
 
     @property
     def is_leaf(self) -> bool:
-        """Whether the node is a number or a variable, which needs no computation."""
+        """Whether the expression is a number or a variable, for which the generated code computes nothing."""
         return self.operation in ("number", "variable")
 
     def traced_function(self, name: str, operands: Sequence[Any]) -> Expression:
-        """Return the expression of an elementary function; the module `elementwise` calls this for traced operands.
+        """Return the expression that applies a mathematical function, such as sin, to some operands.
+
+        The module `elementwise` calls this method where an operand is an expression.
 
         Args:
             name: Name of the function in `elementwise`, for example "sin".
@@ -65,11 +67,11 @@ class Expression:
         return self.trace.node(name, *operands)
 
     def name_as(self, role: str, index: int) -> Expression:
-        """Give the expression the identifier `role_index`, and compute it at this place of the generated function.
+        """Give the expression the name `role_index` in the generated source text, and compute it at this point.
 
         Args:
-            role: First part of the identifier, for example "tension".
-            index: Index of the coordinate, belt, drive, sensor or effect.
+            role: First part of the name, for example "tension".
+            index: Index of the coordinate, belt, drive, sensor or effect, for example 0 for "tension_0".
 
         Returns:
             The same expression.
@@ -158,11 +160,11 @@ class Statement:
 
 
 def simplified(operation: str, values: tuple[Expression, ...]) -> Expression | None:
-    """Simplify an arithmetic operation where the result is exact: operations on numbers, x + 0, x * 1, -(-x), ...
+    """Simplify an arithmetic operation if the result is the same to the bit: 2 + 3, x + 0, x * 1, -(-x), x + (-y), ...
 
     Args:
         operation: "+", "-", "*", "/" or "neg"; other operations are not simplified.
-        values: One or two operands.
+        values: One operand for "neg", otherwise two.
 
     Returns:
         The simplified expression, or None if the operation cannot be simplified.
@@ -194,13 +196,13 @@ def simplified(operation: str, values: tuple[Expression, ...]) -> Expression | N
 
 
 def function_source(trace: Trace) -> str:
-    """Convert a traced function to Python source text.
+    """Return the source text of a function that a trace has recorded.
 
     Args:
-        trace: Record of the statements and expressions of a function, made by calling it with symbolic arguments.
+        trace: Record of the statements and expressions of the function.
 
     Returns:
-        Source text of the function, from `def` to its last line.
+        Python text of the function, from `def` to its last line.
 
     Raises:
         RuntimeError: If an expression uses a variable after a new value has been assigned to the variable.

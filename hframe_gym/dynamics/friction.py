@@ -21,7 +21,9 @@ _SMALL = 0.5
 
 @inlined
 def decay_integral(z):  # type: ignore[no-untyped-def]
-    """Return (1 - exp(-z)) / z: the speed that a constant force f adds in the time h is f h / m times this factor.
+    """Return (1 - exp(-z)) / z, the factor by which viscous friction reduces the speed that a force adds in a step.
+
+    A constant force f changes the speed by f h / m * decay_integral(b h / m) in a step of length h.
 
     Args:
         z: Viscous damping of the step, b h / m >= 0, dimensionless; float, or SIMD register of shape (LANES,).
@@ -48,9 +50,10 @@ def decay_integral(z):  # type: ignore[no-untyped-def]
 
 @inlined
 def end_weight(z):  # type: ignore[no-untyped-def]
-    """Return the weight w of the last speed in the mean of an exponential decay: mean v = (1 - w) v0 + w v1.
+    """Return the weight of the final speed in the mean speed of a step with viscous friction.
 
-    w = 1/(1 - exp(-z)) - 1/z, which is one half for small z (the trapezoidal rule).
+    The mean is (1 - w) v0 + w v1 for initial speed v0, final speed v1 and the weight w = 1/(1 - exp(-z)) - 1/z, if the
+    force is constant. For small z this is the trapezoidal rule, w = 1/2.
 
     Args:
         z: Viscous damping of the step, b h / m >= 0, dimensionless; float, or SIMD register of shape (LANES,).
@@ -73,7 +76,9 @@ def end_weight(z):  # type: ignore[no-untyped-def]
 
 @inlined
 def ramp(z):  # type: ignore[no-untyped-def]
-    """Return (z - 1 + exp(-z)) / z**2: the distance from rest under a force f in the time t is f t**2 / m times this.
+    """Return (z - 1 + exp(-z)) / z**2, which gives the distance of a motion from rest with viscous friction.
+
+    Under a constant force f, a mass m moves by f t**2 / m * ramp(b t / m) in the time t.
 
     Args:
         z: Viscous damping over the time t, b t / m, dimensionless; negative for motion reversed in time. Float, or SIMD
@@ -97,7 +102,7 @@ def ramp(z):  # type: ignore[no-untyped-def]
 
 @inlined
 def direction(v, f):  # type: ignore[no-untyped-def]
-    """Return a number with the sign of the motion, or of the force where the coordinate is at rest.
+    """Return a number whose sign is the direction of motion, or at rest the direction of the force.
 
     Operands are floats or SIMD registers, shape (LANES,), with one value per machine.
 
@@ -106,14 +111,14 @@ def direction(v, f):  # type: ignore[no-untyped-def]
         f: Force on the coordinate without friction, N.
 
     Returns:
-        The speed, or f where the speed is zero; only the sign is meaningful.
+        v, or f where v is zero; only the sign is meaningful.
     """
     return where(v == 0.0, f, v)
 
 
 @inlined
 def static_friction(f, coulomb):  # type: ignore[no-untyped-def]
-    """Return the static friction force: f limited to [-F, F], so that it balances f exactly up to the Coulomb force.
+    """Return the dry friction force at rest: it balances the force f as far as the Coulomb force F permits.
 
     Operands are floats or SIMD registers, shape (LANES,), with one value per machine.
 
@@ -122,7 +127,7 @@ def static_friction(f, coulomb):  # type: ignore[no-untyped-def]
         coulomb: Coulomb friction force F >= 0, N.
 
     Returns:
-        Friction force, N, to be subtracted from f.
+        Friction force, N, to be subtracted from f: f limited to [-F, F].
     """
     below = where(f < coulomb, f, coulomb)  # min(f, F)
     return where(below > -coulomb, below, -coulomb)
@@ -147,10 +152,10 @@ def friction_force(v, f, coulomb):  # type: ignore[no-untyped-def]
 
 @inlined
 def update_speed(v, f, coulomb, decay, gain):  # type: ignore[no-untyped-def]
-    """Advance the speed by one step of length h as if the coordinate did not come to rest within the step.
+    """Return the speed after one step of length h, under the assumption that it does not cross zero within the step.
 
-    Operands are SIMD registers, shape (LANES,), with one value per machine ("lane"). Where the result has the opposite
-    sign of v, the coordinate comes to rest and the result is invalid; `stop_or_reverse` gives the speed instead.
+    Operands are SIMD registers, shape (LANES,), with one value per machine ("lane"). Where the result and v have
+    opposite signs, the assumption is wrong and the result invalid; `stop_or_reverse` then gives the speed.
 
     Args:
         v: Speed before the step, m/s.
@@ -167,11 +172,11 @@ def update_speed(v, f, coulomb, decay, gain):  # type: ignore[no-untyped-def]
 
 @inlined
 def stop_or_reverse(v, f, coulomb, viscous, viscous_after, mass, per_mass, h):  # type: ignore[no-untyped-def]
-    """Return the speed after, and the distance of, a step of length h in which the coordinate comes to rest.
+    """Compute final speed and distance of a step of length h in which the coordinate comes to rest.
 
-    The coordinate decelerates to rest in the time `stop`. Then it stays at rest if |f| <= F, or reverses for the
-    remaining time. Operands are SIMD registers, shape (LANES,), with one value per machine ("lane"); the result is
-    valid only in lanes where `update_speed` changes the sign of the speed.
+    The coordinate decelerates to rest. Then it stays at rest if static friction holds it (|f| <= F); otherwise it
+    reverses for the remaining time. Operands are SIMD registers, shape (LANES,), with one value per machine ("lane").
+    The result is valid only in lanes where `update_speed` changes the sign of the speed.
 
     Args:
         v: Speed before the step, m/s.

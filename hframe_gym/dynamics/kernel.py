@@ -1,7 +1,7 @@
-"""Compiles the simulation kernel of a machine's shape once and keeps it on disk.
+"""Compile the simulation kernel of a machine's shape once and keep it on disk.
 
-The kernel is generated Numba code for all machines of one structure (`Machine.shape`). It is stored under the hash of
-all its code in `$HFRAME_CACHE`, `$XDG_CACHE_HOME/hframe_gym` or `~/.cache/hframe_gym`.
+The kernel is generated Numba code that simulates all machines of one structure (`Machine.shape`). It is stored in
+`$HFRAME_CACHE`, `$XDG_CACHE_HOME/hframe_gym` or `~/.cache/hframe_gym`, under the hash of all its code.
 """
 
 from __future__ import annotations
@@ -109,9 +109,11 @@ class Kernel:
 def cache_folder() -> Path:
     """Return the folder in which generated simulation code and its compiled form are cached; create it if necessary.
 
+    It is the first of these folders that can be written and has 32 MB of room: `$HFRAME_CACHE` (if set), `hframe_gym`
+    in the user's cache folder, a temporary folder. A warning says if it is not the first one.
+
     Returns:
-        The first of these that can be written: `$HFRAME_CACHE` or else `hframe_gym` in the user's cache folder; with a
-        warning, a temporary folder of the user or a new one.
+        Existing folder that can be written.
     """
     explicit = os.environ.get("HFRAME_CACHE")
     root = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
@@ -143,16 +145,16 @@ def _first_usable(preferred: tuple[str, ...], temporary: str) -> Path:
 
 
 def generate(machine: Machine, *, forced: bool = False) -> tuple[str, KernelSource]:
-    """Generate the Python source of the simulation kernel for all machines of one shape (`Machine.shape`).
+    """Generate the Python source of the simulation kernel, the compiled code that integrates machines of one structure.
 
     Args:
-        machine: Any machine of that shape; its parameter values do not matter.
+        machine: Any machine of the structure (`Machine.shape`); its parameter values do not matter.
         forced: Whether the generated functions take an external force on every coordinate.
 
     Returns:
         text: Complete source text of the Python module.
-        source: `KernelSource`: text of the machine's own equations, and the row of each parameter in the functions'
-            arrays.
+        source: Description of the kernel: the part of the text that is specific to the structure, and the row of each
+            parameter in the arrays that the generated functions take.
     """
     source = KernelSource(machine, forced=forced)
     components = {
@@ -178,7 +180,7 @@ def generate(machine: Machine, *, forced: bool = False) -> tuple[str, KernelSour
 
 
 def kernel_source_text(machine: Machine) -> str:
-    """Return the generated Python source that simulates a machine, for example to inspect it.
+    """Return the generated Python source with which a machine is simulated, for inspection.
 
     Args:
         machine: The machine. Its names and parameter values do not occur in the text.
@@ -220,9 +222,9 @@ def _load(text: str) -> ModuleType:
 
 
 def kernel_for(machine: Machine, *, forced: bool = False) -> Kernel:
-    """Return the compiled simulation functions (generated code) for a machine; generate them on first use.
+    """Return the compiled simulation functions for a machine; generate their source code at the first request.
 
-    Machines that differ only in parameter values get the same functions. Numba compiles a function at its first call
+    Machines that differ only in parameter values get the same functions. Numba compiles each function at its first call
     and caches the result on disk.
 
     Args:
@@ -230,7 +232,7 @@ def kernel_for(machine: Machine, *, forced: bool = False) -> Kernel:
         forced: Whether `rollout` takes an external force on every coordinate.
 
     Returns:
-        `Kernel`: the compiled functions, and the row of each parameter and constant in their arrays.
+        `Kernel`: the functions, and the row of each parameter in the arrays that they take.
     """
     key = (machine.shape, forced)
     if key not in _KERNELS:
@@ -249,7 +251,7 @@ def kernel_for(machine: Machine, *, forced: bool = False) -> Kernel:
 
 
 def is_generated(machine: Machine, *, forced: bool) -> bool:
-    """Return whether `kernel_for` has generated the simulation functions (kernel) of a machine in this process.
+    """Return whether `kernel_for` has already generated the simulation functions of a machine in this process.
 
     Args:
         machine: The machine.
@@ -262,14 +264,14 @@ def is_generated(machine: Machine, *, forced: bool) -> bool:
 
 
 def in_blocks(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Arrange the values of many machines in blocks of `LANES` machines, which the processor simulates side by side.
+    """Rearrange values of many machines into blocks of `LANES` machines, which the processor simulates side by side.
 
     Args:
         values: n values (parameters or states, any unit) of each of B machines, shape (B, n), B >= 1.
 
     Returns:
-        Blocks, in the unit of the values, shape (ceil(B / LANES), n, LANES). Spare columns of the last block repeat the
-        last machine.
+        Blocks, in the unit of the values, shape (ceil(B / LANES), n, LANES). If B is not a multiple of `LANES`, copies
+        of the last machine fill the last block.
     """
     count = -(-len(values) // LANES) * LANES
     padded = np.concatenate([values, np.repeat(values[-1:], count - len(values), axis=0)])

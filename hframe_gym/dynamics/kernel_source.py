@@ -1,8 +1,9 @@
-"""Generates the source of a machine's simulation kernel by evaluating the equations of motion on traced expressions.
+"""Generate the source of a machine's simulation kernel by evaluating the equations of motion on traced expressions.
 
-What is the same for all machines of one shape (coordinates, rows of the belts, places of drives and effects) becomes
-source text: zeros vanish, ones become additions. What differs between them (every value of `Machine.parameters`) is
-data: one SIMD lane per machine.
+A traced expression records the operations on it (module `tracing`). What is the same for all machines of one shape
+(coordinates, factors of the belts, sites of drives and effects) becomes source text, where terms with the factor 0 and
+multiplications by 1 are omitted. What differs between them (every value of `Machine.parameters`) is data, with one
+machine in each SIMD lane.
 """
 
 from __future__ import annotations
@@ -87,13 +88,14 @@ class KernelSource:
         self.text = "\n\n".join(f"@inlined\n{function_source(trace)}" for trace in traces)
 
     def directions(self, i: int) -> tuple[str, ...]:
-        """Return the suffixes of the derived constants that depend on the direction of motion of a coordinate.
+        """Return the name suffixes of those constants of a coordinate that depend on viscous friction.
 
         Args:
-            i: Index of the coordinate.
+            i: Index of the coordinate, from 0.
 
         Returns:
-            One suffix for each direction in which viscous friction differs, or one empty suffix.
+            ("_forward", "_backward") if an effect makes viscous friction depend on the direction of motion, so that
+            there are two values of each constant; else ("",).
         """
         return ("_forward", "_backward") if any(self._plain.effects_on("viscous", i)) else ("",)
 

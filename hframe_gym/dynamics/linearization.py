@@ -1,7 +1,7 @@
 """Linearization of the equations of motion about rest: stiffness, state space and natural frequencies.
 
-The derivatives are exact to rounding. A complex step differentiates the equations: for an analytic function f,
-f'(x) = Im f(x + i h) / h up to an error of order h^2, without cancellation, so that h can be tiny.
+The derivatives are exact to rounding, because the equations are differentiated by a complex step: for an analytic
+function f, f'(x) = Im f(x + i h) / h up to an error of order h^2. There is no cancellation, so that h can be tiny.
 
 References:
     Squire and Trapp (1998), Using Complex Variables to Estimate Derivatives of Real Functions.
@@ -42,20 +42,20 @@ class StateSpace(NamedTuple):
 
 
 def stiffness_matrix(machine: Machine, position: ArrayLike | None = None) -> Array:
-    """Return the stiffness matrix of the belts: the negative derivative of force by position.
+    """Return the stiffness matrix of the belts: the negative derivative of the belt forces by the positions.
 
-    It equals G' diag(k) G with the extension G of each belt per unit of each coordinate, and the stiffness k of each
-    belt at its length in the operating point. Derivatives are imaginary parts after an imaginary step, which has no
-    cancellation error (Squire and Trapp 1998).
+    It equals G' diag(k) G, where G is the extension of each belt per unit of each coordinate and k the stiffness of
+    each belt at the operating point. It is differentiated by a complex step, exact to rounding (Squire and Trapp 1998).
 
     Args:
-        machine: Machine with belts; its effects (deviations from the nominal model) are left out. Zero without belts.
+        machine: Machine; its effects (deviations from the nominal model) are left out. Without belts the result is
+            zero.
         position: One or several operating points with unstretched belts: position of every coordinate, m or rad, shape
-            (..., coordinates). Default: one, at zeros.
+            (..., coordinates). Default: one operating point, all positions zero.
 
     Returns:
-        Stiffness, shape (..., coordinates, coordinates): N/m between linear coordinates, Nm/rad between rotary ones,
-        N/rad (equal to N) between both kinds.
+        Stiffness, shape (..., coordinates, coordinates), row: force, column: displacement. N/m between linear
+        coordinates, Nm/rad between rotary ones, N/rad (equal to N) between a linear and a rotary one.
     """
     equations, q = _operating_point(machine, position)
     stepped = q[..., None, :] + 1j * _STEP * np.eye(q.shape[-1])  # (..., coordinate that is stepped, coordinates)
@@ -68,8 +68,8 @@ def stiffness_matrix(machine: Machine, position: ArrayLike | None = None) -> Arr
 def linearize(machine: Machine, position: ArrayLike | None = None) -> StateSpace:
     """Linearize the equations of motion about rest, without Coulomb friction and effects.
 
-    The back-EMF of a drive acts as viscous friction of its coordinate. Derivatives are imaginary parts after an
-    imaginary step, which has no cancellation error (Squire and Trapp 1998).
+    The back-EMF of a drive acts as viscous friction of its coordinate. The equations are differentiated by a complex
+    step, exact to rounding (Squire and Trapp 1998).
 
     Args:
         machine: Machine to linearize; its effects (deviations from the nominal model) are left out.
@@ -102,9 +102,9 @@ def linearize(machine: Machine, position: ArrayLike | None = None) -> StateSpace
 
 
 def mode_frequencies(machine: Machine, position: ArrayLike | None = None) -> Array:
-    """Return the undamped natural frequencies: the square roots of the eigenvalues of M^-1 K over 2 pi.
+    """Return the undamped natural frequencies of the masses on the belts: sqrt(eigenvalues of M^-1 K) / (2 pi).
 
-    M is the diagonal matrix of masses and inertias, and K the stiffness of the belts.
+    M is the diagonal matrix of masses and moments of inertia, and K the stiffness matrix of the belts.
 
     Args:
         machine: Machine with any number of belts; its effects (deviations from the nominal model) are left out.
@@ -137,7 +137,7 @@ def _linear_algebra() -> ThreadpoolController:
 
 
 def matrix_exponential(matrix: Array) -> Array:
-    """Compute the exponential of a matrix, with the same bits for any number of threads.
+    """Compute the exponential of a matrix; the result is the same to the bit for any number of threads.
 
     Args:
         matrix: Square matrix, dimensionless, shape (n, n).

@@ -1,7 +1,6 @@
-"""Forces along a known motion: those of the belts, and those that effects add.
+"""Forces along a motion that is given by its samples: those of the belts, and those that effects add.
 
-The motion is given as arrays over samples; parameters may be arrays (variants, 1), so that many variants of an effect
-are evaluated at once.
+Parameters may be arrays of shape (variants, 1), so that many variants of an effect are evaluated at once.
 """
 
 from __future__ import annotations
@@ -32,8 +31,8 @@ def belt_states(machine: Machine, positions: ArrayLike, velocities: ArrayLike | 
         velocities: Velocities, m/s or rad/s, of the same shape. Default: at rest.
 
     Returns:
-        One `BeltState` per belt: extension, m, its rate, m/s, stiffness, N/m, tension beyond the pretension, N, ...;
-        arrays of shape (...).
+        One `BeltState` per belt, in the machine's order: extension (m), its rate (m/s), stiffness (N/m), tension beyond
+        the pretension (N) and further forces (N); arrays of shape (...).
     """
     equations = Equations(machine)
     return equations.belt_states(equations.point(positions, velocities))
@@ -65,7 +64,7 @@ def net_forces(
 ) -> Array:
     """Return the sum of all forces on each coordinate along a motion of n samples, with friction and effects.
 
-    At zero speed Coulomb friction counts as zero.
+    Coulomb friction is F sign(v), thus zero at zero speed, where static friction is unknown.
 
     Args:
         machine: Machine with its effects (deviations from the nominal model).
@@ -73,11 +72,11 @@ def net_forces(
         positions: Positions, m or rad, shape (n, coordinates).
         velocities: Velocities, m/s or rad/s, shape (n, coordinates).
         inputs: Commanded voltages, V, held from each sample until the next, shape (n, drives).
-        values: Parameter values by full name ("x.mass"), SI, that replace the machine's: floats, or one value per
-            variant of the machine as an array of shape (variants, 1).
+        values: Parameter values by full name ("x.mass"), SI, that replace the machine's. An array of shape (variants,
+            1) gives one value for each of several variants of the machine; otherwise a float.
 
     Returns:
-        Net forces, N or Nm, shape (n, coordinates), or (variants, n, coordinates) if a parameter is an array.
+        Net forces, N or Nm, shape (n, coordinates), or (variants, n, coordinates) if a value is an array.
     """
     equations = Equations(machine, values)
     voltages = delayed_voltages(equations, time_s, inputs)
@@ -94,19 +93,20 @@ def effect_forces(
     inputs: Array,
     effects: Sequence[AppliedEffect] | None = None,
 ) -> Array:
-    """Return the force that effects (deviations from the nominal model) add along a motion.
+    """Return the forces that effects (deviations from the nominal model) add along a motion.
 
-    The result is the difference of the net forces with and without the effects: whatever an effect changes (a force,
-    friction, a voltage, a current, a belt) counts.
+    The result is the difference of the net forces with and without the effects. Therefore it contains everything that
+    an effect changes: a force, friction, a voltage, a current or the tension of a belt.
 
     Args:
-        machine: If `effects` is given, the machine without them; its other effects act in both evaluations.
+        machine: Machine without the effects to be evaluated, if `effects` is given; it may have others. Otherwise the
+            machine with them.
         time_s: Sample times, s, strictly increasing, shape (n,).
         positions: Positions, m or rad, shape (n, coordinates).
         velocities: Velocities, m/s or rad/s, shape (n, coordinates).
         inputs: Commanded voltages, V, held from each sample until the next, shape (n, drives).
-        effects: Effects to evaluate. Their parameters are floats, or one value per variant of the effect as an array
-            of shape (variants, 1). Default: all effects of the machine.
+        effects: Effects to evaluate together. A parameter is a float, or an array of shape (variants, 1) with one value
+            for each of several variants. Default: all effects of the machine.
 
     Returns:
         Added forces, N or Nm, shape (n, coordinates), or (variants, n, coordinates) if a parameter is an array.
@@ -137,7 +137,9 @@ def sensor_readings(machine: Machine, positions: ArrayLike) -> Array:
 
 
 def delayed_voltages(equations: Equations, time_s: Array, inputs: Array) -> list[Array]:
-    """Return the mean voltage of each drive between a sample and the next, after the drive's delay.
+    """Return the voltage that reaches each drive, as its mean from each sample to the next.
+
+    The delay of a drive shifts the steps of the commanded voltage to times between the samples; hence the mean.
 
     Args:
         equations: Equations of the machine, with the delays of its drives.
@@ -145,8 +147,8 @@ def delayed_voltages(equations: Equations, time_s: Array, inputs: Array) -> list
         inputs: Commanded voltages, V, held from each sample until the next, shape (n, drives).
 
     Returns:
-        Mean voltages, V, one array per drive, shape (n,), or (variants, n) if the delay is an array of shape
-        (variants, 1) with one value per variant of the machine.
+        Mean voltages, V: for each drive an array of shape (n,), or (variants, n) if its delay is an array of shape
+        (variants, 1) with one value for each of several variants of the machine.
     """
     # Length of the interval after each sample, s; the last one is as long as the one before it.
     steps = np.diff(time_s, append=2.0 * time_s[-1] - time_s[-2] if len(time_s) > 1 else time_s[-1] + 1.0)
@@ -168,7 +170,7 @@ def delayed_voltages(equations: Equations, time_s: Array, inputs: Array) -> list
 def effect_states(
     equations: Equations, time_s: Array, positions: Array, velocities: Array, voltages: Sequence[Array]
 ) -> dict[int, Array]:
-    """Return the state of every effect with a state (bristle deflection, motor current, ...) along a motion.
+    """Integrate the states of effects (bristle deflection, motor current, ...) along a motion.
 
     Args:
         equations: Equations of the machine with its effects (deviations from the nominal model).
@@ -179,9 +181,9 @@ def effect_states(
             of the parameters.
 
     Returns:
-        States by index in `equations.instances`, in the effect's unit, arrays of shape (n,), or (variants, n) for
-        several variants of the parameters. The state of an effect on a current is its mean between a sample and the
-        next, because the voltage is held that long.
+        State of every effect that has one, in the effect's unit, by its index in `equations.instances`: shape (n,), or
+        (variants, n). It is the value at each sample, but for effects on a motor current the mean from the sample to
+        the next, because the current varies while the voltage is held.
     """
     states: dict[int, Array] = {}
     for k in equations.states:

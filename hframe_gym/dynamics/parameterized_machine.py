@@ -73,8 +73,8 @@ class ParameterizedMachine:
             name: Full name, for example "x.mass".
 
         Returns:
-            Value, SI: a float, an array of any shape or a symbolic expression, as given to the constructor. For a tied
-            parameter (`Machine.ties`), the factor times the value of the other parameter.
+            Value, SI: a float, an array of any shape or a symbolic expression, as given to the constructor. A tied
+            parameter (`Machine.ties`) is a factor times the value of another one.
 
         Raises:
             KeyError: If the machine has no such parameter.
@@ -91,7 +91,7 @@ class ParameterizedMachine:
 
     @cached_property
     def drives(self) -> list[Any]:
-        """Drives of the machine, in its order, with the parameter values of this object (see `machine.Drive`)."""
+        """Drives of the machine, in its order, as `machine.Drive` objects with the parameter values of this object."""
         return [self._with_values(d) for d in self.machine.drives]
 
     def _with_values(self, component: Coordinate | Drive) -> Any:
@@ -134,9 +134,9 @@ class ParameterizedMachine:
         return self._coordinates[i].mass / (self.radius(i) * self.radius(i))
 
     def coulomb(self, i: int) -> Value:
-        """Return the Coulomb friction force of a coordinate referred to its belt travel (radius * angle of a pulley).
+        """Return the Coulomb friction force of a coordinate along its belt travel (position, or radius * angle).
 
-        It is that of the nominal model, without effects (deviations from it).
+        Changes by effects (deviations from the nominal model) are not included.
 
         Args:
             i: Index of the coordinate in the machine, from 0.
@@ -147,14 +147,14 @@ class ParameterizedMachine:
         return self._coordinates[i].coulomb / self.radius(i)
 
     def viscous(self, i: int, direction: Value) -> Value:
-        """Return the viscous coefficient of a coordinate referred to its belt travel (radius * angle of a pulley).
+        """Return the viscous friction coefficient of a coordinate along its belt travel (position, or radius * angle).
 
-        The back-EMF of the drives and effects (deviations from the nominal model) are included.
+        The back-EMF of the drives and the effects (deviations from the nominal model) on friction are included.
 
         Args:
             i: Index of the coordinate in the machine, from 0.
-            direction: Direction of the motion in [-1, 1], dimensionless, float, array of any shape or expression;
-                matters only with an effect that depends on it.
+            direction: Direction of the motion in [-1, 1], dimensionless; float, array of any shape or expression. It
+                makes a difference only if an effect gives both directions different friction.
 
         Returns:
             Viscous coefficient b, Ns/m (that of a pulley divided by radius^2), of the same kind and shape.
@@ -182,45 +182,46 @@ class ParameterizedMachine:
     # -- effects ---------------------------------------------------------------------------------------------------
 
     def effects_at(self, hook: str, component: str) -> Iterator[tuple[int, AppliedEffect]]:
-        """Iterate over the effects (deviations from the nominal model) with a certain formula that act on a component.
+        """Yield the effects (deviations from the nominal model) on a component that have a certain formula.
 
         Args:
-            hook: Name of the formula, called hook, for example "voltage"; see `hframe_gym.machine.Effect`.
+            hook: Name of the formula, for example "voltage"; `hframe_gym.machine.Effect` lists these formulas
+                ("hooks").
             component: Name of a drive, belt, coordinate or sensor channel, for example "motor1".
 
         Yields:
-            Index of the effect in `instances` (the effects, once per component on which they act), and the effect.
+            Index of the effect in `instances` (all effects, once per component on which they act), and the effect.
         """
         for k, instance in enumerate(self.instances):
             if getattr(instance.effect.definition, hook) and instance.component == component:
                 yield k, instance.effect
 
     def effects_on(self, hook: str, i: int) -> Iterator[tuple[int, AppliedEffect]]:
-        """Iterate over the effects (deviations from the nominal model) with a certain formula that act on a coordinate.
+        """Yield the effects (deviations from the nominal model) on a coordinate that have a certain formula.
 
         Args:
-            hook: Name of the formula, called hook, for example "force"; see `hframe_gym.machine.Effect`.
+            hook: Name of the formula, for example "force"; `hframe_gym.machine.Effect` lists these formulas ("hooks").
             i: Index of the coordinate in the machine, from 0.
 
         Yields:
-            Index of the effect in `instances` (the effects, once per component on which they act), and the effect.
+            Index of the effect in `instances` (all effects, once per component on which they act), and the effect.
         """
         for k, instance in enumerate(self.instances):
             if getattr(instance.effect.definition, hook) and instance.coordinate == i:
                 yield k, instance.effect
 
     def evaluate(self, effect: AppliedEffect, hook: str, quantities: Mapping[str, Value]) -> Value:
-        """Evaluate a hook (formula) of an effect with the parameter values of this object.
+        """Evaluate a formula of an effect with the parameter values of this object.
 
         Args:
             effect: Effect of the machine (deviation from the nominal model, such as Stribeck friction).
-            hook: Name of the hook, for example "force".
-            quantities: Arguments of the hook that are not parameters of the effect, by symbol, for example position q
+            hook: Name of the formula, for example "force"; `hframe_gym.machine.Effect` lists these formulas ("hooks").
+            quantities: Arguments of the formula other than the effect's parameters, by symbol, for example position q
                 (m or rad) and speed v (m/s or rad/s): floats, arrays of one common shape (...) or symbolic expressions.
 
         Returns:
-            Value of the hook, shape (...), in the unit that `hframe_gym.machine.Effect` states, for example N or Nm for
-            "force".
+            Value of the formula, shape (...), in the unit that `hframe_gym.machine.Effect` states, for example N or Nm
+            for "force".
         """
         function = getattr(effect.definition, hook)
         return function(
@@ -255,17 +256,17 @@ class ParameterizedMachine:
         return point.speed[i] * self.per_radius(i)
 
     def effect_state(self, k: int, point: MotionPoint, **arguments: Value) -> Value:
-        """Return the state of an effect (such as a bristle deflection) at a point of a motion.
+        """Return the state of an effect, such as a bristle deflection or a motor current, at a point of a motion.
 
-        An effect is a deviation from the nominal model. If the point lies `point.elapsed` seconds after its effect
-        states, the state is advanced by that time.
+        An effect is a deviation from the nominal model. If the states in the point are older than the point itself
+        (`point.elapsed`, s), the state is advanced by this time.
 
         Args:
-            k: Index of the effect in `instances` (the effects, once per component on which they act).
-            point: Belt travel (radius * angle of a pulley), m, and its rate, m/s, of every coordinate, and states of
-                the effects.
-            **arguments: Coulomb friction force `level`, N or Nm, and current `i`, A, if its formula `next_state` takes
-                them; floats, arrays of one common shape (...) or symbolic expressions.
+            k: Index of the effect in `instances` (all effects, once per component on which they act).
+            point: Belt travel (position, or radius * angle of a pulley), m, and its rate, m/s, of every coordinate, and
+                states of the effects.
+            **arguments: Coulomb friction force `level`, N or Nm, or motor current `i`, A, if the effect's formula
+                `next_state` needs it; floats, arrays of one common shape (...) or symbolic expressions.
 
         Returns:
             State in the unit of the effect, shape (...); 0 for an effect without state.
@@ -308,18 +309,18 @@ class ParameterizedMachine:
         speed: Sequence[Value],
         dt: Value,
     ) -> Value:
-        """Return the state of an effect (such as a bristle deflection) after a step of the integrator.
+        """Return the state of an effect, such as a bristle deflection, after a step of the integrator.
 
         An effect is a deviation from the nominal model. Values are floats, arrays of one common shape (...) or symbolic
         expressions.
 
         Args:
-            k: Index of the effect in `instances` (the effects, once per component on which they act).
+            k: Index of the effect in `instances` (all effects, once per component on which they act).
             state: State before the step, in the unit of the effect, shape (...).
-            arguments: Coulomb friction force `level` (N or Nm) or current `i` (A), shape (...), from
-                `ForceBalance.arguments[k]`.
-            traveled: Change of the belt travel (radius * angle of a pulley) of each coordinate over the step, m, shape
-                (...) each.
+            arguments: Coulomb friction force `level` (N or Nm) or motor current `i` (A) if the effect needs it, shape
+                (...), from `ForceBalance.arguments[k]`; else empty.
+            traveled: Change of the belt travel (position, or radius * angle of a pulley) of each coordinate over the
+                step, m, shape (...) each.
             speed: Mean rate of the belt travel of each coordinate in the step, m/s, shape (...) each.
             dt: Length of the step, s, shape (...).
 

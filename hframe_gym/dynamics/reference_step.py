@@ -44,15 +44,15 @@ class StepState:
 
 
 def reference_step(equations: Equations, state: StepState, voltages: Sequence[float], h: float) -> StepState:
-    """Advance a machine by one step of the integrator, in plain Python.
+    """Advance a machine by one step of the integrator, in plain Python, as a reference for the compiled code.
 
-    The step is a symmetric splitting: forces at a half-way point and again at a corrected point (Takahashi and Imada
-    1984; Chin 1997), then the exact motion of each coordinate with viscous and Coulomb friction under this force.
+    The forces are evaluated half a step ahead and once more at a corrected point (Takahashi and Imada 1984; Chin 1997).
+    Then each coordinate moves exactly as this force, held constant, and viscous and Coulomb friction determine.
 
     Args:
         equations: Equations of motion of the machine, with floats as parameters.
-        state: Belt travel (radius * angle of a pulley), m, its rate, m/s, time, s, and states of effects (such as a
-            bristle deflection) before the step.
+        state: Belt travel (position, or radius * angle of a pulley), m, its rate, m/s, time, s, and states of effects
+            (such as a bristle deflection) before the step.
         voltages: Commanded voltage of each drive, V, constant over the step, one per drive.
         h: Length of the step, s.
 

@@ -1,4 +1,8 @@
-"""One compiled kernel for a machine with any selection of additive effects, so that a search compiles only once."""
+"""One compiled kernel for a machine with any selection of some effects, so that a search compiles only once.
+
+A kernel is the compiled code that simulates machines of one structure. It can be shared if the effects only add terms
+to the equations: with an amplitude of zero, the term vanishes.
+"""
 
 from __future__ import annotations
 
@@ -87,15 +91,15 @@ def _can_be_absent(effect: AppliedEffect) -> bool:
 
 
 def share_kernel(machine: Machine, effects: Sequence[AppliedEffect]) -> None:
-    """Prepare one kernel (compiled simulation code) that can simulate a machine with any selection of some effects.
+    """Prepare one kernel, the compiled simulation code, for a machine with any selection of some further effects.
 
-    `rollout_kernel` then finds it. A search that tries many effects one at a time compiles once instead of once per
-    effect. Simulations are the same to the bit. Effects that do not merely add a term (delays, belts, structural
-    effects) are left out.
+    A search that tries many effects one at a time then compiles once, and not once per effect; `rollout_kernel` finds
+    the shared kernel. Effects that are not selected get the amplitude zero, which leaves simulations the same to the
+    bit. This does not hold for delays and for effects that change belts or structure; they are left out.
 
     Args:
         machine: Machine with the effects (deviations from the nominal model) that it has already.
-        effects: Further effects that it may have, one each or several.
+        effects: Further effects that may be added to it, alone or in any combination.
     """
     additional = [effect for effect in effects if _can_be_absent(effect)]
     if additional:
@@ -105,19 +109,22 @@ def share_kernel(machine: Machine, effects: Sequence[AppliedEffect]) -> None:
 def rollout_kernel(
     machine: Machine, parameters: NDArray[np.float64], start: NDArray[np.float64], *, forced: bool
 ) -> tuple[Kernel, NDArray[np.float64], NDArray[np.float64]]:
-    """Return compiled functions that simulate a machine, and its parameters and states in their layout.
+    """Return compiled functions that simulate a machine, with parameters and initial states arranged for them.
+
+    The functions may be shared with machines that have more effects (see `share_kernel`), so that their arrays can have
+    more parameters and states than the machine.
 
     Args:
         machine: The machine.
         parameters: P parameters in the order of `Machine.parameters`, SI, shape (B, P) for B variants of the machine.
-        start: Positions, velocities and effect states at the first sample, shape (B, 2 * coordinates + effect states).
+        start: Belt travel (position, or radius * angle of a pulley), m, its rate, m/s, and states of effects at the
+            first sample, shape (B, 2 * coordinates + effect states).
         forced: Whether an external force must be possible.
 
     Returns:
-        kernel: Compiled functions for machines of this shape if they exist, else those of `share_kernel`, else new
-            ones.
-        parameters: In the order of the kernel's layout, SI, shape (B, parameters of the kernel).
-        start: With the states of the kernel's effects, shape (B, states of the kernel - 1); time is the missing one.
+        kernel: Functions generated for this machine if they exist, else shared ones, else newly generated ones.
+        parameters: SI, shape (B, parameters of the kernel).
+        start: As `start`, with the effect states of the kernel.
     """
     if not is_generated(machine, forced=forced):
         for shared in reversed(_SHARED):

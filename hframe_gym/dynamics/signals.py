@@ -48,8 +48,7 @@ class SignalEquations(ParameterizedMachine):
             positions: Position of each coordinate, m or rad, in the machine's order, shape (...) each.
 
         Returns:
-            Reading of every sensor with the effects on it (scale, skew, ...), m or rad, in the machine's order, shape
-            (...) each.
+            Reading of every sensor, m or rad, in the machine's order, shape (...) each.
         """
         names = self.machine.coordinate_names
         readings = []
@@ -71,7 +70,7 @@ class SignalEquations(ParameterizedMachine):
         return readings
 
     def voltage_delays(self) -> list[Value]:
-        """Return the delay from commanded to applied voltage of each drive: the sum of the drive's modeled delays.
+        """Return the delay of each drive from commanded to applied voltage: the sum of the delays that effects declare.
 
         Returns:
             Delay of each drive, s, in the machine's order, 0 without delay: floats, arrays of any shape or expressions.
@@ -79,7 +78,7 @@ class SignalEquations(ParameterizedMachine):
         return [self._delay("delay", d.name) for d in self.machine.drives]
 
     def measurement_delays(self) -> list[Value]:
-        """Return by how much the measurement of each sensor is late: the sum of the sensor's modeled delays.
+        """Return the delay of each sensor's measurement: the sum of the delays that effects declare.
 
         Returns:
             Delay of each sensor, s, in the machine's order, 0 without delay: floats, arrays of any shape or

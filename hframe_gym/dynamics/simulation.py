@@ -1,4 +1,4 @@
-"""Simulation of machines over recordings, one machine or a batch of one shape."""
+"""Simulation of machines over voltage histories: one machine, or a batch of machines with the same structure."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class NotFiniteError(ArithmeticError):
 
 
 def threads() -> int:
-    """Return the number of threads that simulate a batch of machines.
+    """Return the number of threads over which the simulation of a batch of machines is distributed.
 
     Returns:
         `$HFRAME_THREADS` if it is set (at least 1), else the number of cores that this process may use.
@@ -54,10 +54,13 @@ def _cores(process: int) -> int:
 def in_parallel(run: Callable[[int, int], None], blocks: int) -> None:
     """Process blocks of machines in several threads; return when all are done.
 
+    A block is a group of `LANES` machines that the processor simulates side by side.
+
     Args:
-        run: Function (first, end) that processes the blocks first..end-1. It must release the interpreter lock to run
-            in parallel, and blocks must not depend on each other. Its exceptions are raised here.
-        blocks: Number of blocks. A block is `LANES` machines that one SIMD register holds side by side.
+        run: Function (first, end) that processes the blocks first to end - 1. It is called in several threads at once
+            with different ranges; to gain speed, it must release Python's global interpreter lock. Its exceptions are
+            raised here.
+        blocks: Number of blocks.
     """
     count = min(threads(), blocks)
     if count <= 1:
@@ -78,7 +81,7 @@ def _pool(process: int, workers: int) -> ThreadPoolExecutor:
 
 
 def parameter_batch(machine: Machine, changes: dict[str, Array] | None = None) -> Array:
-    """Return the parameters of B variants of a machine as a table.
+    """Return the parameters of B variants of a machine as an array.
 
     Args:
         machine: Machine with the nominal parameters.
@@ -86,7 +89,7 @@ def parameter_batch(machine: Machine, changes: dict[str, Array] | None = None) -
             and B = 1.
 
     Returns:
-        SI values of the P parameters in the order of `Machine.parameters`, shape (B, P).
+        Values of the P parameters in the order of `Machine.parameters`, SI, shape (B, P).
 
     Raises:
         ValueError: If the machine has no parameter of a given name, or the arrays differ in length.
@@ -129,30 +132,29 @@ def simulate_batch(
     readings: bool = True,
     parallel: bool = True,
 ) -> Motion:
-    """Simulate B machines with the same structure (`Machine.shape`) and n samples; arrays are not validated.
+    """Simulate B machines of the same structure (`Machine.shape`) over n samples; arguments are not checked.
 
     Args:
         machine: Machine that gives the structure and the default parameters.
-        time_s: Sample times of n samples, s, strictly increasing, shape (n,).
+        time_s: Sample times, s, strictly increasing, shape (n,).
         inputs: Voltages, V, held from each sample until the next, shape (n, drives) for all machines or (B, n, drives).
         parameters: P parameters in the order of `Machine.parameters`, SI, shape (B, P). Default: those of the machine.
         start: Positions, then velocities, at the first sample, in the coordinates' units, shape (2 * coordinates,) or
-            (B, 2 * coordinates); further columns are the states of the effects in their order. Default: at rest, and
-            zero.
+            (B, 2 * coordinates). Further columns are the states of the effects in their order (default: zero). Default:
+            at rest at the origin.
         extra_force: External force, N or Nm, held like `inputs`, shape (n, coordinates) or (B, n, coordinates).
-        measured: Measurements for output injection in the channels' units, shape (n, sensors) or (B, n, sensors), NaN
-            where not measured. Default: none.
-        gains: Gains of the output injection (observer feedback) in the coordinates' units per unit of the channel,
-            shape (2 * coordinates, sensors): at every sample state += gains @ (measured - reading). None: no injection.
+        measured: Measurements that correct the simulation (observer), in the channels' units, shape (n, sensors) or (B,
+            n, sensors), NaN where not measured.
+        gains: Observer gains, in the coordinates' units per unit of the channel, shape (2 * coordinates, sensors): at
+            every sample the correction of positions and velocities is gains @ (measured - reading). None: zero.
         longest_step: Largest step of the integrator, s.
         states: Whether to return positions and velocities.
         readings: Whether to return sensor readings.
-        parallel: Whether to distribute the batch over threads; not where the caller runs several batches in parallel.
+        parallel: Whether to distribute the machines over threads; False if the caller does so.
 
     Returns:
-        `Motion`: positions, shape (B, n, coordinates), velocities, of the same shape, and noise-free readings, shape
-        (B, n, sensors), in the coordinates' and channels' units; empty where not requested. Motions that diverged
-        contain NaN or large values.
+        `Motion`: positions and velocities, shape (B, n, coordinates), and noise-free readings, shape (B, n, sensors),
+        in the coordinates' and channels' units; empty where not requested. Diverged motions have NaN or large values.
     """
     parameters = parameter_batch(machine) if parameters is None else parameters
     # The compiled functions work in belt travel: position * radius.
@@ -212,7 +214,7 @@ def _run_kernel(
 
 
 def rollout(machine: Machine, time_s: Array, inputs: Array, *, velocities: bool = False, **options: Any) -> Array:
-    """Simulate B machines with the same structure at n samples, and return positions without sensor readings.
+    """Simulate B machines of the same structure over n samples, without sensors; see `simulate_batch`.
 
     Args:
         machine: Machine that gives the structure (`Machine.shape`) and the default parameters.
@@ -247,13 +249,13 @@ def simulate(
         inputs: Drive voltages, V, shape (n, drives).
         initial: Positions (m, rad), then velocities (m/s, rad/s), at the first sample, shape (2 * coordinates,);
             further values are the states of the effects in their order. Default: at rest at the origin with unstretched
-            belts, and zero.
-        offset: Zero offset that is added to the outputs, in the sensors' units, shape (sensors,) or one number.
+            belts. States that are not given are zero.
+        offset: Constant that is added to the readings of each sensor, in its unit, shape (sensors,) or one number.
         longest_step: Largest step of the integrator, s.
 
     Returns:
-        Trajectory with `positions` and `velocities`, shape (n, coordinates), and sensor readings `outputs`, shape
-        (n, sensors), at every sample, in m or rad.
+        Trajectory with `positions` and `velocities`, shape (n, coordinates), and sensor readings `outputs`, shape (n,
+        sensors), at every sample, in m or rad.
 
     Raises:
         ValueError: If the shapes do not fit the machine, times do not increase or span more than `MOST_STEPS` steps, or

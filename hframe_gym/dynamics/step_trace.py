@@ -1,4 +1,4 @@
-"""Traces one step of the integrator: the generated function `advance`, which all simulations spend their time in.
+"""Generate by tracing the function `advance`, the steps of the integrator, in which simulations spend their time.
 
 One step of length h, from travel q and speed v (`reference_step` is the same algorithm in plain Python):
 
@@ -29,15 +29,15 @@ if TYPE_CHECKING:
 
 
 def row_name(component: str, index: int, key: str) -> str:
-    """Return the name of a constant in `Layout.derived`.
+    """Return the key under which `Layout.derived` holds the array row of a constant of the integrator step.
 
     Args:
         component: "coordinate", "drive" or "belt".
-        index: Index of the component.
-        key: Name of the constant, for example "decay".
+        index: Index of the coordinate, drive or belt in the machine, from 0.
+        key: Name of the constant, for example "decay", the factor exp(-b h / m).
 
     Returns:
-        Name, for example "coordinate_0.decay".
+        Key, for example "coordinate_0.decay".
     """
     return f"{component}_{index}.{key}"
 

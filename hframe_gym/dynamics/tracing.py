@@ -1,9 +1,9 @@
-"""Traced expressions: values that record what is computed with them.
+"""Traced expressions: symbolic values that record which operations are applied to them.
 
-A `Trace` records one function of a simulation kernel (generated code). Its values are `Expression`s; arithmetic on them
-and the functions of `elementwise` add nodes to a graph in which equal nodes exist only once.
-`expressions.function_source` writes the graph as source text. Identifiers are made of fixed words and numbers only: no
-name of a machine file reaches generated text.
+A `Trace` is the record of one function that is to be generated for a simulation kernel. The equations are evaluated
+once with `Expression`s instead of numbers. Arithmetic and the functions of `elementwise` add expressions to the record,
+where equal ones exist only once; `expressions.function_source` then writes the function as source text. Names in this
+text are made of fixed words and numbers only: no name of a machine file gets into generated code.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from .expressions import Expression, Statement, simplified
 
 
 class Trace:
-    """Recorder of one function of the generated simulation code: its expressions and statements.
+    """Record of one function that is to be generated: its expressions and statements.
 
     Args:
         signature: Name and arguments of the function, for example "prepare(parameters, derived, h)".
 
     Attributes:
         statements: Statements of the function, in order.
-        names: Identifier in the source text of each expression that has one.
+        names: Name in the source text of each expression that has one.
     """
 
     def __init__(self, signature: str) -> None:
@@ -41,7 +41,9 @@ class Trace:
     # -- values ----------------------------------------------------------------------------------------------------
 
     def node(self, operation: str, *operands: Any) -> Expression:
-        """Return the expression of an operation in the traced function, simplified where that is exact (x * 1 to x).
+        """Return the expression of an operation in the generated function.
+
+        The operation is simplified if the result is exactly the same, for example x * 1 to x.
 
         Args:
             operation: Operator such as "+" or "neg", or name of a function such as "sin".
@@ -66,13 +68,13 @@ class Trace:
         return self._nodes[key]
 
     def expression(self, value: Any) -> Expression:
-        """Convert a value to an expression.
+        """Convert a number to an expression of the generated function; return an expression unchanged.
 
         Args:
             value: Expression of this trace, or a number.
 
         Returns:
-            The expression itself, or an expression of the number.
+            The expression.
 
         Raises:
             ValueError: If the number is not finite.
@@ -86,23 +88,25 @@ class Trace:
         return self._unique("number", (repr(number),), invariant=True)
 
     def argument(self, name: str) -> Expression:
-        """Return the expression of a scalar argument of the traced function, for example the step length h.
+        """Return the expression of a scalar argument of the generated function, for example the step length h.
 
         Args:
-            name: Name of the argument in the signature.
+            name: Name of the argument in the function's signature.
 
         Returns:
-            Variable that the function does not change, so that it has the same value in all steps of the loop.
+            Variable that is constant: the function never assigns a new value to it.
         """
         return self._unique("variable", (name, 0), invariant=True)
 
     def load(self, array: str, row: int | str, name: str, *, invariant: bool = True) -> Expression:
-        """Return the expression of one row of an array argument of the traced function (one value per machine).
+        """Return the expression that loads one row of an array argument of the generated function.
+
+        A row holds one quantity of `LANES` machines, which are computed together.
 
         Args:
-            array: Name of the argument in the signature; array of shape (rows, LANES), one machine per column.
+            array: Name of the argument in the function's signature; an array of shape (rows, LANES).
             row: Index of the row, as a number or as source text such as "step * 2 + 0".
-            name: Identifier of the value in the source text; empty to write the load where the value is used.
+            name: Name of the value in the source text. If it is empty, the text loads the row where it uses the value.
             invariant: Whether the row is the same in all steps of the integration loop.
 
         Returns:
@@ -114,12 +118,12 @@ class Trace:
         return value
 
     def let(self, role: str, index: int | None, value: Expression) -> Expression:
-        """Give an expression an identifier, and compute it at this place of the generated function.
+        """Give an expression a name in the generated source text, and compute it at this point of the text.
 
         Args:
-            role: First part of the identifier, for example "tension". The prefix of the section precedes it.
+            role: First part of the name, for example "tension"; `section` may put a prefix before it.
             index: Second part: index of the coordinate, belt, drive, sensor or effect; None for no second part.
-            value: Expression to name. Numbers, variables and expressions that have an identifier remain as they are.
+            value: Expression to name. Numbers, variables and expressions that have a name already are left unchanged.
 
         Returns:
             The same expression.
@@ -137,7 +141,7 @@ class Trace:
     # -- statements ------------------------------------------------------------------------------------------------
 
     def variable(self, role: str, index: int | None, value: Expression) -> Expression:
-        """Append the definition of a variable with an initial value to the generated function; `assign` changes it.
+        """Append a statement that creates a variable to the generated function; `assign` changes it later.
 
         Args:
             role: First part of the variable's name, for example "speed".
@@ -145,22 +149,22 @@ class Trace:
             value: Initial value.
 
         Returns:
-            Expression of the variable in its first version.
+            Expression of the variable with its initial value.
         """
         variable = self._unique("variable", (self._identifier(role, index), 0), invariant=False)
         self._block.append(Statement(f"{variable.operands[0]} = {{}}", (value,), (variable,)))
         return variable
 
     def call(self, function: str, *arguments: Any, results: Sequence[tuple[str, int | None]]) -> list[Expression]:
-        """Append a call of a function that returns a tuple of several values to the generated function.
+        """Append a statement to the generated function that calls a function with several return values.
 
         Args:
-            function: Name of the function in the generated module.
+            function: Name of the called function in the generated module.
             *arguments: Arguments of the call: expressions of this trace, and finite numbers.
-            results: Name of the variable for each returned value, as two parts: role ("speed") and index, or None.
+            results: For each returned value, the name of its variable in two parts: role ("speed") and index, or None.
 
         Returns:
-            One variable per returned value.
+            One variable per returned value, in the same order.
         """
         variables = [self._unique("variable", (self._identifier(*name), 0), invariant=False) for name in results]
         values = tuple(map(self.expression, arguments))
@@ -169,14 +173,14 @@ class Trace:
         return variables
 
     def assign(self, variable: Expression, value: Expression) -> Expression:
-        """Append an assignment of a new value to a variable of the generated function.
+        """Append an assignment to the generated function: a variable gets a new value.
 
         Args:
-            variable: Latest version of the variable.
+            variable: Latest expression of the variable.
             value: Expression of the new value.
 
         Returns:
-            The new version, which later expressions must use.
+            Expression of the variable with the new value. Use only this one afterwards: the previous one is outdated.
         """
         name, version = variable.operands
         changed = self._unique("variable", (name, version + 1), invariant=False)
@@ -184,11 +188,11 @@ class Trace:
         return changed
 
     def store(self, array: str, row: int, value: Any) -> None:
-        """Append a statement that writes a value to a row of an array argument.
+        """Append a statement to the generated function that writes a value to a row of an array argument.
 
         Args:
-            array: Name of an array argument of the generated function, shape (rows, LANES) with one machine per column;
-                LANES is the number of machines that are computed together.
+            array: Name of the argument in the function's signature; an array of shape (rows, LANES) with one machine
+                per column, where LANES is the number of machines that are computed together.
             row: Index of the row.
             value: Expression, or a finite number for all machines.
 
@@ -199,7 +203,7 @@ class Trace:
         self._block.append(Statement(f"store({array}, {row}, {{}})", (value,)))
 
     def line(self, text: str) -> None:
-        """Append one line of source code to the current block of the generated function, unchanged.
+        """Append one line of source text to the generated function, inside the present block.
 
         Args:
             text: Source text without indentation and line break.
@@ -208,11 +212,13 @@ class Trace:
 
     @contextlib.contextmanager
     def section(self, comment: str, prefix: str = "") -> Iterator[None]:
-        """Append a comment, and give a prefix to all identifiers that are assigned in the `with` block.
+        """Append a comment to the generated function; names that are given inside the `with` block get a prefix.
+
+        The prefix distinguishes quantities that are computed more than once.
 
         Args:
             comment: Text of the comment, without "#".
-            prefix: Prefix of the identifiers, for example "half_".
+            prefix: Prefix of the names, for example "half_" for forces in the middle of a step.
 
         Yields:
             None.
@@ -224,12 +230,12 @@ class Trace:
 
     @contextlib.contextmanager
     def block(self, head: str, *values: Expression, loop: bool = False) -> Iterator[None]:
-        """Append a compound statement to the generated function; the `with` block appends its indented body.
+        """Append an `if`, `while` or `for` statement to the generated function; the `with` block appends its body.
 
         Args:
-            head: First line such as "if any_of({}):", with "{}" for each value.
+            head: First line, for example "if any_of({}):", with "{}" in place of each value.
             *values: Expressions in that line.
-            loop: Whether the compound statement is a loop.
+            loop: Whether values that are the same in all steps may be computed before the statement.
 
         Yields:
             None.
@@ -245,10 +251,12 @@ class Trace:
     def update_if_any(
         self, condition: Expression, values: Sequence[Any], update: Callable[[Sequence[Any]], Sequence[Any]]
     ) -> list[Expression]:
-        """Append a block `if any_of(condition):` that updates values; it is skipped where no machine needs the update.
+        """Append a block `if any_of(condition):` that updates some values to the generated function.
+
+        Several machines are computed together. The block is skipped if the condition is false for all of them.
 
         Args:
-            condition: Expression of a condition, one truth value per machine (SIMD lane).
+            condition: Expression of a condition, one truth value per machine.
             values: Expressions and numbers to update.
             update: Function from the values to the new values; it must change nothing where the condition is false.
 
@@ -261,12 +269,12 @@ class Trace:
 
 
 def first_of(conditions: Sequence[Any], values: Sequence[Any], otherwise: Any) -> Any:
-    """Select for every machine the value that belongs to the first of some conditions that holds.
+    """Return the expression that selects, for every machine, the value of the first condition that is true.
 
     Args:
-        conditions: Expressions of conditions, one truth value per machine (SIMD lane).
-        values: Expression or number for each condition; further ones are ignored.
-        otherwise: Expression or number for machines where no condition holds.
+        conditions: Expressions of conditions, one truth value per machine.
+        values: Expression or number for each condition; surplus ones are ignored.
+        otherwise: Expression or number for machines where no condition is true.
 
     Returns:
         Expression of the selected values; `otherwise` itself without conditions.

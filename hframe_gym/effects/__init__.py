@@ -59,7 +59,7 @@ def unregister_effect(name: str) -> None:
 
 
 def get_effect(name: str) -> Effect:
-    """Return the definition of an effect by its name; load the installed plugins if the library does not have it.
+    """Return the definition of an effect by its name; plugins are loaded if the name is not registered yet.
 
     Args:
         name: A name in `EFFECTS`, or that of a tabulated effect such as "smooth_force[position of y]".
@@ -76,16 +76,16 @@ def get_effect(name: str) -> Effect:
 
 
 def effect_sites(effect: Effect, machine: Machine) -> tuple[str, ...]:
-    """Return the sites of a machine at which a search tries an effect.
+    """Return the sites, the components of a machine, at which an identification tries an effect.
 
     Args:
         effect: Definition of the effect.
         machine: The machine.
 
     Returns:
-        Names of coordinates, drives, belts or sensor channels, and the words "drives", "belts" (all of them at once)
-        and "machine", by the kind of the effect. A word precedes the names. Empty if the effect cannot act on the
-        machine.
+        Names of coordinates, drives, belts or sensor channels, depending on the kind of the effect. The word "drives",
+        "belts" or "machine" stands for all of them at once; it precedes the names. Empty if the effect cannot act on
+        the machine.
     """
     if effect.fits and not effect.fits(machine):
         return ()

@@ -15,8 +15,8 @@ def next_state(z, dq, L):  # type: ignore[no-untyped-def]
 
     Args:
         z: State before, from -1 to 1.
-        dq: Distance moved, m.
-        L: Characteristic distance, m.
+        dq: Distance moved, m or rad.
+        L: Characteristic distance, m or rad.
 
     Returns:
         State after, from -1 to 1.

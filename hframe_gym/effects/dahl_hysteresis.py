@@ -14,8 +14,8 @@ def next_state(z, dq, L):  # type: ignore[no-untyped-def]
 
     Args:
         z: State before, from -1 to 1.
-        dq: Distance moved, m.
-        L: Characteristic distance, m.
+        dq: Distance moved, m or rad.
+        L: Characteristic distance, m or rad.
 
     Returns:
         State after, from -1 to 1.
@@ -25,7 +25,7 @@ def next_state(z, dq, L):  # type: ignore[no-untyped-def]
 
 
 def force(z, F):  # type: ignore[no-untyped-def]
-    """Return the force -F z, N; z: state from -1 to 1, F: largest force, N."""
+    """Return the force -F z, N or Nm; z: state from -1 to 1, F: largest force, N or Nm."""
     return -F * z
 
 

@@ -66,7 +66,7 @@ class Coordinate:
         viscous: Viscous friction coefficient, Ns/m or Nms.
         coulomb: Coulomb friction force, N, or torque, Nm.
         kind: "linear" (a carriage) or "rotary" (a pulley).
-        radius: Radius of the pulley, m. A linear coordinate ignores it.
+        radius: Pitch radius of the pulley, m. It has no meaning for a linear coordinate.
         range: Lowest and highest position, m or rad. None if the coordinate is not limited.
     """
 
@@ -82,15 +82,16 @@ class Coordinate:
 
     @property
     def travel_per_unit(self) -> float:
-        """Belt travel per unit of position: the radius, m/rad, of a pulley, and 1 for a linear coordinate."""
+        """Belt travel per unit of position: for a pulley its radius, m/rad; for a linear coordinate 1."""
         return self.radius if self.kind == "rotary" else 1.0
 
     def unit(self, quantity: str) -> str:
-        """Return the unit of a quantity of this coordinate.
+        """Return the unit of a quantity that refers to this coordinate; it depends on the kind, linear or rotary.
 
         Args:
-            quantity: "mass", "viscous", "coulomb" or "radius" (parameters of the coordinate), or a key of `UNITS`:
-                "position", "speed", "force", "stiffness", "drag" or "rad/position".
+            quantity: A parameter of the coordinate ("mass", "viscous", "coulomb" or "radius"), or a key of `UNITS`:
+                "position", "speed", "force", "stiffness", "drag" (force per squared speed), "rad/position" (of a gear
+                ratio).
 
         Returns:
             The unit, for example "kg m^2" for the mass of a rotary coordinate.
@@ -164,22 +165,26 @@ class Drive:
 
     @property
     def gain(self) -> float:
-        """Force or torque on the coordinate per volt at standstill, gear_ratio * Kt / R, N/V or Nm/V."""
+        """Force (N/V) or torque (Nm/V) on the coordinate per volt, at standstill: gear_ratio * Kt / resistance."""
         return self.gear_ratio * self.Kt / self.resistance
 
     @property
     def emf_constant(self) -> float:
-        """Back-EMF per speed of the coordinate (not of the motor shaft), gear_ratio * Ke, Vs/m or Vs/rad."""
+        """Back-EMF per speed of the coordinate (not of the motor shaft): gear_ratio * Ke, Vs/m or Vs/rad."""
         return self.gear_ratio * self.Ke
 
     @property
     def back_emf(self) -> float:
-        """Viscous coefficient that the back-EMF adds to the coordinate, gear_ratio^2 * Kt * Ke / R, Ns/m or Nms."""
+        """Viscous friction coefficient equivalent to the back-EMF: gear_ratio^2 * Kt * Ke / resistance, Ns/m or Nms."""
         return self.gain * self.emf_constant
 
     @property
     def device_parameters(self) -> dict[str, float]:
-        """Data of the converter by name: `converter_bits` (bits), `voltage_range` (V; default: the rated voltage)."""
+        """Parameters of the digital-to-analog converter by name.
+
+        `converter_bits` (number of bits, 0 for a continuous voltage) and `voltage_range` (V; by default the rated
+        voltage).
+        """
         limit = self.rated_voltage if self.voltage_range is None else self.voltage_range
         return {"converter_bits": self.converter_bits, "voltage_range": limit}
 
@@ -198,15 +203,15 @@ class SensorKind:
 
     @staticmethod
     def measure(reading: Array, noise: ArrayLike, resolution: ArrayLike, normal: ArrayLike) -> Array:
-        """Add noise to ideal readings and round them to the resolution.
-
-        All arguments broadcast against each other; the unit is that of the sensor, m or rad.
+        """Convert ideal readings to measurements: add noise, then round to the resolution.
 
         Args:
             reading: Ideal (noise-free, continuous) readings, m or rad, any shape.
             noise: Standard deviation of the noise, m or rad, of a shape that broadcasts.
-            resolution: Quantum of the sensor, m or rad, of a shape that broadcasts; 0 for a continuous sensor.
-            normal: Samples of the standard normal distribution, dimensionless, of a shape that broadcasts.
+            resolution: Quantization step of the sensor, m or rad, of a shape that broadcasts; 0 for a continuous
+                sensor.
+            normal: Samples of the standard normal distribution, dimensionless, of a shape that broadcasts; they are
+                multiplied by `noise`.
 
         Returns:
             Measured values, m or rad, in the broadcast shape of the four arguments.
@@ -239,12 +244,12 @@ class Sensor:
         channel: Column of the recordings that holds the measurement, for example x_m or phi1_rad.
         row: Coefficient of each coordinate. A key may be a product, "y*yaw": its coefficient multiplies both positions.
         noise: Standard deviation of the noise, in the channel's unit.
-        resolution: Quantum, in the channel's unit; 0 for a continuous sensor.
+        resolution: Quantization step, in the channel's unit; 0 for a continuous sensor.
         kind: Name in `SENSOR_KINDS`: "encoder" (incremental), "laser" (fixed zero) or a kind that a user registered.
-        zero: Measurement of an incremental sensor at position 0, in the channel's unit, if it kept this zero over the
+        zero: Measurement of an incremental sensor at position 0, in the channel's unit, if it was the same in all
             recordings from which the machine was identified. None: unknown.
-        zero_std: Standard deviation by which belts that were stretched at rest scattered the measurements of that zero
-            from recording to recording, in the channel's unit. None: less than the sensor resolves.
+        zero_std: Standard deviation of the measured zero from recording to recording, in the channel's unit; friction
+            can hold the belts stretched at rest, which shifts it. None: less than the sensor resolves.
     """
 
     channel: str
@@ -257,17 +262,21 @@ class Sensor:
 
     @property
     def incremental(self) -> bool:
-        """Whether the sensor counts increments from its position at power-on, so that its zero is unknown."""
+        """Whether the sensor counts increments from where it was switched on; its zero is then unknown."""
         return SENSOR_KINDS.get(self.kind).incremental
 
     @property
     def coordinate(self) -> str:
-        """Name of the coordinate that has the largest absolute coefficient in `row`; products are ignored."""
+        """Name of the coordinate with the largest absolute coefficient in `row`; products ("y*yaw") are ignored."""
         return max((name for name in self.row if "*" not in name), key=lambda name: abs(self.row[name]))
 
     @property
     def device_parameters(self) -> dict[str, float]:
-        """Accuracy by name: `noise` (standard deviation) and `resolution` (quantum), in the channel's unit."""
+        """Noise and resolution of the sensor by name.
+
+        `noise` (standard deviation) and `resolution` (quantization step, 0 for a continuous sensor), in the channel's
+        unit.
+        """
         return {"noise": self.noise, "resolution": self.resolution}
 
 

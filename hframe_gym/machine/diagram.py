@@ -1,4 +1,4 @@
-"""Draw a machine with matplotlib (extra `report`): plan view, and the factors between coordinates and components."""
+"""Draw a machine with matplotlib (extra `report`): its plan view, and a table of its coefficients."""
 
 from __future__ import annotations
 
@@ -19,19 +19,20 @@ _MIN_ROWS = 10  # of the table, so that few rows are not drawn higher
 
 
 def draw_machine(machine: Machine) -> Any:
-    """Draw a machine: its plan view, if its tool has one or two axes, and a table of all factors.
+    """Draw a machine: a plan view, and a table of its coefficients.
 
-    The table has a row for each belt, drive and sensor and a column for each coordinate. A belt's cell is its extension
-    per travel of the coordinate, a drive's the force or torque per volt, a sensor's the coefficient.
+    The plan view is drawn if the tool has one or two axes. The table has a column for each coordinate and a row for
+    each belt (extension per travel of the coordinate, m/m), drive (force or torque per volt, N/V or Nm/V) and sensor
+    (coefficient of the coordinate in the reading).
 
     Args:
         machine: Machine to draw.
 
     Returns:
-        Figure of matplotlib; `savefig` writes it.
+        Figure of matplotlib; its method `savefig` writes a file.
 
     Raises:
-        ImportError: If matplotlib is missing; the message names the extra.
+        ImportError: If matplotlib is missing; the message says how to install it.
     """
     try:
         from matplotlib.figure import Figure

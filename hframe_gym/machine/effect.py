@@ -1,11 +1,10 @@
-"""Effects: formulas at a site of a machine that the declared model may lack.
+"""Effects: physical phenomena (friction, delay, ...) that the basic model of a machine lacks, as formulas.
 
-An `Effect` is a definition (one file of `hframe_gym.effects`). An `AppliedEffect` is a definition at a site with
-parameter values. The docstring of `Effect` lists the formulas (hooks) that a definition may give.
-
-Formulas use the elementary functions of `hframe_gym.dynamics.elementwise`, so that one definition serves NumPy arrays,
-the compiled simulation kernel (generated code) and CasADi. They may call helper functions and use constants of their
-module.
+An `Effect` is a definition (one file of `hframe_gym.effects`), an `AppliedEffect` a definition at a site (the component
+on which it acts) with parameter values. The docstring of `Effect` lists the formulas that a definition may give. They
+are called hooks, because the simulation calls each at a fixed point of its equations. Hooks use the elementary
+functions of `hframe_gym.dynamics.elementwise`, so that one definition serves NumPy arrays, the compiled simulation
+kernel (generated code) and CasADi. They may call helper functions and use constants of their module.
 """
 
 from __future__ import annotations
@@ -53,15 +52,16 @@ class EffectParameter:
         unit: Unit, or a key of `machine.UNITS` ("force", "position", ...) if it follows the kind of the coordinate.
         lower: Lower bound, SI.
         upper: Upper bound, SI.
-        scale: Typical size of the parameter, relative to the typical value of its unit on the machine (for example
-            the Coulomb friction for N).
+        scale: Typical size of the parameter, relative to the typical value of its unit on the machine (for example the
+            Coulomb friction for N).
         grid: Initial values of a search, relative to the same typical value.
         largest: Largest value that a search may give the parameter, relative to the same typical value. Beyond it the
-            effect cannot be told from another one: a hysteresis over a distance that the motion hardly covers is a
-            spring.
-        role: "amplitude" is zero where the effect is absent. "phase" shifts the sine of the amplitude, so that both
-            together are linear. "period" (m or rad) and "rate" (rad per position) are searched on a grid that follows
-            from the distance traveled. "fixed" is not fitted. "shape" is everything else.
+            effect cannot be distinguished from another one: a hysteresis that extends over a longer distance than the
+            motion acts as a spring.
+        role: What the parameter does. "amplitude": with the value zero the effect is absent. "phase" shifts the sine of
+            the amplitude, so that both together are linear. "period" (m or rad) and "rate" (rad per position) are
+            searched on a grid that follows from the distance traveled. "fixed" is not fitted. "shape" is everything
+            else.
     """
 
     name: str
@@ -75,7 +75,7 @@ class EffectParameter:
 
     @property
     def amplitude(self) -> bool:
-        """Whether the value zero of this parameter means that the effect (deviation from the model) is absent."""
+        """Whether the effect (deviation from the nominal model) is absent when this parameter is zero."""
         return self.role == "amplitude"
 
 
@@ -170,7 +170,7 @@ class Effect:
     coordinate: str = ""
 
     def parameter(self, name: str) -> EffectParameter:
-        """Return the declaration (unit, bounds, role) of one parameter of the effect (deviation from the model).
+        """Return the declaration of one parameter of the effect (deviation from the nominal model): unit, bounds, role.
 
         Args:
             name: Name of the parameter, for example "A".
@@ -187,15 +187,16 @@ class Effect:
         raise KeyError(f"effect {self.name!r} has no parameter {name!r}")
 
     def possible_sites(self, machine: Machine) -> tuple[str, ...]:
-        """Return the sites of this effect's kind on a machine, without a check that the effect fits there.
+        """Return the sites, components of a machine, at which an effect of this kind could act.
 
-        A site is the component on which an effect (deviation from the nominal model) acts.
+        The list follows from the attribute `site` alone; `fits` and `fits_site` are not evaluated.
 
         Args:
             machine: Machine whose components are listed.
 
         Returns:
-            Names of coordinates, drives, belts or sensor channels, and the words "drives", "belts" or "machine".
+            Names of coordinates, drives, belts or sensor channels. "drives" and "belts" stand for all drives or belts
+            at once, "machine" for the whole machine.
         """
         drives = tuple(d.name for d in machine.drives)
         return {
@@ -210,17 +211,17 @@ class Effect:
 
     @property
     def amplitudes(self) -> tuple[str, ...]:
-        """Names of the parameters whose value zero means that the effect (deviation from the model) is absent."""
+        """Names of the parameters that are zero where the effect (deviation from the nominal model) is absent."""
         return tuple(p.name for p in self.parameters if p.amplitude)
 
     def at(self, site: str, **parameters: float) -> AppliedEffect:
-        """Combine the effect (deviation from the nominal model) with a site of a machine and with parameter values.
+        """Return the effect (deviation from the nominal model) at a site, with parameter values.
 
         Args:
-            site: Where it acts. By the attribute `site`: name of a coordinate ("coordinate"), a drive ("motor",
-                "drive", "drives"), a belt ("belts") or a sensor channel ("sensor"), or the word "drives", "belts" or
-                "machine" for all components at once. Whether a machine has the site is checked when the effect is added
-                to it.
+            site: Where the effect acts. Depending on the attribute `site`: name of a coordinate ("coordinate"), a drive
+                ("motor", "drive", "drives"), a belt ("belts") or a sensor channel ("sensor"); or the word "drives",
+                "belts" or "machine" for all components at once. `Machine.with_effects` checks that the machine has this
+                site.
             **parameters: Value of every parameter of the effect, SI, within its bounds.
 
         Returns:
@@ -257,12 +258,12 @@ class AppliedEffect:
 
     @property
     def name(self) -> str:
-        """Name of the effect without its site, for example "stribeck"."""
+        """Name of the effect without its site, for example "stribeck_friction"."""
         return self.definition.name
 
     @property
     def label(self) -> str:
-        """Name and site, "name@site": the prefix of the parameters' full names in `Machine.parameters`."""
+        """Name and site, for example "stribeck_friction@x"; it begins the full names of the effect's parameters."""
         return f"{self.definition.name}@{self.site}"
 
     def components(self, machine: Machine) -> tuple[str, ...]:
@@ -272,8 +273,8 @@ class AppliedEffect:
             machine: Machine that has the site.
 
         Returns:
-            Names of all drives at the site "drives", of all belts at "belts", of all coordinates at "machine" (the word
-            "machine" itself for an effect that changes the structure); at any other site its name alone.
+            Names of all drives for the site "drives", of all belts for "belts", of all coordinates for "machine" (but
+            ("machine",) for an effect that adds components). Any other site is one component: its name.
         """
         kind = self.definition.site
         if kind == "machine":
@@ -298,13 +299,14 @@ class AppliedEffect:
         return dataclasses.replace(self, parameters=dict(parameters))
 
     def check_site(self, machine: Machine) -> None:
-        """Check that a machine has the coordinate, drive, belt or sensor channel at which the effect acts.
+        """Raise an error if a machine lacks the component on which the effect acts (its site).
 
         Args:
             machine: Machine to check.
 
         Raises:
-            ValueError: If the machine has no such site; the message lists its sites.
+            ValueError: If the machine has no such coordinate, drive, belt or sensor channel; the message lists the
+                possible sites.
         """
         sites = self.definition.possible_sites(machine)
         if self.site not in sites:
@@ -335,10 +337,10 @@ class AppliedEffect:
 
 @lru_cache(maxsize=1024)
 def argument_names(function: Hook) -> tuple[str, ...]:
-    """Return the names of the arguments of a hook; results are cached.
+    """Return the names of the arguments of a hook, a formula of an effect that the simulation calls.
 
     Args:
-        function: Hook of an effect: a formula such as `force(q, k)` that the simulation calls at a certain place.
+        function: The hook, for example `force(q, k)`.
 
     Returns:
         Names in the order of the signature, for example ("q", "k").

@@ -30,7 +30,7 @@ class Machine:
         belts: Elastic belt sections.
         drives: Motors, in the order of the input channels.
         sensors: Sensors, in the order of the output channels.
-        effects: Additional effects (friction, sensors, belts, ...) at their sites.
+        effects: Additional physical phenomena, each at its site, the component on which it acts.
         uncertainty: Covariance of the parameters, if they were identified.
         description: One sentence for people.
         ties: Parameters that equal a factor times another parameter, by full name, for example {"phi3.radius":
@@ -124,14 +124,13 @@ class Machine:
                 products ("y*yaw") are ignored.
 
         Returns:
-            Coefficients, shape (coordinates,), in the unit of belt or sensor per unit of the coordinate (m/m or m/rad);
-            zero where the row does not name the coordinate.
+            Coefficients in the unit of the row, shape (coordinates,); zero for coordinates that the row does not name.
         """
         return np.array([row.get(name, 0.0) for name in self.coordinate_names])
 
     @cached_property
     def travel_per_unit(self) -> Array:
-        """Belt travel per unit of each coordinate: radius, m/rad, or 1 for a linear one, shape (coordinates,)."""
+        """Belt travel per unit of each coordinate: the radius, m/rad, of a pulley, else 1; shape (coordinates,)."""
         return np.array([c.travel_per_unit for c in self.coordinates])
 
     @cached_property
@@ -142,19 +141,20 @@ class Machine:
 
     @cached_property
     def sensor_matrix(self) -> Array:
-        """Linear part of the noise-free readings per unit of each coordinate, shape (sensors, coordinates)."""
+        """Linear coefficients of the sensors' readings per unit of each coordinate, shape (sensors, coordinates)."""
         # Without the products of coordinates that a reading may contain.
         return np.array([self.coefficients(s.row) for s in self.sensors])
 
     def coordinate_of_site(self, site: str, kind: SiteKind) -> str | None:
-        """Return the coordinate on which an effect (deviation from the nominal model) at a site acts.
+        """Return the coordinate on which an effect (deviation from the nominal model) acts, given the effect's site.
 
         Args:
-            site: Site of an effect: name of a coordinate, drive or output channel, or "drives", "belts", "machine".
-            kind: Kind of the site (`Effect.site`), because a channel may have the name of another component.
+            site: Site of the effect: name of a coordinate, drive or output channel, or "drives", "belts", "machine".
+            kind: Kind of the site (`Effect.site`). It is needed because different components may have the same name.
 
         Returns:
-            Name of the coordinate, None for belts and for "drives" and "machine", which concern several coordinates.
+            The coordinate itself, that of the drive, or the main one of the sensor. None for several (belts, drives,
+            machine).
         """
         coordinates = {
             "coordinate": {name: name for name in self.coordinate_names},
@@ -166,9 +166,9 @@ class Machine:
 
     @cached_property
     def tool_axes(self) -> tuple[str, ...]:
-        """Coordinates of the tool position: one or two linear ones in the machine's order, whatever their names.
+        """Names of the linear coordinates that are the tool position, in the machine's order.
 
-        Of more than two linear coordinates they are those with the names x and y; empty without these.
+        All linear coordinates if there are at most two; otherwise x and y, or none without these names.
         """
         linear = tuple(c.name for c in self.coordinates if c.kind == "linear")
         if len(linear) > 2:
@@ -177,17 +177,17 @@ class Machine:
 
     @cached_property
     def spring_loaded(self) -> tuple[str, ...]:
-        """Names of the coordinates that effects (such as bridge yaw) add; a spring returns each to zero at rest."""
+        """Names of the coordinates that effects add, such as bridge yaw; springs return them to zero at rest."""
         return tuple(e.definition.coordinate for e in self.effects if e.definition.coordinate)
 
     def other_axis(self, coordinate: str) -> str | None:
-        """Return the other linear coordinate of a machine that has two.
+        """Return the linear coordinate other than the given one, if there is exactly one: y for x, x for y.
 
         Args:
             coordinate: Name of a coordinate, linear or rotary.
 
         Returns:
-            The name of the other linear coordinate, or None if there is not exactly one.
+            Name of the other linear coordinate. None if there is none or more than one.
         """
         others = [c.name for c in self.coordinates if c.kind == "linear" and c.name != coordinate]
         return others[0] if len(others) == 1 else None
@@ -196,7 +196,7 @@ class Machine:
     def parameters(self) -> dict[str, float]:
         """Parameters that can be identified or randomized, SI, by full name, for example `x.coulomb`, `left.EA`.
 
-        Tied parameters (`ties`) are absent; they follow from the parameters to which they are tied.
+        Tied parameters (`ties`) are not included; their values follow from the parameters to which they are tied.
         """
         values: dict[str, float] = {}
         components: tuple[Coordinate | Belt | Drive, ...] = (*self.coordinates, *self.belts, *self.drives)
@@ -209,10 +209,10 @@ class Machine:
 
     @cached_property
     def device_parameters(self) -> dict[str, float]:
-        """Parameters of sensors and drives that the equations of motion do not contain, by full name.
+        """Parameters of sensors and drives that do not enter the equations of motion, by full name.
 
-        Noise and resolution of every sensor (`x_m.noise`, `x_m.resolution`, m or rad); `motor1.converter_bits` (bits)
-        and `motor1.voltage_range` (V, by default the rated voltage) of every drive. They can be randomized.
+        They can be randomized: `x_m.noise` and `x_m.resolution` (m or rad) of every sensor; `motor1.converter_bits`
+        (number of bits) and `motor1.voltage_range` (V, by default the rated voltage) of every drive.
         """
         owners = [(s.channel, s.device_parameters) for s in self.sensors]
         owners += [(d.name, d.device_parameters) for d in self.drives]
@@ -225,10 +225,10 @@ class Machine:
             parameter: Full name in `parameters` or `device_parameters`, for example "x.viscous".
 
         Returns:
-            The unit, for example "Ns/m" of x.viscous, "m" or "rad" of a sensor's noise, "1" if dimensionless.
+            The unit, for example "Ns/m" for "x.viscous"; "1" if dimensionless.
 
         Raises:
-            KeyError: If the machine and its effects have no parameter of this kind.
+            KeyError: If no component or effect of the machine has such a parameter.
         """
         owner, _, key = parameter.rpartition(".")
         if owner in self.output_channels and key in self.sensor(owner).device_parameters:
@@ -246,7 +246,7 @@ class Machine:
         """Return the unit of a parameter of an effect (deviation from the nominal model) at its site.
 
         Args:
-            effect: Effect at a site of this machine; the machine need not have it.
+            effect: Effect at a site of this machine. It need not be one of the machine's effects.
             parameter: Name of the effect's parameter, for example "A".
 
         Returns:
@@ -260,19 +260,19 @@ class Machine:
         return UNITS[self.coordinate(coordinate).kind].get(unit, unit) if coordinate else unit
 
     def replace(self, values: Mapping[str, float] | None = None, **fields: object) -> Machine:
-        """Return a copy with other parameter values and other fields.
+        """Return a copy with other parameter values, or with other fields.
 
         Args:
-            values: New values by full name in `parameters` or `device_parameters`, SI; parameters that are tied to them
-                follow, and `converter_bits` are rounded to integers. None: no new values.
-            **fields: New values of dataclass fields, for example `name` or `drives`.
+            values: New values by full name in `parameters` or `device_parameters`, SI. Tied parameters (`ties`) change
+                with them; `converter_bits` are rounded to integers. None: no new values.
+            **fields: New values of attributes of the machine, for example `name` or `drives`.
 
         Returns:
             The changed machine.
 
         Raises:
-            KeyError: If this machine has no parameter of a name.
-            TypeError: If a machine has no field of a name.
+            KeyError: If a name in `values` is not a parameter of this machine.
+            TypeError: If a machine has no attribute of a name in `fields`.
         """
         values = dict(values or {})
         unknown = sorted(set(values) - set(self.parameters) - set(self.device_parameters))
@@ -298,14 +298,14 @@ class Machine:
 
         Args:
             *effects: Effects, each at its site: the coordinate, drive, belt or sensor of this machine on which it acts.
-                One whose definition has a `structure`, for example bridge yaw, also adds coordinates, belts or sensor
-                rows.
+                Some effects, for example bridge yaw, also add coordinates, belts or sensor coefficients
+                (`Effect.structure`).
 
         Returns:
             The extended machine.
 
         Raises:
-            ValueError: If the machine does not have the site of an effect, or not the structure that it changes.
+            ValueError: If the machine lacks the site of an effect, or components that the effect needs.
         """
         machine = self
         for effect in effects:
@@ -329,8 +329,8 @@ class Machine:
                 Default: at rest at the origin with unstretched belts.
 
         Returns:
-            `Trajectory`: positions and velocities, shape (n, coordinates), and noise-free sensor readings, shape
-            (n, sensors), at every sample, in m or rad and their rates.
+            Positions and velocities, shape (n, coordinates), and noise-free sensor readings, shape (n, sensors), at
+            every sample, SI.
 
         Raises:
             ValueError: If the shapes do not fit the machine, times do not increase, or a value is not finite.

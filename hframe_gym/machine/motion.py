@@ -61,16 +61,18 @@ SIMULATORS: Registry[Simulator] = Registry("simulator")
 
 
 def rest_state(machine: Machine, position: ArrayLike | None = None) -> Array:
-    """Return the state at rest with unstretched belts for given positions of the carriages.
+    """Return the state of a machine at rest, with unstretched belts, for given positions of the carriages.
+
+    The pulley angles follow from the condition that no belt is stretched. If it cannot be met, the sum of the squared
+    extensions is minimal. Coordinates that a spring holds, such as the yaw of a bridge, are zero.
 
     Args:
         machine: Machine with its coordinates and belts.
         position: Positions of the linear coordinates in the machine's order, m, shape (linear coordinates,); a single
-            value applies to all of them. Default: zeros. The pulley angles follow from zero extension of every belt
-            (least squares); coordinates that a spring holds, such as the yaw of a bridge, are at zero.
+            value applies to all of them. Default: zeros.
 
     Returns:
-        Positions, m or rad, then zero velocities, shape (2 * coordinates,).
+        Positions of all coordinates, m or rad, then velocities, which are zero, shape (2 * coordinates,).
 
     Raises:
         ValueError: If there are several positions, but not one per linear coordinate.
@@ -82,27 +84,25 @@ def rest_state(machine: Machine, position: ArrayLike | None = None) -> Array:
         q[linear] = np.asarray(position, float)
     pulleys = [i for i in range(count) if i not in linear and machine.coordinate_names[i] not in machine.spring_loaded]
     if pulleys and machine.belts:
-        G = (
-            machine.belt_matrix
-        )  # (belts, coordinates); zero extension: G[:, pulleys] @ angles = -G[:, linear] @ positions
+        # Zero extension of every belt: G[:, pulleys] @ angles = -G[:, linear] @ positions.
+        G = machine.belt_matrix
         q[pulleys] = np.linalg.lstsq(G[:, pulleys], -G[:, linear] @ q[linear], rcond=None)[0]
     return np.concatenate([q, np.zeros(count)])
 
 
 def rigid_motions(machine: Machine) -> dict[str, Array]:
-    """Return the rigid-body motions of a machine: independent motions that stretch no belt.
+    """Return the rigid-body motions of a machine: independent motions in which no belt is stretched.
 
-    With belts there is one motion per linear coordinate, and the pulleys follow it without stretching the belts; in a
-    machine without pulleys, whose carriages are coupled by belts or springs, the other carriages follow. Without belts
-    each coordinate moves independently.
+    In each motion one linear coordinate leads, and others follow so that all belts keep their length: the pulleys, or
+    in a machine without pulleys the other carriages. In a machine without belts each coordinate moves alone.
 
     Args:
         machine: Machine with its coordinates and belts.
 
     Returns:
-        By name of the leading coordinate: motion of every coordinate per unit of the leading one (m or rad per m or
-        rad), shape (coordinates,). A linear coordinate that cannot move without stretching a belt has no entry, nor
-        one that follows another.
+        Motions by name of the leading coordinate: motion of every coordinate per unit of the leading one (m or rad per
+        m or rad), shape (coordinates,). A linear coordinate does not lead a motion if it follows another one or cannot
+        move without stretching a belt.
     """
     count = len(machine.coordinates)
     if not machine.belts:
@@ -123,7 +123,7 @@ def rigid_motions(machine: Machine) -> dict[str, Array]:
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """What the drives can do along one rigid motion at rated voltage, for a plausibility check of a machine.
+    """Inertia, force and speed along one rigid motion at rated voltage, for a plausibility check of a machine.
 
     Attributes:
         inertia: Inertia that moves, referred to the leading coordinate, kg or kg m^2.
@@ -137,14 +137,17 @@ class MotionLimits:
 
 
 def motion_limits(machine: Machine) -> dict[str, MotionLimits]:
-    """Compute inertia, force and speed along each rigid motion with every drive at its rated voltage.
+    """Compute inertia, maximum force and steady speed along each rigid motion with every drive at its rated voltage.
+
+    A rigid motion stretches no belt; on an H-frame, these are the motions along x and along y.
 
     Args:
         machine: Machine; its effects (deviations from the nominal model) are ignored.
 
     Returns:
-        By name of the leading coordinate of `rigid_motions`: moving inertia, kg or kg m^2, force at standstill, N or
-        Nm, and steady speed, m/s or rad/s.
+        By name of the coordinate that leads the motion (see `rigid_motions`): moving inertia, kg or kg m^2; force of
+        the drives at standstill minus Coulomb friction, N or Nm; steady speed, m/s or rad/s. All refer to this
+        coordinate.
     """
     limits = {}
     for name, motion in rigid_motions(machine).items():

@@ -90,7 +90,7 @@ def with_constant_stiffness(machine: Machine, stiffness: dict[str, float]) -> Ma
         stiffness: Stiffness of every belt of the machine by belt name, N/m.
 
     Returns:
-        The machine with these stiffnesses; the EA of the belts is unchanged, the rest lengths are EA / stiffness.
+        The machine with these stiffnesses. EA of the belts is unchanged; the rest lengths become EA / stiffness.
 
     Raises:
         KeyError: If a belt has no entry in `stiffness`.
@@ -121,9 +121,9 @@ def hframe_linear() -> Machine:
 
 
 def hframe_literal() -> Machine:
-    """Return `hframe` with eq. 17 of Sollmann et al. (2010) as printed, without the gear ratio.
+    """Return the preset `hframe` with eq. 17 of Sollmann et al. (2010) as printed, that is, without the gear ratio.
 
-    It demonstrates that the printed equation contradicts Fig. 7 of the same paper.
+    Its simulated motion contradicts Fig. 7 of the paper, which shows that the printed equation lacks the gear ratio.
 
     Returns:
         The preset `hframe-literal`: `hframe` with gear ratio 1.
@@ -136,10 +136,11 @@ def hframe_literal() -> Machine:
 
 
 def hframe_order20() -> Machine:
-    """Return the linear 20th-order model of Sollmann et al. (2010) with all eight pulleys (eq. 25-34 with errata).
+    """Return the linear 20th-order model of Sollmann et al. (2010) with all eight pulleys (eq. 25-34, corrected).
 
-    The inertia and friction of the idlers are separated from the lumped values of Table 1 (eq. 4-8). The stiffness of
-    each section is constant, at the position for which Table 1 holds (eq. 39-43).
+    The inertia and friction of the idlers, which Table 1 includes in the values of the carriages and motors, are given
+    to the idlers (eq. 4-8). The stiffness of each section is constant: that at the position for which Table 1 holds
+    (eq. 39-43). docs/errata.md lists the corrections.
 
     Returns:
         The preset `hframe-order20`: 10 coordinates x, y (m) and phi1..phi8 (rad), 9 belt sections, 2 drives, 4 sensors.
@@ -179,10 +180,11 @@ def hframe_order20() -> Machine:
 
 
 def axis() -> Machine:
-    """Return a single motor-driven axis with one input and one output, as a template for other machines.
+    """Return a single carriage that a motor moves directly, as a template for other machines.
 
     Returns:
-        The preset `axis`: coordinate x (1 kg, 5 Ns/m, 1 N, range 0.5 m), no belts, one drive of 12 V, sensor x_m.
+        The preset `axis`: coordinate x (1 kg, viscous friction 5 Ns/m, Coulomb friction 1 N, range -0.25 to 0.25 m), no
+        belts, one drive of 12 V, sensor x_m.
     """
     return Machine(
         name="axis",
@@ -207,13 +209,13 @@ COREXY_LONG = 1.35  # m, the other way around the frame, which is 0.46 m wide an
 def corexy() -> Machine:
     """Return a CoreXY stage with two belts and two 24 V motors without gears.
 
-    Both motors stand at the front. Each belt runs from its motor to the carriage on two ways: a short one along its own
-    side of the frame, and a long one around the rear and along the other side. With p = radius * phi the kinematics are
-    x = (p1 + p2) / 2 and y = (p1 - p2) / 2. The carriage moves along x on the bridge, which moves along y.
+    The carriage moves along x on the bridge, which moves along y. Both motors are at the front. Each belt has two
+    sections from its motor to the carriage: a short one along its own side of the frame, and a long one around the rear
+    and along the other side. With p = radius * phi the kinematics are x = (p1 + p2) / 2 and y = (p1 - p2) / 2.
 
     Returns:
         The preset `corexy`: 4 coordinates x, y (m), phi1, phi2 (rad), 4 belt sections, 2 drives, 4 sensors. Both
-        sections of a belt have one EA (`ties`).
+        sections of a belt have the same EA (`Machine.ties`).
     """
     motion = {"belt1": {"x": 1.0, "y": 1.0}, "belt2": {"x": 1.0, "y": -1.0}}  # belt travel at the motor
     belts = []

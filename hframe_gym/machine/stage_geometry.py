@@ -64,7 +64,7 @@ class StageGeometry:
         """Compute the rails on which the bridge, or the carriage of a single axis, runs.
 
         Returns:
-            Boxes of two rails, or one: x and y of one corner, then of the opposite one, m.
+            Rectangles: two rails, or one for a single axis. Each is (x, y) of one corner, then of the opposite one, m.
         """
         if self.bridge_axis is None:
             return [(self.x0 - 0.03, -0.03, self.x1 + 0.03, 0.03)]
@@ -80,7 +80,7 @@ class StageGeometry:
             y: Tool position along y, m.
 
         Returns:
-            Boxes (x and y of one corner, then of the opposite one), m; none for a single axis.
+            Rectangles, each (x, y) of one corner, then of the opposite one, m; none for a single axis.
         """
         if self.bridge_axis is None:
             return []
@@ -91,27 +91,27 @@ class StageGeometry:
         return [*plates, (self.x0, y - 0.012, self.x1, y + 0.012)]
 
     def pulleys(self, x: float, y: float = 0.0) -> list[Point]:
-        """Compute the centers of the pulleys.
+        """Compute the centers of the pulleys; a stage of this base class has none, because its belts are not drawn.
 
         Args:
             x: Tool position along x, m.
             y: Tool position along y, m.
 
         Returns:
-            Points (x, y), m; none for a stage whose belts are not drawn.
+            Points (x, y), m: an empty list here.
         """
         del x, y
         return []
 
     def sections(self, x: float, y: float) -> dict[str, list[Point]]:
-        """Compute the lines along which the belt sections are drawn.
+        """Compute the lines along which the belt sections are drawn; this base class draws none.
 
         Args:
             x: Tool position along x, m.
             y: Tool position along y, m.
 
         Returns:
-            Vertices (x, y), m, by name of the section; empty for a stage whose belts are not drawn.
+            Vertices (x, y), m, of the line of each section, by name of the section: an empty dictionary here.
         """
         del x, y
         return {}
@@ -136,18 +136,18 @@ class BeltGeometry(StageGeometry):
         self.motors = ((1, 1.0), (3, 1.0))
         names = {b.name for b in machine.belts} if machine else set()
         for lumped, sections in LUMPED_SECTIONS.items():
-            found = {section: section if section in names else lumped for section in sections}
-            self.belts |= {section: name for section, name in found.items() if name in names}
+            drawn = {section: section if section in names else lumped for section in sections}
+            self.belts |= {section: name for section, name in drawn.items() if name in names}
 
     def bridge(self, x: float, y: float) -> list[Box]:
-        """Compute the parts of the bridge, whose ends carry two pulleys each.
+        """Compute the parts of the bridge: two end plates, which carry two pulleys each, and the beam between them.
 
         Args:
             x: Tool position along x, m.
             y: Tool position along y, m.
 
         Returns:
-            Boxes: x and y of one corner, then of the opposite one, m.
+            Rectangles, each (x, y) of one corner, then of the opposite one, m.
         """
         boxes = []
         for end, inward in ((self.y0, 1.0), (self.y1, -1.0)):
@@ -156,28 +156,30 @@ class BeltGeometry(StageGeometry):
         return [*boxes, (x - 0.025, self.y0, x + 0.025, self.y1)]
 
     def pulleys(self, x: float, y: float = 0.0) -> list[Point]:
-        """Compute the centers of the eight pulleys.
+        """Compute the centers of the eight pulleys of an H-frame.
 
         Args:
             x: Position of the bridge, m.
-            y: Tool position along y, m; the pulleys do not depend on it.
+            y: Tool position along y, m; the result does not depend on it.
 
         Returns:
-            Points (x, y), m, of the pulleys phi3, phi1 (motor), phi4, phi2 (motor), phi7, phi5, phi8, phi6.
+            Points (x, y), m, of the pulleys phi3, phi1 (motor), phi4, phi2 (motor), phi7, phi5, phi8, phi6, in this
+            order.
         """
         d, rise = HALF_BRIDGE + PULLEY_RADIUS, 2 * PULLEY_RADIUS
         bridge = [(x - d, self.y0 + rise), (x + d, self.y0 + rise), (x - d, self.y1 - rise), (x + d, self.y1 - rise)]
         return [*self._corners, *bridge]
 
     def sections(self, x: float, y: float) -> dict[str, list[Point]]:
-        """Compute the lines along which the nine belt sections are drawn.
+        """Compute the lines along which the nine belt sections of an H-frame are drawn.
 
         Args:
             x: Tool position along x, m.
             y: Tool position along y, m.
 
         Returns:
-            Vertices (x, y), m, by name of the section, "s1" to "s9".
+            Vertices (x, y), m, of the line of each section, by name of the section, "s1" to "s9" as in the 20th-order
+            model.
         """
         phi3, phi1, phi4, phi2, phi7, phi5, phi8, phi6 = self.pulleys(x)  # centers (x, y)
         # Each section is a straight line, which touches the pulleys at a distance r from their centers, and the arc
@@ -225,36 +227,34 @@ class CoreXYGeometry(StageGeometry):
         for drive, label in ((self._first, "1"), (1 - self._first, "2")):
             rows = [b for b in machine.belts if machine.drives[drive].coordinate in b.extension]
             for b in rows:
-                for section in (
-                    ("front", "rear")
-                    if len(rows) == 1
-                    else (("front",) if b.extension.get(axis, 0.0) > 0 else ("rear",))
-                ):
+                side = "front" if b.extension.get(axis, 0.0) > 0 else "rear"
+                for section in ("front", "rear") if len(rows) == 1 else (side,):
                     self.belts[section + label] = b.name
 
     def pulleys(self, x: float, y: float = 0.0) -> list[Point]:
-        """Compute the centers of the ten pulleys.
+        """Compute the centers of the ten pulleys of a CoreXY stage, seen from the front, where the motors are.
 
         Args:
             x: Tool position along x, m.
             y: Tool position along y, m.
 
         Returns:
-            Points (x, y), m: motor at the left, motor at the right, idlers at the rear of the first belt (left, right)
-            and of the second one, pulleys on the bridge: left and right of the short sections, then of the long ones.
+            Points (x, y), m, in this order: left and right motor; left and right idler at the rear of the first belt
+            (that of the left motor), then of the second belt; on the bridge: left and right in front, left and right
+            behind.
         """
         return [self._swap(point) for point in self._pulleys(*self._swap((x, y)))]
 
     def sections(self, x: float, y: float) -> dict[str, list[Point]]:
-        """Compute the lines along which the four belt sections are drawn.
+        """Compute the lines along which the four belt sections of a CoreXY stage are drawn.
 
         Args:
             x: Tool position along x, m.
             y: Tool position along y, m.
 
         Returns:
-            Vertices (x, y), m, by name of the section: "front1" and "rear1" of the belt of the motor at the left, in
-            front of the bridge and around the rear; "front2" and "rear2" of the other belt.
+            Vertices (x, y), m, of the line of each section: "front1" and "rear1" from the left motor to the carriage,
+            directly and around the rear of the frame; "front2" and "rear2" likewise from the right motor.
         """
         u, v = self._swap((x, y))  # along the bridge, and along the motion of the bridge
         motor1, motor2, left1, right1, left2, right2, front_l, front_r, rear_l, rear_r = self._pulleys(u, v)
@@ -299,14 +299,14 @@ def _arc(center: Point, start: float, end: float, radius: float = PULLEY_RADIUS)
 
 
 def stage_geometry(machine: Machine) -> StageGeometry:
-    """Choose the plan view of a machine by its kinematics, whatever its belts are called.
+    """Choose the plan view for a machine by its kinematics; names of belts do not matter.
 
     Args:
-        machine: Machine with one or two tool axes; an axis without a range gets `DEFAULT_RANGE`.
+        machine: Machine with one or two tool axes; an axis without a range is drawn with `DEFAULT_RANGE`.
 
     Returns:
-        `BeltGeometry` if both motors pull x and y by one common belt (H-frame), `CoreXYGeometry` if each motor has one
-        belt, else `StageGeometry` without belts.
+        `BeltGeometry` for an H-frame (one belt around both motors), `CoreXYGeometry` for a CoreXY stage (a belt for
+        each motor), else a `StageGeometry` without belts.
 
     Raises:
         ValueError: If the machine has no tool axes.

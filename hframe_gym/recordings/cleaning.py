@@ -1,7 +1,7 @@
-"""Find the defects of single samples in a recording: dropped samples, repeated measurements, and outliers of a sensor.
+"""Find defects of single samples in a recording: dropped samples, repeated measurements, and outliers of a sensor.
 
-None is repaired by inventing a measurement: the cells become NaN (not measured). `bridge_blanks` interpolates, for
-comparisons between channels only.
+Defective measurements become NaN (not measured); no substitute is invented. `bridge_blanks` interpolates, but only for
+comparisons between channels.
 """
 
 from __future__ import annotations
@@ -39,17 +39,18 @@ _EDGE_FACTOR = 5.0  # times the largest regular step; the first and the last sam
 
 
 def fill_gaps(recording: Recording) -> Recording:
-    """Insert rows for samples that the logger dropped: where a step exceeds 1.5 median sampling periods.
+    """Insert rows for samples that the logger dropped: where a time step exceeds 1.5 median sampling periods.
 
-    Inputs are constant from each row until the next, so a lost row would extend the input of the row before it. The
-    lost voltages are interpolated, which is closer to those that were applied. The lost outputs are NaN.
+    Inputs count as constant from each row until the next. Without the inserted rows, the voltage before a gap would be
+    simulated over all of it. The voltages of the inserted rows are interpolated, which is closer to the applied ones;
+    the outputs are NaN.
 
     Args:
         recording: Run with or without gaps (times, s; voltages, V; measurements, m or rad).
 
     Returns:
-        Copy with additional rows at regular times (measurements of shape (n, sensors), NaN there), or the same object
-        if no sample was lost.
+        Copy with additional rows at regular times (measurements of shape (n, sensors)), or the same object if no sample
+        was lost.
     """
     time_s = recording.time_s
     steps = np.diff(time_s)
@@ -68,18 +69,18 @@ def fill_gaps(recording: Recording) -> Recording:
 
 
 def bridge_blanks(outputs: Array, time_s: Array, longest_gap: float) -> Array:
-    """Interpolate over empty cells where a sensor measures less often than the log has rows.
+    """Interpolate the measurements of a sensor that measures less often than the log has rows.
 
-    Only comparisons of motion between channels use the result: channels that never measure in the same row could not be
-    compared otherwise. Quanta, noise and everything that a fit uses come from measured cells only.
+    Channels that never measure in the same row could not be compared otherwise. The result serves these comparisons
+    only: noise, resolution and everything that a fit uses are taken from the measured cells.
 
     Args:
         outputs: Measurements in the sensors' units, shape (n, sensors), NaN where not measured.
         time_s: Sample times, s, shape (n,).
-        longest_gap: Longest time between two measurements that is bridged, s.
+        longest_gap: Longest time between two measurements over which is interpolated, s.
 
     Returns:
-        Copy with linearly interpolated values between such measurements, shape (n, sensors).
+        Copy with linearly interpolated values in these gaps, shape (n, sensors).
     """
     bridged = outputs.copy()
     rows = np.arange(len(time_s))
@@ -95,16 +96,15 @@ def bridge_blanks(outputs: Array, time_s: Array, longest_gap: float) -> Array:
 
 
 def repetitions(values: Array) -> int:
-    """Determine over how many rows a sensor's measurements are repeated, because it is slower than the log.
+    """Determine in how many rows a log repeats each measurement of a sensor that is slower than the log.
 
-    Such a channel changes by several quantization steps in one row and not at all in the next one, which no motion
-    does.
+    Such a channel changes by several quantization steps in one row and not at all in the next, which no motion does.
 
     Args:
         values: Measurements of one channel, in the sensor's unit, shape (n,), NaN where not measured.
 
     Returns:
-        Median number of rows with the same measurement during motion; 1 for a sensor that is measured in every row.
+        Number of rows per measurement, the median during motion; 1 for a sensor that measures in every row.
     """
     changes = np.abs(np.diff(values[np.isfinite(values)]))
     if np.count_nonzero(changes) < _MIN_CHANGES:
@@ -117,14 +117,14 @@ def repetitions(values: Array) -> int:
 
 
 def without_repetitions(recording: Recording) -> Recording:
-    """Replace repeated measurements of sensors that are slower than the log, see `repetitions`, by NaN (not measured).
+    """Replace repeated measurements of sensors that are slower than the log by NaN (not measured).
 
     Args:
         recording: Run as logged (times, s; voltages, V; measurements, m or rad), with n rows.
 
     Returns:
-        Copy whose measurements, m or rad, shape (n, sensors), are NaN in the rows between two measurements of such a
-        sensor; the same object if there is none.
+        Copy whose measurements, m or rad, shape (n, sensors), keep the first of the rows that repeat a measurement, see
+        `repetitions`; the same object if no sensor is slower.
     """
     outputs = recording.outputs.copy()
     for values in outputs.T:
@@ -143,11 +143,11 @@ def without_repetitions(recording: Recording) -> Recording:
 def outlier_mask(recording: Recording, machine: Machine) -> Mask:
     """Find outliers: up to five consecutive samples of a sensor that leave the motion around them and return to it.
 
-    A sample is an outlier if it departs from the straight line between its neighbors and from the straight lines
-    through the two samples before and the two samples after it. The latter two keep kinks (shocks at end stops, stops
-    by Coulomb friction) and steps. The departure must be large relative to that of all samples of the run, to the
-    change of speed around it (shocks, voltage steps, vibration), and to the noise and resolution that the machine
-    declares. Empty cells are skipped: the neighbors of a sample are the measured ones.
+    Such samples depart from the straight line between their neighbors, and from the extrapolations of the two samples
+    before and of the two after them. Kinks and steps of a real motion (a shock at an end stop, a stop by Coulomb
+    friction) agree with one of the extrapolations, so they are kept. The departure must be large relative to three
+    quantities: the departures of all samples of the run, the distance that the change of speed around it explains, and
+    the noise and resolution that the machine declares. Empty cells are skipped.
 
     Args:
         recording: Run to examine (times, s; voltages, V; measurements, m or rad), with n rows.
@@ -167,7 +167,7 @@ def outlier_mask(recording: Recording, machine: Machine) -> Mask:
 
 
 def only_measurements(recording: Recording, machine: Machine) -> Recording:
-    """Replace what is no measurement by NaN: repetitions of slow sensors, then outliers.
+    """Replace repeated values of slow sensors (see `repetitions`) and outliers (see `outlier_mask`) by NaN.
 
     Args:
         recording: Run as logged (times, s; voltages, V; measurements, m or rad).
@@ -180,14 +180,14 @@ def only_measurements(recording: Recording, machine: Machine) -> Recording:
 
 
 def without_outliers(recording: Recording, machine: Machine) -> Recording:
-    """Replace the outliers of a recording, see `outlier_mask`, by NaN (not measured).
+    """Replace the outliers of a recording (see `outlier_mask`) by NaN (not measured).
 
     Args:
         recording: Run to clean (times, s; voltages, V; measurements, m or rad).
         machine: Machine that was recorded.
 
     Returns:
-        Copy whose measurements, m or rad, shape (n, sensors), are NaN at outliers; the same object if there are none.
+        Copy with measurements, m or rad, shape (n, sensors); the same object if there are no outliers.
     """
     mask = outlier_mask(recording, machine)
     if not mask.any():

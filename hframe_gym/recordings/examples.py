@@ -28,7 +28,7 @@ def examples_folder() -> Path:
 
 
 def copy_examples(out: str | Path) -> list[Path]:
-    """Copy the recordings of two example rigs, their description and the notebooks to a new folder.
+    """Copy the recordings of two example rigs, their description and example notebooks to a new folder.
 
     Args:
         out: Folder to create; it must not exist, unless it is an empty folder. It appears complete or not at all.

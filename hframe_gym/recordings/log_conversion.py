@@ -52,8 +52,9 @@ class LogConverter:
     ) -> tuple[Recording, list[str]]:
         """Read a log and convert it to one recording.
 
-        Inputs are held over empty cells, which several sampling rates in one table leave. The rows of several time
-        columns are merged; an output is empty (NaN) in the rows of the others.
+        A log may hold channels of several sampling rates, in one table with empty cells or with several columns of
+        time, whose rows are merged. Where the table has no value, a voltage keeps its last value and a measurement is
+        NaN.
 
         Args:
             log: Opened log.
@@ -63,7 +64,7 @@ class LogConverter:
         Returns:
             recording: Recording of the complete log with the name of its file: times, s, shape (n,), voltages, V, shape
                 (n, drives), and measurements, m or rad, shape (n, sensors).
-            remarks: What was left out, held or merged, in words.
+            remarks: Sentences for the user about rows that were left out, held or merged.
 
         Raises:
             InputError: If a cell is not a number, times do not increase, or a channel is empty or in a wrong unit.
@@ -159,9 +160,9 @@ def _common_length(log: Log, by_header: Mapping[str, NDArray[Any]]) -> int:
 def split_at_rests(recording: Recording, machine: Machine, min_rest: float) -> tuple[list[Recording], list[str]]:
     """Cut a recording into runs that begin and end at rest.
 
-    The machine rests where no input and no output changes by more than noise for at least `min_rest`. A run begins in
-    the middle of the rest before its motion, and ends in the middle of the rest after it. Of longer rests it contains
-    `min_rest` at most, at its begin and at its end.
+    The machine rests where no input and no output changes by more than noise for at least `min_rest`. Each rest between
+    two motions is cut in the middle. A longer rest is shortened, so that a run has at most `min_rest` of it at its
+    beginning and at its end.
 
     Args:
         recording: Recording of several motions (times, s; voltages, V; measurements, m or rad).
@@ -169,12 +170,12 @@ def split_at_rests(recording: Recording, machine: Machine, min_rest: float) -> t
         min_rest: Shortest rest at which the recording is cut, s.
 
     Returns:
-        runs: One recording per motion (measurements of shape (n, sensors)), named NAME_01, NAME_02, ...; times
-            unchanged.
-        remarks: What was left out, in words.
+        runs: One recording per motion (measurements of shape (n, sensors)), named NAME_01, NAME_02, ...; their times
+            are those of the recording.
+        remarks: Sentences for the user about what was left out.
 
     Raises:
-        InputError: If the machine never rests so long, or never moves.
+        InputError: If the machine never rests for `min_rest`, or never moves.
     """
     time_s = recording.time_s
     resting = _resting_rows(recording, machine, min_rest)

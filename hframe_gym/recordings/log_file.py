@@ -57,7 +57,7 @@ class Log:
     Attributes:
         path: The file.
         columns: Its columns in the order of the file.
-        remarks: What distinguishes the file from a recording, in words.
+        remarks: Sentences about how the format of the file differs from that of a recording.
         reader: Function behind `read`.
     """
 
@@ -69,16 +69,16 @@ class Log:
     def read(
         self, columns: Sequence[LogColumn], progress: Progress | None = None
     ) -> tuple[list[NDArray[Any]], list[str]]:
-        """Read the values of columns.
+        """Read the values of some columns of the log.
 
         Args:
             columns: Columns of this log, from its attribute `columns`.
             progress: Called with the number of bytes read since the last call.
 
         Returns:
-            values: One array per column, shape (rows,), in the unit of the file: float64, NaN where a cell is empty,
-                or datetime64[ns] for time stamps.
-            remarks: What was left out, in words.
+            values: One array per column, shape (rows,), in the unit of the file: float64, NaN where a cell is empty, or
+                datetime64[ns] for time stamps.
+            remarks: Sentences for the user about rows that were left out.
 
         Raises:
             InputError: If a cell is not a number or the file cannot be read. The message names file, row and column.
@@ -87,17 +87,18 @@ class Log:
 
 
 def find_logs(path: str | Path) -> tuple[list[Path], list[Path]]:
-    """List the logs that a path names.
+    """List the logs at a path.
 
     Args:
         path: A log, or a folder of logs.
 
     Returns:
-        logs: The file, or the folder's files with a known ending (also followed by .gz), in alphabetical order.
-        others: Further files of the folder, without hidden ones.
+        logs: The file, or the folder's files with a known ending, possibly followed by .gz, in alphabetical order.
+        others: The remaining files of the folder, except hidden ones.
 
     Raises:
-        InputError: If the path does not exist, the folder has no logs, or two of them have the same name.
+        InputError: If the path does not exist, the folder has no logs, or two of them would become runs of the same
+            name.
     """
     path = Path(path)
     if path.is_file():
@@ -115,7 +116,7 @@ def find_logs(path: str | Path) -> tuple[list[Path], list[Path]]:
 
 
 def log_name(path: Path) -> str:
-    """Return the name of the run that a log becomes: its file name without ending.
+    """Return the name of the run to which a log is converted: its file name without .gz and without its ending.
 
     Args:
         path: File of the log.
@@ -127,13 +128,15 @@ def log_name(path: Path) -> str:
 
 
 def open_log(path: Path) -> Log:
-    """Open a log; its content decides what it is, not the ending of its name.
+    """Open a log: a text file, a MATLAB file or a Parquet file.
+
+    The kind is detected from the content of the file; the ending of its name matters only for MATLAB files.
 
     Args:
         path: File of the log.
 
     Returns:
-        The log: its columns with names, units and numbers of rows; their values, shape (rows,), are not read yet.
+        The log with the names, units and numbers of rows of its columns; values, shape (rows,), are read by `Log.read`.
 
     Raises:
         InputError: If the file is empty, has no columns of numbers, or is of a kind that cannot be read. The message

@@ -1,4 +1,4 @@
-"""Convert logs of controllers and data loggers to recordings, as a whole or cut into runs at their rests."""
+"""Convert logs of controllers and data loggers to recordings, one run per log or cut where the machine rests."""
 
 from __future__ import annotations
 
@@ -58,15 +58,16 @@ def import_logs(
 ) -> list[Path]:
     """Convert logs to recordings of a machine.
 
-    All logs are converted before the first recording appears in the folder, so that a faulty log leaves it unchanged.
+    The recordings appear in the folder together after all logs have been converted, so that a faulty log leaves it
+    unchanged.
 
     Args:
         logs: A log, or a folder of logs.
         out: Folder for the recordings; it is created if necessary. Existing runs are never replaced.
         machine: Machine that was logged; the names of its input and output channels are the columns of the recordings.
-        settings: Mapping of columns, and whether to cut the logs.
+        settings: Mapping of columns, and whether to cut the logs into runs.
         say: Called with a line of text for everything that was done or assumed.
-        progress: Called with the work that is done and the total, in bytes that are read and written.
+        progress: Called with the work done and the total work, both in bytes that are read and written.
 
     Returns:
         Files of the recordings.
@@ -105,13 +106,13 @@ def import_logs(
 
 
 def write_recording(path: Path, recording: Recording, machine: Machine, progress: Progress | None = None) -> None:
-    """Write a recording without loss, completely or not at all: every number reads back as it is.
+    """Write a recording to a file, from which every number is read back exactly.
 
     Args:
         path: File to write: .csv, .csv.gz (compressed) or .parquet.
         recording: Run to write (times, s; voltages, V; measurements, m or rad); NaN becomes an empty cell.
         machine: Machine that was recorded; its channels name the columns.
-        progress: Called with the number of rows that were written since the last call.
+        progress: Called with the number of rows written since the last call.
 
     Raises:
         OSError: If the file cannot be written.

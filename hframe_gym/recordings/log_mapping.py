@@ -1,4 +1,4 @@
-"""Decide which column of a log is which channel of a machine, and how its values convert to the channel's unit."""
+"""Assign the columns of a log to the channels of a machine, and convert their values to the channels' units."""
 
 from __future__ import annotations
 
@@ -75,7 +75,9 @@ class ChannelSource:
 
 
 def read_mapping_file(path: str | Path) -> MappingOptions:
-    """Read a mapping file: TOML or JSON with the tables `map`, `unit` and `scale`, each by channel.
+    """Read a mapping file, which states the columns of a log and their units by channel of the machine.
+
+    It is TOML or JSON with up to three tables: `map` (column of each channel), `unit` and `scale` (factor).
 
     Args:
         path: File ending in .toml or .json.
@@ -105,8 +107,8 @@ def read_mapping_file(path: str | Path) -> MappingOptions:
 def map_columns(log: Log, machine: Machine, options: MappingOptions) -> list[ChannelSource]:
     """Assign the columns of a log to the channels of a machine.
 
-    A column is assigned if the options name it, or if its name, without its unit, is that of exactly one channel
-    ("X [mm]", "x_mm" and "x" for x_m). Nothing else is guessed.
+    A column belongs to a channel if the options say so, or if its name without unit is that of exactly one channel ("X
+    [mm]", "x_mm" and "x" for x_m). Nothing else is guessed.
 
     Args:
         log: Opened log with its columns.
@@ -114,13 +116,13 @@ def map_columns(log: Log, machine: Machine, options: MappingOptions) -> list[Cha
         options: Columns, units and factors that the user assigns to channels.
 
     Returns:
-        Sources, each a column with its conversion of units: first those of the times, then one per channel of the
-        machine, inputs before outputs. A log may have several columns of time; each channel then refers to the time
-        column to the left of its column, or to the one of the same length.
+        Sources (column and conversion of units): first those of the times, then one per channel of the machine, inputs
+        before outputs. If the log has several columns of time, each channel refers to the one of the same length, or
+        else to the nearest one to its left.
 
     Raises:
-        InputError: If a channel has no column or several, or a unit is unknown. The message lists columns and channels
-            and a line of options to complete.
+        InputError: If a channel has no column or several, or a unit is unknown. The message lists columns and channels,
+            and options to complete.
     """
     dimensions = channel_dimensions(machine)
     for option, keys in (("map", options.columns), ("unit", options.units), ("scale", options.scales)):
@@ -167,13 +169,13 @@ def _assign_by_name(
 
 
 def channel_dimensions(machine: Machine) -> dict[str, Dimension]:
-    """Return the dimension of each channel of a machine.
+    """Return whether each channel of a machine is a voltage, a length or an angle.
 
     Args:
         machine: Machine with its drives and sensors.
 
     Returns:
-        "voltage" for inputs, "length" or "angle" for outputs, by channel, inputs first.
+        "voltage", "length" or "angle" by name of the channel, inputs before outputs.
     """
     dimensions: dict[str, Dimension] = dict.fromkeys(machine.input_channels, "voltage")
     for sensor in machine.sensors:

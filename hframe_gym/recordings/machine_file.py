@@ -18,14 +18,14 @@ from .machine_schema import SCHEMA_VERSION, MachineFile, QuantityEntry, Table, f
 
 
 def load_machine(source: str | Path | Machine) -> Machine:
-    """Load a machine from a preset or a machine.json.
+    """Load a machine: a preset by name, or a machine.json by path.
 
     Args:
-        source: Name of a preset (a key of `BUILTIN_MACHINES`), path of a machine.json, or a machine, which is returned
-            unchanged.
+        source: Name of a preset (a key of `BUILTIN_MACHINES`, for example "hframe"), path of a machine.json, or a
+            machine, which is returned unchanged.
 
     Returns:
-        The validated machine.
+        The machine.
 
     Raises:
         InputError: If the source is neither a file nor a preset, or a field of the file is invalid. The message names

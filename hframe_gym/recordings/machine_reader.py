@@ -59,13 +59,16 @@ class MachineReader:
     content: MachineFile
 
     def machine(self) -> Machine:
-        """Convert the content of a machine.json to a machine, and warn of values that are possible but not plausible.
+        """Convert the content of a machine.json to a machine.
+
+        Values that are possible but not plausible, such as lengths in millimeters, cause a warning.
 
         Returns:
             The machine.
 
         Raises:
-            InputError: If a name, unit, sign or site is wrong.
+            InputError: If a name, unit, sign or the site of an effect is wrong. The message names the file and the
+                field.
         """
         machine = self._convert()
         for field, doubt in implausible_values(machine):
@@ -73,14 +76,7 @@ class MachineReader:
         return machine
 
     def _convert(self) -> Machine:
-        """Convert the content to a machine.
-
-        Returns:
-            The machine.
-
-        Raises:
-            InputError: If a name, unit, sign or site is wrong.
-        """
+        """Convert the content to a machine; raise an InputError if a name, unit, sign or site is wrong."""
         file = self.content
         for field, text in (("name", file.name), ("description", file.description)):
             self._check_text(field, text)
@@ -294,13 +290,17 @@ class MachineReader:
 
 
 def implausible_values(machine: Machine) -> list[tuple[str, str]]:
-    """List values that are probably mistakes: lengths in millimeters, wrong factors of belts, other units of sensors.
+    """List values of a machine that are probably mistakes.
+
+    They are lengths in millimeters, implausible signs and factors of belts, and sensors whose names end in a unit other
+    than m or rad.
 
     Args:
         machine: Machine as its file declares it.
 
     Returns:
-        Dotted name of the field, and what is doubtful about it with advice, for each doubt.
+        For each doubtful value: name of the field with dots, such as "belts.left.rest_length", and a sentence that says
+        what is doubtful and what to do.
     """
     doubts = [*_large_lengths(machine), *_doubtful_belts(machine)]
     if machine.tool_axes == ("y", "x"):

@@ -30,7 +30,7 @@ def field_units(field: str) -> tuple[str, ...]:
         field: Name of the field, for example "mass".
 
     Returns:
-        Accepted units; where there are two, the first is for linear coordinates and the second for rotary ones. A gear
+        Accepted units. Where there are two, the first is for linear coordinates and the second for rotary ones. A gear
         ratio at a linear coordinate may also have the unit "1".
 
     Raises:
@@ -264,10 +264,12 @@ TABLES: tuple[type[Table], ...] = (
 
 
 def field_descriptions(table: type[Table]) -> dict[str, str]:
-    """Read the descriptions of the fields of a table from the `Attributes` sections of its docstring and of `Table`.
+    """Return the descriptions of the fields of one kind of object in machine.json, for example of a drive.
+
+    They are read from the `Attributes` sections of the docstrings of the object's class and of `Table`.
 
     Args:
-        table: Class of the table, one of `TABLES`.
+        table: Class of the object, one of `TABLES`.
 
     Returns:
         Description by name of the field in the file; the field `comment` is last.
@@ -281,10 +283,10 @@ def field_descriptions(table: type[Table]) -> dict[str, str]:
 
 
 def table_summary(table: type[Table]) -> str:
-    """Read what a table describes from its docstring.
+    """Return what one kind of object in machine.json describes, from the docstring of its class.
 
     Args:
-        table: Class of the table, one of `TABLES`.
+        table: Class of the object, one of `TABLES`.
 
     Returns:
         Text of the docstring before the section `Attributes`, in one line.
@@ -295,8 +297,8 @@ def table_summary(table: type[Table]) -> str:
 def machine_json_schema() -> dict[str, Any]:
     """Return the JSON Schema (draft 2020-12) of machine.json, with the description and the units of every field.
 
-    It checks types, units and signs. That names refer to each other and that units fit the kind of their coordinate is
-    checked by `load_machine` only.
+    It checks types, units and signs. Only `load_machine` checks whether names that are referred to exist, and whether a
+    unit fits the kind of its coordinate.
 
     Returns:
         JSON Schema as dictionaries, lists, strings and numbers.

@@ -96,7 +96,10 @@ class MachineOptions:
 
 
 def new_machine(like: str, name: str, options: MachineOptions) -> Machine:
-    """Create a machine from a template.
+    """Create a machine from a template, with other values.
+
+    The lengths of the belts follow from the travel, and the resolution of the encoders from their lines and the gear
+    ratio.
 
     Args:
         like: Template, one of `TEMPLATES`.
@@ -104,11 +107,11 @@ def new_machine(like: str, name: str, options: MachineOptions) -> Machine:
         options: Values that replace those of the template.
 
     Returns:
-        The machine. Lengths of belts follow the travel, and the encoders' resolution follows lines and gear ratio.
+        The machine.
 
     Raises:
-        InputError: If the template is unknown, or an option is not positive, does not fit the template or leaves no
-            sensor.
+        InputError: If the template is unknown, an option is not positive or does not fit the template, or the machine
+            would have no sensor.
     """
     if like not in TEMPLATES:
         raise InputError(f"--like {like}: choose one of {', '.join(TEMPLATES)}")
@@ -158,7 +161,7 @@ def write_machine_template(like: str, machine: Machine, path: Path) -> None:
 
 
 def compact_json(value: Any, indent: int = 0) -> str:
-    """Format JSON for people: objects and lists that fit into a line are on one line.
+    """Format JSON for people: an object or list is written on one line if it fits there.
 
     Args:
         value: Dictionaries, lists, strings and numbers.

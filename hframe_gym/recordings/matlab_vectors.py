@@ -16,7 +16,7 @@ from scipy import io
 
 
 def vectors(name: str, value: Any) -> Iterator[tuple[str, NDArray[np.float64]]]:
-    """Yield the vectors in a variable of a MATLAB file.
+    """Yield all vectors in a variable of a MATLAB file; a matrix gives its columns.
 
     Args:
         name: Name of the variable.
@@ -42,15 +42,18 @@ def vectors(name: str, value: Any) -> Iterator[tuple[str, NDArray[np.float64]]]:
 
 
 def main() -> None:
-    """Write the vectors of the MATLAB file that the command line names: their names, then their values."""
+    """Read a MATLAB file and write its vectors and their names to an .npz file.
+
+    The command line gives the two paths. If the file cannot be read, the process ends with exit code 2.
+    """
     source, target = sys.argv[1:]
     try:
         content = io.loadmat(source, simplify_cells=True)
     except Exception as error:  # SciPy raises many types for damaged files
         print(" ".join(str(error).split()), file=sys.stderr)
         sys.exit(2)
-    found = [pair for key, value in content.items() if not key.startswith("__") for pair in vectors(key, value)]
-    np.savez(target, *[vector for _, vector in found], names=np.array([name for name, _ in found], dtype=str))
+    pairs = [pair for key, value in content.items() if not key.startswith("__") for pair in vectors(key, value)]
+    np.savez(target, *[vector for _, vector in pairs], names=np.array([name for name, _ in pairs], dtype=str))
 
 
 if __name__ == "__main__":

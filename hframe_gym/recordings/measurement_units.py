@@ -111,11 +111,13 @@ class Conversion:
         return scaled if self.denominator == 1.0 else scaled / self.denominator
 
     def scaled(self, factor: float) -> Conversion:
-        """Combine this conversion of units with a further factor.
+        """Return this conversion followed by a further factor.
+
+        If the inverse of the factor is a whole number, the conversion divides by it. This rounds correctly: 0.001
+        itself is not exact in binary numbers.
 
         Args:
-            factor: Factor, dimensionless, not zero. If its inverse is a whole number, values are divided by that, which
-                is exact for decimal numbers.
+            factor: Factor, dimensionless, not zero.
 
         Returns:
             The combined conversion.
@@ -127,10 +129,10 @@ class Conversion:
 
 
 def parse_factor(where: str, factor: object) -> float:
-    """Convert a factor to a number.
+    """Convert a factor that a user wrote to a number.
 
     Args:
-        where: File and field or option, for the message.
+        where: File and field, or option, that has the factor, for the message.
         factor: Number or text, for example "0.001".
 
     Returns:
@@ -163,13 +165,13 @@ def parse_rate(text: str) -> float | None:
 
 
 def normalize_unit(text: str) -> str:
-    """Return the usual spelling of a unit.
+    """Return the usual spelling of a unit, for example "mm" for "[Millimeters]".
 
     Args:
         text: Unit as written in a log or an option, possibly in brackets.
 
     Returns:
-        A key of `UNITS`, `SPEED_UNITS` or `DUTY_UNITS`, or the text without brackets if the unit is not among them.
+        A key of `UNITS`, `SPEED_UNITS` or `DUTY_UNITS`; the text without brackets if the unit is not among them.
     """
     plain = text.strip().strip("[](){}<>").strip()
     lower = plain.lower()
@@ -177,20 +179,20 @@ def normalize_unit(text: str) -> str:
 
 
 def is_unit(text: str) -> bool:
-    """Return whether a text is the name of a unit, also of a quantity that no channel has.
+    """Return whether a text is a unit, to recognize a row of units below the header of a table.
 
     Args:
-        text: Cell of a row that may contain units.
+        text: Cell of the row.
 
     Returns:
-        True for a known unit.
+        True for a known unit, including units such as "A" that no channel of a machine has.
     """
     unit = normalize_unit(text)
     return unit.lower() in _KNOWN or unit.lower() in _OTHER
 
 
 def split_unit(header: str) -> tuple[str, str]:
-    """Separate the name of a column from its unit: "Pos X [mm]", "x_mm", "x (mm)", "x in mm".
+    """Split the header of a column into name and unit: "Pos X [mm]", "x_mm", "x (mm)", "x in mm".
 
     Args:
         header: Cell of a header.

@@ -77,15 +77,15 @@ def load_recordings(
     max_rows: int | None = None,
     log: Callable[[str], None] = print,
 ) -> list[Recording]:
-    """Load and validate all recordings of a folder.
+    """Load and check all recordings of a folder.
 
     Args:
         folder: Folder of the runs; files with other endings than .csv, .csv.gz and .parquet, and hidden files, are
             ignored.
         machine: Machine that was recorded; its channels name the columns.
-        progress: Called while files are read with the number of bytes that were read, and that of all files.
-        max_rows: Number of rows of all runs together beyond which only the beginnings of long runs are read: the same
-            number of rows of each run, at least `MIN_ROWS`. Default: everything is read.
+        progress: Called with the number of bytes read so far and the total number.
+        max_rows: Largest number of rows of all runs together. If they have more, only the beginning of a long run is
+            read: max_rows / number of runs, but at least `MIN_ROWS` rows. Default: everything is read.
         log: Called with a line of text for each run of which only the beginning is read.
 
     Returns:
@@ -136,7 +136,7 @@ def load_recording(
     progress: Progress | None = None,
     max_rows: int | None = None,
 ) -> Recording:
-    """Load and validate one recording.
+    """Load and check one recording.
 
     Args:
         path: File of the recording, .csv, .csv.gz or .parquet.
@@ -148,7 +148,7 @@ def load_recording(
 
     Returns:
         The run: times, s, shape (n,), inputs, V, shape (n, drives), in the order of the machine's drives, and outputs,
-        m or rad, shape (n, sensors), in that of its sensors.
+        m or rad, shape (n, sensors), in the order of its sensors.
 
     Raises:
         InputError: If the file cannot be read or has no rows, columns are missing or unknown, a time or input is empty
@@ -165,10 +165,10 @@ def load_recording(
 
 
 def recording_from_columns(path: Path, columns: Mapping[str, Array], machine: Machine) -> Recording:
-    """Validate the columns of a run and arrange them in the order of a machine's channels.
+    """Check the columns of a run and arrange them in the order of a machine's channels.
 
     Args:
-        path: File of the run, for its name and for messages; it need not exist.
+        path: File of the run, from which its name is taken; it need not exist.
         columns: Values by column, shape (n,) each: `time_s` (s), all inputs (V), and any of the outputs (m or rad).
         machine: Machine that was recorded.
 
@@ -219,7 +219,7 @@ def _refuse_gaps(path: Path, time_s: Array) -> None:
 def write_trajectory(path: str | Path, trajectory: Trajectory, inputs: Array, machine: Machine) -> None:
     """Write a simulated run as a recording that `load_recording` can read.
 
-    The file appears complete or not at all.
+    If writing fails, an existing file is unchanged.
 
     Args:
         path: File to write, .csv or .csv.gz (compressed).

@@ -37,8 +37,8 @@ def read_table(
         max_rows: Number of rows after which reading stops. Default: all rows are read.
 
     Returns:
-        Names of the columns in the order of the file, and values of each column by its name, in the unit of the file,
-        shape (rows,), NaN where a cell is empty, NA, NaN or #N/A.
+        Names of the columns in the order of the file, and the values of each column by its name, in the unit of the
+        file, shape (rows,); NaN where a cell is empty or is NA, NaN or #N/A.
 
     Raises:
         ForeignFormatError: If the table has another format, such as semicolons between the columns.
@@ -83,7 +83,7 @@ def import_command(path: Path) -> str:
 
 
 def refuse_rows(path: Path, name: str, column: Array, invalid: NDArray[np.bool_], reason: str) -> None:
-    """Check a column of a file: raise an error that names the first invalid value, if there is one.
+    """Raise an error if a column of a file has invalid values; the message shows the first one.
 
     Args:
         path: File of the column, for the message.
@@ -93,7 +93,7 @@ def refuse_rows(path: Path, name: str, column: Array, invalid: NDArray[np.bool_]
         reason: Text that follows the value in the message, for example "is infinite".
 
     Raises:
-        InputError: If any row is invalid. The message names file, row, column and the value, unless that is empty.
+        InputError: If any row is invalid. The message names file, row, column and the value.
     """
     if invalid.any():
         row = int(np.argmax(invalid))
@@ -102,7 +102,7 @@ def refuse_rows(path: Path, name: str, column: Array, invalid: NDArray[np.bool_]
 
 
 def refuse_decreasing_times(path: Path, time_s: Array) -> None:
-    """Check that times increase strictly; raise an error otherwise.
+    """Raise an error if times do not increase strictly.
 
     Args:
         path: File of the times, for the message.
@@ -166,7 +166,7 @@ def _read_csv(path: Path, progress: Progress | None, max_rows: int | None) -> tu
 
 
 def open_parquet(path: Path) -> Any:
-    """Open a Parquet file without reading its columns, and check that they fit into the memory.
+    """Open a Parquet file without reading its columns, and check that they are not too large for the memory.
 
     Args:
         path: File to open.
@@ -175,8 +175,8 @@ def open_parquet(path: Path) -> Any:
         File, an object of the class `pyarrow.parquet.ParquetFile`.
 
     Raises:
-        InputError: If pyarrow is missing, the file is damaged, two columns have the same name, or the columns are too
-            large for the size of the file.
+        InputError: If pyarrow is missing, the file is damaged, two columns have the same name, or the columns have too
+            many values or expand to more than `file_limits.expansion_limit`.
     """
     try:
         import pyarrow.parquet as parquet

@@ -60,7 +60,7 @@ class TextFormat:
 
 
 def detect_format(path: Path) -> TextFormat:
-    """Detect the format of a text file (encoding, separator, decimal mark, header, columns) from its beginning.
+    """Detect the format of a text file from its beginning: encoding, separator, decimal mark, header, columns.
 
     Args:
         path: Text file, possibly compressed by gzip.
@@ -107,14 +107,15 @@ def detect_format(path: Path) -> TextFormat:
 
 @contextmanager
 def open_text(path: Path, encoding: str) -> Iterator[tuple[TextIO, BinaryIO]]:
-    """Open a text file, possibly compressed by gzip; errors in reading it become an InputError.
+    """Open a text file, possibly compressed by gzip; errors while it is read are raised as InputError.
 
     Args:
         path: File to open.
         encoding: Encoding of the text.
 
     Yields:
-        The text with line feeds as line ends, and the file itself, whose position is the number of bytes read.
+        Two streams: the text, with line feeds as line ends, and the underlying file, whose position shows how many
+        bytes have been read.
 
     Raises:
         InputError: If the file cannot be opened, decompressed or decoded.
@@ -134,7 +135,7 @@ def open_text(path: Path, encoding: str) -> Iterator[tuple[TextIO, BinaryIO]]:
 
 
 def split_row(line: str, separator: str) -> list[str]:
-    """Split a line into cells, without the blanks and quotation marks around them.
+    """Split a line of a table into cells, and remove blanks and quotation marks around them.
 
     Args:
         line: Line of a table.
@@ -153,7 +154,7 @@ def split_row(line: str, separator: str) -> list[str]:
 
 
 def is_missing(cell: str) -> bool:
-    """Return whether a cell is empty or says that it has no value, such as NA, NaN or #N/A.
+    """Return whether a cell has no value: it is empty or says so by NA, NaN, #N/A and the like.
 
     Args:
         cell: Text of the cell, without blanks around it.
@@ -165,13 +166,13 @@ def is_missing(cell: str) -> bool:
 
 
 def is_stamp(cell: str) -> bool:
-    """Return whether a cell is a time of day or a date (2024-05-31 or 31.05.2024), or both.
+    """Return whether a cell is a time stamp: a time of day, a date (2024-05-31 or 31.05.2024), or both.
 
     Args:
         cell: Text of the cell, without blanks around it.
 
     Returns:
-        True if it is.
+        True for a time stamp.
     """
     return _TIME_STAMP.fullmatch(cell) is not None
 

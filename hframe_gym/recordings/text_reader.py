@@ -50,14 +50,14 @@ def read_columns(
         path: Text file, possibly compressed by gzip.
         layout: Its format, from `detect_format`.
         columns: Indices of the columns to read, from 0.
-        lenient: Leave out comment lines, rows without a value, and the last row if it is incomplete.
+        lenient: Whether to leave out comment lines, rows without a value, and the last row if it is incomplete.
         progress: Called with the number of bytes read since the last call.
         max_rows: Number of rows after which reading stops. Default: all rows are read.
 
     Returns:
         values: One array per column, in the unit of the file, shape (rows,): float64, NaN where a cell is empty, or
             datetime64[ns] for a column of time stamps (NaT where empty; times of day have the date 1970-01-01).
-        remarks: What was left out, in words.
+        remarks: Sentences for the user about what was left out.
 
     Raises:
         InputError: If the file cannot be read, rows differ in length, or a cell is not a number. The message names
@@ -82,16 +82,16 @@ def read_columns(
 
 
 def parse_stamps(cells: Sequence[str]) -> NDArray[np.datetime64]:
-    """Convert time stamps and times of day to instants.
+    """Convert time stamps (dates, times of day, or both) to NumPy's time type.
 
     Args:
-        cells: Times with or without a date, 2024-05-31T12:00:00.5 or 31.05.2024 12:00:00.5; time zones are ignored.
+        cells: Texts, for example 2024-05-31T12:00:00.5, 31.05.2024 12:00:00.5 or 12:00:00.5; time zones are ignored.
 
     Returns:
-        Instants, datetime64[ns], shape (len(cells),); times of day on 1970-01-01, NaT for missing values.
+        Times, datetime64[ns], shape (len(cells),). A time of day has the date 1970-01-01; a missing value is NaT.
 
     Raises:
-        ValueError: If a cell is no time stamp.
+        ValueError: If a cell is not a time stamp.
     """
     texts = []
     for cell in cells:
