@@ -171,7 +171,7 @@ class AnalyticPolicyGradient:
         self.mapping.reset()
         batch, model = self._envs.batch, self._model
         parameters, references, moving = self._envs.parameters, batch.references, batch.references.moving
-        state = torch.from_numpy(model.goal_state(batch.simulator.tools()))
+        state = torch.from_numpy(model.goal_state(batch.simulator.tool_positions()))
         last_observation, last_action, costs = None, None, []
         last_volts = torch.zeros((len(state), len(model.rated)), dtype=torch.float64)
         limit = self._limit / len(state)  # because the mean over the episodes is differentiated

@@ -172,7 +172,7 @@ class _Recorder:
         energy, peak = np.zeros(count), np.zeros(count)
 
         def record(sample: int) -> None:
-            position[:, sample], goal[:, sample] = simulator.tools(), observation["desired_goal"]
+            position[:, sample], goal[:, sample] = simulator.tool_positions(), observation["desired_goal"]
             if contour is not None:
                 contour[:, sample] = info["contour_m"]
 

@@ -191,7 +191,7 @@ def episode_conditions(scenario: Scenario) -> EpisodeConditions:
     envs = environments_of(scenario)
     observation, _ = envs.reset(seed=scenario.seed)
     goal = np.asarray(observation["desired_goal"], np.float64)
-    return EpisodeConditions(envs.machine, envs.parameters, envs.batch.simulator.tools().copy(), goal)
+    return EpisodeConditions(envs.machine, envs.parameters, envs.batch.simulator.tool_positions().copy(), goal)
 
 
 class ControllerFiles(NamedTuple):

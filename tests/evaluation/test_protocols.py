@@ -98,7 +98,7 @@ def test_absent_effects_do_not_change_the_motion() -> None:
         actions = rng.uniform(-1.0, 1.0, (8, 2))
         for env in envs:
             env.step(actions)
-    tools = [env.batch.simulator.tools() for env in envs]
+    tools = [env.batch.simulator.tool_positions() for env in envs]
     np.testing.assert_allclose(tools[1], tools[0], atol=2e-6)
 
 
@@ -143,7 +143,9 @@ def test_acting_effects_move_as_the_environment() -> None:
     single.reset(seed=0, options={"start": conditions.start[draw], "target": conditions.goal[draw]})
     for action in actions:
         single.step(action[draw : draw + 1])
-    np.testing.assert_allclose(single.batch.simulator.tools()[0], env.batch.simulator.tools()[draw], atol=5e-6)
+    np.testing.assert_allclose(
+        single.batch.simulator.tool_positions()[0], env.batch.simulator.tool_positions()[draw], atol=5e-6
+    )
 
 
 def test_sometimes_is_a_log_uniform_number_with_the_given_probability() -> None:
