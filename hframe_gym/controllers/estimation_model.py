@@ -1,4 +1,4 @@
-"""What estimators vary and measure: parameters as ratios to declared values, and the linear measurement equation."""
+"""Models for estimators: parameters as ratios to their declared values, and the linear measurement equation."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class ParameterRatios:
         self._declared = np.array(list(machine.parameters.values()))
 
     def parameters(self, logarithms: Array) -> Array:
-        """Compute the parameter values of machines: declared values times the estimated ratios.
+        """Convert estimated logarithms to parameter values, the declared values times exp(logarithm).
 
         Args:
             logarithms: Natural logarithms of the ratios of the k estimated parameters, shape (B, k) for B simulated
@@ -83,7 +83,7 @@ class AugmentedParameters(ParameterRatios):
         self.covariance: Array = np.diag(std**2) + COMMON_BELT_STD**2 * np.outer(belts, belts)
 
     def ratios(self, logarithms: Array) -> Array:
-        """Convert logarithms to ratios of estimated to declared parameter values, limited to 1/4 ... 4.
+        """Convert logarithms to ratios of estimated to declared parameter values.
 
         Args:
             logarithms: Natural logarithms of the ratios, shape (B, k) for B simulated machines and k parameters.
@@ -105,11 +105,11 @@ class AugmentedParameters(ParameterRatios):
         return np.clip(logarithms, -np.log(LARGEST_RATIO), np.log(LARGEST_RATIO))
 
     def parameters(self, logarithms: Array) -> Array:
-        """Compute the parameter values of machines: declared values times the estimated ratios, limited to 1/4 ... 4.
+        """Convert estimated logarithms to parameter values, the declared values times the limited ratios.
 
         Args:
             logarithms: Natural logarithms of the ratios of the k estimated parameters, shape (B, k) for B simulated
-                machines.
+                machines; limited as by `clip`.
 
         Returns:
             All P parameters in the order and units of `Machine.parameters`, shape (B, P). Parameters that are not

@@ -56,8 +56,8 @@ class PredictiveController(FullStateController):
             them.
 
     Raises:
-        InputError: If the machine does not have one drive per axis of its tool, x or y has no range, or the period is
-            not positive.
+        InputError: If the machine does not have one drive per axis of its tool, an axis has no range, or the period is
+            invalid.
     """
 
     feedback: ClassVar[Feedback] = "estimated_state"
@@ -127,7 +127,7 @@ class PredictiveController(FullStateController):
         return volts / self.model.rated
 
     def replace_last_action(self, actions: Array) -> None:
-        """Record the actions that were applied instead of those that `act` returned last.
+        """Record the applied actions, if they differ from those that `act` returned last.
 
         Args:
             actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (B, drives) for B machines.
@@ -136,16 +136,17 @@ class PredictiveController(FullStateController):
 
     @property
     def estimates(self) -> Array:
-        """Estimates of friction, masses, belts and lacking voltages, see `ParameterWindow`, shape (B, size)."""
+        """Estimates of friction, masses, belts and missing voltages, shape (B, size); see `ParameterWindow`."""
         return self.estimator.estimates
 
     def gain(self) -> Array:
-        """Compute the derivative of the last voltages with respect to the state, without the refinement by simulations.
+        """Compute the derivative of the voltages that `act` returned last with respect to the state.
 
-        The analytic policy gradient needs it for a policy that corrects this controller.
+        It is that of the linear plan; corrections of the plan by simulations are ignored. The analytic policy gradient
+        needs it for a policy that corrects this controller.
 
         Returns:
-            Gains, V/m and Vs/m, shape (B, drives, 2 n).
+            Gains on belt travel and velocity of n coordinates, V/m and Vs/m, shape (B, drives, 2 n).
         """
         if self._follows_path and self._path_planner is not None:
             return self._path_planner.gain()
@@ -276,7 +277,7 @@ class _PathPlanner:
         R, D = self._response, CHANGE_WEIGHT * self._difference
         normal = R.transpose(0, 2, 1) @ R + D.T @ D
         commands = inversion.command(volts.reshape(-1, len(self._rated))).reshape(volts.shape)
-        samples = self._simulation.tool(state, parameters, commands + offset[:, None])
+        samples = self._simulation.tool_positions(state, parameters, commands + offset[:, None])
         ends = samples[:, samples.shape[1] // self.horizon - 1 :: samples.shape[1] // self.horizon]
         error = (ends - goals[:, 1:]).reshape(batch, -1)
         change = volts.reshape(batch, -1) @ D.T - CHANGE_WEIGHT * last
