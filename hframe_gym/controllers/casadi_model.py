@@ -62,7 +62,7 @@ class SymbolicModel:
 
         Args:
             state: Belt travel of n coordinates, m, and its rate, m/s, shape (2 n,).
-            action: Motor voltages; -1 stands for the lowest possible voltage, 1 for the highest, shape (drives,).
+            action: Motor voltages, scaled so that -1 is the lowest possible one and 1 the highest, shape (drives,).
             time: Time since the start, s.
 
         Returns:
@@ -75,7 +75,7 @@ class SymbolicModel:
 
         Args:
             state: Belt travel of n coordinates, m, and its rate, m/s, shape (2 n,).
-            action: Motor voltages; -1 stands for the lowest possible voltage, 1 for the highest, shape (drives,).
+            action: Motor voltages, scaled so that -1 is the lowest possible one and 1 the highest, shape (drives,).
 
         Returns:
             (current / limit)^2 - 1, dimensionless, for each current limit.

@@ -109,7 +109,7 @@ def with_end_stops(machine: Machine) -> Machine:
         machine: Machine with a workspace.
 
     Returns:
-        Copy with one more effect `end_stop` per axis. The parameters of these effects come after the machine's own.
+        Copy with one more effect `end_stop` per axis, whose parameters come after those of the machine.
 
     Raises:
         InputError: If the machine has no workspace; see `workspace_of`.

@@ -21,9 +21,9 @@ from hframe_gym.evaluation import (
     Protocol,
     acting_effects,
     episode_conditions,
-    filled,
+    fill_unsettled,
     get_protocol,
-    over,
+    paired_ratio,
     protocol_bounds,
     protocols,
     read_result,
@@ -220,7 +220,7 @@ def test_scores_follow_from_the_draws(content: dict[str, Any], tmp_path: Path) -
     assert score["mean"] == pytest.approx((0.1 + 0.2 + 0.3 + 0.3) / 4)  # a failure counts the length of the episode
     result = read_result(write_result(tmp_path, content))
     assert result.entry.name == "mine"
-    assert filled(result.draws["reach"]["settling_s.0.2mm"], 0.3).tolist() == [0.1, 0.2, 0.3, 0.3]
+    assert fill_unsettled(result.draws["reach"]["settling_s.0.2mm"], 0.3).tolist() == [0.1, 0.2, 0.3, 0.3]
 
 
 @pytest.mark.parametrize(
@@ -286,20 +286,20 @@ def test_agents_of_several_seeds_get_a_row_with_intervals_over_draws_and_seeds(
 def test_the_interval_over_seeds_contains_the_spread_over_seeds() -> None:
     bound = np.linspace(1.0, 2.0, 64)
     seeds = np.stack([factor * bound for factor in (1.0, 1.1, 1.5)])
-    of_one, of_all = over(seeds[0], bound), over(seeds, bound)
+    of_one, of_all = paired_ratio(seeds[0], bound), paired_ratio(seeds, bound)
     assert of_one is not None
     assert of_all is not None
     assert of_one["ci95"] == pytest.approx([1.0, 1.0])
     assert of_all["mean"] == pytest.approx(1.2)
     assert of_all["ci95"] == pytest.approx([1.0, 1.5])  # three of the same seed: one resampling in 27
-    assert over(seeds[:1], bound) == of_one
+    assert paired_ratio(seeds[:1], bound) == of_one
 
 
 def test_ratios_use_the_draws_with_a_known_bound() -> None:
-    ratio = over(np.array([2.0, 4.0, 100.0]), np.array([1.0, 2.0, np.nan]))
+    ratio = paired_ratio(np.array([2.0, 4.0, 100.0]), np.array([1.0, 2.0, np.nan]))
     assert ratio is not None
     assert (ratio["mean"], ratio["draws"]) == (2.0, 2)
-    assert over(np.ones(2), np.full(2, np.nan)) is None
+    assert paired_ratio(np.ones(2), np.full(2, np.nan)) is None
 
 
 def test_stored_bounds_belong_to_the_draws() -> None:
