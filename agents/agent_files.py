@@ -98,11 +98,11 @@ class _Card(_Table):
 
 
 def read_card(folder: Path, schema: int, files: tuple[str, ...]) -> dict[str, Any]:
-    """Read agent.json and check that the folder holds an agent of this version.
+    """Read agent.json and check it; also check that the folder holds all files of an agent.
 
     Args:
         folder: Folder of the agent.
-        schema: Version of agent.json that can be read.
+        schema: Version of the format of agent.json that can be read.
         files: Names of the files that the folder must have.
 
     Returns:

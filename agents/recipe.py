@@ -86,10 +86,10 @@ class Recipe:
         return float(self.env.get("period", EnvConfig.period))
 
     def as_dict(self) -> dict[str, Any]:
-        """Convert the recipe to a dictionary, as stored in card.json.
+        """Convert the recipe to a dictionary, for card.json.
 
         Returns:
-            Values of the attributes by their names.
+            Values of the attributes by name; tables are dictionaries.
         """
         return asdict(self)
 

@@ -67,7 +67,9 @@ class Authority:
         return (self.least + distance / self.full_at_m + speed / self.full_at_m_s).clip(max=self.most)[:, None]
 
     def held(self, distance: Any, speed: Any) -> Any:
-        """Compute the fraction of the last action that is added to the new one (see `hold_m`).
+        """Compute the fraction of the last action that the new action contains, besides the policy's output.
+
+        Near the goal it makes the policy an integrator, which can overcome friction.
 
         Args:
             distance: Distances to the goal, m, array or torch tensor of shape (batch,).
@@ -142,7 +144,7 @@ class ResidualAction:
         """Build the space of the policy's outputs.
 
         Returns:
-            Box from -1 to 1: one entry for each drive, then one for the weight of each transfer in `bank`, if any.
+            Box from -1 to 1: one entry for each drive, then one for the weight of each feedback law in `bank`, if any.
         """
         return spaces.Box(-1.0, 1.0, (self._drives + (self.bank.size if self.bank else 0),), np.float32)
 
@@ -153,7 +155,7 @@ class ResidualAction:
             observation_space: Observation space of one environment.
 
         Returns:
-            Observation space of the policy: the given keys and those of the arrays that `history` returns.
+            Observation space of the policy: the given keys and those that `history` returns, such as `last_action`.
         """
         action_box = spaces.Box(-1.0, 1.0, (self._drives,), np.float32)
         added: dict[str, spaces.Space[Any]] = {
@@ -259,10 +261,11 @@ class ResidualAction:
     def combine(self, output: Any, distance: Any, speed: Any, last_action: Any, transfers: Any = None) -> Any:
         """Compute the policy's part of the actions: without the base action, and not limited to [-1, 1].
 
-        Works on arrays and on torch tensors, so that training can differentiate it.
+        It works on arrays and on torch tensors, so that training can differentiate it. A transfer is a motion to rest
+        at the goal; the policy can weight the voltages of several ones.
 
         Args:
-            output: Policy outputs, shape (batch, drives); with K transfers (batch, drives + K).
+            output: Policy outputs, shape (batch, drives); with K transfers (batch, drives + K), weights last.
             distance: Distances to the goal, m, shape (batch,).
             speed: Tool speeds, m/s, shape (batch,).
             last_action: Actions of the previous period, shape (batch, drives).
@@ -270,8 +273,9 @@ class ResidualAction:
                 drives). Default: no transfers.
 
         Returns:
-            held * last action + authority * output + weighted mean of the transfers' voltages, divided by the rated
-            voltages, of the type of `output`, shape (batch, drives).
+            held * last action + authority * output + weighted mean of the transfers' voltages, with `held` and
+            authority as `Authority` computes them; divided by the rated voltages, of the type of `output`, shape
+            (batch, drives).
         """
         held = self.authority.held(distance, speed) * last_action.clip(-LARGEST_HELD, LARGEST_HELD)
         action = held + self.authority(distance, speed) * output[:, : self._drives]

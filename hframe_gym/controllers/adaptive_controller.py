@@ -240,7 +240,7 @@ class MomentumFilter:
         return 1.0 + self.estimates[:, n:-1] @ (moving_mass / moving_mass.sum(axis=0))
 
     def update(self, before: Array, after: Array, volts: Array, effect_force: Array, starts: NDArray[np.bool_]) -> None:
-        """Update the estimated relative errors of the model with the momentum balances of the last control period.
+        """Update the estimates of friction, masses and belt stiffness with the momentum balances of the last period.
 
         Args:
             before: States at the start of the period: belt travel (radius * angle of a rotary coordinate) of the n

@@ -180,7 +180,7 @@ class ParameterFilter(ParameterEstimator):
 
     # About the standard deviations of the randomization "default"; the belts' lengths enter by EA.
     prior_std: ClassVar[Mapping[str, float]] = {"coulomb": 0.4, "mass": 0.1, "EA": 0.22}
-    # What the linearization, other parameters and the step of the simulation leave.
+    # Errors that remain from the linearization, parameters that are not estimated, and the step of the simulation.
     state_std: ClassVar[tuple[float, float]] = (2e-5, 8e-3)
     difference: ClassVar[float] = 0.03
     integration_step: ClassVar[float] = 1e-3

@@ -37,7 +37,8 @@ LONGEST_PERIODS = 60  # until the tool arrives; a longer way is planned again on
 FRICTION_SPEED, FRICTION_TRAVEL = 0.02, 1e-3  # m/s and m, over which the expected direction of friction changes
 ARRIVED = 1.2e-4  # m, predicted error of a plan that arrives in time
 DELAYS = (-1, 0, 1, 2, 3)  # periods by which the arrival may change from one period to the next, in the order tried
-REFINED_PERIODS, PERIODS_BEYOND = 3, 3  # periods until the arrival from which a plan is refined, and length beyond it
+# Periods before the arrival in which a plan is corrected by simulations, and simulated periods after the arrival.
+REFINED_PERIODS, PERIODS_BEYOND = 3, 3
 CHANGE_WEIGHT = 1e-5  # m/V, tool error that is as costly as a voltage change of 1 V along a path
 ESTIMATES_CHANGED = 2e-3  # change of an estimate after which linear models are computed again
 

@@ -168,7 +168,7 @@ class ArrivalPlanner:
         return ArrivalPlan(volts, distance)
 
     def gain(self, arrival: Indices) -> Array:
-        """Compute the derivative of the first voltages of `plan(arrival)` with respect to the present state.
+        """Compute the derivative of the first period's voltages of `plan(arrival)` with respect to the state.
 
         Args:
             arrival: Number K of periods until the arrival, shape (B,).

@@ -174,8 +174,7 @@ class ActuatorModel:
 
         Args:
             index: Indices of the environments, shape (k,).
-            values: All N parameters of these environments, SI, shape (k, N). The constructor's argument `column` gives
-                the column of each parameter.
+            values: All N parameters of these environments in the order of `ParameterSpace.names`, SI, shape (k, N).
         """
         self._quantized |= _set_converters(index, values, self._columns, self._converters)
         if self._commanded is not None:  # without dead time there is no history
@@ -183,7 +182,7 @@ class ActuatorModel:
             self._history[block, :, :, lane] = 0.0
 
     def begin_period(self) -> None:
-        """Shift the history of commanded voltages of all environments by one control period and drop the oldest.
+        """Advance the histories of commanded voltages, from which dead times are simulated, by one control period.
 
         Call it once per control period, before `command`.
         """
@@ -200,7 +199,8 @@ class ActuatorModel:
             actions: Voltages as fractions of the rated voltages, shape (environments, drives); limited to [-1, 1] here.
             first: Index of the first block; block i holds environments i * LANES to (i + 1) * LANES - 1.
             last: Index after the last block.
-            clipped: Number of clipped action entries in each running episode, shape (environments,); updated in place.
+            clipped: Number of action entries outside [-1, 1] in each running episode, shape (environments,); updated in
+                place.
         """
         commanded = self.inputs if self._commanded is None else self._commanded
         _convert(actions, self._rated, self._converters, self._quantized, first, last, commanded, clipped)

@@ -173,7 +173,7 @@ class BatchedSimulator:
         Args:
             index: Indices of the machines, ascending, shape (k,).
             position: Tool positions, m, shape (k, axes).
-            values: All N parameters in the order of the parameter space (`ParameterSpace.names`), SI, shape (k, N).
+            values: All N parameters in the order of `ParameterSpace.names`, SI, shape (k, N).
         """
         # At rest, the travel of every coordinate is a linear function of the tool position; the rest of the state is 0.
         state = np.zeros((len(index), self.state.shape[1]))
@@ -206,7 +206,7 @@ class BatchedSimulator:
         Args:
             actions: Voltages as fractions of the rated voltages, finite, shape (count, drives) for all `count`
                 machines; limited to [-1, 1] here.
-            clipped: Number of clipped action entries in each episode, shape (count,); updated in place.
+            clipped: Number of action entries outside [-1, 1] in each episode, shape (count,); updated in place.
             finish: Function called with (first, last), in any thread, after blocks first to last - 1 (LANES machines
                 each) are advanced. It returns the index of a machine whose state is not finite, or -1.
 

@@ -204,7 +204,8 @@ class RuleSampler:
         """Sample the parameters of k environments by the rules.
 
         Args:
-            base: All N parameters before sampling, SI, shape (k, N), or (1, N) if all environments have the same.
+            base: All N parameters of the parameter space before sampling, SI, shape (k, N), or (1, N) if they are the
+                same in all environments.
             uniforms: Uniform random numbers in (0, 1), shape (k, draws); see the attribute `draws`.
 
         Returns:
@@ -293,10 +294,10 @@ class MachineSampler:
         """Divide the randomized parameters by their nominal values; a parameter with nominal value 0 is not divided.
 
         Args:
-            values: All N parameters of k environments, SI, shape (k, N).
+            values: All N parameters of k environments in the order of `space.names`, SI, shape (k, N).
 
         Returns:
-            Randomized parameters in the order of `names`, dimensionless, shape (k, len(names)).
+            Randomized parameters in the order of the attribute `names`, dimensionless, shape (k, len(names)).
         """
         nominal = self.space.nominal[self.columns]
         return values[:, self.columns] / np.where(nominal == 0.0, 1.0, nominal)

@@ -66,8 +66,7 @@ class SensorArray:
         Args:
             index: Indices of the environments, shape (k,).
             keys: Keys (seeds) of the episodes, from which their random numbers follow, uint64, shape (k,).
-            values: All N parameters of these environments, SI, shape (k, N). The constructor's argument `column` gives
-                the column of each parameter.
+            values: All N parameters of these environments in the order of `ParameterSpace.names`, SI, shape (k, N).
         """
         self._keys[index] = keys
         for j, (noise, resolution) in enumerate(self._device_columns):
@@ -77,13 +76,13 @@ class SensorArray:
                 self.low[j, index], self.high[j, index] = values[:, limits[0]], values[:, limits[1]]
 
     def measure(self, readings: Array, index: Index, elapsed: NDArray[np.int64], *, fresh: bool) -> None:
-        """Measure: add noise to ideal readings of k environments, round them and limit them to the sensors' ranges.
+        """Turn ideal readings of k environments into measurements, with noise, quantization and range.
 
-        The results are stored in row 0 of the attribute `measurements`; the previous ones move to row 1.
+        They are stored in row 0 of the attribute `measurements`; the previous ones move to row 1.
 
         Args:
             readings: Ideal (noise-free) readings of all sensors of the machine, delays included, m or rad, shape
-                (blocks, sensors, LANES): machine b is in block b // LANES and column b % LANES.
+                (blocks, sensors, LANES): environment b is lane b % LANES of block b // LANES.
             index: Indices of the environments, shape (k,).
             elapsed: Control periods since the reset of each of the `count` environments, shape (count,).
             fresh: Whether this is the first measurement of an episode; it is then stored in both rows.
@@ -232,7 +231,7 @@ class DelayLine:
         Args:
             index: Indices of the environments, ascending, shape (k,).
             readings: Ideal (noise-free) readings at the start of the episode, without delay, m or rad, shape
-                (blocks, sensors, LANES): machine b is in block b // LANES and column b % LANES.
+                (blocks, sensors, LANES): environment b is lane b % LANES of block b // LANES.
         """
         block, lane = np.divmod(index, LANES)
         self._history[block, :, :, lane] = readings[block, :, lane][:, None]

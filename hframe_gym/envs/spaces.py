@@ -53,7 +53,7 @@ def state_signals(machine: Machine, names: Sequence[str] | None = None) -> tuple
         names: Names of coordinates. Default: the tool's axes and the driven coordinates.
 
     Returns:
-        Specifications of all positions, then of all velocities, in the order of `names`.
+        Specifications (name, unit, bounds) of all positions, then of all velocities, in the order of `names`.
 
     Raises:
         InputError: If the machine has no workspace; see `workspace_of`.
@@ -111,8 +111,8 @@ def sensor_signals(machine: Machine, sensors: Sequence[Sensor]) -> tuple[SignalS
         sensors: Observed sensors.
 
     Returns:
-        Specifications of all measurements, then of all rates, in the order of `sensors`. An entry has the name of the
-        coordinate, or of the sensor's channel if several sensors measure the same coordinate.
+        Specifications (name, unit, bounds) of all measurements, then of all rates, in the order of `sensors`. An entry
+        has the name of the coordinate, or of the sensor's channel if several sensors measure the same coordinate.
 
     Raises:
         InputError: If the machine has no workspace; see `workspace_of`.
@@ -136,11 +136,11 @@ def privileged_signals(machine: Machine, bounds: Mapping[str, tuple[float, float
 
     Args:
         machine: Machine with its coordinates.
-        bounds: (Smallest, largest) value, dimensionless, of each randomized parameter divided by its nominal value, by
-            full name ("x.mass").
+        bounds: For each randomized parameter, by full name ("x.mass"), the smallest and largest value that it can have,
+            divided by its nominal value, dimensionless.
 
     Returns:
-        Specifications of all positions, all velocities, then all parameters.
+        Specifications (name, unit, bounds) of all positions, all velocities, then all parameters.
 
     Raises:
         InputError: If the machine has no workspace; see `workspace_of`.
@@ -173,9 +173,9 @@ def observation_signals(
         privileged: Entries of the array `privileged`; empty: there is no such array.
 
     Returns:
-        Specifications by key, in alphabetical order of the keys as in a space of Gymnasium: `achieved_goal` and
-        `desired_goal` (one entry per axis), `observation`, and if requested `preview` (axes * previews entries) and
-        `privileged`.
+        Specifications (name, unit, bounds) by key, in alphabetical order of the keys as in a space of Gymnasium:
+        `achieved_goal` and `desired_goal` (one entry per axis), `observation`, and if requested `preview` (axes *
+        previews entries) and `privileged`.
 
     Raises:
         InputError: If the machine has no workspace; see `workspace_of`.

@@ -108,7 +108,7 @@ class StepRewards:
         self._after: dict[str, Positions] = {}
 
     def begin(self, index: NDArray[np.intp], observation: Mapping[str, Positions]) -> None:
-        """Store the first achieved and desired goals of k episodes, with which their first step is compared.
+        """Store the achieved and desired goals at the start of k episodes, for the reward of their first step.
 
         Only the reward "progress" needs them; for others this method does nothing.
 

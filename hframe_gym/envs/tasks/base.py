@@ -113,6 +113,8 @@ class Task(ABC):
     def aim(self, target: Array) -> Array:
         """Make plans for episodes with given targets (option `target` of an environment's `reset`).
 
+        A plan defines the goals of an episode at all times.
+
         Args:
             target: Target positions of k episodes, m, shape (k, axes).
 
@@ -267,8 +269,9 @@ class ReferenceTrajectories:
 
         Args:
             index: Indices of the environments, shape (k,), or a slice of them; other rows are not changed.
-            observation: Arrays by key from `add_blank`. Written are `desired_goal`, m, shape (count, axes), and
-                `preview`, m, shape (count, axes * p): all axes of the first future goal, then of the second, ...
+            observation: Arrays by key from `add_blank`. Written are `desired_goal`, m, shape (count, axes), and for a
+                task with p future goals `preview`, m, shape (count, axes * p): all axes of the first future goal, then
+                of the second, ...
         """
         if not self.moving:
             observation["desired_goal"][index] = self._fixed_goals[index]

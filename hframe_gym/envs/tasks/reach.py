@@ -73,7 +73,9 @@ class Reach(Task):
         return points[0], points[1]
 
     def aim(self, target: Array) -> Array:
-        """Make plans for given targets; a plan of this task is the target itself.
+        """Make plans for episodes with given targets.
+
+        A plan defines the goals of an episode at all times. For this task it is the target itself.
 
         Args:
             target: Target positions, m, shape (k, axes).

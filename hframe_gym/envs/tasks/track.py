@@ -19,7 +19,7 @@ from .curves import SHAPES, Curve, Polyline, write_points
 
 # Columns of a plan: index of the path, its center (m), direction (+1 or -1), arc length at the start (m), speed (m/s).
 PATH, CENTER, DIRECTION, START, SPEED = 0, slice(1, 3), 3, 4, 5
-_EPISODES = 64  # that are computed together
+_EPISODES = 64  # number of episodes that are computed together
 
 
 @TASKS.register("track")
