@@ -144,8 +144,8 @@ def normal_pair(key: Any, step: Any, channel: Any) -> tuple[float, float]:
     Args:
         key: Key of the episode, which takes the place of a seed, uint64.
         step: Index of the control period since the reset, from 0; integer.
-        channel: Index of a random number within the step, integer. The numbers `channel` and `channel + 1` of `uniform`
-            are used.
+        channel: Index of a random number within the step, integer. The pair is computed from the uniform random numbers
+            `channel` and `channel + 1` of the step.
 
     Returns:
         first: Normal number, dimensionless.

@@ -194,11 +194,11 @@ class Game:
         self.reset()
 
     def reset(self, target: tuple[float, float] | None = None) -> None:
-        """Begin a new episode on all stages, with the same start, goal and machine parameters.
+        """Begin a new episode on all stages, with the same goal and machine parameters.
 
         Args:
-            target: Target (x, y), m, which every stage approaches from its present position. Default: start and goal of
-                the task.
+            target: Target (x, y), m, which every stage approaches from its present position. Default: goal and common
+                start of the task.
 
         Raises:
             InputError: If a target is given for a task without one, or it is outside the workspace.

@@ -152,7 +152,7 @@ def fill_unsettled(column: list[float | None], duration_s: float) -> Array:
 
 
 def result_file_name(content: Mapping[str, Any]) -> str:
-    """Return the name of a result file, which consists of the names of protocol and entry.
+    """Return the name of a result file: the names of the protocol and of the controller or agent.
 
     Args:
         content: Content of the file, as `result_content` returns it.

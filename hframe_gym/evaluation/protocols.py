@@ -91,7 +91,7 @@ class Protocol:
         return actuators.apply(machine) if actuators else machine
 
     def scenario(self, part: str) -> Scenario:
-        """Return the settings with which the episodes of a part are simulated.
+        """Return the settings with which the episodes of a part (task) are simulated.
 
         Args:
             part: Name of the part, a key of `parts`.
@@ -116,15 +116,15 @@ class Protocol:
         )
 
     def declared_scenario(self, part: str) -> Scenario:
-        """Return the settings for which a controller of a part is designed.
+        """Return the settings for which a controller is designed that will run in a part (task).
 
-        They differ from `scenario` where controllers do not know the simulated machine.
+        It does not know undeclared effects of the simulated machine, and is designed for the full state.
 
         Args:
             part: Name of the part, a key of `parts`.
 
         Returns:
-            Scenario with the declared machine, without undeclared effects, and with full state in place of the sensors.
+            Scenario with the declared machine, its randomization, and full state in place of the sensors.
         """
         return dataclasses.replace(
             self.scenario(part),
