@@ -72,7 +72,7 @@ def policy_keywords(policy: Mapping[str, Any], features: Mapping[str, Any]) -> d
 
 
 def policy_class(kind: str) -> Any:
-    """Return the policy class of an algorithm, for dict observations.
+    """Return the policy class of a training algorithm that accepts dict observations.
 
     Args:
         kind: Algorithm of a recipe, for example "sac". The analytic policy gradient uses the policy of PPO.
@@ -123,8 +123,8 @@ class Agent(Controller):
             Voltages divided by the rated voltages, in [-1, 1], shape (batch, drives).
 
         Raises:
-            InputError: If an array has another width than in training, as with other sensors, or the goal is
-                previewed in one of both only.
+            InputError: If the observation does not have the form of the training: an array has another width, or
+                `preview` is missing or superfluous.
         """
         previews = "preview" in self.policy.observation_space.spaces
         if previews != ("preview" in observation):
@@ -144,7 +144,7 @@ class Agent(Controller):
         return self.mapping.action(outputs) if self.mapping else np.asarray(outputs, np.float64)
 
     def replace_last_action(self, actions: NDArray[np.float64]) -> None:
-        """Record the actions that were applied instead of those that `act` returned last.
+        """Record the applied actions, if they differ from those that `act` returned last.
 
         Args:
             actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (batch, drives) for a batch of
@@ -154,7 +154,7 @@ class Agent(Controller):
             self.mapping.replace_last_action(actions)
 
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """Clear what is stored of past periods, for the environments that start a new episode.
+        """Clear the memory of past periods for the environments that start a new episode.
 
         Args:
             mask: True for the environments whose next observation is the first of an episode, shape (batch,). Default:
@@ -164,14 +164,14 @@ class Agent(Controller):
             self.mapping.reset(mask)
 
     def mismatch(self, machine: Machine, period: float) -> str | None:
-        """Describe how machine and control period of an evaluation differ from those of the agent's training.
+        """Return a warning if machine or control period of an evaluation differ from those of the agent's training.
 
         Args:
             machine: Machine of the evaluation.
             period: Control period of the evaluation, s.
 
         Returns:
-            Warning of one line for the user, or None if nothing differs.
+            One line that names the differences, or None if there are none.
         """
         differences = []
         if machine.name != self.machine.name:

@@ -98,11 +98,11 @@ class _Card(_Table):
 
 
 def read_card(folder: Path, schema: int, files: tuple[str, ...]) -> dict[str, Any]:
-    """Read agent.json and check that the folder holds an agent of this version.
+    """Read agent.json and check it; also check that the folder holds all files of an agent.
 
     Args:
         folder: Folder of the agent.
-        schema: Version of agent.json that can be read.
+        schema: Version of the format of agent.json that can be read.
         files: Names of the files that the folder must have.
 
     Returns:
@@ -133,7 +133,7 @@ def read_card(folder: Path, schema: int, files: tuple[str, ...]) -> dict[str, An
 def sign_checkpoint(path: Path) -> None:
     """Append the signature of this installation to a file, so that `refuse_unsigned` accepts it.
 
-    Where no key can be kept, because the folder is read-only, the file stays as it is.
+    If the secret key cannot be stored, because its folder is read-only, the file is not changed.
 
     Args:
         path: Complete file; a pickle or a zip archive, which may have further bytes at its end.
@@ -151,7 +151,7 @@ def sign_checkpoint(path: Path) -> None:
 
 
 def refuse_unsigned(path: Path) -> None:
-    """Check that this installation wrote a file whose loading executes code; raise an error otherwise.
+    """Raise an error unless this installation wrote a file; for files whose loading executes code.
 
     Args:
         path: File that `sign_checkpoint` signed.
@@ -176,7 +176,7 @@ def refuse_unsigned(path: Path) -> None:
 
 
 def key_file() -> Path:
-    """Return the file with the secret key of this installation.
+    """Return the path of the file with the secret key that signs the checkpoints of this installation.
 
     Returns:
         checkpoint.key in `$XDG_DATA_HOME/hframe_gym`, by default in ~/.local/share/hframe_gym.

@@ -120,7 +120,7 @@ class AnalyticPolicyGradient:
         self.generators = (self._generator, self._period.generator)
 
     def set_logger(self, logger: Any) -> None:
-        """Set the logger.
+        """Set the attribute `logger`, as training runs of stable-baselines3 do.
 
         Args:
             logger: Logger of stable-baselines3.
@@ -128,12 +128,15 @@ class AnalyticPolicyGradient:
         self.logger = logger
 
     def learn(self, total_timesteps: int, callback: BaseCallback, reset_num_timesteps: bool = False) -> None:
-        """Train for a number of environment steps, rounded up to complete updates.
+        """Train the policy for a number of environment steps, rounded up to complete updates.
+
+        An update simulates one episode in every environment and changes the weights once.
 
         Args:
-            total_timesteps: Number of environment steps.
-            callback: Callback of stable-baselines3; an update counts as a rollout with one step.
-            reset_num_timesteps: Whether to count the steps from zero.
+            total_timesteps: Number of environment steps, summed over all environments.
+            callback: Callback of stable-baselines3. Its methods for the start of a rollout and for a step are called
+                before and after each update.
+            reset_num_timesteps: Whether to set the attribute `num_timesteps` to zero first.
         """
         if reset_num_timesteps:
             self.num_timesteps = 0
@@ -171,7 +174,7 @@ class AnalyticPolicyGradient:
         self.mapping.reset()
         batch, model = self._envs.batch, self._model
         parameters, references, moving = self._envs.parameters, batch.references, batch.references.moving
-        state = torch.from_numpy(model.goal_state(batch.simulator.tools()))
+        state = torch.from_numpy(model.goal_state(batch.simulator.tool_positions()))
         last_observation, last_action, costs = None, None, []
         last_volts = torch.zeros((len(state), len(model.rated)), dtype=torch.float64)
         limit = self._limit / len(state)  # because the mean over the episodes is differentiated
@@ -229,10 +232,10 @@ class AnalyticPolicyGradient:
         return entries["base_action"] + torch.einsum("bij,bj->bi", gain, state - state.detach()).float()
 
     def save(self, path: str | Path) -> None:
-        """Write the state of the training to a file that `load` reads without executing code.
+        """Write weights, optimizer and counters of the training to a file, from which `restore` continues it.
 
         Args:
-            path: File.
+            path: File to write. Reading it executes no code.
         """
         state = {
             "trained": self._trained.state_dict(),
@@ -244,10 +247,10 @@ class AnalyticPolicyGradient:
         torch.save(state, path)
 
     def restore(self, path: str | Path) -> None:
-        """Continue from a file that `save` wrote.
+        """Load weights, optimizer and counters from a file that `save` wrote, to continue the training.
 
         Args:
-            path: File.
+            path: File to read. It is loaded without executing code.
         """
         state = torch.load(path, weights_only=True)
         self._trained.load_state_dict(state["trained"])

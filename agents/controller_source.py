@@ -59,7 +59,7 @@ class AgentSource(ControllerSource):
 
     @staticmethod
     def files(name: str, scenario: Scenario) -> ControllerFiles | None:
-        """List the files of an agent.
+        """List the files that determine an agent, so that results can identify it by their hash.
 
         Args:
             name: Folder of an agent, or name of an agent that comes with the package.

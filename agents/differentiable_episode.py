@@ -72,17 +72,17 @@ class SimulatedPeriod:
         self.generator = np.random.default_rng(seed)
 
     def outputs(self, state: Array, volts: Array, last_volts: Array, parameters: Array) -> Array:
-        """Simulate one period.
+        """Simulate one control period.
 
         Args:
-            state: Belt travel (radius * angle if rotary) of the coordinates and its rate, m and m/s, shape (B, 2 n).
+            state: Belt travel (radius * angle if rotary) of n coordinates and its rate, m and m/s, shape (B, 2 n).
             volts: Voltages of the drives, V, shape (B, d).
             last_volts: Voltages of the period before, V, shape (B, d); they act during a dead time only.
             parameters: Parameters of the machines in the order of `Machine.parameters`, SI, shape (B, P).
 
         Returns:
-            State at the end of the period, then the tool positions at SAMPLES equally spaced times, the last of which
-            is the end, m; shape (B, 2 n + 2 SAMPLES).
+            State at the end of the period, m and m/s, followed by the tool positions, m, at SAMPLES equally spaced
+            times, the last of which is the end; shape (B, 2 n + axes * SAMPLES).
         """
         applied = np.repeat(volts[:, None], len(self._time_s), axis=1)
         if self.delayed:
@@ -101,7 +101,9 @@ class SimulatedPeriod:
         return np.hstack([states[:, -1] * self._units, tool.reshape(len(state), -1)])
 
     def differences(self, state: Array, volts: Array, last_volts: Array, parameters: Array) -> tuple[Array, Array]:
-        """Simulate one period, and again with every entry of state and voltages changed by a random step.
+        """Simulate one control period and estimate its derivatives by finite differences.
+
+        For the differences, the simulation is repeated with one entry of state or voltages changed by a random step.
 
         Args:
             state: As for `outputs`, shape (B, 2 n).
@@ -110,9 +112,9 @@ class SimulatedPeriod:
             parameters: As for `outputs`, SI, shape (B, P).
 
         Returns:
-            outputs: Final state and tool positions, as the method `outputs` returns them, m and m/s, shape (B, o).
-            derivatives: Difference quotients of the outputs with respect to the entries of state and voltages, with a
-                dead time also of the last voltages, shape (2 n + d or 2 n + 2 d, B, o).
+            outputs: Result of the method `outputs` without changes, m and m/s, shape (B, o).
+            derivatives: Derivatives of the o outputs with respect to the entries of `state`, then of `volts` and, if
+                the drives have a dead time, of `last_volts`, SI, shape (2 n + d or 2 n + 2 d, B, o).
         """
         inputs = np.hstack([state, volts, last_volts] if self.delayed else [state, volts])
         batch, entries = inputs.shape
@@ -221,7 +223,7 @@ def distance_cost(distance: Any) -> Any:
 
 
 def reach_cost(tool: Any, goal: Any) -> Any:
-    """Compute the cost of a control period on the way to a goal at rest.
+    """Compute the cost of one control period of a motion to a fixed goal.
 
     Args:
         tool: Tool positions within the period, m, shape (B, SAMPLES, axes).
@@ -235,14 +237,15 @@ def reach_cost(tool: Any, goal: Any) -> Any:
 
 
 def path_errors(tool: Any, references: ReferenceTrajectories) -> Any:
-    """Compute the errors of a control period along a path.
+    """Compute the squared contour and tracking errors of one control period of a motion along a path.
 
     Args:
         tool: Tool positions within the period, m, shape (B, SAMPLES, axes); the last is its end.
         references: Paths and goals; their present time is the end of the period.
 
     Returns:
-        Mean squared contour error of the period, and squared distance to the goal at its end, m^2, shape (B, 2).
+        Two columns: mean squared distance to the path over the samples of the period, and squared distance to the goal
+        at its end, m^2, shape (B, 2).
     """
     contour = torch.stack([_squared_contour(points, references) for points in tool.unbind(1)]).mean(0)
     goal = torch.from_numpy(references.goals(slice(None)).astype(np.float64))
@@ -250,10 +253,10 @@ def path_errors(tool: Any, references: ReferenceTrajectories) -> Any:
 
 
 def path_cost(squares: Any) -> Any:
-    """Compute the cost of an episode along a path.
+    """Compute the cost of episodes along a path from the errors in each control period.
 
     Args:
-        squares: Results of `path_errors` by period, m^2, shape (B, periods, 2).
+        squares: Results of `path_errors` for each period, m^2, shape (B, periods, 2).
 
     Returns:
         Rms contour error / CONTOUR_UNIT + rms distance to the goal / TRACKING_UNIT, dimensionless, shape (B,).

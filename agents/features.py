@@ -8,8 +8,9 @@ for several scales: linear well below a scale, logarithmic above it. Errors ente
 (as belt travel), now and extrapolated one control period ahead. Every v is linear in the observation z, so all
 features are one matrix product followed by one logarithm: gain * sign(z M) * log(1 + |z M|).
 
-`TransferBank` computes the voltages of linear feedback laws, of which a policy can form a weighted mean
-(residual_action.py).
+A *transfer* is a motion of given duration that brings the machine to rest at its goal with the least sum of squared
+voltages (`MinimumEnergyTransfers`); its first voltage is a linear feedback law. `TransferBank` holds several of these
+laws; a policy can form a weighted mean of their voltages (residual_action.py).
 
 This module needs NumPy only; sb3_adapters.py evaluates the features in torch.
 """
@@ -67,22 +68,25 @@ OBSERVATION_KEYS = (
 def feature_parameters(
     machine: Machine, period: float = 0.01, transfers: Sequence[int] = (), preview: int = 0
 ) -> dict[str, Any]:
-    """Compute the geometry of a machine that `feature_matrix` needs, as its keyword arguments.
+    """Compute what `feature_matrix` needs to know about a machine, as its keyword arguments.
+
+    Voltages of model-based controllers can be features, too. They are linear in the observation.
 
     Args:
         machine: Machine with a workspace.
         period: Control period, s.
-        transfers: Durations of minimum-energy transfers, in periods beyond the shortest one, whose voltages are
-            features, for a goal at rest.
-        preview: Number of previewed goals of a preview control whose voltages are features, for a moving goal.
+        transfers: For a fixed goal: durations of minimum-energy transfers (motions to rest at the goal) whose first
+            voltages are features, in control periods beyond the shortest transfer. Default: none.
+        preview: For a moving goal: number of previewed goals of the preview control whose voltages are features.
+            Default: none.
 
     Returns:
         `radii`: belt travel (radius * angle) per radian of each motor coordinate, m/rad, list of one per motor; a drive
             that acts on an axis of the tool itself has no motor coordinate.
         `rest`: belt travel of each motor coordinate per meter of each axis with unstretched belts, m/m, nested list of
             shape (motors, axes).
-        `gains`: only with transfers or a preview; by key of the observation, the gains on its entries for the voltages
-            of these controls, divided by the rated voltages, nested list of shape (voltages, entries).
+        `gains`: only with `transfers` or `preview`; for each key of the observation, the matrix that maps its entries
+            to these voltages as fractions of the rated voltages, nested list of shape (voltages, entries).
     """
     axes = machine.tool_axes
     linear_names = [c.name for c in machine.coordinates if c.kind == "linear"]
@@ -145,18 +149,18 @@ def feature_matrix(
     """Build the matrix M and the factors g of the features g * sign(z M) * log(1 + |z M|) of an observation z.
 
     Args:
-        sizes: Number of entries of the observation's array of each key, in the order in which they are concatenated to
-            z. `observation` and `desired_goal` are required; of the other keys, those given are used.
+        sizes: Number of entries of each array of the observation, by key, in the order in which z joins them.
+            `observation` and `desired_goal` are required; further ones of `OBSERVATION_KEYS` add features.
         radii: Belt travel (radius * angle) per radian of each motor coordinate, m/rad, shape (motors,).
         rest: Belt travel of each motor coordinate per meter of each axis with unstretched belts, m/m, shape
             (motors, axes).
-        gains: By key, gains on the entries of z for voltages of model-based controls, each of shape (voltages, entries
-            of the key), as `feature_parameters` returns them. Default: no such features.
+        gains: By key, matrices that map entries of the observation to voltages of model-based controllers, shape
+            (voltages, entries of the key), as `feature_parameters` returns them. Default: no such features.
 
     Returns:
-        M: Combines entries of z (m, rad, m/s, rad/s) to errors and speeds and divides them by their scales, which makes
-            z M dimensionless, shape (entries, features).
-        g: Factors, dimensionless, that scale the largest usual values to 1, shape (features,).
+        M: Matrix from entries of z (m, rad, m/s, rad/s) to errors, speeds and voltages divided by their scales, so that
+            z M is dimensionless, shape (entries, features).
+        g: Factors, dimensionless, with which the largest usual values give features of 1, shape (features,).
     """
     # Each quantity is a matrix of columns (entries of z, components): the quantity is z times these columns.
     selectors = _selectors(sizes)
@@ -252,9 +256,9 @@ class TransferBank:
         self.size = self._gains.shape[1]
 
     def gains(self, goal: NDArray[Any]) -> Array:
-        """Return the feedback gains of the transfers to given goals.
+        """Return the feedback gains of all K transfers (motions to rest) to given goals.
 
-        The voltages are the gains times the difference between the observation and the one `at_rest` at the goal.
+        A transfer's voltages are its gains times the difference between the observation and `at_rest(goal)`.
 
         Args:
             goal: Tool positions of the goals, m, shape (batch, axes).
@@ -266,7 +270,7 @@ class TransferBank:
         return self._gains[self._grid.nearest(np.asarray(goal, np.float64))] @ self._of_observation
 
     def at_rest(self, goal: NDArray[Any]) -> Array:
-        """Return the full-state observations of a machine that is at rest with its tool at given goals.
+        """Return the full-state observations of machines at rest with unstretched belts and their tools at the goals.
 
         Args:
             goal: Tool positions of the goals, m, shape (batch, axes).
@@ -279,7 +283,7 @@ class TransferBank:
         return self._model.observation(self._model.goal_state(goal))
 
     def voltages(self, observation: NDArray[Any], goal: NDArray[Any]) -> Array:
-        """Compute the voltages of the first period of every transfer from the present state to the goal.
+        """Compute the first voltages of all K transfers (motions to rest at the goal) from the present state.
 
         Args:
             observation: Present full-state observations, with the entries of `at_rest`, shape (batch, entries).

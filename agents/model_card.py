@@ -47,7 +47,7 @@ def score_agent(controller: Controller, scenario: Scenario) -> AgentScores:
         scenario: Machine, task and episodes in which the controller runs.
 
     Returns:
-        Costs of the B episodes, s or mm, shape (B,), and the row:
+        Costs of the B episodes as `episode_costs` returns them, s or mm, shape (B,), and the row of scores:
         With a fixed goal (an episode settles in a band if the tool stays within this distance of the goal to the end):
             `success`: fraction of episodes that settle in the task's band, 0 to 1.
             `success_BAND`: fraction of episodes that settle, 0 to 1, for the name of each band in `BANDS`.
@@ -87,8 +87,9 @@ def _tracking_scores(error: Array, contour: Array) -> dict[str, float]:
 def episode_costs(episodes: Episodes) -> Array:
     """Compute the cost of every evaluation episode, by which agents of one training run are compared.
 
-    With a fixed goal it is the sum of the settling times within all bands and of the final error, at `SECONDS_PER_MM`.
-    Along a path it is the sum of contour and tracking error: a tool that never leaves its start has no contour error.
+    With a fixed goal it is the sum of the settling times within all bands, plus `SECONDS_PER_MM` per millimeter of
+    final error. Along a path it is the sum of the rms contour error and the rms tracking error; the contour error alone
+    would be zero for a tool that never leaves its start.
 
     Args:
         episodes: B recorded episodes.
@@ -104,10 +105,10 @@ def episode_costs(episodes: Episodes) -> Array:
 
 
 def improves(costs: Array, kept: Array | None) -> bool:
-    """Decide whether an agent replaces the one that is kept: its mean cost is lower by more than the noise.
+    """Decide whether a new agent replaces the best one so far: whether its mean cost is significantly lower.
 
-    Both agents run in the same episodes, so the noise is the standard error of the mean of B differences. A difference
-    in one lucky episode never exceeds it.
+    Both agents run in the same episodes. The mean of the B differences of their costs must exceed its standard error,
+    which a large difference in a single episode never does.
 
     Args:
         costs: Costs of the new agent by `episode_costs`, s or mm, shape (B,).
@@ -139,10 +140,10 @@ def progress_line(row: Mapping[str, Any]) -> str:
 
 
 def versions(further: Sequence[str] = ()) -> dict[str, str]:
-    """List the installed versions of Python and of the packages that determine a training run.
+    """List the installed versions of Python and of the packages on which the result of a training run depends.
 
     Args:
-        further: Names of packages that are listed beside those that every run needs.
+        further: Names of packages to list in addition to those that every run needs.
 
     Returns:
         Version strings by package name, and that of Python by "python".
@@ -154,7 +155,7 @@ def versions(further: Sequence[str] = ()) -> dict[str, str]:
 
 
 def write_card(folder: str | Path, card: Mapping[str, Any]) -> None:
-    """Write how an agent was trained and how well it performs to card.json, and as a page to README.md.
+    """Write the card of an agent, which says how it was trained and how well it performs, to card.json and README.md.
 
     Each file is replaced only when its new version is complete.
 

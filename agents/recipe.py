@@ -76,21 +76,20 @@ class Recipe:
     def algorithm_keywords(self) -> dict[str, Any]:
         """Keyword arguments of the stable-baselines3 algorithm.
 
-        They are those of `algorithm`, with a `LinearSchedule` (a rate that falls linearly) in place of every pair of
-        rates [first, last].
+        They are the entries of `algorithm`, with a `LinearSchedule` in place of every pair of rates [first, last].
         """
         return {k: LinearSchedule(*v) if isinstance(v, list) else v for k, v in self.algorithm.items()}
 
     @property
     def period(self) -> float:
-        """Control period of the training environment, s: the recipe's, else the environment's default."""
+        """Control period of the training environment, s: `env["period"]`, or the environment's default without it."""
         return float(self.env.get("period", EnvConfig.period))
 
     def as_dict(self) -> dict[str, Any]:
-        """Convert the recipe to a dictionary, as stored in card.json.
+        """Convert the recipe to a dictionary, for card.json.
 
         Returns:
-            Values of the attributes by their names.
+            Values of the attributes by name; tables are dictionaries.
         """
         return asdict(self)
 

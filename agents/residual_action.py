@@ -67,14 +67,17 @@ class Authority:
         return (self.least + distance / self.full_at_m + speed / self.full_at_m_s).clip(max=self.most)[:, None]
 
     def held(self, distance: Any, speed: Any) -> Any:
-        """Compute the fraction of the last action that is held.
+        """Compute the fraction of the last action that the new action contains, besides the policy's output.
+
+        Near the goal it makes the policy an integrator, which can overcome friction.
 
         Args:
             distance: Distances to the goal, m, array or torch tensor of shape (batch,).
             speed: Tool speeds, m/s, of the same type and shape.
 
         Returns:
-            max(0, 1 - distance / hold_m - speed / hold_m_s), of the same type, shape (batch, 1); 0 without `hold_m`.
+            max(0, 1 - distance / hold_m - speed / hold_m_s), of the same type, shape (batch, 1); the number 0 if
+            `hold_m` is 0.
         """
         if not self.hold_m:
             return 0.0
@@ -141,7 +144,7 @@ class ResidualAction:
         """Build the space of the policy's outputs.
 
         Returns:
-            Box from -1 to 1 with one entry for each drive, and one for each transfer of the bank.
+            Box from -1 to 1: one entry for each drive, then one for the weight of each feedback law in `bank`, if any.
         """
         return spaces.Box(-1.0, 1.0, (self._drives + (self.bank.size if self.bank else 0),), np.float32)
 
@@ -152,9 +155,7 @@ class ResidualAction:
             observation_space: Observation space of one environment.
 
         Returns:
-            Observation space of the policy: the given keys and `last_observation`, `last_action`; with a base
-            controller also `base_action`; with one that has `feature_sizes` also these attributes: of an
-            `AdaptiveController` `expected_friction` and `estimates`, of a `PredictiveController` `estimates`.
+            Observation space of the policy: the given keys and those that `history` returns, such as `last_action`.
         """
         action_box = spaces.Box(-1.0, 1.0, (self._drives,), np.float32)
         added: dict[str, spaces.Space[Any]] = {
@@ -170,7 +171,7 @@ class ResidualAction:
         return spaces.Dict({**observation_space.spaces, **added})
 
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """Clear what is stored of past periods, for the environments that start a new episode.
+        """Clear the memory of past periods for the environments that start a new episode.
 
         Args:
             mask: True for the environments whose next observation is the first of an episode, shape (batch,). Default:
@@ -181,17 +182,17 @@ class ResidualAction:
         self._starts.reset(mask)
 
     def augment(self, observation: Observation) -> dict[str, NDArray[Any]]:
-        """Run the base controller; add its action, the previous observation and the previous action to an observation.
+        """Build the observation of the policy and, if there is a base controller, compute its action.
 
-        Call it once per control period: the base controller advances by one period.
+        Call it once per control period, because observations are stored and the base controller advances by one period.
 
         Args:
             observation: Arrays by key as the environment returns them, m, rad, m/s and rad/s, each of shape (batch,
                 entries of the key) for a batch of environments.
 
         Returns:
-            Arrays by key, each of shape (batch, entries of the key), in SI: the given ones and those that `history`
-            returns.
+            Arrays by key, SI, each of shape (batch, entries of the key): the given ones and those of `history`, such as
+            the previous observation, the previous action and the action of the base controller.
 
         Raises:
             InputError: If the base controller does not accept the observation.
@@ -217,16 +218,19 @@ class ResidualAction:
         return {**observation, **self.history()}
 
     def history(self) -> dict[str, NDArray[np.float32]]:
-        """Return the arrays that a policy receives beside the observation, with the most recent action.
+        """Return the arrays that the policy receives in addition to the environment's observation.
+
+        After `action`, `last_action` is already the new action.
 
         Returns:
             last_observation: `observation` of the previous period, m, rad, m/s and rad/s, shape (batch, entries) for a
                 batch of environments.
             last_action: Voltages divided by the rated voltages, shape (batch, drives).
             base_action: Action of the base controller, which the policy corrects, shape (batch, drives); only with a
-                base.
-            expected_friction, estimates: Attributes of these names of the base controller, shape (batch, size); only if
-                it has them. Without a base, `estimates` of a `ParameterFilter` if the recipe asks for them.
+                base controller.
+            expected_friction: Attribute of the base controller, shape (batch, size); only of an `AdaptiveController`.
+            estimates: Attribute of an adaptive or predictive base controller, or estimates of a `ParameterFilter` if
+                the constructor's argument `estimates` is True; shape (batch, size).
         """
         added: dict[str, NDArray[Any]] = {"last_observation": self._last_observation, "last_action": self._last_action}
         if self.base:
@@ -237,13 +241,14 @@ class ResidualAction:
         return {key: values.astype(np.float32) for key, values in added.items()}
 
     def action(self, output: NDArray[Any]) -> Array:
-        """Convert policy outputs to actions, and record the actions as applied.
+        """Convert policy outputs to actions, and record these as applied.
 
-        action = base action + authority * output, where the base action is that of another controller and the authority
-        is the fraction of the rated voltage that an output of 1 represents.
+        Without transfers and held actions, the action is base action + authority * output, where the authority is the
+        fraction of the rated voltage that an output of 1 represents. The module documents the complete formula.
 
         Args:
-            output: Policy outputs, usually in [-1, 1], shape (batch, drives) for a batch of environments.
+            output: Policy outputs, usually in [-1, 1], with the entries of `action_space`, shape (batch, entries) for a
+                batch of environments.
 
         Returns:
             Voltages divided by the rated voltages, limited to [-1, 1], shape (batch, drives).
@@ -254,17 +259,23 @@ class ResidualAction:
         return self._last_action
 
     def combine(self, output: Any, distance: Any, speed: Any, last_action: Any, transfers: Any = None) -> Any:
-        """Add policy outputs, scaled by the authority, to the held part of the last actions; without base and limits.
+        """Compute the policy's part of the actions: without the base action, and not limited to [-1, 1].
+
+        It works on arrays and on torch tensors, so that training can differentiate it. A transfer is a motion to rest
+        at the goal; the policy can weight the voltages of several ones.
 
         Args:
-            output: Policy outputs, array or torch tensor of shape (batch, drives), with a bank (batch, drives + K).
+            output: Policy outputs, shape (batch, drives); with K transfers (batch, drives + K), weights last.
             distance: Distances to the goal, m, shape (batch,).
             speed: Tool speeds, m/s, shape (batch,).
             last_action: Actions of the previous period, shape (batch, drives).
-            transfers: Voltages of the bank's K transfers, divided by the rated ones, shape (batch, K, drives).
+            transfers: First voltages of the K transfers in `bank`, divided by the rated voltages, shape (batch, K,
+                drives). Default: no transfers.
 
         Returns:
-            held * last action + authority * output + weighted transfers, of the same type, shape (batch, drives).
+            held * last action + authority * output + weighted mean of the transfers' voltages, with `held` and
+            authority as `Authority` computes them; divided by the rated voltages, of the type of `output`, shape
+            (batch, drives).
         """
         held = self.authority.held(distance, speed) * last_action.clip(-LARGEST_HELD, LARGEST_HELD)
         action = held + self.authority(distance, speed) * output[:, : self._drives]
@@ -275,7 +286,9 @@ class ResidualAction:
         return action + (weights[..., None] * transfers).sum(1) / weights.sum(1)[:, None]
 
     def replace_last_action(self, actions: Array) -> None:
-        """Record the actions that were applied, for the next observation and for the base controller.
+        """Record the applied actions, if they differ from those that `action` returned last.
+
+        The next observation contains them, and the base controller receives them.
 
         Args:
             actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (batch, drives) for a batch of
@@ -287,7 +300,7 @@ class ResidualAction:
 
 
 def residual_action(machine: Machine, settings: Mapping[str, Any], period: float) -> ResidualAction | None:
-    """Build the conversion of policy outputs to actions (base controller plus correction) from a recipe's settings.
+    """Create the `ResidualAction` that a recipe (settings of a training run) asks for.
 
     Args:
         machine: Machine for which the base controller is designed.
@@ -295,7 +308,7 @@ def residual_action(machine: Machine, settings: Mapping[str, Any], period: float
         period: Control period, s.
 
     Returns:
-        The conversion, or None if `settings` is empty: the policy's outputs are then the actions.
+        Conversion of policy outputs to actions. None if `settings` is empty: the outputs are then the actions.
 
     Raises:
         InputError: If no controller is registered under the name of the base.

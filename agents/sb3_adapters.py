@@ -71,7 +71,8 @@ class LogScaleFeatures(BaseFeaturesExtractor):
     def forward(self, observation: dict[str, torch.Tensor]) -> torch.Tensor:
         """Compute the features g * sign(z M) * log(1 + |z M|) of a batch of observations z.
 
-        M (`matrix`) forms position errors and speeds, each divided by several scales; g (`gain`) scales the features.
+        z joins all arrays of an observation. M (`matrix`) forms position errors and speeds, each divided by several
+        scales; g (`gain`) scales the features.
 
         Args:
             observation: Arrays by key, in m, rad, m/s and rad/s, each of shape (batch, entries of the key).
@@ -175,7 +176,7 @@ class ResidualActionVecEnv(VecEnvWrapper):
         """Convert policy outputs to drive actions and send them to the environments; `step_wait` returns the result.
 
         Args:
-            actions: Policy outputs, usually in [-1, 1], shape (num_envs, drives).
+            actions: Policy outputs, usually in [-1, 1], shape (num_envs, entries of the action space).
         """
         self.venv.step_async(self.mapping.action(actions))
 
@@ -185,8 +186,8 @@ class ResidualActionVecEnv(VecEnvWrapper):
         """Finish the step that `step_async` started; environments whose episode has ended are reset.
 
         The base controller, whose action the policy corrects, must be called once per control period. The last
-        observation of an episode therefore contains the base action of the period before; the machine is usually at
-        rest by then.
+        observation of an episode therefore contains its action of the period before. This hardly matters, because the
+        machine is usually at rest by then.
 
         Returns:
             observations: Arrays by key, SI, each of shape (num_envs, entries of the key); the first ones of a new
@@ -211,7 +212,9 @@ def _as_dict(observation: Any) -> Observation:
 
 
 def set_mean_action_to_zero(policy: Any) -> None:
-    """Set the last layer of a policy's mean action to zero, so that a residual policy starts as its base controller.
+    """Set the last layer of a policy's mean action to zero, in place.
+
+    A policy that corrects a base controller then starts with the behavior of this controller.
 
     Args:
         policy: Policy of PPO, SAC or the analytic policy gradient, which is modified.
@@ -222,13 +225,13 @@ def set_mean_action_to_zero(policy: Any) -> None:
 
 
 def random_state(model: Any) -> dict[str, Any]:
-    """Return the states of all generators from which the training of a model draws.
+    """Return the states of all random generators that the training of a model uses, for a checkpoint.
 
     Args:
         model: Model of stable-baselines3 or of the analytic policy gradient.
 
     Returns:
-        States of the generators of Python, NumPy, torch, the action space and the algorithm, by name.
+        States by name of the generator: "python", "numpy", "torch", "actions" (action space) and "algorithm".
     """
     return {
         "python": random.getstate(),
@@ -240,11 +243,11 @@ def random_state(model: Any) -> dict[str, Any]:
 
 
 def set_random_state(model: Any, state: dict[str, Any]) -> None:
-    """Set the generators to the states that `random_state` returned.
+    """Set all random generators that the training of a model uses to the states that `random_state` returned.
 
     Args:
-        model: Model of stable-baselines3 or of the analytic policy gradient.
-        state: States by name.
+        model: Model of stable-baselines3 or of the analytic policy gradient, whose generators are changed.
+        state: States by name of the generator.
     """
     random.setstate(state["python"])
     np.random.set_state(state["numpy"])  # noqa: NPY002

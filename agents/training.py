@@ -67,14 +67,14 @@ def train(
     randomize: str | None = None,
     trust: bool = False,
 ) -> dict[str, Any]:
-    """Train an agent with stable-baselines3 and write it to a folder.
+    """Train an agent by a recipe (settings of a training run) and write the best one to a folder.
 
     The same seed gives the same agent, bit for bit, with the same package versions on the same processor. A resumed run
     with the same number of steps gives the agent of an uninterrupted one, bit for bit; only times and logs differ.
 
     Args:
-        algorithm: Settings of the training run (a recipe), or the first part of the name of a recipe in the package:
-            "ppo", "sac", "tqc", "crossq", "sac_her", "residual", "adapt" or "apg".
+        algorithm: A recipe, or the name of one in the package without the task, for example "ppo", "sac", "residual" or
+            "apg"; `recipe_names` lists them.
         machine: Machine to train on, a preset name or the path of a machine.json.
         task: Name of the task, "reach" or "track".
         steps: Environment steps in total, including those before a resume. Default: the recipe's.

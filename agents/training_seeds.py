@@ -33,13 +33,13 @@ def train_seeds(
     ray: str | None = None,
     show_curves: bool = True,
 ) -> dict[int, dict[str, Any]]:
-    """Train one agent per seed; each is the agent that `train` gives with this seed, bit for bit.
+    """Train one agent per seed, several at a time; each equals, bit for bit, the agent that `train` gives.
 
-    A worker trains on one core in a temporary folder. This process writes an agent when its training is complete; what
-    is not complete is lost with this process. A run whose worker dies begins again.
+    Worker processes train on one core each in temporary folders. The calling process writes an agent when its training
+    is complete; if the calling process ends before, incomplete runs are lost. A run whose worker dies starts again.
 
     Args:
-        algorithm: A recipe, or the first part of the name of a recipe in the package.
+        algorithm: A recipe (settings of a training run), or the name of one in the package without the task.
         machine: Machine to train on, a preset name or the path of a machine.json.
         task: "reach" or "track".
         steps: Environment steps of each run. Default: the recipe's.
@@ -48,12 +48,12 @@ def train_seeds(
         log: Function that receives one line of text when a run is complete.
         progress: Function that receives the number of complete runs and of all runs, after each run.
         randomize: Randomization of the machine's parameters in place of the recipe's.
-        jobs: Number of local processes, as for `map_tasks`.
-        ray: Address of a Ray cluster, as for `map_tasks`.
-        show_curves: Let the workers print a line after each evaluation.
+        jobs: Number of local worker processes, as for `map_tasks`.
+        ray: Address of a Ray cluster that runs the workers instead, as for `map_tasks`.
+        show_curves: Whether the workers print a line after each evaluation.
 
     Returns:
-        Contents of card.json by seed.
+        Contents of each agent's card.json, by seed; see `train`.
 
     Raises:
         InputError: If an argument is wrong, the cluster cannot be reached, or another process writes to `out`.

@@ -144,7 +144,7 @@ def soak(name: str, options: dict[str, Any], steps: int, console: Console, conte
             actions = rng.uniform(-1.0, 1.0, (ENVS, 2)).astype(np.float32)
             actions[::2] = np.sign(actions[::2])  # every second one at full voltage
         _, reward, *_ = envs.step(actions)
-        tool = envs.batch.simulator.tools()
+        tool = envs.batch.simulator.tool_positions()
         extremes["not_finite"] += int((~np.isfinite(reward)).sum() + (~np.isfinite(tool)).sum())
         outside = np.maximum(workspace[:, 0] - tool, tool - workspace[:, 1]).max()
         extremes["furthest_beyond_m"] = max(extremes["furthest_beyond_m"], float(outside))

@@ -172,7 +172,7 @@ def test_environments_use_the_parts_and_randomize_their_parameters(machine_path:
     expected = ToyReward(ToyTask.band)(many["achieved_goal"], many["desired_goal"])
     np.testing.assert_array_equal(rewards, expected)
     x = np.asarray(many["observation"][:, 0], float)
-    error = x - np.floor(envs.unwrapped.batch.simulator.tools()[:, 0] / 1e-3) * 1e-3  # type: ignore[attr-defined]
+    error = x - np.floor(envs.unwrapped.batch.simulator.tool_positions()[:, 0] / 1e-3) * 1e-3  # type: ignore[attr-defined]
     assert 0.0 < np.abs(error).max() < 5 * RANGES["x_m.noise"][1]
 
 

@@ -21,9 +21,9 @@ from hframe_gym.evaluation import (
     PROTOCOLS,
     Protocol,
     ResultFile,
-    filled,
+    fill_unsettled,
     get_protocol,
-    over,
+    paired_ratio,
     protocol_bounds,
     read_result,
 )
@@ -76,14 +76,14 @@ def protocol_section(name: str, entries: Sequence[ResultFile]) -> str:
     texts = []
     for part, task in protocol.parts.items():
         metric = "settling_s.0.2mm" if task.metrics == "reach" else "contour_rms_mm"
-        values = {id(e): filled(e.draws[part][metric], protocol.duration_s) for e in of_protocol}
+        values = {id(e): fill_unsettled(e.draws[part][metric], protocol.duration_s) for e in of_protocol}
         ranked = sorted(of_protocol, key=lambda e: float(values[id(e)].mean()))
         best = next((e for e in ranked if e.entry.kind == "controller"), None)
         bounds = protocol_bounds(name) if task.metrics == "reach" else {}
         bounds = {kind: times for kind, times in bounds.items() if np.isfinite(times).any()}
         rows = []
         for entry in ranked:
-            against = _ratio(over(values[id(entry)], values[id(best)])) if best and best is not entry else "1"
+            against = _ratio(paired_ratio(values[id(entry)], values[id(best)])) if best and best is not entry else "1"
             cells = _move_cells(entry, part, values[id(entry)], bounds) if bounds or task.metrics == "reach" else []
             rows.append([_name(entry), *(cells or _path_cells(entry, part)), against])
         rows += [
@@ -117,7 +117,11 @@ def _move_cells(entry: ResultFile, part: str, times: Array, bounds: Mapping[str,
     """Return the cells of an entry in a part of moves."""
     scores = entry.scores[part]
     success = [f"{100 * scores[f'settling_s.{band}']['success']:.1f} %" for band in BANDS]
-    return [*success, _mean(scores["settling_s.0.2mm"]), *(_ratio(over(times, bound)) for bound in bounds.values())]
+    return [
+        *success,
+        _mean(scores["settling_s.0.2mm"]),
+        *(_ratio(paired_ratio(times, bound)) for bound in bounds.values()),
+    ]
 
 
 def _path_cells(entry: ResultFile, part: str) -> list[str]:
@@ -156,19 +160,19 @@ def _cells_over_seeds(
 
     def by_seed(name: str) -> Array:
         """Return the values of a metric, shape (S, B)."""
-        return np.stack([filled(entry.draws[part][name], protocol.duration_s) for entry in seeds])
+        return np.stack([fill_unsettled(entry.draws[part][name], protocol.duration_s) for entry in seeds])
 
     def mean(name: str, digits: int) -> str:
         """Format the mean of a metric with its interval."""
         values = by_seed(name)
-        score = over(values, np.ones(values.shape[1]))
+        score = paired_ratio(values, np.ones(values.shape[1]))
         return _mean(score, digits) if score else ""
 
-    against = _ratio(over(by_seed(metric), best)) if best is not None else ""
+    against = _ratio(paired_ratio(by_seed(metric), best)) if best is not None else ""
     if protocol.parts[part].metrics != "reach":
         return [mean(metric, 4), mean("contour_max_mm", 4), against]
     success = [np.mean([e.scores[part][f"settling_s.{band}"]["success"] for e in seeds]) for band in BANDS]
-    ratios = [_ratio(over(by_seed(metric), bound)) for bound in bounds.values()]
+    ratios = [_ratio(paired_ratio(by_seed(metric), bound)) for bound in bounds.values()]
     return [*(f"{100 * share:.1f} %" for share in success), mean(metric, 3), *ratios, against]
 
 
@@ -195,7 +199,7 @@ def bounds_table() -> str:
         both = np.isfinite(bounds["free"] + bounds["held"]) if bounds else np.zeros(0, np.bool_)
         if both.any():
             free, held = bounds["free"][both], bounds["held"][both]
-            ratio = over(held, free)
+            ratio = paired_ratio(held, free)
             means = (f"{1e3 * times.mean():.1f}" for times in (free, held))
             rows.append([f"`{name}`", f"{len(free)} of {len(both)}", *means, _ratio(ratio)])
     return table(["protocol", "draws with both", "free voltages, ms", "held over 10 ms, ms", "ratio of means"], rows)

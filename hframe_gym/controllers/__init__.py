@@ -1,19 +1,19 @@
 """Controllers of batches of machines, designed from a machine model; independent of Gymnasium.
 
 base                    interface, registry, full-state and output-feedback controllers
-motion_model            the machine as controllers see it, and the operating points of their gains
+motion_model            machine model for controller design, and the operating points of its linearizations
 finite_horizon_control  point-to-point transfers, and tracking of a previewed goal
 input_compensation      dead time and static nonlinearities of the drives
-model_based_controller  all of these as one controller (`pid`)
+model_based_controller  controller that combines the three modules above (`pid`)
 adaptive_controller     gain scheduling on estimates of friction, masses and belt stiffness (`adaptive-pid`)
 parameter_estimators    estimators that compare measured with simulated states
-predictive_controller   plans with identified parameters (`predictive`)
-predictive_plans        its plans
+predictive_controller   model-predictive control with parameters identified in the episode (`predictive`)
+predictive_plans        computation and simulation of its plans
 textbook_pid            the baseline (`textbook-pid`)
 state_estimator         full state and parameters from sensors
 estimation_model        parameters and measurement equation of the state estimator
-time_optimal            lower bound of the settling time, also with held voltages (extra: bound)
-casadi_model            equations of motion for it (extra: bound)
+time_optimal            lower bound of the settling time, also for voltages held over control periods (extra: bound)
+casadi_model            equations of motion for this bound (extra: bound)
 """
 
 from ..registry import import_modules

@@ -67,16 +67,16 @@ class AdaptiveController(FullStateController):
 
     Attributes:
         model: Model of the machine.
-        expected_friction: Voltages of the two drives, divided by the rated voltages, that compensate the difference
-            between estimated and modeled friction along the path: two columns for each of PERIODS_AHEAD periods, the
-            present one first, then two columns with the recent mean; shape (B, 2 PERIODS_AHEAD + 2). Zero for a goal
-            that does not move.
+        expected_friction: Voltages of the drives, divided by the rated voltages, that compensate the difference between
+            estimated and modeled friction along the path: one column per drive for each of PERIODS_AHEAD periods, the
+            present one first, then one per drive with the recent mean; shape (B, drives * (PERIODS_AHEAD + 1)). Zero
+            for a goal that does not move.
         feature_sizes: Numbers of columns of `expected_friction` and `estimates`, by name; a learned policy on top of
             this controller may observe both.
 
     Raises:
-        InputError: If the machine does not have two drives that can move both x and y, x or y has no range, or the
-            period is not positive.
+        InputError: If the machine does not have one drive per axis of its tool, an axis has no range, or the period is
+            invalid.
     """
 
     def __init__(self, machine: Machine, period: float = 0.01) -> None:
@@ -96,7 +96,7 @@ class AdaptiveController(FullStateController):
         self._state = self.expected_friction = np.zeros((0, 0))
 
     def reset(self, mask: Mask | None = None) -> None:
-        """Clear the estimates and the controllers of simulated machines whose next observation starts a new episode.
+        """Clear estimates and controller memory of the machines that start a new episode with their next observation.
 
         Args:
             mask: True for the machines to reset, shape (B,) for B machines. Default: all; B may then change.
@@ -107,10 +107,10 @@ class AdaptiveController(FullStateController):
 
     @property
     def estimates(self) -> Array:
-        """Estimated relative errors of the model, shape (B, 2 n + 1) for B machines with n coordinates.
+        """Estimated relative errors of model parameters, shape (B, 2 n + 1) for B machines with n coordinates.
 
-        The columns are the Coulomb friction forces of the n coordinates, their n masses, and the belt stiffness; 0.1
-        means that the actual value is 10 % above the model's.
+        The columns are the errors of the n Coulomb friction forces, the n masses, and the belt stiffness. An error of
+        0.1 means that the actual value is 10 % above the model's.
         """
         return self._filter.estimates
 
@@ -127,7 +127,7 @@ class AdaptiveController(FullStateController):
             Voltages divided by the rated voltages, in [-1, 1], shape (B, drives).
 
         Raises:
-            InputError: If the preview ends less than PERIODS_AHEAD + 1 periods after the dead time of the drives.
+            InputError: If the preview, beyond the dead time of the drives, has less than PERIODS_AHEAD + 1 periods.
         """
         model = self.model
         if self._starts.resize(len(state)):
@@ -148,7 +148,7 @@ class AdaptiveController(FullStateController):
         return actions
 
     def replace_last_action(self, actions: Array) -> None:
-        """Record the actions that were applied instead of those that `act` returned last.
+        """Record the applied actions, if they differ from those that `act` returned last.
 
         Args:
             actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (B, drives) for B machines.
@@ -228,19 +228,19 @@ class MomentumFilter:
 
     @property
     def stiffness_ratio(self) -> Array:
-        """Estimated ratio of belt stiffness to nominal stiffness, dimensionless, shape (B,) for B machines."""
+        """Estimated belt stiffness divided by the model's, dimensionless, shape (B,) for B machines."""
         return 1.0 + self.estimates[:, -1]
 
     @property
     def mass_ratio(self) -> Array:
-        """Estimated ratio of moving mass to nominal mass along each tool axis, shape (B, axes) for B machines."""
+        """Estimated moving mass along each tool axis divided by the model's, shape (B, axes) for B machines."""
         n = len(self.model.mass)
         # Contribution of each coordinate to the mass moved along the tool axes with unstretched belts, kg, (n, axes).
         moving_mass = self.model.mass[:, None] * self.model.rigid**2
         return 1.0 + self.estimates[:, n:-1] @ (moving_mass / moving_mass.sum(axis=0))
 
     def update(self, before: Array, after: Array, volts: Array, effect_force: Array, starts: NDArray[np.bool_]) -> None:
-        """Update the estimated model errors with the momentum balances of the last control period.
+        """Update the estimates of friction, masses and belt stiffness with the momentum balances of the last period.
 
         Args:
             before: States at the start of the period: belt travel (radius * angle of a rotary coordinate) of the n
@@ -293,14 +293,15 @@ class MomentumFilter:
         return -np.einsum("bij,bj->bi", self._stiffness[points], mean_travel)
 
     def friction_voltage_ahead(self, goals: Array) -> Array:
-        """Compute the voltages that compensate the estimated minus the modeled Coulomb friction along a path.
+        """Compute voltages that compensate the difference between estimated and modeled Coulomb friction along a path.
 
         Args:
             goals: Tool goals of B machines at k > 2 sample times, the first now, the others one period apart, m, shape
                 (B, k, axes).
 
         Returns:
-            Voltages for the k - 2 periods from now on, V, shape (B, k - 2, drives).
+            Voltages for the next k - 2 periods, at whose starts and ends the goals determine a velocity, V, shape
+            (B, k - 2, drives).
         """
         model, n = self.model, len(self.model.mass)
         mean_velocity = np.diff(goals, axis=1) / self.period
@@ -313,15 +314,15 @@ class MomentumFilter:
 
 
 def scaled_machine(machine: Machine, stiffness_ratio: float, mass_ratio: float) -> Machine:
-    """Multiply the stiffness of all belts and all masses of a machine by factors.
+    """Return a copy of a machine whose belt stiffnesses and masses are multiplied by factors.
 
     Args:
-        machine: Machine, which is not changed.
+        machine: Machine to copy; it is not changed.
         stiffness_ratio: Factor on the tensile stiffness EA of all belts, dimensionless.
         mass_ratio: Factor on the masses (rotary coordinates: inertias) of all coordinates, dimensionless.
 
     Returns:
-        Changed copy of the machine.
+        Copy of the machine with the changed parameters.
     """
     factors = {"EA": stiffness_ratio, "mass": mass_ratio}
     values = machine.parameters.items()

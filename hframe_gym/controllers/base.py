@@ -35,7 +35,7 @@ SHORTEST_PERIOD, LONGEST_PERIOD = 1e-5, 10.0
 
 
 def check_period(period: float) -> float:
-    """Check that a control period is a number of seconds for which controllers can be designed.
+    """Check that controllers can be designed for a control period.
 
     Args:
         period: Control period, s.
@@ -84,33 +84,34 @@ class Controller(ABC):
         """Compute the actions for the control period that starts now; call it once per period.
 
         Args:
-            observation: Arrays by key, for B simulated machines. `observation`, shape (B, entries): with full state the
-                positions of the tool's axes and of the driven coordinates, then their velocities, in m, rad, m/s and
-                rad/s; otherwise the sensor measurements. `desired_goal`: present tool goal, m, shape (B, axes). For a
-                moving goal also `preview`, m, shape (B, axes * P): goals at the ends of this period and the P - 1
-                following ones.
+            observation: Arrays by key, for B machines. `observation`, shape (B, entries): positions of the tool's axes
+                and the driven coordinates, then their velocities, in m, rad, m/s and rad/s, if the full state is
+                observed; otherwise the sensor measurements. `desired_goal`: present tool goal, m, shape (B, axes). For
+                a moving goal also `preview`, m, shape (B, axes * P): goals at the ends of the next P periods.
 
         Returns:
             Voltages divided by the rated voltages, in [-1, 1], shape (B, drives).
         """
 
     def reset(self, mask: Mask | None = None) -> None:  # noqa: B027  (optional)
-        """Clear the memory of the simulated machines whose next observation is the first of a new episode.
+        """Clear the memory of the machines that start a new episode with their next observation.
 
         Args:
             mask: True for the machines to reset, shape (B,) for B machines. Default: all; B may then change.
         """
 
     def concern(self) -> str | None:
-        """Describe why this controller cannot be expected to work on its machine at its control period.
+        """Return a warning if this controller cannot be expected to work on its machine at its control period.
 
         Returns:
-            One sentence that `make_controller` prints as a warning, or None if nothing speaks against it.
+            One sentence, which `make_controller` prints as a warning; None if there is no reason for one.
         """
         return None
 
     def replace_last_action(self, actions: Array) -> None:  # noqa: B027  (optional)
-        """Record the actions that were applied instead of those that `act` returned last, for example after limiting.
+        """Record the applied actions, if they differ from those that `act` returned last.
+
+        For example, a learned policy may correct them. Observers and dead-time compensation need the applied voltages.
 
         Args:
             actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (B, drives) for B machines.
@@ -121,17 +122,17 @@ CONTROLLERS: Registry[type[Controller]] = Registry("controller")
 
 
 class EpisodeStarts:
-    """Record of which of B simulated machines start a new episode with their next observation.
+    """Mask of those of B simulated machines that start a new episode with their next observation.
 
     Attributes:
-        mask: True for the machines whose episode starts, shape (B,). Empty before the first call of `resize`.
+        mask: True for these machines, shape (B,). Empty before the first call of `resize`.
     """
 
     def __init__(self) -> None:
         self.mask: Mask = np.zeros(0, np.bool_)
 
     def reset(self, mask: Mask | None = None) -> None:
-        """Mark simulated machines whose episode starts with the next observation, in addition to those already marked.
+        """Mark the machines that start a new episode with their next observation; earlier marks remain.
 
         Args:
             mask: True for the machines to mark, shape (B,) for B machines. Default: all; B may then change.
@@ -142,13 +143,13 @@ class EpisodeStarts:
             self.mask = self.mask | mask
 
     def resize(self, count: int) -> bool:
-        """Adapt the mask of starting episodes to the number of simulated machines; if that changes, mark all of them.
+        """Set the number of machines. If it changes, mark all of them.
 
         Args:
             count: Number of machines.
 
         Returns:
-            True if the number has changed: the caller must then allocate its arrays with one row per machine anew.
+            True if the number has changed; the caller must then reallocate its arrays that have one row per machine.
         """
         if len(self.mask) == count:
             return False
@@ -156,7 +157,7 @@ class EpisodeStarts:
         return True
 
     def clear(self) -> None:
-        """Unmark all simulated machines; call it once their first observation has been processed."""
+        """Remove all marks; call it when the first observations of the episodes have been processed."""
         self.mask = np.zeros(len(self.mask), np.bool_)
 
 
@@ -182,7 +183,7 @@ class FullStateController(Controller):
         self._starts = EpisodeStarts()
 
     def reset(self, mask: Mask | None = None) -> None:
-        """Clear the memory of simulated machines whose next observation starts a new episode.
+        """Clear the memory of the machines that start a new episode with their next observation.
 
         Args:
             mask: True for the machines to reset, shape (B,) for B machines. Default: all; B may then change.
@@ -190,13 +191,13 @@ class FullStateController(Controller):
         self._starts.reset(mask)
 
     def act(self, observation: Mapping[str, NDArray[Any]]) -> Array:
-        """Compute the actions for the control period that starts now, for B simulated machines.
+        """Compute the actions for the control period that starts now; call it once per period.
 
         Args:
-            observation: Arrays by key. `observation`: positions of the tool's axes and the motors, then their
-                velocities, m, rad, m/s and rad/s, shape (B, 2 n) for n coordinates. `desired_goal`: tool goal, m, shape
-                (B, axes). For a moving goal also `preview`, m, shape (B, axes * P): goals at the ends of the next P
-                periods.
+            observation: Arrays by key, for B machines. `observation`: positions of the tool's axes and the driven
+                coordinates, then their velocities, m, rad, m/s and rad/s, shape (B, 2 n) for n coordinates.
+                `desired_goal`: present tool goal, m, shape (B, axes). For a moving goal also `preview`, m, shape
+                (B, axes * P): goals at the ends of the next P periods.
 
         Returns:
             Voltages divided by the rated voltages, in [-1, 1], shape (B, drives).
@@ -244,7 +245,7 @@ class Estimator(Protocol):
     channels: int
 
     def reset(self, mask: Mask | None = None) -> None:
-        """Discard the estimates of simulated machines whose next measurements are the first of a new episode.
+        """Discard the estimates of the machines that start a new episode with their next measurements.
 
         Args:
             mask: True for the machines to reset, shape (B,) for B machines. Default: all.
@@ -263,17 +264,17 @@ class Estimator(Protocol):
         """
 
     def send(self, volts: Array) -> None:
-        """Record the commanded voltages of the control period that starts now, for the next prediction.
+        """Record the commanded voltages of the control period that starts now; the next `update` uses them.
 
         Args:
             volts: Commanded voltages, V, shape (B, drives) for B simulated machines.
         """
 
     def replace_last(self, volts: Array) -> None:
-        """Record the voltages that were applied instead of those passed to `send` last.
+        """Record the applied voltages, if they differ from those passed to `send` last.
 
         Args:
-            volts: Commanded voltages, V, shape (B, drives) for B simulated machines.
+            volts: Applied voltages, V, shape (B, drives) for B simulated machines.
         """
 
 
@@ -300,7 +301,7 @@ class OutputFeedbackController(Controller):
         self.controller, self.estimator = controller, estimator
 
     def reset(self, mask: Mask | None = None) -> None:
-        """Reset controller and estimator for the simulated machines whose next observation starts a new episode.
+        """Reset controller and estimator for the machines that start a new episode with their next observation.
 
         Args:
             mask: True for the machines to reset, shape (B,) for B machines. Default: all; B may then change.
@@ -332,7 +333,7 @@ class OutputFeedbackController(Controller):
         return actions
 
     def replace_last_action(self, actions: Array) -> None:
-        """Record the actions that were applied instead of those that `act` returned last.
+        """Record the applied actions, if they differ from those that `act` returned last.
 
         Args:
             actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (B, drives) for B machines.

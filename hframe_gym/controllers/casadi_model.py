@@ -1,7 +1,7 @@
-"""The machine's equations of motion as CasADi expressions, for time-optimal motions, and what they do not support.
+"""The machine's equations of motion as CasADi expressions, for time-optimal motions.
 
-They are those of `hframe_gym.dynamics.Equations`. Coulomb friction is smoothed to F tanh(v / v0), because an optimizer
-needs derivatives.
+The equations are those of `hframe_gym.dynamics.Equations`. Coulomb friction is smoothed to F tanh(v / v0), because an
+optimizer needs derivatives. `check_supported` refuses machines for which the expressions would be wrong.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ SWITCHING_OPERATIONS = (ca.OP_FMIN, ca.OP_FMAX, ca.OP_IF_ELSE_ZERO, ca.OP_SIGN, 
 class SymbolicModel:
     """A machine's equations of motion as CasADi expressions, with its parameters and the start as symbols.
 
-    States are belt travel, m, and its rate, m/s, shape (2 n,). Actions lead from the lowest voltage at the motor, -1,
-    to the highest, 1.
+    States are the belt travel (radius * angle of a rotary coordinate) of n coordinates, m, and its rate, m/s, shape
+    (2 n,). An action is the motor voltage on a scale on which -1 is the lowest and 1 the highest possible voltage.
     """
 
     def __init__(self, machine: Machine, parameters: Any, start: Any, reversal_speed: float) -> None:
@@ -58,11 +58,11 @@ class SymbolicModel:
         return [0.5 * (low + high) + 0.5 * (high - low) * u for low, high, u in parts]
 
     def rate(self, state: Any, action: Any, time: Any) -> Any:
-        """Return the state's derivative.
+        """Return the time derivative of the state.
 
         Args:
-            state: Belt travel, m, and its rate, m/s, shape (2 n,).
-            action: Voltages at the motors from -1, the lowest, to 1, the highest, shape (drives,).
+            state: Belt travel of n coordinates, m, and its rate, m/s, shape (2 n,).
+            action: Motor voltages, scaled so that -1 is the lowest possible one and 1 the highest, shape (drives,).
             time: Time since the start, s.
 
         Returns:
@@ -71,28 +71,30 @@ class SymbolicModel:
         return self._rate(state, action, time, self._parameters, self._start)
 
     def current_excess(self, state: Any, action: Any) -> list[Any]:
-        """Return the constraints (expressions <= 0) that keep the drives' currents within their limits.
+        """Return constraints (expressions that must be <= 0) that keep the motor currents within their limits.
 
         Args:
-            state: Belt travel, m, and its rate, m/s, shape (2 n,).
-            action: Voltages at the motors from -1, the lowest, to 1, the highest, shape (drives,).
+            state: Belt travel of n coordinates, m, and its rate, m/s, shape (2 n,).
+            action: Motor voltages, scaled so that -1 is the lowest possible one and 1 the highest, shape (drives,).
 
         Returns:
-            One dimensionless expression per current limit.
+            (current / limit)^2 - 1, dimensionless, for each current limit.
         """
         voltages, point = self._voltages(action), self._point(state, 0.0)
         current = self._equations.ohmic_current
         return [(current(j, point, voltages[j]) / limit) ** 2 - 1.0 for j, limit in self._current_limits]
 
     def static_excess(self, state: Any, time: Any) -> list[Any]:
-        """Return the constraints (expressions <= 0) under which static friction holds every coordinate without a drive.
+        """Return constraints (expressions that must be <= 0) under which the machine stays at rest in a position.
+
+        They require that friction can hold every linear coordinate without a drive against the forces on it.
 
         Args:
-            state: Belt travel, m, and its rate, m/s, shape (2 n,); the rate does not matter.
+            state: Belt travel of n coordinates, m, and its rate, m/s, shape (2 n,). The rate is taken as zero.
             time: Time since the start, s.
 
         Returns:
-            Two expressions per coordinate, N.
+            Force minus Coulomb friction, N, for both directions of each of these coordinates.
         """
         equations = self._equations
         at_rest = ca.vertcat(state[: self._count], ca.SX.zeros(self._count))
@@ -115,13 +117,15 @@ class SymbolicModel:
 
 
 def voltage_limits(equations: Equations) -> tuple[list[Any], list[Any]]:
-    """Compute the lowest and highest voltages at the motors within the rated commands.
+    """Compute the motor voltages that result from commands of minus and plus the rated voltage.
+
+    They differ from the commands if the machine has effects on its drives, such as an offset or a dead band.
 
     Args:
         equations: Equations of the machine with its effects on the drives.
 
     Returns:
-        Lowest voltages and highest voltages, V, one per drive.
+        Lowest motor voltages, then highest motor voltages, V, one per drive each.
     """
     rated = [d.rated_voltage for d in equations.machine.drives]
     return equations.motor_voltages([-volts for volts in rated]), equations.motor_voltages(rated)
@@ -134,8 +138,8 @@ def check_supported(machine: Machine) -> None:
         machine: Machine with its effects (deviations from the nominal model).
 
     Raises:
-        InputError: If an effect delays the drives, has a memory or is not differentiable, or the machine's bridge yaws
-            (the tool position is then not given by the linear coordinates alone).
+        InputError: If an effect delays the drives, has a memory, changes a current in another way than `current_limit`
+            or is not differentiable, or if the bridge yaws (the tool position then contains a product of coordinates).
     """
     for effect in machine.effects:
         reason = _unsupported_because(effect)

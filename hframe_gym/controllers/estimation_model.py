@@ -1,4 +1,4 @@
-"""What estimators vary and measure: parameters as ratios to declared values, and the linear measurement equation."""
+"""Models for estimators: parameters as ratios to their declared values, and the linear measurement equation."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class ParameterRatios:
         self._declared = np.array(list(machine.parameters.values()))
 
     def parameters(self, logarithms: Array) -> Array:
-        """Compute the parameter values of machines: declared values times the estimated ratios.
+        """Compute parameter values from the logarithms of their ratios to the declared values.
 
         Args:
             logarithms: Natural logarithms of the ratios of the k estimated parameters, shape (B, k) for B simulated
@@ -83,18 +83,18 @@ class AugmentedParameters(ParameterRatios):
         self.covariance: Array = np.diag(std**2) + COMMON_BELT_STD**2 * np.outer(belts, belts)
 
     def ratios(self, logarithms: Array) -> Array:
-        """Convert logarithms to ratios of estimated to declared parameter values, limited to 1/4 ... 4.
+        """Compute the ratios of estimated to declared parameter values from their logarithms.
 
         Args:
             logarithms: Natural logarithms of the ratios, shape (B, k) for B simulated machines and k parameters.
 
         Returns:
-            Ratios, dimensionless, limited to 1 / LARGEST_RATIO ... LARGEST_RATIO, shape (B, k).
+            Ratios, dimensionless, limited to [1/4, 4] (`LARGEST_RATIO`), shape (B, k).
         """
         return np.exp(self.clip(logarithms))
 
     def clip(self, logarithms: Array) -> Array:
-        """Limit the logarithms of parameter ratios to +- log(LARGEST_RATIO).
+        """Limit the logarithms of parameter ratios to [-log 4, log 4] (`LARGEST_RATIO`).
 
         Args:
             logarithms: Natural logarithms of the ratios, shape (B, k) for B simulated machines and k parameters.
@@ -105,7 +105,7 @@ class AugmentedParameters(ParameterRatios):
         return np.clip(logarithms, -np.log(LARGEST_RATIO), np.log(LARGEST_RATIO))
 
     def parameters(self, logarithms: Array) -> Array:
-        """Compute the parameter values of machines: declared values times the estimated ratios, limited to 1/4 ... 4.
+        """Compute parameter values from the logarithms of their ratios to the declared values, after `clip`.
 
         Args:
             logarithms: Natural logarithms of the ratios of the k estimated parameters, shape (B, k) for B simulated

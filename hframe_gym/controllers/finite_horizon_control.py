@@ -102,7 +102,7 @@ class MinimumEnergyTransfers:
         longest: Number of periods of the longest transfer.
         gains: Gains on the state error at the start of the transfer (belt travel, that is, position or radius * angle,
             of n coordinates and its velocity) for the voltages of its first and its last CHECKED_FINAL_PERIODS periods,
-            V/m and Vs/m, shape (points, longest - shortest + 1, 1 + CHECKED_FINAL_PERIODS, 2, 2 n).
+            V/m and Vs/m, shape (points, longest - shortest + 1, 1 + CHECKED_FINAL_PERIODS, drives, 2 n).
 
     Raises:
         InputError: If the period is not positive, or the machine's workspace has no range.
@@ -157,8 +157,8 @@ class MinimumEnergyTransfers:
             at_least: Minimum number of control periods until rest, from `shortest` to `longest`, shape (B,).
 
         Returns:
-            `TransferSelection`: number of control periods until rest, shape (B,), and voltages of the first period, V,
-            shape (B, drives); where no motion stays within the limits, those of the longest one.
+            Number of control periods until rest, shape (B,), and voltages of the first period, V, shape (B, drives).
+            Where no motion stays within the limits, these are those of the longest one and exceed the limits.
         """
         points = self.grid.nearest(goal)
         lowest, highest = limits
@@ -178,7 +178,7 @@ class MinimumEnergyTransfers:
     def reference(self, start: Array, goal: Array, limit: Array) -> tuple[Array, Array]:
         """Compute the minimum-energy motion from rest to rest, in the fewest periods that the voltage limits admit.
 
-        Coulomb friction is left out.
+        The machine is linearized at the goal, without Coulomb friction.
 
         Args:
             start: Tool position at the start, m, shape (axes,).
@@ -221,10 +221,10 @@ class PreviewGains:
         change_weight: Weight w of voltage changes, m/V.
 
     Attributes:
-        state: Gains on the present state, V/m and Vs/m, shape (points, 2, 2 n).
+        state: Gains on the present state, V/m and Vs/m, shape (points, drives, 2 n).
         last: Gains on the voltages of the previous period, V/V, shape (points, drives, drives).
-        goal: Gains on the previewed goals (x, y), V/m, shape (points, 2, 2 H).
-        force: Gains on the force on each coordinate in each period, V/N, shape (points, 2, n H).
+        goal: Gains on the previewed goals, V/m, shape (points, drives, axes * H).
+        force: Gains on the force on each coordinate in each period, V/N, shape (points, drives, n H).
         A: Discrete-time system matrices, shape (points, 2 n, 2 n).
         B: Discrete-time input matrices of the voltages, m/V and m/(Vs), shape (points, 2 n, drives).
         E: Discrete-time input matrices of the forces on the coordinates, m/N and m/(Ns), shape (points, 2 n, n).
@@ -287,7 +287,9 @@ class PreviewTracker:
         self._planned_force = self._disturbance = np.zeros((0, len(model.mass)))  # N
 
     def update_disturbance(self, before: Array, after: Array, volts: Array, starts: NDArray[np.bool_]) -> None:
-        """Update the low-pass filtered disturbance forces with the prediction error of the last control period.
+        """Update the estimated disturbance forces with the prediction error of the last control period.
+
+        They are low-pass filtered with the time constant `DISTURBANCE_TIME_CONSTANT_S`.
 
         Args:
             before: States at the start of the period: belt travel (radius * angle of a rotary coordinate) of the n
@@ -312,7 +314,7 @@ class PreviewTracker:
                 machines and its velocity, m and m/s, shape (B, 2 n).
             goals: Tool goals now and at the end of each following period, m, shape (B, 1 + H or more, axes) for H =
                 `horizon`; further goals are ignored.
-            last: Motor voltages of the previous period, V, shape (B, drives).
+            last: Motor voltages of the previous period, V, shape (B, drives); the plan avoids jumps from them.
             elapsed_s: Time since the start of the episode, s, shape (B,).
 
         Returns:

@@ -44,7 +44,7 @@ class DeadTime:
         self._sent = np.zeros((0, 0, 0))  # V, (B, periods, drives), latest first
 
     def reset(self, mask: NDArray[np.bool_]) -> None:
-        """Fill the delay lines of simulated machines that start an episode with 0 V.
+        """Set all voltages in the delay lines of the machines that start an episode to 0 V.
 
         Args:
             mask: True for the machines that start an episode, shape (B,) for B machines. If B changes, all delay lines
@@ -55,7 +55,7 @@ class DeadTime:
         self._sent[mask] = 0.0
 
     def send(self, volts: Array) -> None:
-        """Put the voltages of the new period into the delay line and drop the oldest.
+        """Put the voltages of the control period that starts now into the delay line, and drop the oldest ones.
 
         Args:
             volts: Commanded voltages of B simulated machines, V, shape (B, drives).
@@ -63,10 +63,10 @@ class DeadTime:
         self._sent = np.concatenate([volts[:, None], self._sent[:, :-1]], axis=1)
 
     def replace_last(self, volts: Array) -> None:
-        """Record the voltages that were applied instead of those passed to `send` last.
+        """Record the applied voltages, if they differ from those passed to `send` last.
 
         Args:
-            volts: Commanded voltages of B simulated machines, V, shape (B, drives).
+            volts: Applied voltages of B simulated machines, V, shape (B, drives).
         """
         self._sent[:, 0] = volts
 
@@ -76,7 +76,7 @@ class DeadTime:
         return self._sent[:, 0]
 
     def mean_arrived(self) -> Array:
-        """Compute the mean of the delayed voltages that reached the drives during the last period.
+        """Compute the mean voltages that reached the drives, after the dead time, during the last period.
 
         Returns:
             Mean voltages, V, shape (B, drives) for B simulated machines.
@@ -85,12 +85,13 @@ class DeadTime:
         return np.einsum("k,bkd->bd", np.diff(times) / self.period, volts[:, :-1])
 
     def arrived_history(self) -> tuple[Array, Array]:
-        """Return the piecewise constant voltages that reached the drives during the last period.
+        """Return the piecewise constant voltages that reached the drives, after the dead time, during the last period.
 
         Returns:
-            times: k switching times from the start of the period, s, shape (k,); the first is 0, the last the period.
+            times: k times from the start of the period, s, shape (k,): 0, the time at which the voltages changed if
+                there is one, and the period.
             volts: Voltages of B simulated machines from each of these times until the next, V, shape (B, k, drives);
-                the last row is the value at the end of the period.
+                the last entry repeats the one before it.
         """
         # With a delay of k complete periods and a remainder, a period begins with the voltages sent k + 1 periods
         # before it; after the remainder, those sent k periods before it arrive.
@@ -100,14 +101,14 @@ class DeadTime:
         return (times, volts) if self.remainder_s > 0.0 else (times[1:], volts[:, 1:])
 
     def delayed_goals(self, goals: Array) -> Array:
-        """Shift the preview of goals by the dead time, because new voltages do not move the machine before.
+        """Shift the preview of goals by the dead time, because new voltages act only after it.
 
         Args:
             goals: Tool goals of B simulated machines at P sample times, the first now, the others one period apart, m,
                 shape (B, P, axes).
 
         Returns:
-            Goals, interpolated at the sample times plus the dead time as far as the preview reaches, m, shape
+            Goals at the sample times plus the dead time, interpolated, as far as the preview reaches, m, shape
             (B, Q, axes), Q <= P.
 
         Raises:
@@ -126,13 +127,15 @@ class DeadTime:
         return np.asarray(PchipInterpolator(periods, goals, axis=1)(np.minimum(later, periods[-1])))
 
     def predict(self, state: Array, parameters: Array | None = None, offset: Array | None = None) -> Array:
-        """Simulate the machine one dead time ahead under the voltages in the delay line.
+        """Predict the state at the end of the dead time by simulation with the voltages in the delay line.
 
         Args:
             state: Belt travel (radius * angle of a rotary coordinate) of the n coordinates of B machines and its
                 velocity, m and m/s, shape (B, 2 n).
-            parameters: Parameters in the order of those of `machine_without_delay`, SI, shape (B, P). Default: its own.
-            offset: Voltages that act beside the commanded ones, V, shape (B, drives). Default: none.
+            parameters: Parameters in the order of `machine_without_delay.parameters`, SI, shape (B, P). Default: those
+                of this machine.
+            offset: Voltages added to those in the delay line, V, shape (B, drives), for example for an estimated
+                disturbance. Default: none.
 
         Returns:
             Predicted belt travel and velocity, m and m/s, shape (B, 2 n); `state` itself without a dead time.
@@ -193,7 +196,7 @@ class InputInversion:
         """Compute the commanded voltages that produce given voltages at the motors (inverse of `motor_voltage`).
 
         Args:
-            motor_voltage: Voltages wanted at the motors of B simulated machines, V, shape (B, drives).
+            motor_voltage: Desired voltages at the motors of B simulated machines, V, shape (B, drives).
 
         Returns:
             Commanded voltages, limited to the rated voltages, V, shape (B, drives).

@@ -68,8 +68,8 @@ class ModelBasedController(FullStateController):
         transfers: Feedback gains of the motions to rest at a fixed goal (point-to-point motion).
 
     Raises:
-        InputError: If the machine does not have two drives that can move both x and y, x or y has no range, or the
-            period is not positive.
+        InputError: If the machine does not have one drive per axis of its tool, an axis has no range, or the period is
+            invalid.
     """
 
     feedback: ClassVar[Feedback] = "estimated_state"
@@ -114,7 +114,7 @@ class ModelBasedController(FullStateController):
         return volts / self.model.rated
 
     def replace_last_action(self, actions: Array) -> None:
-        """Record the actions that were applied instead of those that `act` returned last.
+        """Record the applied actions, if they differ from those that `act` returned last.
 
         Args:
             actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (B, drives) for B machines.

@@ -1,7 +1,7 @@
-"""Machine model of the controllers: full state in belt travel, rigid motion, friction, and operating points.
+"""Machine model for controller design: full state in belt travel, rigid motion, friction, and operating points.
 
-All positions are belt travel (p = radius * angle, m) and all forces act on travel (N), so that x, y and the motors have
-the same scale.
+All positions are belt travel in m (radius * angle of a rotary coordinate) and all forces act along it, in N, so that x,
+y and the motors have the same scale. In a *rigid motion* the belts do not stretch.
 """
 
 from __future__ import annotations
@@ -168,10 +168,10 @@ class MotionModel:
         return np.concatenate([travel, np.zeros_like(travel)], axis=1)
 
     def tool_position(self, travel: Array) -> Array:
-        """Select the tool position from belt travel or states.
+        """Select the tool position from the belt travel of all coordinates.
 
         Args:
-            travel: Belt travel (radius * angle) of n coordinates, m, shape (B, n); further columns are ignored.
+            travel: Belt travel (radius * angle) of n coordinates, m, shape (B, n). States, (B, 2 n), are accepted too.
 
         Returns:
             Tool positions, m, shape (B, axes).
@@ -179,27 +179,27 @@ class MotionModel:
         return travel[:, self.tool]
 
     def elastic_travel(self, travel: Array) -> Array:
-        """Subtract from belt travel its value with unstretched belts at the same tool position.
+        """Compute how much belt stretch displaces each coordinate from its position with unstretched belts.
 
         Args:
             travel: Belt travel (radius * angle) of the n coordinates of B machines, m, shape (B, n); velocities in
                 further columns are ignored.
 
         Returns:
-            Belt travel due to belt stretch, m, shape (B, n); zero at the tool's axes.
+            Belt travel minus that of unstretched belts at the same tool position, m, shape (B, n); 0 for the tool axes.
         """
         return travel[:, : len(self.mass)] - self.tool_position(travel) @ self.rigid.T
 
     def discretize(self, goal: Array, period: float) -> tuple[Array, Array, Array]:
-        """Linearize the machine with n coordinates, without Coulomb friction, and discretize it with zero-order hold.
+        """Linearize the machine, without Coulomb friction, and discretize it with zero-order hold.
 
         Args:
             goal: Tool position of the linearization, m, shape (axes,).
             period: Control period, s.
 
         Returns:
-            A: System matrix of the state (belt travel, that is, radius * angle of a rotary coordinate, m, and its
-                velocity, m/s), shape (2 n, 2 n).
+            A: System matrix of the state, which is the belt travel (radius * angle of a rotary coordinate) of n
+                coordinates, m, and its velocity, m/s; shape (2 n, 2 n).
             B: Input matrix of the voltages, m/V and m/(Vs), shape (2 n, drives).
             E: Input matrix of a force on each coordinate, m/N and m/(Ns), shape (2 n, n).
         """
@@ -230,7 +230,7 @@ class MotionModel:
         return _stack(self._balance(state, elapsed_s).forces, state)
 
     def friction_force(self, state: Array, elapsed_s: Array) -> Array:
-        """Compute Coulomb friction and the friction of effects (deviations from the model), without viscous friction.
+        """Compute Coulomb friction and the changes of friction by the machine's effects, without viscous friction.
 
         Args:
             state: Belt travel (radius * angle) of n coordinates, m, and its rate, m/s, for B machines, shape (B, 2 n).
@@ -274,14 +274,14 @@ class MotionModel:
         return np.tanh(state[:, len(self.mass) :] / REVERSAL_SPEED)
 
     def static_stretch(self, force: Array, goal: Array) -> Array:
-        """Compute the motor travel, due to belt stretch, at which the belts balance a force on the tool.
+        """Compute the displacement of the motors at which the stretched belts balance a force on the tool, at rest.
 
         Args:
             force: Force on each of the n coordinates of B machines, N, shape (B, n); only the tool's are used.
             goal: Tool positions, m, shape (B, axes).
 
         Returns:
-            Belt travel (radius * angle) minus that of unstretched belts, m, shape (B, n); zero at the tool's axes.
+            Belt travel minus that of unstretched belts at the tool positions, m, shape (B, n); 0 for the tool axes.
         """
         tool = self.tool
         motors = [i for i in range(len(self.mass)) if i not in tool]
@@ -297,10 +297,10 @@ class MotionModel:
         return stretch
 
     def voltage(self, force: Array) -> Array:
-        """Convert forces along the axes (with unstretched belts) to the voltages that produce them at zero speed.
+        """Compute the voltages that produce given forces along the axes, at zero speed and with rigid belts.
 
         Args:
-            force: Forces along the axes on each of B machines, N, shape (B, axes).
+            force: Forces along the tool's axes on each of B machines, N, shape (B, axes).
 
         Returns:
             Voltages of the drives, V, not limited, shape (B, drives).
@@ -308,9 +308,9 @@ class MotionModel:
         return force @ self._volts_per_force.T
 
     def disturbance_force(self, before: Array, after: Array, volts: Array, period: float) -> Array:
-        """Compute the mean disturbance force over a period: rate of momentum minus drive and viscous forces.
+        """Compute the mean disturbance force over a period from the momentum balance of the rigid motion.
 
-        Belt forces are internal and cancel in the momentum balance along x and y.
+        It is the rate of momentum plus viscous friction minus drive force; belt forces are internal and cancel.
 
         Args:
             before: States at the start of the period: belt travel (radius * angle of a rotary coordinate) of the n
@@ -328,7 +328,7 @@ class MotionModel:
         return (viscous_impulse + momentum_change) @ self.rigid / period - volts @ self.force_per_volt.T
 
     def top_speed(self) -> Array:
-        """Compute the steady speeds along each axis alone with all drives at rated voltage.
+        """Compute the steady speed along each axis when only this axis moves and all drives have rated voltage.
 
         Returns:
             Speeds along the axes, m/s, shape (axes,); zero where Coulomb friction exceeds the drive force.

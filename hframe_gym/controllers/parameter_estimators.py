@@ -2,9 +2,10 @@
 
 Unlike `MomentumFilter`, which balances mean forces, these estimators compare the measured state with the simulated one,
 so that belt modes and friction that reverses within a period do not disturb them. They estimate every belt separately.
+Undeclared forces can be estimated as *missing voltages*: voltages at the drives that the simulation lacks.
 
-ParameterEstimator What both have in common: the estimated parameters, and the simulations that give the derivatives of
-                   a period's final state with respect to the estimates.
+ParameterEstimator Base class: the estimated parameters, and the simulations that give the derivatives of a period's
+                   final state with respect to the estimates.
 ParameterFilter    Extended Kalman filter: each period is linearized once, at the estimates of its time. Its errors stay
                    at a few percent even where states are measured exactly, because an early period is never revised.
 ParameterWindow    Moving-horizon estimation: the last periods are linearized anew in every update, so that estimates
@@ -97,7 +98,7 @@ class ParameterEstimator(ABC):
                 coordinates of B machines and its velocity, m and m/s, shape (B, 2 n).
             after: States at the end of the period, m and m/s, shape (B, 2 n).
             actions: Voltages applied in the period, divided by the rated voltages, shape (B, drives); if they change
-                within the period, those before and after, shape (B, 2, drives).
+                within the period (`switch_s` > 0), those before and after the change, shape (B, 2, drives).
             starts: True for machines whose episode starts with `after`, shape (B,); their estimates are set to zero.
         """
         if len(self.estimates) != len(starts):
@@ -107,13 +108,14 @@ class ParameterEstimator(ABC):
         self._restart(starts)
 
     def parameters(self, estimates: Array) -> Array:
-        """Return the parameters of machines with given estimates.
+        """Convert estimates to parameter values.
 
         Args:
-            estimates: Logarithms of the ratios of actual to declared values, as `estimates`, shape (B, size).
+            estimates: Logarithms of the ratios of actual to declared values, as in the attribute `estimates`, shape
+                (B, size).
 
         Returns:
-            Parameters in the order of `Machine.parameters`, SI, shape (B, P).
+            All P parameters in the order of `Machine.parameters`, SI, shape (B, P).
         """
         return self._ratios.parameters(estimates[:, : self._offsets.start])
 
@@ -178,7 +180,7 @@ class ParameterFilter(ParameterEstimator):
 
     # About the standard deviations of the randomization "default"; the belts' lengths enter by EA.
     prior_std: ClassVar[Mapping[str, float]] = {"coulomb": 0.4, "mass": 0.1, "EA": 0.22}
-    # What the linearization, other parameters and the step of the simulation leave.
+    # Errors that remain from the linearization, parameters that are not estimated, and the step of the simulation.
     state_std: ClassVar[tuple[float, float]] = (2e-5, 8e-3)
     difference: ClassVar[float] = 0.03
     integration_step: ClassVar[float] = 1e-3
@@ -220,8 +222,8 @@ class ParameterWindow(ParameterEstimator):
         size: Number of estimates, 2 n + 2 b + drives.
         estimates: Logarithms of the ratios of actual to declared values (0.1: about 10 % above), limited, shape
             (B, size): n Coulomb friction forces, n masses, b axial stiffnesses EA, b lengths; then for each drive the
-            voltage that the simulation lacks, as a fraction of the rated voltage. Zero at the start of an episode. Only
-            the ratio of EA to length, the stiffness of a belt, can be determined.
+            missing voltage, as a fraction of the rated voltage. Zero at the start of an episode. Only the ratio of EA
+            to length, the stiffness of a belt, can be determined.
         noise_ratio: Estimated noise of the states in multiples of the smallest assumed one, at least 1, shape (B,).
     """
 
@@ -325,5 +327,5 @@ class ParameterWindow(ParameterEstimator):
 
     @property
     def offset(self) -> Array:
-        """Voltages that the simulation lacks, V, shape (B, drives): undeclared forces, as voltages of the drives."""
+        """Estimated missing voltages, V, shape (B, drives): undeclared forces, expressed as voltages of the drives."""
         return self.estimates[:, self._offsets] * self._model.rated

@@ -37,7 +37,8 @@ LONGEST_PERIODS = 60  # until the tool arrives; a longer way is planned again on
 FRICTION_SPEED, FRICTION_TRAVEL = 0.02, 1e-3  # m/s and m, over which the expected direction of friction changes
 ARRIVED = 1.2e-4  # m, predicted error of a plan that arrives in time
 DELAYS = (-1, 0, 1, 2, 3)  # periods by which the arrival may change from one period to the next, in the order tried
-REFINED_PERIODS, PERIODS_BEYOND = 3, 3  # periods until the arrival from which a plan is refined, and length beyond it
+# Periods before the arrival in which a plan is corrected by simulations, and simulated periods after the arrival.
+REFINED_PERIODS, PERIODS_BEYOND = 3, 3
 CHANGE_WEIGHT = 1e-5  # m/V, tool error that is as costly as a voltage change of 1 V along a path
 ESTIMATES_CHANGED = 2e-3  # change of an estimate after which linear models are computed again
 
@@ -56,8 +57,8 @@ class PredictiveController(FullStateController):
             them.
 
     Raises:
-        InputError: If the machine does not have one drive per axis of its tool, x or y has no range, or the period is
-            not positive.
+        InputError: If the machine does not have one drive per axis of its tool, an axis has no range, or the period is
+            invalid.
     """
 
     feedback: ClassVar[Feedback] = "estimated_state"
@@ -127,7 +128,7 @@ class PredictiveController(FullStateController):
         return volts / self.model.rated
 
     def replace_last_action(self, actions: Array) -> None:
-        """Record the actions that were applied instead of those that `act` returned last.
+        """Record the applied actions, if they differ from those that `act` returned last.
 
         Args:
             actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (B, drives) for B machines.
@@ -136,16 +137,17 @@ class PredictiveController(FullStateController):
 
     @property
     def estimates(self) -> Array:
-        """Estimates of friction, masses, belts and lacking voltages, see `ParameterWindow`, shape (B, size)."""
+        """Estimates of friction, masses, belts and missing voltages, shape (B, size); see `ParameterWindow`."""
         return self.estimator.estimates
 
     def gain(self) -> Array:
-        """Compute the derivative of the last voltages with respect to the state, without the refinement by simulations.
+        """Compute the derivative of the voltages that `act` returned last with respect to the state.
 
-        The analytic policy gradient needs it for a policy that corrects this controller.
+        It is that of the linear plan; corrections of the plan by simulations are ignored. The analytic policy gradient
+        needs it for a policy that corrects this controller.
 
         Returns:
-            Gains, V/m and Vs/m, shape (B, drives, 2 n).
+            Gains on belt travel and velocity of n coordinates, V/m and Vs/m, shape (B, drives, 2 n).
         """
         if self._follows_path and self._path_planner is not None:
             return self._path_planner.gain()
@@ -276,7 +278,7 @@ class _PathPlanner:
         R, D = self._response, CHANGE_WEIGHT * self._difference
         normal = R.transpose(0, 2, 1) @ R + D.T @ D
         commands = inversion.command(volts.reshape(-1, len(self._rated))).reshape(volts.shape)
-        samples = self._simulation.tool(state, parameters, commands + offset[:, None])
+        samples = self._simulation.tool_positions(state, parameters, commands + offset[:, None])
         ends = samples[:, samples.shape[1] // self.horizon - 1 :: samples.shape[1] // self.horizon]
         error = (ends - goals[:, 1:]).reshape(batch, -1)
         change = volts.reshape(batch, -1) @ D.T - CHANGE_WEIGHT * last

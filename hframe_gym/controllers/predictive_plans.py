@@ -1,8 +1,8 @@
 """Plans of a predictive controller: linear models of batches of different machines, and voltages that arrive in time.
 
 `LinearMotion`     Linear models of B different machines.
-`ArrivalPlanner`   Voltages within their limits that bring the tool to its goal in K periods and keep it there, by a
-                   quadratic program with limits for each machine; the belts come to rest after the tool.
+`ArrivalPlanner`   Voltages within their limits that bring the tool to its goal in K periods and keep it there (the
+                   solution of a quadratic program for each machine); the belts come to rest after the tool.
 `PlanSimulation`   Simulation of plans, and correction of the last periods of a plan by simulations. They contain static
                    friction, which decides where a tool stops that approaches its goal by a tenth of a millimeter.
 
@@ -55,14 +55,14 @@ class LinearMotion:
         self._extension = model.machine.belt_matrix / model.machine.travel_per_unit  # per belt travel, (belts, n)
 
     def matrices(self, parameters: Array, position: Array) -> tuple[Array, Array, Array]:
-        """Linearize the machines without Coulomb friction and effects, and discretize them with zero-order hold.
+        """Linearize machines, without Coulomb friction and effects, and discretize them with zero-order hold.
 
         Args:
             parameters: Parameters of B machines in the order of `Machine.parameters`, SI, shape (B, P).
             position: Tool positions of the linearization, m, shape (B, axes).
 
         Returns:
-            A: System matrices, shape (B, 2 n, 2 n).
+            A: System matrices of the states (see the class), shape (B, 2 n, 2 n).
             B: Input matrices of the voltages, m/V and m/(Vs), shape (B, 2 n, drives).
             E: Input matrices of a force on each coordinate, m/N and m/(Ns), shape (B, 2 n, n).
         """
@@ -124,7 +124,7 @@ class ArrivalPlanner:
         self._scale = np.repeat([1.0, 1.0 / VELOCITY_SCALE_S], len(model.mass))
 
     def predict(self, matrices: tuple[Array, Array, Array], error: Array, force: Array) -> None:
-        """Predict the motion at 0 V and the responses to voltages, and keep both for `plan` and `gain`.
+        """Predict the motion at 0 V and the responses to voltages, and store both for `plan` and `gain`.
 
         Args:
             matrices: Linear models A, B and E as `LinearMotion.matrices` returns them, in m, s, V and N, of the shapes
@@ -147,14 +147,14 @@ class ArrivalPlanner:
         self._pushed = np.cumsum(np.stack(pushes, axis=1), axis=1)  # sum of A^i E f for i < j
 
     def plan(self, arrival: Indices) -> ArrivalPlan:
-        """Compute the voltages that bring the tool to its goal by the end of period K and keep it there.
+        """Compute the voltages that bring the tool to its goal by the end of period K, after a call of `predict`.
 
         Args:
             arrival: Number K of periods until the arrival, 1 or more, shape (B,).
 
         Returns:
-            `ArrivalPlan`: voltages, V, shape (B, periods, drives), and the largest distance of the tool from its goal
-            after period K, m, shape (B,).
+            Voltages, V, shape (B, periods, drives), and the largest distance of the tool from its goal after period K,
+            m, shape (B,), which is large if the tool cannot arrive so early.
         """
         rated, axes, batch = self._model.rated, len(self._model.tool), len(arrival)
         # Residuals are R a + c for actions a within [-1, 1].
@@ -168,13 +168,13 @@ class ArrivalPlanner:
         return ArrivalPlan(volts, distance)
 
     def gain(self, arrival: Indices) -> Array:
-        """Compute the derivative of a plan's first voltages with respect to the present state.
+        """Compute the derivative of the first period's voltages of `plan(arrival)` with respect to the state.
 
         Args:
             arrival: Number K of periods until the arrival, shape (B,).
 
         Returns:
-            Gains, V/m and Vs/m, shape (B, drives, 2 n).
+            Gains on belt travel and velocity of n coordinates, V/m and Vs/m, shape (B, drives, 2 n).
         """
         R, c = self._residuals(arrival)
         free = np.abs(_least_squares_within_limits(R, c)) < 1.0  # voltages that are not at their limits
@@ -262,8 +262,8 @@ class PlanSimulation:
         self._model, self.periods = model, periods
         self._time_s = np.linspace(0.0, period * periods, periods * SAMPLES + 1)
 
-    def tool(self, state: Array, parameters: Array, volts: Array) -> Array:
-        """Simulate the tool under given voltages.
+    def tool_positions(self, state: Array, parameters: Array, volts: Array) -> Array:
+        """Simulate the machines with given voltages and return the positions of their tools.
 
         Args:
             state: Belt travel of n coordinates and its velocity, m and m/s, shape (B, 2 n).
@@ -271,7 +271,7 @@ class PlanSimulation:
             volts: Commanded voltages of each period, V, shape (B, periods, drives).
 
         Returns:
-            Tool positions at SAMPLES times per period, the last of which is its end, m, shape (B, samples, axes).
+            Tool positions at SAMPLES equidistant times per period, its end included, m, shape (B, samples, axes).
         """
         inputs = np.repeat(volts, SAMPLES, axis=1)
         positions = rollout(
@@ -288,7 +288,7 @@ class PlanSimulation:
     def improve(
         self, state: Array, parameters: Array, goal: Array, plans: list[Array], arrival: Indices, count: int
     ) -> Array:
-        """Choose the best of several plans and improve it, so that the tool stays close to its goal from K on.
+        """Choose the plan whose tool stays closest to its goal after period K, and improve it by simulations.
 
         Args:
             state: Belt travel of n coordinates and its velocity, m and m/s, shape (B, 2 n).
@@ -296,10 +296,10 @@ class PlanSimulation:
             goal: Tool goals, m, shape (B, axes).
             plans: Commanded voltages of each period, V, each of shape (B, periods, drives).
             arrival: Number K of periods until the tool should have arrived, shape (B,).
-            count: Number of the period in the episode; the steps of the finite differences vary with it.
+            count: Number of periods since the start of the episode; the steps of the finite differences vary with it.
 
         Returns:
-            Commanded voltages of the best plan, V, shape (B, periods, drives).
+            Commanded voltages of the improved plan, V, shape (B, periods, drives).
         """
         batch, rated, entries = len(state), self._model.rated, self.periods * len(self._model.rated)
         counted = np.arange(1, self.periods * SAMPLES + 1) >= arrival[:, None] * SAMPLES  # (B, samples)
@@ -307,7 +307,7 @@ class PlanSimulation:
         def residuals(volts: Array, repeats: int = 1) -> Array:
             """Return the errors of the tool in SAMPLE_UNIT, (B * repeats, samples, axes)."""
             start, values, end = (np.repeat(array, repeats, axis=0) for array in (state, parameters, goal))
-            error = (self.tool(start, values, volts) - end[:, None]) / SAMPLE_UNIT
+            error = (self.tool_positions(start, values, volts) - end[:, None]) / SAMPLE_UNIT
             return np.asarray(error * np.repeat(counted, repeats, axis=0)[..., None])
 
         def tried(volts: Array) -> _TriedPlan:

@@ -66,8 +66,8 @@ class StateEstimator:
         augmented: Names and prior covariance of the k estimated parameters (masses, friction, belts, motors).
 
     Raises:
-        InputError: If the machine does not have two drives that can move both x and y, its sensors do not determine
-            the position of the tool, or the period is not positive.
+        InputError: If the machine does not have one drive per axis of its tool, its sensors do not determine the
+            position of the tool, or the period is invalid.
     """
 
     def __init__(self, machine: Machine, period: float) -> None:
@@ -100,11 +100,13 @@ class StateEstimator:
 
     @property
     def parameter_ratios(self) -> Array:
-        """Estimated ratios of k parameters (`augmented.names`) to the declared values, dimensionless, shape (B, k)."""
+        """Estimated values of the k parameters `augmented.names` divided by the declared values, shape (B, k)."""
         return self.augmented.ratios(self._mean[:, len(self._scale) :])
 
     def reset(self, mask: Mask | None = None) -> None:
-        """Discard the estimates of simulated machines whose next measurements start an episode, which starts at rest.
+        """Discard the estimates of the machines that start a new episode with their next measurements.
+
+        Their new estimates start from a machine at rest with the declared parameters.
 
         Args:
             mask: True for the machines to reset, shape (B,) for B machines. Default: all; B may then change.
@@ -112,7 +114,7 @@ class StateEstimator:
         self._starts.reset(mask)
 
     def send(self, volts: Array) -> None:
-        """Record the commanded voltages of the control period that starts now, for the next prediction.
+        """Record the commanded voltages of the control period that starts now; the next `update` uses them.
 
         Args:
             volts: Commanded voltages of the drives, V, shape (B, drives) for B simulated machines.
@@ -120,10 +122,10 @@ class StateEstimator:
         self._dead_time.send(volts)
 
     def replace_last(self, volts: Array) -> None:
-        """Record the voltages that were applied instead of those passed to `send` last.
+        """Record the applied voltages, if they differ from those passed to `send` last.
 
         Args:
-            volts: Commanded voltages of the drives, V, shape (B, drives) for B simulated machines.
+            volts: Applied voltages of the drives, V, shape (B, drives) for B simulated machines.
         """
         self._dead_time.replace_last(volts)
 
@@ -252,7 +254,8 @@ def sigma_points(mean: Array, covariance: Array, smallest_std: Array) -> Array:
 def transformed_moments(mapped: Array) -> tuple[Array, Array]:
     """Estimate the mean and covariance of y = f(x) for normally distributed x by second-order divided differences.
 
-    Divided differences need no derivatives, which friction does not have, and the covariance is a sum of squares.
+    Divided differences need no derivatives, which do not exist where friction reverses. The covariance is a sum of
+    squares and therefore positive semidefinite.
 
     Args:
         mapped: Values of f, with M components in any units, at the `sigma_points` of B distributions of N variables x,

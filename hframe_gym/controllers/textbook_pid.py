@@ -58,11 +58,12 @@ class TextbookPID(FullStateController):
         self._axes = np.array(self.model.tool)
 
     def concern(self) -> str | None:
-        """Check the stability of the sampled linear closed loop, without saturation, friction and dead time.
+        """Return a warning if the sampled linear closed loop is unstable somewhere in the workspace.
+
+        Saturation, Coulomb friction and dead time are ignored.
 
         Returns:
-            A sentence of warning if an eigenvalue lies outside the unit circle at the center or an end of the
-            workspace; else None.
+            One sentence if an eigenvalue lies outside the unit circle at a point of `OperatingPointGrid`; else None.
         """
         n, axes = len(self.model.mass), len(self._axes)
         position, velocity = (np.eye(2 * n)[self._axes + shift] for shift in (0, n))  # select the tool from the state

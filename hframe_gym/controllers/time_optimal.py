@@ -191,8 +191,8 @@ class TimeOptimalReach:
                 belts, tried in this order; at least one.
 
         Returns:
-            `TimeOptimalMotion`: duration, s, and commanded voltages, V, shape (intervals, drives), from the first guess
-            with which the solver IPOPT converges; if it converges with none, of the last guess with `solved` False.
+            Duration, s, and commanded voltages, V, shape (intervals, drives), from the first guess with which the
+            solver IPOPT converges. If it converges with none, the attribute `solved` is False.
         """
         begin, end = np.asarray(start, float), np.asarray(goal, float)
         nominal = list(self.machine.parameters.values())
@@ -268,19 +268,19 @@ class HeldVoltageReach:
     def solve(
         self, start: ArrayLike, goal: ArrayLike, parameters: ArrayLike | None, free_s: float
     ) -> TimeOptimalMotion:
-        """Compute the time-optimal motion with held voltages.
+        """Compute the time-optimal motion for voltages that are constant over each control period.
 
         Args:
             start: Positions of the linear coordinates (usually x, y) at the start, m, shape (axes,).
             goal: Positions of the linear coordinates at the goal, m, shape (axes,).
             parameters: All P parameters in the order and units of `Machine.parameters`, shape (P,), or None for the
                 machine's.
-            free_s: Shortest time with free voltages, s, from `TimeOptimalReach`.
+            free_s: Duration of the time-optimal motion whose voltages may change at any time, s, from
+                `TimeOptimalReach`; the search starts at the period in which it ends.
 
         Returns:
-            Duration, s, and commanded voltages of the motion, V, shape (intervals, drives), with the collocation
-            intervals as `edges_s`; `solved` is False if no motion was found that takes at most `LATEST_PERIODS` control
-            periods more than `free_s`.
+            Duration, s, and commanded voltages, V, shape (intervals, drives), for the intervals between `edges_s`. The
+            attribute `solved` is False if no motion was found in `LATEST_PERIODS` control periods.
         """
         first = max(1, int(np.ceil(free_s / self.period)))
         for last in range(first, first + LATEST_PERIODS):

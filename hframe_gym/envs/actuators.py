@@ -1,7 +1,8 @@
-"""Actuators: what an action becomes at the motors, as declared by the machine or as a rig has it.
+"""Actuators: conversion of actions to motor voltages by D/A converters, with dead times and current limits.
 
-The machine declares the converter of each drive (bits, voltage range); dead time and current limit are its effects
-`input_delay` and `current_limit`, which the compiled simulation kernel (code generated for a machine) simulates.
+The machine declares the D/A converter of each drive (bits, voltage range). Dead time and current limit are effects of
+the machine (modeled deviations from the basic model), `input_delay` and `current_limit`. `ActuatorModel` simulates
+converters and dead times; the compiled simulation kernel (code generated for a machine) simulates the current limit.
 Batches are stored in the kernel's SIMD layout: environment b is lane b % LANES of block b // LANES.
 """
 
@@ -28,15 +29,15 @@ Index = NDArray[np.intp]
 
 @dataclass(frozen=True)
 class Actuators:
-    """Converter, current limit and dead time of all drives, in place of the declared converters.
+    """D/A converter, current limit and dead time of all drives. They replace the converters that the machine declares.
 
     Args:
-        bits: Resolution of the D/A converter, which has 2**bits levels from -range_V to range_V; None: continuous.
+        bits: Resolution of the D/A converter, which has 2**bits levels from -range_V to range_V; None: not quantized.
         range_V: Voltage range of the converter, V; None: the rated voltage.
         current_limit: Largest current in either direction, A; None: only the machine's limits. The amplifier lowers
-            the voltage V so that |V - Ke N w| / R stays within it (gear ratio N, pulley speed w, resistance R); every
-            drive gets the effect `current_limit`. A smaller limit of the machine remains.
-        delay: Dead time between action and voltage, s; the machine gets the effect `input_delay`.
+            the voltage V so that |V - Ke N w| / R stays within the limit (back-EMF constant Ke, gear ratio N, pulley
+            speed w, resistance R). A smaller limit of the machine remains.
+        delay: Dead time between action and voltage, s.
 
     Raises:
         InputError: If a number is invalid.
@@ -58,14 +59,14 @@ class Actuators:
             raise InputError(f"drives: delay is {self.delay!r}, it must be from 0 to 0.1 s")
 
     def apply(self, machine: Machine) -> Machine:
-        """Put these converters, current limit and dead time into a copy of a machine.
+        """Return a copy of a machine whose drives have this D/A converter, current limit and dead time.
 
         Args:
-            machine: Machine whose drives get them; it is not changed.
+            machine: Machine to copy; it is not changed.
 
         Returns:
-            Copy with the bits and voltage range of these converters at every drive, and with the effects (modeled
-            deviations) `current_limit` and `input_delay` (dead time) where a limit or a delay is given.
+            Copy in which every drive has a converter with `bits` and `range_V`. If `current_limit` is given, every
+            drive also has the effect `current_limit`. If `delay` is not 0, the machine has the effect `input_delay`.
 
         Raises:
             InputError: If the machine has an input delay already and `delay` is not 0.
@@ -110,14 +111,16 @@ def with_actuators(machine: Machine, drives: ActuatorsLike) -> Machine:
     """Apply the environment option `drives` to a machine.
 
     Args:
-        machine: Machine whose drives get the converters, current limit and dead time.
-        drives: "ideal" (continuous converters), "rig" (12 bits, 12 A), "machine" (no change), or `Actuators(...)`.
+        machine: Machine to copy; it is not changed.
+        drives: "ideal" (voltages are not quantized), "rig" (12-bit D/A converters, current limit 12 A), "machine" (as
+            the machine declares), or `Actuators(...)`.
 
     Returns:
-        Changed copy of the machine, or the machine itself for "machine".
+        Copy of the machine with these actuators; the machine itself for "machine". Current limits and dead times that
+        the machine already has remain.
 
     Raises:
-        InputError: If the name is unknown, the object is of another type, or the actuators do not fit the machine.
+        InputError: If `drives` is invalid, or both the machine and `drives` have a dead time.
     """
     if isinstance(drives, Actuators):
         return drives.apply(machine)
@@ -167,12 +170,11 @@ class ActuatorModel:
         self._commanded = np.zeros((blocks, drives, LANES)) if delayed else None
 
     def begin(self, index: Index, values: Array) -> None:
-        """Set the converters of k environments for new episodes and clear the voltages that dead times still delay.
+        """Prepare new episodes of k environments: set their converters and fill their delayed voltages with 0 V.
 
         Args:
             index: Indices of the environments, shape (k,).
-            values: All N parameters of these environments, SI, in the column order of the parameter table, shape
-                (k, N).
+            values: All N parameters of these environments in the order of `ParameterSpace.names`, SI, shape (k, N).
         """
         self._quantized |= _set_converters(index, values, self._columns, self._converters)
         if self._commanded is not None:  # without dead time there is no history
@@ -180,7 +182,7 @@ class ActuatorModel:
             self._history[block, :, :, lane] = 0.0
 
     def begin_period(self) -> None:
-        """Shift the history of commanded voltages of all environments by one control period and drop the oldest.
+        """Advance the histories of commanded voltages, from which dead times are simulated, by one control period.
 
         Call it once per control period, before `command`.
         """
@@ -190,14 +192,15 @@ class ActuatorModel:
     def command(self, actions: NDArray[Any], first: int, last: int, clipped: NDArray[np.int64]) -> None:
         """Convert the actions for one control period to the motor voltages of blocks first to last - 1.
 
-        The voltages, V, are written to the attribute `inputs`. A block is LANES environments that are simulated at
-        once.
+        The voltages, V, are written to the attribute `inputs`, after quantization by the converters and the dead time
+        of each drive. A block is LANES environments that are simulated at once.
 
         Args:
             actions: Voltages as fractions of the rated voltages, shape (environments, drives); limited to [-1, 1] here.
             first: Index of the first block; block i holds environments i * LANES to (i + 1) * LANES - 1.
             last: Index after the last block.
-            clipped: Number of clipped action entries in each running episode, shape (environments,); updated in place.
+            clipped: Number of action entries outside [-1, 1] in each running episode, shape (environments,); updated in
+                place.
         """
         commanded = self.inputs if self._commanded is None else self._commanded
         _convert(actions, self._rated, self._converters, self._quantized, first, last, commanded, clipped)

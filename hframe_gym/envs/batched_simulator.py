@@ -1,10 +1,10 @@
-"""A batch of machines with the same equations: their state, their parameters, and one control period of all of them.
+"""Simulation of a batch of machines with the same equations and different parameters, one control period at a time.
 
 State and parameters stay in the SIMD layout of the compiled simulation kernel (code generated for a machine), arrays
 (blocks, rows, LANES): machine b is lane b % LANES of block b // LANES. Unused lanes of the last block repeat the last
 machine, without voltage. Positions and velocities are belt travel, m and m/s: the coordinate if linear, radius * angle
 if rotary. Compiled functions work on blocks first to last - 1, run without the interpreter lock and use only arithmetic
-that rounds alike everywhere, so that a machine gets the same bits in any batch, lane or thread.
+that rounds alike everywhere. A machine therefore gets the same bits in any batch, lane or thread.
 """
 
 from __future__ import annotations
@@ -26,23 +26,14 @@ from .workspace import with_end_stops
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
-# Fewer machines are done before a second thread would have started.
+# With fewer machines, one thread finishes before a second one has started.
 COUNT_FOR_THREADS = 512
 
 
 def _parameter_values(machine: Machine, name: str, values: Array) -> Array:
-    """Return one parameter of k machines; a tied parameter is computed as its factor times the parameter it is tied to.
+    """Return one parameter (k,) by its full name from values (k, N), whose first columns are `machine.parameters`.
 
-    Args:
-        machine: Machine that defines the parameters and their ties.
-        name: Full name of a parameter of `machine.parameters` or `machine.ties`, for example "phi1.radius".
-        values: Parameters of k machines, SI, shape (k, N). The first columns are `machine.parameters` in their order.
-
-    Returns:
-        Parameter values, SI, shape (k,).
-
-    Raises:
-        ValueError: If the machine has no parameter of this name.
+    A tied parameter is a factor times the parameter to which it is tied.
     """
     if name in machine.ties:
         free, factor = machine.ties[name]
@@ -57,8 +48,8 @@ def units_per_travel(machine: Machine, values: Array) -> Array:
 
     Args:
         machine: Machine with its coordinates.
-        values: Parameters of k machines, SI, shape (k, N or more). The first N columns are `machine.parameters` in
-            order.
+        values: Parameters of k machines, SI, shape (k, N). The first columns are `machine.parameters` in their order;
+            further columns are ignored.
 
     Returns:
         1 for a linear coordinate, 1 / radius in rad/m for a rotary one; shape (k, coordinates).
@@ -71,9 +62,9 @@ def units_per_travel(machine: Machine, values: Array) -> Array:
 
 
 def block_ranges(index: Index) -> Iterator[tuple[int, int]]:
-    """Find the blocks that contain given machines, as ranges of consecutive blocks.
+    """Find the blocks that contain given machines, and join consecutive blocks to ranges.
 
-    A block holds LANES machines, which the compiled simulation functions process at once: machine b is in block
+    A block holds LANES machines, which the compiled simulation functions process together. Machine b is in block
     b // LANES.
 
     Args:
@@ -175,12 +166,14 @@ class BatchedSimulator:
         self._kernel = kernel_for(self._stepped)
 
     def reset(self, index: Index, position: Array, values: Array) -> None:
-        """Put machines at rest with unstretched belts; set time, effect states and delayed voltages to zero.
+        """Put k machines at rest with unstretched belts and new parameters.
+
+        Their time, the internal states of their effects and their delayed voltages are set to zero.
 
         Args:
             index: Indices of the machines, ascending, shape (k,).
             position: Tool positions, m, shape (k, axes).
-            values: All N parameters in the order of the parameter space (`ParameterSpace.names`), SI, shape (k, N).
+            values: All N parameters in the order of `ParameterSpace.names`, SI, shape (k, N).
         """
         # At rest, the travel of every coordinate is a linear function of the tool position; the rest of the state is 0.
         state = np.zeros((len(index), self.state.shape[1]))
@@ -213,12 +206,12 @@ class BatchedSimulator:
         Args:
             actions: Voltages as fractions of the rated voltages, finite, shape (count, drives) for all `count`
                 machines; limited to [-1, 1] here.
-            clipped: Number of clipped action entries in each episode, shape (count,); updated in place.
+            clipped: Number of action entries outside [-1, 1] in each episode, shape (count,); updated in place.
             finish: Function called with (first, last), in any thread, after blocks first to last - 1 (LANES machines
                 each) are advanced. It returns the index of a machine whose state is not finite, or -1.
 
         Raises:
-            NotFiniteError: If a state is not finite; the message names the environment.
+            NotFiniteError: If a state is not finite; the message names the environment, which is the machine's index.
         """
         self.actuators.begin_period()
         if self.count < COUNT_FOR_THREADS:
@@ -271,14 +264,16 @@ class BatchedSimulator:
     # -- reading ---------------------------------------------------------------------------------------------------
 
     def tool_product(self, name: str) -> tuple[int, int]:
-        """Find the product term of the tool position, such as yaw * y of a bridge that yaws: x_tool = x + yaw * y.
+        """Find the two coordinates whose product is added to an axis of the tool position.
+
+        For example, the tool position is x + yaw * y if the bridge can yaw; the coordinates are then yaw and y.
 
         Args:
             name: Axis of the tool position, "x" or "y".
 
         Returns:
-            first: Index of the first coordinate of the product, -1 if there is no product.
-            second: Index of the second coordinate of the product, -1 if there is no product.
+            first: Index of one coordinate in `machine.coordinate_names`; -1 if there is no product.
+            second: Index of the other coordinate; -1 if there is no product.
         """
         for sensor in self.machine.sensors:
             for key, factor in sensor.row.items():
@@ -287,12 +282,12 @@ class BatchedSimulator:
                     return first, second
         return -1, -1
 
-    def tools(self, first: int = 0, last: int | None = None) -> Array:
+    def tool_positions(self, first: int = 0, last: int | None = None) -> Array:
         """Compute the true tool positions of the machines in blocks first to last - 1.
 
         Args:
             first: Index of the first block of LANES machines; block i holds machines i * LANES to (i + 1) * LANES - 1.
-            last: Index after the last block; default: to the end.
+            last: Index after the last block. Default: all blocks from `first` on.
 
         Returns:
             Positions of the k machines in these blocks, m, float64, shape (k, axes).
@@ -307,7 +302,7 @@ class BatchedSimulator:
         return positions.transpose(0, 2, 1).reshape(-1, len(self._tool))[: self.count - first * LANES].copy()
 
     def positions(self, b: int) -> dict[str, float]:
-        """Convert the belt travel of one machine to the positions of its coordinates.
+        """Compute the present positions of all coordinates of one machine, in their units.
 
         Args:
             b: Index of the machine, 0 to count - 1.

@@ -65,16 +65,17 @@ class EnvConfig:
         sensors: What is observed: "state" (the true positions and velocities of x, y and the driven coordinates), "rig"
             (encoders and lasers of Sollmann et al. 2010, with noise and resolution), "machine"
             (the sensors that the machine declares), or `Sensors(...)`.
-        drives: What applies the voltages: "ideal" (continuous converters), "rig" (12 bits, 12 A), "machine" (the
-            converters that the machine declares), or `Actuators(...)`. Dead times and current limits that the machine
-            has as effects act in any case.
+        drives: What applies the voltages: "ideal" (voltages are not quantized), "rig" (12-bit D/A converters, current
+            limit 12 A), "machine" (the converters that the machine declares), or `Actuators(...)`. Dead times and
+            current limits that the machine has as effects act in any case.
         privileged: Whether the observation also has the true state and the randomized parameters, for a critic.
         normalize: Whether observations and goals are divided by the scales of `env.unwrapped.entries`, so that every
             entry is about -1 to 1, as learning libraries with default hyperparameters need it.
         flat: Whether the observation is one array instead of a dict of arrays.
-        ends: What happens at the workspace's edge: "stops" (rubber buffers) or "terminate" (the episode ends with
-            `penalty`). With "terminate" an agent can learn to give up, so the penalty must outweigh that.
-        penalty: Subtracted from the reward outside the workspace where `ends` is "terminate".
+        ends: What happens at the workspace's edge: "stops" (rubber buffers stop the tool) or "terminate" (the episode
+            ends and `penalty` is subtracted from the reward).
+        penalty: Subtracted from the reward outside the workspace if `ends` is "terminate". A small penalty can be less
+            than the negative rewards of a long episode; an agent then learns to end the episode early.
         period: Control period, s, from 1 us to 10 s.
         longest_step: Largest integration step, s, positive; a control period is divided into at most 100 000 equal
             steps.
@@ -99,7 +100,7 @@ class EnvConfig:
 
     @property
     def chosen_reward(self) -> RewardLike:
-        """The option `reward`, or if it is None the default reward of the task."""
+        """The option `reward`; if that is None, "progress" with `normalize=True` and "dense" otherwise."""
         return self.reward if self.reward is not None else "progress" if self.normalize else "dense"
 
     def __post_init__(self) -> None:
@@ -129,8 +130,8 @@ def check_keywords(constructor: str, options: dict[str, Any], others: tuple[str,
 
     Args:
         constructor: Name of the environment's class, for the error message.
-        options: Keywords given to the constructor, without those in `others`.
-        others: Further keywords of the constructor, listed in the message.
+        options: Keywords given to the constructor, except those in `others`.
+        others: Keywords that the constructor accepts besides the options; the message lists them too.
 
     Raises:
         TypeError: If a keyword is unknown; the message suggests a similar one and lists all valid keywords.

@@ -42,19 +42,21 @@ class Distribution(Protocol):
     def bounded(self) -> bool:
         """Whether the distribution has a finite smallest and largest value.
 
-        A rule with a bounded distribution is compared with the limits of its parameters when the environment is made,
-        any other rule at every sample.
+        If so, the limits of the randomized parameters are checked once, when the environment is made. Otherwise every
+        sample is checked.
         """
 
     def quantile(self, u: Array) -> Array:
-        """Compute quantiles; of uniform random numbers u they are samples of the distribution.
+        """Compute quantiles: the values below which a sample lies with the probabilities u.
+
+        Uniform random numbers u therefore give random samples of the distribution.
 
         Args:
             u: Probabilities in (0, 1), shape (k,).
 
         Returns:
-            Quantiles, in the unit of the distribution's bounds, shape (k,). Entry i must depend on u[i] alone, to the
-            bit, so that results do not depend on k.
+            Quantiles, in the unit of the distribution's arguments, shape (k,). Entry i must depend on u[i] alone, to
+            the bit, so that an environment gets the same sample in a batch of any size.
         """
 
 
@@ -82,13 +84,13 @@ class Uniform(Distribution):
         _check(self, math.isfinite(self.low) and math.isfinite(self.high) and self.low <= self.high)
 
     def quantile(self, u: Array) -> Array:
-        """Compute quantiles, low + (high - low) u.
+        """Compute the quantiles low + (high - low) u.
 
         Args:
             u: Probabilities in (0, 1), shape (k,).
 
         Returns:
-            Values of the distribution, in the unit of `low` and `high`, shape (k,).
+            Quantiles, in the unit of `low` and `high`, shape (k,).
         """
         return self.low + (self.high - self.low) * u
 
@@ -114,13 +116,13 @@ class LogUniform(Distribution):
         _check(self, 0.0 < self.low <= self.high < math.inf)
 
     def quantile(self, u: Array) -> Array:
-        """Compute quantiles, low (high / low)^u.
+        """Compute the quantiles low (high / low)^u.
 
         Args:
             u: Probabilities in (0, 1), shape (k,).
 
         Returns:
-            Values of the distribution, in the unit of `low` and `high`, shape (k,).
+            Quantiles, in the unit of `low` and `high`, shape (k,).
         """
         # SciPy's exponential: that of NumPy may round differently for arrays of another size.
         values: Array = self.low * exp10(math.log10(self.high / self.low) * u)
@@ -148,13 +150,13 @@ class Normal(Distribution):
         _check(self, math.isfinite(self.mean) and 0.0 <= self.std < math.inf)
 
     def quantile(self, u: Array) -> Array:
-        """Compute quantiles, mean + std * (standard normal quantile of u).
+        """Compute the quantiles mean + std * (standard normal quantile of u).
 
         Args:
             u: Probabilities in (0, 1), shape (k,).
 
         Returns:
-            Values of the distribution, in the unit of `mean` and `std`, shape (k,).
+            Quantiles, in the unit of `mean` and `std`, shape (k,).
         """
         return self.mean + self.std * np.asarray(ndtri(u))
 
@@ -204,13 +206,13 @@ class RandomizeParameter:
             )
 
     def quantile(self, u: Array) -> Array:
-        """Compute quantiles of the rule's distribution; of uniform random numbers u they are samples.
+        """Compute quantiles of the rule's distribution; uniform random numbers u give random samples.
 
         Args:
             u: Probabilities in (0, 1), shape (k,).
 
         Returns:
-            Samples for `apply`, shape (k,); dimensionless where `how` is "scale", else in the parameter's unit, SI.
+            Samples for `apply`, shape (k,). Dimensionless if `how` is "scale", else in the parameter's SI unit.
         """
         assert isinstance(self.distribution, Distribution)
         return self.distribution.quantile(u)
@@ -222,11 +224,13 @@ class RandomizeParameter:
         return self.distribution.bounded
 
     def apply(self, value: Array, sample: Array) -> Array:
-        """Apply samples to a parameter of k environments: value * sample, value + sample or sample, according to `how`.
+        """Change a parameter of k environments by samples of the distribution, as the attribute `how` says.
+
+        The result is value * sample for "scale", value + sample for "add", and the sample itself for "set".
 
         Args:
             value: Parameter before the change, SI, shape (k,).
-            sample: Samples of the distribution; dimensionless where `how` is "scale", else SI, shape (k,).
+            sample: Samples of the distribution, shape (k,). Dimensionless if `how` is "scale", else SI.
 
         Returns:
             Parameter after the change, SI, shape (k,).
@@ -288,7 +292,7 @@ def as_rules(randomize: RandomizationLike, names: Sequence[str]) -> tuple[Rule, 
         names: Full names of all parameters that can be randomized, for example "x.mass".
 
     Returns:
-        Rules in the order given. Rules of a preset that match no parameter of `names` are left out.
+        Rules in the given order. Those rules of a preset that match no parameter of `names` are left out.
 
     Raises:
         InputError: If the preset is unknown, or an entry is not a rule or has an invalid `how` or `when`.

@@ -1,7 +1,8 @@
 """A batch of environments without Gymnasium's interface: the code behind `HFrameEnv` and the vector environments.
 
-`reset` samples the machine, the start and the plan of an episode and puts the machine at rest; each `step` advances all
-machines by one control period. The caller decides when an episode ends.
+`reset` samples the machine parameters, the start position and the plan of an episode (numbers that define its goal at
+all times) and puts the machine at rest. Each `step` advances all machines by one control period. The caller decides
+when an episode ends.
 """
 
 from __future__ import annotations
@@ -75,7 +76,7 @@ class EnvironmentBatch:
         references: Computes the goals.
         observations: Computes observations from states or measurements.
         format: Converts observations to the form that `normalize` and `flat` select; the batch itself uses SI units.
-        rewards: Computes the rewards of goals as observed.
+        rewards: Computes the rewards.
         values: All N parameters of the running episodes, SI, order of `sampler.space.names`, shape (count, N).
         clipped: Number of action entries outside [-1, 1] in each running episode, shape (count,).
 
@@ -117,7 +118,7 @@ class EnvironmentBatch:
             privileged=self.observations.privileged,
         )
         self.format = ObservationFormat(signals, normalize=config.normalize, flat=config.flat)
-        # What every step needs, so that a step of a single environment does not look it up.
+        # Values that every step needs, looked up once: look-ups are a large part of a step of a single environment.
         self._expected_shape = count, len(self.machine.drives)
         self._has_path = self.task.metrics == "track"
         self._ends = config.ends == "terminate"
@@ -132,7 +133,7 @@ class EnvironmentBatch:
 
     @property
     def elapsed(self) -> NDArray[np.int64]:
-        """Control periods since the reset of each of the `count` environments, dimensionless, shape (count,)."""
+        """Number of control periods since the reset of each of the `count` environments, shape (count,)."""
         return self.references.elapsed
 
     # -- reset -----------------------------------------------------------------------------------------------------
@@ -186,11 +187,11 @@ class EnvironmentBatch:
     # -- step ------------------------------------------------------------------------------------------------------
 
     def check_actions(self, actions: Any) -> NDArray[Any]:
-        """Check the shape of actions and that they are finite, and convert them to a contiguous float array.
+        """Check that actions have the right shape and are finite; convert them to a contiguous float array.
 
         Args:
-            actions: Voltages as fractions of the rated voltages, shape (count, drives) for `count` environments. `step`
-                limits them to [-1, 1].
+            actions: Voltages as fractions of the rated voltages, shape (count, drives) for `count` environments. They
+                may exceed [-1, 1]; `step` limits them.
 
         Returns:
             Actions, float32 if they were float32, else float64, shape (count, drives).
@@ -222,9 +223,8 @@ class EnvironmentBatch:
                 `count` environments; limited to [-1, 1].
 
         Returns:
-            `StepResult` of new arrays for all environments: observations by key, shape (count, entries), rewards,
-            dimensionless, and flags of episodes that end at the workspace's edge, shape (count,), and errors of the
-            tool position, m, shape (count,).
+            Observations, rewards, terminations and distances to goal and path, m, of all environments, in new arrays
+            whose first axis has `count` rows; `StepResult` documents the shape of each.
 
         Raises:
             NotFiniteError: If a position or velocity is not finite; the message names the environment.
@@ -257,16 +257,16 @@ class EnvironmentBatch:
             self.references.write(rows, result.observation)
         broken = self.observations.write(first, last, result.observation, tool, evaluation)
         if result.contour is not None and broken < 0:
-            result.contour[rows] = self.references.contour(rows, self.simulator.tools(first, last))
+            result.contour[rows] = self.references.contour(rows, self.simulator.tool_positions(first, last))
         return broken
 
     def restart(self, index: Index, result: StepResult) -> None:
-        """Begin a new episode in k environments and write its first observation into the result of a step.
+        """Begin new episodes in k environments whose episodes ended, and put their first observations into `result`.
 
         Args:
             index: Indices of the environments, ascending, shape (k,).
-            result: Result of `step`. The rows `index` of its observation, distance and contour are overwritten; its
-                rewards and flags are not changed.
+            result: Result of the last `step`. Rows `index` of its observation, distance and contour are overwritten
+                with those of the new episodes; rewards and terminations remain those of the step.
         """
         self.reset(index)
         observation = result.observation
@@ -279,11 +279,13 @@ class EnvironmentBatch:
             result.contour[index] = self.contour(index)
 
     def observe(self) -> Observation:
-        """Compute the observations of all environments from the present states or the last measurements.
+        """Compute the present observations of all environments.
+
+        They contain the true states or, with the option `sensors`, the last measurements.
 
         Returns:
-            New float32 arrays by key of the observation space, in the units of its entries, shape (count, entries of
-            the key) for `count` environments.
+            New float32 arrays by key of the observation, SI (the options `normalize` and `flat` are not applied), shape
+            (count, entries of the key) for `count` environments.
         """
         observation, tool = self._blank()
         self.references.write(slice(None), observation)
@@ -305,7 +307,7 @@ class EnvironmentBatch:
         return observation, tool
 
     def contour(self, index: Index | slice) -> Array | None:
-        """Compute the distance of the true tool position to the path of the goal, regardless of time.
+        """Compute the contour error: the distance from the true tool position to the path on which the goal moves.
 
         Args:
             index: Indices of k environments, shape (k,), or a slice of them.
@@ -313,10 +315,10 @@ class EnvironmentBatch:
         Returns:
             Distances, m, shape (k,); None for a task without a path.
         """
-        return self.references.contour(index, self.simulator.tools()[index]) if self._has_path else None
+        return self.references.contour(index, self.simulator.tool_positions()[index]) if self._has_path else None
 
     def distance(self, index: Index) -> Array:
-        """Compute the distance of the true tool position to the present goal.
+        """Compute the distance from the true tool position to the present goal.
 
         Args:
             index: Indices of k environments, ascending, shape (k,).

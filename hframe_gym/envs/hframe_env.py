@@ -31,20 +31,27 @@ class BatchProperties:
 
     @property
     def entries(self) -> tuple[SignalSpec, ...]:
-        """Name, unit, bounds and scale of every entry of `observation`, with `flat=True` of the array, in order."""
+        """Name, unit, bounds, center and scale of every entry of `observation`, in order.
+
+        With `flat=True` these are the entries of the one observation array.
+        """
         return self.batch.format.entries or self.batch.observations.entries
 
     @property
     def privileged_entries(self) -> tuple[SignalSpec, ...]:
-        """Name, unit and bounds of every entry of the key `privileged` (true state and parameters); else empty."""
+        """Name, unit, bounds, center and scale of every entry of `privileged`; empty unless `privileged=True`.
+
+        The entries are the true state and then the randomized parameters.
+        """
         return self.batch.observations.privileged
 
     @property
     def compute_reward(self) -> Callable[[Any, Any, Any], Any]:
         """Function (achieved_goal, desired_goal, info) -> reward, for example to relabel goals (hindsight replay).
 
-        It takes goals as observed (m, or normalized), shape (axes,) or (n, axes), ignores `info`, and returns a float,
-        or n rewards, dimensionless, shape (n,): the same bits as the rewards of `step`.
+        Goals are taken as observed (m, or normalized), shape (axes,) or (n, axes). Rewards are a float or an array of
+        shape (n,), dimensionless; for the goals that `step` returned they equal its rewards bit by bit. Only the reward
+        "progress" uses `info`; see `StepRewards.compute`.
 
         Raises:
             AttributeError: With `flat=True`, because the observation then has no goals.
@@ -101,7 +108,8 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
     - `"sparse"`: 0 within the task's band (1 mm), else -1.
     - a function of (achieved, desired), or a registered name.
 
-    With `ends="terminate"`, `penalty` is subtracted outside the workspace. `compute_reward` returns the same bits.
+    With `ends="terminate"`, `penalty` is subtracted outside the workspace. `compute_reward` returns exactly the rewards
+    of `step`.
 
     ## Starting State
 
@@ -111,12 +119,13 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
 
     ## Episode End
 
-    - Termination: the tool leaves the workspace, with `ends="terminate"`; else never. By default rubber buffers end it.
+    - Termination: only with `ends="terminate"`, when the tool leaves the workspace. By default rubber buffers stop it.
     - Truncation: by `gym.make` after 150 steps (1.5 s).
 
-    `info` holds the truth about the tool whatever the sensors show: `distance_m` to the goal, `is_success` (within the
-    task's band now), `contour_m` (distance to the path, for tasks with one), `clipped_actions` (entries outside [-1, 1]
-    in this episode), and `parameters` by full name if anything is randomized.
+    `info` describes the true tool position, even where measurements are observed: `distance_m` to the goal,
+    `is_success` (within the task's band now) and `contour_m` (distance to the path, for tasks with one). It also has
+    `clipped_actions` (number of entries outside [-1, 1] in this episode) and, with randomization, `parameters`: the
+    values of the randomized parameters by full name.
 
     ## Arguments
 
@@ -298,7 +307,7 @@ class HFrameTrackEnv(HFrameEnv):
 
 
 def require_path(batch: EnvironmentBatch) -> None:
-    """Check that the task of an environment `HFrameTrack-v0` has a path (`metrics` is "track").
+    """Check that a task has a path (its `metrics` is "track"), as the id `HFrameTrack-v0` requires.
 
     Args:
         batch: Environments with their task.
@@ -314,10 +323,10 @@ def check_reset_options(options: dict[str, Any] | None) -> dict[str, Any]:
     """Check the names in the argument `options` of an environment's `reset`.
 
     Args:
-        options: Values by name, `start` and `target` allowed; or None.
+        options: Values of the keys `start` and `target`, both optional; None for no options.
 
     Returns:
-        The same options, empty for None, as keywords of `EnvironmentBatch.reset`.
+        The same dict, which holds keywords of `EnvironmentBatch.reset`; an empty dict for None.
 
     Raises:
         InputError: If a name is neither "start" nor "target".

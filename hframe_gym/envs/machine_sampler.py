@@ -34,9 +34,9 @@ MAXIMUM_CONVERTER_BITS = 32.0
 
 @dataclass(frozen=True)
 class ParameterSpace:
-    """List all N parameters of an environment that can be randomized, with their limits, arrays of shape (N,).
+    """List the N parameters of an environment that can be randomized, with their limits. Arrays have shape (N,).
 
-    First come `Machine.parameters`, then `Machine.device_parameters`, then those of the task, `task.*`.
+    The order is: `Machine.parameters`, `Machine.device_parameters`, parameters of the task (`task.*`).
     """
 
     machine_name: str  # for messages
@@ -63,7 +63,7 @@ class ParameterSpace:
             task_parameters: Nominal values of the task's parameters, SI, by name without "task.", e.g. "speed".
 
         Returns:
-            Names, nominal values and limits (SI, shape (N,) each) of all N parameters.
+            Names of all N parameters, and their nominal values, lower and upper limits, SI, shape (N,) each.
         """
         task = {f"task.{name}": value for name, value in (task_parameters or {}).items()}
         values = {**machine.parameters, **machine.device_parameters, **task}
@@ -201,15 +201,16 @@ class RuleSampler:
         self.high[indices] = np.minimum(self.high[indices] + joint.reach, upper)
 
     def sample(self, base: Array, uniforms: Array) -> Array:
-        """Apply the rules to the parameters of k environments.
+        """Sample the parameters of k environments by the rules.
 
         Args:
-            base: All N parameters before sampling, SI, shape (k, N), or (1, N) if all environments have the same.
-            uniforms: Uniform random numbers in (0, 1), shape (k, draws), where `draws` is the number that the rules
-                need.
+            base: All N parameters of the parameter space before sampling, SI, shape (k, N), or (1, N) if they are the
+                same in all environments.
+            uniforms: Uniform random numbers in (0, 1), shape (k, draws); see the attribute `draws`.
 
         Returns:
-            All parameters after sampling, SI, shape (k, N). Negative samples of friction and noise are set to zero.
+            All parameters after sampling, SI, shape (k, N). Parameters with the lower limit 0, such as friction and
+            noise, are set to 0 where an unbounded distribution yields a negative value.
 
         Raises:
             InputError: If an unbounded distribution yields a value outside the limits of a parameter.
@@ -279,7 +280,7 @@ class MachineSampler:
         self._keys, self._episodes = np.zeros(count, np.uint64), np.zeros(count, np.int64)
 
     def seed(self, b: int, generator: np.random.Generator) -> None:
-        """Seed one environment; its next reset also samples the parameters that are randomized once per seed.
+        """Seed one environment. Its next reset also samples the parameters whose rules have `when="startup"`.
 
         Args:
             b: Index of the environment, 0 to count - 1.
@@ -293,10 +294,10 @@ class MachineSampler:
         """Divide the randomized parameters by their nominal values; a parameter with nominal value 0 is not divided.
 
         Args:
-            values: All N parameters of k environments, SI, shape (k, N).
+            values: All N parameters of k environments in the order of `space.names`, SI, shape (k, N).
 
         Returns:
-            Randomized parameters in the order of `names`, dimensionless, shape (k, len(names)).
+            Randomized parameters in the order of the attribute `names`, dimensionless, shape (k, len(names)).
         """
         nominal = self.space.nominal[self.columns]
         return values[:, self.columns] / np.where(nominal == 0.0, 1.0, nominal)
@@ -310,12 +311,12 @@ class MachineSampler:
         edges = np.sort(self.normalized(np.stack([self.low, self.high])), axis=0)
         return {name: (low, high) for name, (low, high) in zip(self.names, edges.T.tolist(), strict=True)}
 
-    def sample(self, index: Index, task_numbers: int) -> tuple[Keys, Array, Array]:
-        """Sample parameters and random numbers for a new episode in k environments.
+    def sample(self, index: Index, task_draws: int) -> tuple[Keys, Array, Array]:
+        """Sample the parameters of k new episodes, and the random numbers that their task needs.
 
         Args:
             index: Indices of the environments, shape (k,).
-            task_numbers: Uniform random numbers per episode for the task (n).
+            task_draws: Number n of uniform random numbers per episode for the task.
 
         Returns:
             keys: Keys of the episodes, from which all their random numbers follow, uint64, shape (k,).
@@ -337,9 +338,9 @@ class MachineSampler:
             self._needs_startup[fresh] = False
         keys = episode_keys(self._keys[index], self._episodes[index])
         self._episodes[index] += 1
-        uniforms = reset_uniforms(keys, task_numbers + self._reset.draws)
+        uniforms = reset_uniforms(keys, task_draws + self._reset.draws)
         base = self._base[index] if self._startup.names else self._base
-        values = self._reset.sample(base, uniforms[:, task_numbers:])
+        values = self._reset.sample(base, uniforms[:, task_draws:])
         if self._integers:
             values[:, self._integers] = np.rint(values[:, self._integers])
-        return keys, uniforms[:, :task_numbers], values
+        return keys, uniforms[:, :task_draws], values

@@ -66,8 +66,7 @@ class SensorArray:
         Args:
             index: Indices of the environments, shape (k,).
             keys: Keys (seeds) of the episodes, from which their random numbers follow, uint64, shape (k,).
-            values: All N parameters of these environments, SI, in the column order of the parameter table, shape
-                (k, N).
+            values: All N parameters of these environments in the order of `ParameterSpace.names`, SI, shape (k, N).
         """
         self._keys[index] = keys
         for j, (noise, resolution) in enumerate(self._device_columns):
@@ -77,14 +76,16 @@ class SensorArray:
                 self.low[j, index], self.high[j, index] = values[:, limits[0]], values[:, limits[1]]
 
     def measure(self, readings: Array, index: Index, elapsed: NDArray[np.int64], *, fresh: bool) -> None:
-        """Write the new measurements of k environments to row 0 of `measurements`; the previous ones move to row 1.
+        """Turn ideal readings of k environments into measurements, with noise, quantization and range.
+
+        They are stored in row 0 of the attribute `measurements`; the previous ones move to row 1.
 
         Args:
             readings: Ideal (noise-free) readings of all sensors of the machine, delays included, m or rad, shape
-                (blocks, sensors, LANES): machine b is in block b // LANES and column b % LANES.
+                (blocks, sensors, LANES): environment b is lane b % LANES of block b // LANES.
             index: Indices of the environments, shape (k,).
             elapsed: Control periods since the reset of each of the `count` environments, shape (count,).
-            fresh: Whether this is the first measurement of an episode; both rows then hold it.
+            fresh: Whether this is the first measurement of an episode; it is then stored in both rows.
         """
         # Sensor kinds with a formula of their class replace what the compiled default wrote.
         devices = self._noise, self._resolution, self.low, self.high
@@ -225,18 +226,18 @@ class DelayLine:
         self.delays = np.zeros((blocks, sensors, LANES))
 
     def fill(self, index: Index, readings: Array) -> None:
-        """Fill the history of k environments with one reading, as if they had been at rest before the episode.
+        """Fill the histories of k environments with their present readings, as if they had always been at rest.
 
         Args:
             index: Indices of the environments, ascending, shape (k,).
             readings: Ideal (noise-free) readings at the start of the episode, without delay, m or rad, shape
-                (blocks, sensors, LANES): machine b is in block b // LANES and column b % LANES.
+                (blocks, sensors, LANES): environment b is lane b % LANES of block b // LANES.
         """
         block, lane = np.divmod(index, LANES)
         self._history[block, :, :, lane] = readings[block, :, lane][:, None]
 
     def record(self, readings: Array, step: int, first: int, last: int) -> None:
-        """Store the readings of blocks first to last - 1 after one integration step; they replace the oldest.
+        """Store the readings of blocks first to last - 1 after one integration step, in place of the oldest ones.
 
         Args:
             readings: Ideal (noise-free) readings without delay, m or rad, shape (blocks, sensors, LANES).
@@ -247,7 +248,9 @@ class DelayLine:
         self._history[first:last, step % self._depth] = readings[first:last]
 
     def read(self, step: int, first: int, last: int, out: Array) -> None:
-        """Interpolate the readings at the present time minus each sensor's delay, for blocks first to last - 1.
+        """Write the delayed readings of blocks first to last - 1 to `out`.
+
+        They are interpolated in the history at the present time minus the delay of each sensor.
 
         Args:
             step: Number of the integration step that was recorded last.

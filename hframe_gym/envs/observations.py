@@ -36,8 +36,8 @@ class StateView(NamedTuple):
     """Select n positions and velocities of the simulated state for an observation; the first are the tool position.
 
     Attributes:
-        rows: For each entry the row of the state, the index of its coordinate, and the indices of two coordinates whose
-            product is added to it (-1: none), as yaw * y is added to x if a bridge can yaw; shape (n, 4).
+        rows: Four indices per entry, shape (n, 4): row of the state array; coordinate; two coordinates whose product
+            is added (-1: none), such as yaw * y, which is added to x if the bridge can yaw.
         box: Lower and upper bounds of the entries (m, rad, m/s or rad/s), shape (2, n).
     """
 
@@ -46,14 +46,15 @@ class StateView(NamedTuple):
 
     @classmethod
     def of(cls, simulator: BatchedSimulator, signals: Sequence[SignalSpec]) -> StateView:
-        """Find the rows of the simulated state for observation signals; round their bounds to float32.
+        """Locate n observation entries in the simulator's state array and collect their bounds.
 
         Args:
             simulator: Simulator of the machines.
-            signals: Specifications of n positions and velocities; those of the tool's axes come first.
+            signals: Specifications of the entries, positions and velocities; those of the tool's axes come first.
 
         Returns:
-            Rows of the state array, and bounds, in the signals' units, of the n entries, shape (n,) each.
+            View of the entries: indices into the state, shape (n, 4), and bounds rounded to float32, in the units of
+            the entries, shape (2, n).
         """
         names = simulator.machine.coordinate_names
         rows = np.full((len(signals), 4), -1)
@@ -125,7 +126,9 @@ class ObservationBuilder:
         sampler: MachineSampler,
         elapsed: NDArray[np.int64],
     ) -> None:
-        """Prepare new episodes of k environments and take their first measurements, after the simulator's reset.
+        """Prepare new episodes of k environments and take their first measurements.
+
+        Call it after the reset of the simulator.
 
         Args:
             index: Indices of the environments, shape (k,).
@@ -141,7 +144,7 @@ class ObservationBuilder:
             self._sensors.measure(self._simulator.readings, index, elapsed, fresh=True)
 
     def measure(self, first: int, last: int, elapsed: NDArray[np.int64]) -> None:
-        """Take the sensor measurements at the end of a control period; without sensors, do nothing.
+        """Take the measurements at the end of a control period and store them for `write`; do nothing without sensors.
 
         Args:
             first: Index of the first block; block i holds environments i * LANES to (i + 1) * LANES - 1.
@@ -156,7 +159,7 @@ class ObservationBuilder:
         return np.arange(first * LANES, min(last * LANES, self._simulator.count))
 
     def blank(self) -> tuple[Observation, NDArray[np.float32]]:
-        """Allocate arrays for the outputs of `write`, without initial values.
+        """Allocate arrays, without initial values, that `write` fills.
 
         Returns:
             observation: Arrays `observation`, `achieved_goal` and, if enabled, `privileged`; float32, shape (count,
@@ -169,12 +172,14 @@ class ObservationBuilder:
     def tool_array(self, observation: Observation) -> NDArray[np.float32]:
         """Choose the array into which `write` puts the true tool positions.
 
+        If the state is observed, `achieved_goal` is the true position, so that no second array is needed.
+
         Args:
             observation: Observation arrays from `blank`.
 
         Returns:
-            Array for positions, m, shape (count, axes): `achieved_goal` itself if the state is observed, else a new
-            float32 array.
+            Array for positions, m, float32, shape (count, axes): `achieved_goal` itself if the state is observed, else
+            a new array.
         """
         achieved = observation["achieved_goal"]
         return np.empty_like(achieved) if self.measured else achieved
@@ -187,15 +192,17 @@ class ObservationBuilder:
         tool: NDArray[np.float32],
         evaluation: Evaluation | None = None,
     ) -> int:
-        """Write the observations of the environments in blocks first to last - 1, and what a step needs besides them.
+        """Write observations and true tool positions of the environments in blocks first to last - 1.
+
+        With `evaluation`, also write their distances to the goal and their rewards.
 
         Args:
             first: Index of the first block; block i holds environments i * LANES to (i + 1) * LANES - 1.
             last: Index after the last block.
             observation: Output, arrays from `blank`, shape (count, entries of the key); other rows are not changed.
             tool: Output, true tool positions, m, shape (count, axes), from `tool_array`.
-            evaluation: Built-in reward, and output of distances and rewards by the goals in `observation`. None: not
-                written.
+            evaluation: Last four arguments of `evaluate_rows`: number and band (m) of a built-in reward, and the arrays
+                that receive distances, m, and rewards, shape (count,) each. Default: neither is computed.
 
         Returns:
             Index of an environment whose state is not finite, or -1 if all are finite.

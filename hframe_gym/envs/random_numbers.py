@@ -74,7 +74,9 @@ def _mix(z: Any) -> Any:
 
 @compiled
 def uniform(key: Any, step: Any, channel: Any) -> float:
-    """Generate one uniform random number from a key and two counters; equal arguments always give the same number.
+    """Generate one uniform random number as a hash of a key and two counters.
+
+    Equal arguments always give the same number; there is no internal state.
 
     Args:
         key: Key of the episode, which takes the place of a seed, uint64.
@@ -142,8 +144,8 @@ def normal_pair(key: Any, step: Any, channel: Any) -> tuple[float, float]:
     Args:
         key: Key of the episode, which takes the place of a seed, uint64.
         step: Index of the control period since the reset, from 0; integer.
-        channel: Channel of `uniform` for the first of the two uniform numbers used; `channel + 1` is the other;
-            integer.
+        channel: Index of a random number within the step, integer. The pair is computed from the uniform random numbers
+            `channel` and `channel + 1` of the step.
 
     Returns:
         first: Normal number, dimensionless.
@@ -155,25 +157,25 @@ def normal_pair(key: Any, step: Any, channel: Any) -> tuple[float, float]:
 
 
 @compiled
-def normal_pairs(keys: Any, steps: Any, channel: Any, cosines: Any, sines: Any) -> None:
-    """Generate the numbers of `normal_pair` for k pairs of key and step, in loops that the compiler vectorizes.
+def normal_pairs(keys: Any, steps: Any, channel: Any, first: Any, second: Any) -> None:
+    """Call `normal_pair` for k episodes, in loops that the compiler vectorizes, and write the results to two arrays.
 
     Args:
         keys: Keys of the episodes, uint64, shape (k,).
-        steps: Indices of the control periods since the reset, from 0; int64, shape (k,).
-        channel: Channel, integer, as for `normal_pair`.
-        cosines: Output: first number of each pair, shape (k,).
-        sines: Output: second number of each pair, shape (k,).
+        steps: Index of the control period since the reset of each episode, from 0; int64, shape (k,).
+        channel: As for `normal_pair`, integer, the same for all episodes.
+        first: Output, first number of each pair, dimensionless, shape (k,).
+        second: Output, second number of each pair, dimensionless, shape (k,).
     """
     for i in range(len(keys)):
-        cosines[i] = uniform(keys[i], steps[i], channel)
-        sines[i] = uniform(keys[i], steps[i], channel + 1)
+        first[i] = uniform(keys[i], steps[i], channel)
+        second[i] = uniform(keys[i], steps[i], channel + 1)
     for i in range(len(keys)):
-        cosines[i] = math.sqrt(-2.0 * _log(cosines[i]))
+        first[i] = math.sqrt(-2.0 * _log(first[i]))
     for i in range(len(keys)):
-        radius = cosines[i]
-        cosine, sine = cos_sin_of_turns(sines[i])
-        cosines[i], sines[i] = radius * cosine, radius * sine
+        radius = first[i]
+        cosine, sine = cos_sin_of_turns(second[i])
+        first[i], second[i] = radius * cosine, radius * sine
 
 
 @compiled
@@ -200,14 +202,14 @@ def reset_uniforms(keys: NDArray[np.uint64], count: int) -> NDArray[np.float64]:
 
 
 def episode_keys(keys: NDArray[np.uint64], episodes: NDArray[np.int64]) -> NDArray[np.uint64]:
-    """Derive the key of an episode in each of k environments; all random numbers of the episode follow from its key.
+    """Derive the keys of new episodes in k environments; all random numbers of an episode follow from its key.
 
-    Keys differ by a constant from episode to episode, as the states of SplitMix64 (Steele, Lea and Flood 2014).
+    Successive keys of an environment differ by a constant, as the states of SplitMix64 (Steele, Lea and Flood 2014).
 
     Args:
         keys: Keys of the environments, one 64-bit random number each, uint64, shape (k,).
-        episodes: Number of episodes that each environment began since it was seeded, or -1 for the parameters that
-            are sampled once per seed, shape (k,).
+        episodes: Number of episodes that each environment has begun since it was seeded, shape (k,); -1 gives the key
+            for the parameters that are sampled once per seed.
 
     Returns:
         Keys of the episodes for `uniform` and `normal_pair`, uint64, shape (k,).
@@ -218,17 +220,17 @@ def episode_keys(keys: NDArray[np.uint64], episodes: NDArray[np.int64]) -> NDArr
 def pivoted_cholesky(covariance: Array, scale: Array) -> Array:
     """Factorize a covariance matrix, which may be singular, into L L^T by the Cholesky method with pivoting.
 
-    The first column of L is the joint change of all parameters with the one that has the largest variance (in units of
-    `scale`), the second the change with the one of the largest remaining variance, and so on. Parameters of which only
-    a sum is known therefore share one column.
+    Each step takes the parameter with the largest remaining variance (in units of `scale`) as the pivot. Its column of
+    L is the joint change of all parameters with the pivot. If the sum of two parameters is known much better than
+    either of them, they therefore change in opposite directions in one column.
 
     Args:
         covariance: Symmetric positive semidefinite matrix of k parameters, SI, shape (k, k).
-        scale: Sizes of the parameters, by which their variances are compared, SI, positive, shape (k,).
+        scale: Typical sizes of the parameters, in whose units variances are compared, SI, positive, shape (k,).
 
     Returns:
         Factor L, SI, shape (k, k), with columns of 0 where no variance remains. Rows are in the order of the
-        parameters, so that L is triangular only after a permutation.
+        parameters, columns in the order of the pivots, so that L is triangular only after a permutation.
 
     References:
         Higham (2002), "Accuracy and Stability of Numerical Algorithms", section 10.3.
@@ -249,9 +251,9 @@ def pivoted_cholesky(covariance: Array, scale: Array) -> Array:
 class CorrelatedSampler:
     """Sample deviations of k parameters from their nominal values.
 
-    The distribution is normal with a given covariance, but each joint change of parameters (column of the Cholesky
-    factor) is truncated where a parameter to which it contributes most of the variance would leave its limits. Clipping
-    one of two parameters of which only a sum is known would change that sum.
+    The distribution is normal with a given covariance and truncated: each joint change of parameters (column of the
+    Cholesky factor) ends where a parameter that gets more than half of its variance from it would leave its limits.
+    Clipping single parameters instead would change sums of parameters that are known well.
 
     Args:
         covariance: Covariance of the parameters, SI, shape (k, k).
@@ -279,15 +281,15 @@ class CorrelatedSampler:
     def deviations(self, uniforms: Array) -> Array:
         """Convert uniform random numbers to correlated deviations of k parameters from their nominal values.
 
-        Each uniform number gives a truncated normal one (inverse transform); these are multiplied by the Cholesky
-        factor.
+        Each uniform number becomes a truncated normal number by the inverse of its distribution function. The Cholesky
+        factor times these numbers gives the deviations.
 
         Args:
             uniforms: Independent random numbers in (0, 1), shape (n, k) for n samples.
 
         Returns:
-            Deviations from the nominal values, SI, shape (n, k). Only the normal numbers are truncated; a parameter
-            that is correlated with others is their weighted sum, which may exceed the truncation a little.
+            Deviations from the nominal values, SI, shape (n, k). A parameter that is correlated with others is the sum
+            of several truncated numbers and can therefore exceed its limits slightly.
         """
         probabilities = self._lowest + uniforms * (self._highest - self._lowest)
         normals = np.clip(ndtri(probabilities), -_LARGEST_NORMAL, _LARGEST_NORMAL)

@@ -47,7 +47,7 @@ class Scene:
 
     @classmethod
     def of(cls, batch: EnvironmentBatch, b: int, trail: Sequence[Point]) -> Scene:
-        """Collect what a picture of one environment needs.
+        """Collect the data for a picture of one environment.
 
         Args:
             batch: Batch of environments.
@@ -55,8 +55,8 @@ class Scene:
             trail: Past tool positions (x, y), m, oldest first.
 
         Returns:
-            Tool position and goal, m, angles of the first two motors, rad, belt tensions, N, past and coming path, m,
-            of this environment.
+            Scene with tool position and goal, m, angles of the first two motor pulleys, rad, belt tensions, N, and the
+            trail; for a moving goal also its path during the first `PATH_S` seconds of the episode.
         """
         index = np.array([b])
         position = batch.simulator.positions(b)
@@ -78,7 +78,7 @@ class Scene:
 
 
 def tool_point(batch: EnvironmentBatch, b: int) -> Point:
-    """Return where a picture shows the tool of one environment.
+    """Return the position at which a picture shows the tool of one environment.
 
     Args:
         batch: Batch of environments.
@@ -97,10 +97,10 @@ def _in_plane(point: Sequence[float]) -> Point:
 
 
 def tension_color(tension: float | None) -> Color:
-    """Return the color of a belt: gray at its pretension, blue below it, red above it.
+    """Return the color in which a picture shows a belt: gray at its pretension, blue below, red above.
 
     Args:
-        tension: Tension minus pretension, N; None if unknown. The color saturates at `FULL_COLOR_TENSION`.
+        tension: Tension minus pretension, N; None if unknown. Beyond `FULL_COLOR_TENSION` the color does not change.
 
     Returns:
         Red, green and blue, 0 to 255.

@@ -68,19 +68,19 @@ def evaluate_rows(
     distance: Any,
     reward: Any,
 ) -> None:
-    """Compute distances and built-in rewards of environments first to last - 1 (rows of the arrays).
+    """Compute the distances to the goal and the built-in rewards of rows first to last - 1 (one row per environment).
 
     Args:
         tool: True tool positions, m, shape (n, axes) for n environments.
         achieved: Tool positions that the reward uses, true or measured, m, shape (n, axes).
-        measured: Whether `achieved` is measured, so that it can differ from `tool`.
+        measured: Whether `achieved` is measured and can differ from `tool`; if not, only `tool` is used.
         desired: Goal positions, m, shape (n, axes).
         first: Index of the first row.
         last: Index after the last row.
         kind: Built-in reward: 0 dense, 1 sparse (`BuiltinReward.kind`).
         band: Distance to the goal within which the sparse reward is 0, m.
-        distance: Output, distance from `tool` to `desired`, m, shape (n,); other rows are not changed.
-        reward: Output, rewards, dimensionless, of `achieved` and `desired`, shape (n,); other rows are not changed.
+        distance: Output, distances from `tool` to `desired`, m, shape (n,); other rows are not changed.
+        reward: Output, rewards for the distances from `achieved` to `desired`, dimensionless, shape (n,); likewise.
     """
     # One loop for each operation, which the compiler vectorizes.
     for b in range(first, last):
@@ -205,10 +205,10 @@ def as_reward(reward: RewardLike, band: float, axes: int = 2) -> Reward:
     """Convert the environment option `reward` to a reward function.
 
     Args:
-        reward: Registered name ("dense", "sparse"), `package.module:name`, or a function of achieved and desired
-            positions, m, float32, shape (n, axes) each, that returns rewards, shape (n,).
-        band: Distance to the goal that counts as a success, m; an argument of registered rewards.
-        axes: Number of axes of the tool.
+        reward: Registered name ("dense", "sparse", "progress"), `package.module:name`, or a function of achieved and
+            desired positions, m, float32, shape (n, axes) each, that returns rewards, shape (n,).
+        band: Distance to the goal that counts as a success, m; passed to a reward that is given by name.
+        axes: Number of axes of the tool, for a test call of the function.
 
     Returns:
         Function of achieved and desired positions, m, shape (n, axes) each, that returns rewards, dimensionless, shape

@@ -39,9 +39,9 @@ def _vector_entry_point(env_id: str) -> tuple[type[HFrameVectorEnv], dict[str, A
 class HFrameVecEnv(VecEnv):  # type: ignore[misc]
     """Simulate many independent environments behind the `VecEnv` interface of stable-baselines3.
 
-    Observations are new dicts of arrays, those after the reset where an episode ended. The info of an episode that
-    ended holds `terminal_observation`, `TimeLimit.truncated` (the limit, not the workspace's edge, ended it),
-    `is_success` and `distance_m` at its end; the info of an episode that continues is empty.
+    Observations are new dicts of arrays. Where an episode ended, they are those after the reset, and the info holds
+    `terminal_observation`, `TimeLimit.truncated` (the limit, not the workspace's edge, ended the episode), `is_success`
+    and `distance_m` at its end. The info of an episode that continues is empty.
 
     Args:
         num_envs: Number of environments.
@@ -90,7 +90,7 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
             space; one array of shape (num_envs, entries) for a flat environment id.
 
         Raises:
-            ValueError: If only some environments have an option.
+            ValueError: If `set_options` gave an option to some environments only.
             InputError: If an option is unknown or a position is outside the workspace.
         """
         options = self._stacked_options()
@@ -121,7 +121,8 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
         """Advance by one control period with the actions of `step_async`.
 
         Returns:
-            observation: Arrays by key, shape (num_envs, entries of the key); after the reset where an episode ended.
+            observation: Arrays by key, shape (num_envs, entries of the key). Where an episode ended, this is the first
+                observation of the next one.
             reward: Rewards, dimensionless, shape (num_envs,).
             done: Whether the episode ended, by termination or truncation, shape (num_envs,).
             infos: One dict per environment, empty unless its episode ended; see the class.
@@ -168,7 +169,7 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
     # -- stable-baselines3's access to single environments; all are part of one vector environment -------------------
 
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
-        """Return an attribute of the vector environment.
+        """Return an attribute of the vector environment, which is the same for all environments.
 
         Args:
             attr_name: Name of an attribute of `envs`.
@@ -183,12 +184,12 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
         return [getattr(self.envs, attr_name)] * len(list(self._get_indices(indices)))
 
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
-        """Set an attribute of the vector environment, and thereby of all environments.
+        """Set an attribute of the vector environment. It applies to all environments.
 
         Args:
             attr_name: Name of an attribute of `envs`.
             value: New value.
-            indices: Not used.
+            indices: Not used, because single environments have no attributes.
         """
         setattr(self.envs, attr_name, value)
 
@@ -198,7 +199,7 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
         Args:
             method_name: Name of a method of `envs`.
             *args: Positional arguments of the method.
-            indices: Index or indices of environments; None for all. The method does not get them.
+            indices: Index or indices of environments; None for all. They only set the length of the result.
             **kwargs: Keyword arguments of the method.
 
         Returns:

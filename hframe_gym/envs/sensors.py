@@ -1,7 +1,8 @@
-"""Sensors of an environment: the machine's, as declared or changed to those of a rig.
+"""Sensors of an environment: those that the machine declares, or encoders and lasers in their place.
 
-The machine declares its sensors (channel, kind, noise, resolution; their range, delay, skew and scale are effects). The
-option `sensors` uses them as they are, or first changes them to those of a rig. `measurements` simulates them.
+The machine declares its sensors (channel, kind, noise, resolution). Their range, delay, skew and scale are effects
+(modeled deviations from the basic machine). The option `sensors` uses the declared sensors, or replaces them by those
+of a rig (a stage with its measuring equipment). The module `measurements` simulates them.
 """
 
 from __future__ import annotations
@@ -40,14 +41,14 @@ class Encoders:
         if not self.lines >= 1:
             raise InputError(f"sensors: lines is {self.lines!r}, it must be at least 1")
 
-    def quantum(self, gear_ratio: float) -> float:
-        """Compute the resolution of the encoder as an angle of the pulley.
+    def resolution(self, gear_ratio: float) -> float:
+        """Compute the rotation of the pulley, on the output side of the gear, per encoder count.
 
         Args:
             gear_ratio: Motor speed / pulley speed, dimensionless, positive.
 
         Returns:
-            Rotation of the pulley (output side of the gear) per encoder count, rad.
+            Rotation of the pulley per count, rad.
         """
         return 2.0 * math.pi / (4.0 * self.lines * gear_ratio)
 
@@ -86,10 +87,10 @@ class SensorSuite(ABC):
 
     @abstractmethod
     def apply(self, machine: Machine) -> Machine:
-        """Put the sensors of this suite into a copy of a machine.
+        """Return a copy of a machine that has the sensors of this suite.
 
         Args:
-            machine: Machine whose sensors are replaced or kept.
+            machine: Machine to copy; it is not changed.
 
         Returns:
             Copy of the machine that declares the sensors, with their measuring ranges as effects `sensor_range`.
@@ -109,9 +110,9 @@ class SensorSuite(ABC):
 
 @dataclass(frozen=True)
 class Sensors(SensorSuite):
-    """Encoders and lasers of a rig, in place of what the machine declares for x, y and the driven coordinates.
+    """Encoders and lasers of a rig. They replace the sensors that the machine declares for x, y and driven coordinates.
 
-    Effects at these channels that identification found (delay, skew, scale) stay; the range is that of `lasers`.
+    Delay, skew and scale, which are effects of the machine, remain; the range is that of `lasers`.
 
     Args:
         encoders: Encoders of all driven coordinates; None: not observed.
@@ -129,13 +130,15 @@ class Sensors(SensorSuite):
             raise InputError("sensors: neither encoders nor lasers; choose sensors='state' for the full state")
 
     def apply(self, machine: Machine) -> Machine:
-        """Set noise, resolution and range of the sensors of x, y and the driven coordinates.
+        """Return a copy of a machine in which x and y have the lasers and the driven coordinates have the encoders.
+
+        Noise, resolution and range of sensors that the machine declares there are changed; missing sensors are added.
 
         Args:
-            machine: Machine; a sensor that it does not declare is added.
+            machine: Machine to copy; it is not changed.
 
         Returns:
-            Copy of the machine with these sensors and the ranges of the lasers.
+            Copy of the machine that declares these sensors, with the effect `sensor_range` for the lasers' ranges.
 
         Raises:
             InputError: If a drive acts on an axis of the tool itself, which a laser measures already.
@@ -148,8 +151,8 @@ class Sensors(SensorSuite):
             )
         if self.encoders is not None:
             for drive in machine.drives:
-                quantum = self.encoders.quantum(drive.gear_ratio)
-                machine = _with_sensor(machine, drive.coordinate, noise=0.0, resolution=quantum, kind="encoder")
+                resolution = self.encoders.resolution(drive.gear_ratio)
+                machine = _with_sensor(machine, drive.coordinate, noise=0.0, resolution=resolution, kind="encoder")
         if self.lasers is not None:
             for axis, middle in zip(machine.tool_axes, self.lasers.centre, strict=False):
                 machine = _with_sensor(machine, axis, noise=self.lasers.noise, resolution=0.0, kind="laser")
@@ -158,14 +161,13 @@ class Sensors(SensorSuite):
         return machine
 
     def observed(self, machine: Machine) -> tuple[Sensor, ...]:
-        """Select the sensors of the tool's axes (lasers), then those of the driven coordinates (encoders).
+        """Select the sensors in the observation: the lasers on the tool's axes, then the encoders.
 
         Args:
             machine: Machine that `Sensors.apply` returned.
 
         Returns:
-            Sensors in the order of the observation, without lasers or encoders that are None; a sensor that belongs to
-            both groups appears once.
+            Sensors in the order of the observation. Lasers or encoders are missing if the attribute is None.
         """
         lasers = machine.tool_axes if self.lasers is not None else ()
         encoders = tuple(d.coordinate for d in machine.drives) if self.encoders is not None else ()
@@ -177,13 +179,13 @@ class DeclaredSensors(SensorSuite):
     """Observe all sensors that the machine declares, without changes."""
 
     def apply(self, machine: Machine) -> Machine:
-        """Keep the sensors of a machine.
+        """Return the machine itself, because its declared sensors are used.
 
         Args:
             machine: Machine with its sensors.
 
         Returns:
-            The same machine.
+            The same machine, not a copy.
         """
         return machine
 
@@ -234,8 +236,8 @@ def observed_machine(machine: Machine, sensors: SensorsLike) -> Machine | None:
         sensors: Environment option: "state", "rig", "machine", or a `SensorSuite`.
 
     Returns:
-        Copy with these sensors in the order of the observation, with their ranges and delays as effects; None for
-        "state", where the true state is observed.
+        Copy with these sensors in the order of the observation and the effects on them, such as ranges and delays.
+        None for "state", where the true state is observed.
 
     Raises:
         InputError: If the name is unknown or the argument has another type.
@@ -306,15 +308,15 @@ class PositionFromSensors:
 
     @classmethod
     def of(cls, machine: Machine, sensors: tuple[Sensor, ...]) -> PositionFromSensors:
-        """Compute the map from the nominal kinematics of a machine (pulley radii, unstretched belts).
+        """Derive the map from the nominal kinematics of a machine, with unstretched belts.
 
         Args:
             machine: Machine that declares the sensors.
             sensors: The n observed sensors.
 
         Returns:
-            Linear map from the n measurements, in the sensors' units (m or rad), to the tool position, m; matrix of
-            shape (axes, n).
+            Linear map from the n measurements, in the sensors' units (m or rad), to the tool position, m. Its matrix
+            `belts` has shape (axes, n).
 
         Raises:
             InputError: If the sensors do not determine every axis.

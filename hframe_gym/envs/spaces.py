@@ -15,8 +15,8 @@ from .workspace import workspace_of
 
 Array = NDArray[np.float64]
 
-MARGIN = 0.05  # m: a position is reported up to this distance outside its range
-SPEED_FACTOR = 3.0  # of the drives' no-load speed: more than any motion that a drive can cause
+MARGIN = 0.05  # m, distance by which the bounds of positions exceed the workspace, because the end stops yield
+SPEED_FACTOR = 3.0  # bound of velocities / no-load speed of the drives; no motion that a drive can cause is so fast
 
 
 @dataclass(frozen=True)
@@ -46,14 +46,14 @@ class SignalSpec:
 
 
 def state_signals(machine: Machine, names: Sequence[str] | None = None) -> tuple[SignalSpec, ...]:
-    """Specify the entries of a state observation: the positions of coordinates, then their velocities.
+    """Specify the entries of an observation of the true state: positions of coordinates, then their velocities.
 
     Args:
         machine: Machine with its coordinates.
         names: Names of coordinates. Default: the tool's axes and the driven coordinates.
 
     Returns:
-        Specifications of all positions, then of all velocities, in the order of `names`.
+        Specifications (name, unit, bounds) of all positions, then of all velocities, in the order of `names`.
 
     Raises:
         InputError: If the machine has no workspace; see `workspace_of`.
@@ -102,17 +102,17 @@ def _largest_position(machine: Machine, name: str, workspace: Array) -> tuple[fl
 
 
 def sensor_signals(machine: Machine, sensors: Sequence[Sensor]) -> tuple[SignalSpec, ...]:
-    """Specify the entries of an observation from sensors: measurements, then their rates of change.
+    """Specify the entries of an observation by sensors: measurements, then their rates of change.
 
-    A rate is the difference of two measurements divided by the control period.
+    A rate is the difference of the last two measurements divided by the control period.
 
     Args:
         machine: Machine that declares the sensors.
         sensors: Observed sensors.
 
     Returns:
-        Specifications of all measurements, then of all rates, in the order of `sensors`. An entry has the name of the
-        coordinate, or of the sensor's channel if several sensors measure the same coordinate.
+        Specifications (name, unit, bounds) of all measurements, then of all rates, in the order of `sensors`. An entry
+        has the name of the coordinate, or of the sensor's channel if several sensors measure the same coordinate.
 
     Raises:
         InputError: If the machine has no workspace; see `workspace_of`.
@@ -136,11 +136,11 @@ def privileged_signals(machine: Machine, bounds: Mapping[str, tuple[float, float
 
     Args:
         machine: Machine with its coordinates.
-        bounds: (Smallest, largest) value, dimensionless, of each randomized parameter divided by its nominal value, by
-            full name ("x.mass").
+        bounds: For each randomized parameter, by full name ("x.mass"), the smallest and largest value that it can have,
+            divided by its nominal value, dimensionless.
 
     Returns:
-        Specifications of all positions, all velocities, then all parameters.
+        Specifications (name, unit, bounds) of all positions, all velocities, then all parameters.
 
     Raises:
         InputError: If the machine has no workspace; see `workspace_of`.
@@ -163,19 +163,19 @@ def observation_signals(
     observed: Sequence[SignalSpec] | None = None,
     privileged: Sequence[SignalSpec] = (),
 ) -> dict[str, tuple[SignalSpec, ...]]:
-    """Specify every entry of an observation.
+    """Specify the entries of all arrays of an observation, by key.
 
     Args:
         machine: Machine with a workspace.
         previews: Number of future goals in the observation; 0 for a goal that does not move.
-        observed: Entries of `observation`. Default: positions and velocities of the tool's axes and the driven
-            coordinates.
-        privileged: Entries of `privileged`; empty: the observation does not have this key.
+        observed: Entries of the array `observation`. Default: positions and velocities of the tool's axes and the
+            driven coordinates.
+        privileged: Entries of the array `privileged`; empty: there is no such array.
 
     Returns:
-        Specifications by key, in alphabetical order of the keys as in a space of Gymnasium: `achieved_goal` and
-        `desired_goal` (one entry per axis), `observation`, and if requested `preview` (axes * previews) and
-        `privileged`.
+        Specifications (name, unit, bounds) by key, in alphabetical order of the keys as in a space of Gymnasium:
+        `achieved_goal` and `desired_goal` (one entry per axis), `observation`, and if requested `preview` (axes *
+        previews entries) and `privileged`.
 
     Raises:
         InputError: If the machine has no workspace; see `workspace_of`.
@@ -207,9 +207,9 @@ def observation_space(
     Args:
         machine: Machine with a workspace.
         previews: Number of future goals in the observation; 0 for a goal that does not move.
-        observed: Entries of `observation`. Default: positions and velocities of the tool's axes and the driven
-            coordinates.
-        privileged: Entries of `privileged`; empty: the observation does not have this key.
+        observed: Entries of the array `observation`. Default: positions and velocities of the tool's axes and the
+            driven coordinates.
+        privileged: Entries of the array `privileged`; empty: there is no such array.
 
     Returns:
         Bounded float32 boxes by key: `observation`, shape (entries,), `achieved_goal` and `desired_goal`, shape
@@ -314,7 +314,7 @@ class ObservationFormat:
         return values if self.entries is None else np.concatenate(list(values.values()), axis=1)
 
     def goal_in_meters(self, goal: ArrayLike) -> NDArray[np.float32]:
-        """Convert goals of observations to positions.
+        """Convert goals as they are observed to positions; the inverse of `goal_as_observed`.
 
         Args:
             goal: Achieved or desired goals as observed (m, or dimensionless if normalized), shape (axes,) or (n, axes).
@@ -326,7 +326,7 @@ class ObservationFormat:
         return values * self._scale["desired_goal"] + self._center["desired_goal"] if self.normalize else values
 
     def goal_as_observed(self, goal: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Convert positions to goals of observations; the inverse of `goal_in_meters`, but for rounding.
+        """Convert goal positions to the form in which they are observed: normalized or, without `normalize`, unchanged.
 
         Args:
             goal: Positions, m, float32, shape (n, axes).

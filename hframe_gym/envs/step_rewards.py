@@ -1,4 +1,7 @@
-"""Rewards of steps: from the goals as observed, and for the reward "progress" also from those of the step before.
+"""Rewards of steps, and the reward "progress", which compares the positions before and after a step.
+
+Goals *as observed* are in m or, with the option `normalize`, normalized. `achieved_goal` is the tool position and
+`desired_goal` the position where it should be.
 
 References:
     Ng, Harada and Russell, "Policy invariance under reward transformations" (1999), for the reward "progress".
@@ -105,10 +108,12 @@ class StepRewards:
         self._after: dict[str, Positions] = {}
 
     def begin(self, index: NDArray[np.intp], observation: Mapping[str, Positions]) -> None:
-        """Store the goals with which episodes begin, for rewards that compare a step with the one before.
+        """Store the achieved and desired goals at the start of k episodes, for the reward of their first step.
+
+        Only the reward "progress" needs them; for others this method does nothing.
 
         Args:
-            index: Indices of their environments, shape (k,).
+            index: Indices of the environments, shape (k,).
             observation: Arrays by key, of which the rows `index` of `achieved_goal` and `desired_goal` are used, m,
                 shape (count, axes) for `count` environments.
         """
@@ -117,7 +122,9 @@ class StepRewards:
                 goals.setdefault(key, np.zeros_like(observation[key]))[index] = observation[key][index]
 
     def of_step(self, observation: Mapping[str, Positions]) -> Array:
-        """Compute the rewards of the step that led to an observation.
+        """Compute the rewards of the last step from the observation after it.
+
+        For the reward "progress", also store the goals of this observation, with which the next step is compared.
 
         Args:
             observation: Arrays by key, of which `achieved_goal` and `desired_goal` are used, m, shape (count, axes) for
@@ -134,28 +141,30 @@ class StepRewards:
         return rewards
 
     def info(self) -> dict[str, Positions]:
-        """Return the goals before the last step, for the environment's info; nothing unless the reward needs them.
+        """Return the goals before the last step, for the environment's info. Only the reward "progress" has any.
 
         Returns:
-            `previous_achieved_goal` and, where goals move, `previous_desired_goal`, as observed (m, or normalized),
-            shape (count, axes) for `count` environments.
+            `previous_achieved_goal` and, if goals move, `previous_desired_goal`, as observed (m, or normalized), shape
+            (count, axes) for `count` environments. Empty for other rewards.
         """
         return {f"previous_{key}": np.array(self._format.goal_as_observed(g)) for key, g in self._before.items()}
 
     def compute(self, achieved_goal: Any, desired_goal: Any, info: Any = None) -> Any:
-        """Compute rewards from goals as observed; for the goals that `step` returned, exactly the rewards of `step`.
+        """Compute rewards from achieved and desired goals, for example after hindsight relabeling.
+
+        For the goals that `step` returned, the result equals the rewards of `step` bit by bit.
 
         Args:
             achieved_goal: Achieved goals as observed (m, or normalized), shape (axes,) or (n, axes).
             desired_goal: Desired goals as observed, the same shape.
-            info: Info of the step, or one info per row. Only rewards that compare a step with the one before, such as
-                "progress", use it: its entry `previous_achieved_goal`, and `previous_desired_goal` where goals move.
+            info: Info of the step, or one info per row. Only the reward "progress" uses it: `previous_achieved_goal`
+                and, if goals move, `previous_desired_goal`.
 
         Returns:
             Reward, dimensionless: a float for goals of shape (axes,), or n rewards, shape (n,).
 
         Raises:
-            InputError: If the reward compares two steps and an info lacks the goals of the step before.
+            InputError: If the reward is "progress" and an info lacks the goals before the step.
         """
         achieved, desired = np.asarray(achieved_goal), np.asarray(desired_goal)
         rewards = self._evaluate(self.reward, achieved, desired)

@@ -38,8 +38,9 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
 
     As for `HFrameEnv`, with truncation after `max_episode_steps`. The autoreset modes are Gymnasium's: "NextStep"
     (the step after an episode's end resets and ignores its action), "SameStep" (the last step resets; `final_obs` and
-    `final_info` hold the end of the episode) and "Disabled" (reset with options={"reset_mask": (num_envs,) bool}).
-    The columns of `parameters` in an info are read-only.
+    `final_info` in the info describe the end of the episode) and "Disabled" (the caller resets, with
+    options={"reset_mask": mask}, where mask is a bool array of shape (num_envs,)). The arrays of `parameters` in an
+    info are read-only.
 
     ## Arguments
 
@@ -99,12 +100,15 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
 
     @property
     def parameters(self) -> Array:
-        """Values of the n `machine.parameters` in the running episodes, in their order, SI, shape (num_envs, n)."""
+        """Parameter values of the running episodes, SI, shape (num_envs, n), n being those of `machine.parameters`."""
         return self.batch.values[:, : len(self.machine.parameters)].copy()
 
     @property
     def travel(self) -> Array:
-        """True positions as belt travel (radius * angle if rotary), m, float64, shape (num_envs, coordinates)."""
+        """True positions of all coordinates, m, float64, shape (num_envs, coordinates).
+
+        A rotary coordinate is given as belt travel, radius * angle.
+        """
         count = len(self.machine.coordinates)
         return self.batch.simulator.state[:, :count].transpose(0, 2, 1).reshape(-1, count)[: self.num_envs].copy()
 
@@ -114,13 +118,15 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
         """Begin episodes in all environments, or in those of a mask.
 
         Args:
-            seed: Seed s, which gives environment i the seed s + i, or one seed per environment. None: not seeded again.
+            seed: Seed s, which gives environment i the seed s + i, or one seed per environment. None: the present
+                sequences of random numbers continue.
             options: Optional keys: `start` and `target`, tool and goal positions, m, shape (axes,) or one row for each
                 environment that is reset; `reset_mask`, the environments to reset, bool, shape (num_envs,).
 
         Returns:
             observation: Arrays by key of all environments, shape (num_envs, entries of the key).
-            info: Arrays by key, shape (num_envs,), zero for environments that are not reset, and their masks "_key".
+            info: Arrays by key, see Episode End of `HFrameEnv`, shape (num_envs,); zero for environments that are not
+                reset. As usual in Gymnasium, for each key the mask "_" + key tells which environments have a value.
 
         Raises:
             InputError: If an option is unknown, a position is outside the workspace, or the task has no target.
@@ -164,7 +170,8 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
             reward: Rewards, dimensionless, shape (num_envs,).
             terminated: Whether the tool left the workspace, with `ends="terminate"`, shape (num_envs,).
             truncated: Whether the episode reached `max_episode_steps`, shape (num_envs,).
-            info: Arrays by key, shape (num_envs,), and their masks "_key".
+            info: Arrays by key, see Episode End of `HFrameEnv`, shape (num_envs,). As usual in Gymnasium, for each key
+                the mask "_" + key tells which environments have a value.
 
         Raises:
             ValueError: If the actions have another shape or an entry is not finite.

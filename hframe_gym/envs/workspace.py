@@ -24,17 +24,16 @@ BUFFER_DAMPING = 1.5  # s/m: an impact at 0.5 m/s rebounds with less than half i
 
 
 def workspace_of(machine: Machine) -> Array:
-    """Return the ranges of the tool's axes (`Machine.tool_axes`): the workspace of the tool.
+    """Return the workspace of the tool: the declared ranges of its axes.
 
     Args:
-        machine: Machine with these coordinates (`Machine.tool_axes`).
+        machine: Machine whose `tool_axes` names one or two linear coordinates.
 
     Returns:
         One row per axis, columns low and high, m, shape (axes, 2).
 
     Raises:
-        InputError: If the machine has no such coordinates, one of them has no range, or there is not one drive per
-            axis.
+        InputError: If the machine has no tool axes, an axis has no range, or there is not one drive per axis.
     """
     axes = machine.tool_axes
     if not axes:
@@ -61,7 +60,7 @@ def outside_workspace(positions: NDArray[np.floating[Any]], workspace: NDArray[A
     """Test which positions lie outside the workspace; its edge counts as inside.
 
     Args:
-        positions: NDArray[np.floating[Any]] of the tool's axes, m, shape (n, axes).
+        positions: Tool positions, m, shape (n, axes).
         workspace: One row per axis of the tool, columns low and high, m, shape (axes, 2).
 
     Returns:
@@ -100,17 +99,17 @@ END_STOP = Effect(
 
 
 def with_end_stops(machine: Machine) -> Machine:
-    """Add rubber buffers at both ends of the ranges of the tool's axes to a copy of a machine.
+    """Return a copy of a machine with rubber buffers at both ends of every tool axis.
 
     A buffer of stiffness k and damping c, compressed by d at the rate v, pushes back with k d (1 + c v) and never
-    pulls: it is stiff in compression and soft in release, so that an impact loses energy (Hunt and Crossley 1975 with
+    pulls. It is stiffer in compression than in release, so that an impact loses energy (Hunt and Crossley 1975 with
     exponent 1).
 
     Args:
         machine: Machine with a workspace.
 
     Returns:
-        Copy with one more effect (modeled deviation) `end_stop` per axis. Their parameters follow those of the machine.
+        Copy with one more effect `end_stop` per axis, whose parameters come after those of the machine.
 
     Raises:
         InputError: If the machine has no workspace; see `workspace_of`.

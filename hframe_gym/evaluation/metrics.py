@@ -27,7 +27,7 @@ BOUNDS_FILE = "bound_times_data/hframe_reach.json"
 
 
 class MetricSet(Protocol):
-    """Signature of a function that computes the metrics of a task, registered in `METRICS`."""
+    """Signature of a function in `METRICS`, which computes the metrics of a task."""
 
     def __call__(self, episodes: Episodes, bound_s: Array | None, seed: int) -> dict[str, Any]:
         """Compute the metrics of B recorded episodes.
@@ -52,21 +52,21 @@ def score_episodes(
 
     Args:
         episodes: B recorded episodes: positions and goals, m, voltages, V, energy, J, belt forces, N.
-        bound_s: Shortest possible settling time of each episode, s, shape (B,), NaN where unknown, or None for all.
+        bound_s: Shortest possible settling times, s, shape (B,), NaN where unknown; None if unknown for all.
         seed: Seed of the bootstrap resampling that gives confidence intervals.
-        metrics: Name of a set of metrics (see `METRICS`). Default: "track" if the episodes have a path, else "reach".
+        metrics: Name of a metric set (see `METRICS`). Default: "track" if the episodes have a path, else "reach".
 
     Returns:
-        The metrics of the metric set by name, and as mean and 95 % confidence interval over the episodes:
+        The results of the metric set (see `reach_metrics` and `track_metrics`) and four further scores, each with
+        `mean` and `ci95`, the 95 % confidence interval of the mean over the episodes:
         `energy_J`: electrical energy drawn minus energy fed back, J.
         `voltage_variation`: sum over drives and periods of the absolute voltage change, from 0 V at the start, V.
         `saturation_share`: fraction of drives and control periods at rated voltage, 0 to 1.
-        `peak_belt_force_N`: largest belt tension beyond pretension, N.
+        `peak_belt_force_N`: largest absolute difference between the tension of a belt and its pretension, N.
 
     Raises:
         InputError: If no metric set has this name.
-        ValueError: If `bound_s` has another length or holds a time that is not positive and finite, or the metric set
-            "track" is used for episodes without a path.
+        ValueError: If `bound_s` is not valid, or the metric set "track" is used for episodes without a path.
     """
     variation = np.abs(np.diff(episodes.volts, axis=1, prepend=0.0)).sum(axis=(1, 2))
     saturated = (np.abs(episodes.volts) >= SATURATED * episodes.rated).mean(axis=(1, 2))
@@ -81,9 +81,9 @@ def score_episodes(
 
 @METRICS.register("reach")
 def reach_metrics(episodes: Episodes, bound_s: Array | None, seed: int) -> dict[str, Any]:
-    """Compute the metrics of moves to a fixed goal: success and settling time, overshoot, and the error at the end.
+    """Compute the metrics of moves to a fixed goal: success, settling time, overshoot, and error at the end.
 
-    An episode settles in a band when the tool stays closer to the goal than the band's radius until the end.
+    A band is a largest distance to the goal. An episode settles in a band if the tool stays within it until the end.
 
     Args:
         episodes: B recorded episodes with fixed goals.
@@ -93,10 +93,10 @@ def reach_metrics(episodes: Episodes, bound_s: Array | None, seed: int) -> dict[
 
     Returns:
         `success`: fraction of episodes that settle, 0 to 1, by name of the band in `BANDS`.
-        `settling_s`: `mean`, `median`, `p95` (95 % quantile) and `ci95` (confidence interval of the mean) of the
-        settling times, s, by band.
+        `settling_s`: by band, `mean`, `median`, `p95` (quantile) and `ci95` (confidence interval of the mean) of the
+        settling times, s; an episode that does not settle counts with its complete length.
         `over_bound`: ratio of settling times to bounds as `ratio_to_bound` returns it; None without bounds.
-        `overshoot_mm`, `final_error_mm`: mean and 95 % interval over the episodes, mm.
+        `overshoot_mm`, `final_error_mm`: `mean` and `ci95` over the episodes, mm.
 
     Raises:
         ValueError: If `bound_s` has another length, or holds a time that is not positive and finite.
@@ -133,8 +133,8 @@ def track_metrics(episodes: Episodes, bound_s: Array | None, seed: int) -> dict[
 
     Returns:
         `success`: fraction of episodes whose contour error never exceeds a limit, 0 to 1, by limit (`BANDS`).
-        `contour_mm`, `tracking_mm`: `rms` and `max` over an episode, mm, as mean and 95 % interval over the episodes.
-        `delay_ms`: delay of the tool behind its goal, ms, mean and 95 % interval over the episodes.
+        `contour_mm`, `tracking_mm`: `rms` and `max` of the error over an episode, mm, with `mean` and `ci95` each.
+        `delay_ms`: delay of the tool behind its goal, ms, `mean` and `ci95` (95 % interval) over the episodes.
 
     Raises:
         ValueError: If the episodes have no path.
@@ -182,7 +182,7 @@ def overshoot(position: Array, goal: Array) -> Array:
         goal: Fixed tool goals, m, shape (B, axes).
 
     Returns:
-        Overshoot, m, shape (B,); at least zero. Where start and goal coincide, the largest distance from them.
+        Overshoot, m, shape (B,), not negative. If start and goal coincide: the largest distance from them.
     """
     way = goal - position[:, 0]  # from start to goal, m, (B, 2)
     length = np.linalg.norm(way, axis=1)
@@ -263,7 +263,7 @@ def ratio_of_means(times: Array, bound: Array, seed: int) -> dict[str, Any]:
     """Compute the ratio of the mean settling time to the mean time-optimal bound.
 
     Args:
-        times: Settling times, s, shape (B,), or (S, B) of agents from S seeds of training, which are resampled too.
+        times: Settling times, s, shape (B,), or (S, B) of S agents, which the bootstrap then resamples as well.
         bound: Shortest possible settling times of the same B episodes, s, shape (B,), all known.
         seed: Seed of the bootstrap resampling.
 
@@ -292,12 +292,12 @@ class StoredBounds(NamedTuple):
 
 
 def condition_digests(conditions: EpisodeConditions) -> list[str]:
-    """Compute a hash of each episode's conditions, by which stored time-optimal bounds are looked up.
+    """Compute a hash of the machine, start and goal of each episode, by which stored bounds are looked up.
 
-    It covers the machine's structure and parameters, start and goal, but not seed, control period and sensors.
+    Numbers enter with nine significant digits. The seed, the control period and the sensors do not affect it.
 
     Args:
-        conditions: Machine, sampled parameters, start and goal of B episodes; nine significant digits count.
+        conditions: Machine, sampled parameters, start and goal of B episodes.
 
     Returns:
         B digests of 16 hexadecimal digits (the start of SHA-256).

@@ -81,7 +81,7 @@ class PlayedStage:
 
     @property
     def position(self) -> tuple[float, float]:
-        """True position (x, y) of the tool, m."""
+        """True position (x, y) of the tool of this stage, m."""
         position = self.env.batch.simulator.positions(0)
         first, second = self.env.batch.machine.tool_axes
         return position[first], position[second]
@@ -92,7 +92,7 @@ class PlayedStage:
         return float(self.env.batch.elapsed[0] * self.env.batch.config.period)
 
     def reset(self, seed: int, target: tuple[float, float] | None = None) -> None:
-        """Begin an episode.
+        """Begin a new episode on this stage.
 
         Args:
             seed: Seed of start, goal and machine parameters.
@@ -112,11 +112,11 @@ class PlayedStage:
         self._note(info)
 
     def step(self, action: Array) -> None:
-        """Simulate one control period.
+        """Simulate one control period of this stage.
 
         Args:
-            action: Voltages as fractions of the rated voltages that the user applies, shape (drives,); a controller
-                ignores them.
+            action: Voltages that the user applies, as fractions of the rated voltages, shape (drives,). Ignored if a
+                controller drives the stage.
         """
         if self.controller:
             batch = {key: value[None] for key, value in self.observation.items()}
@@ -136,10 +136,10 @@ class PlayedStage:
         self._trail.append(self.position)
 
     def draw(self) -> Any:
-        """Draw the stage.
+        """Draw the present state of this stage.
 
         Returns:
-            Pygame surface of `WIDTH` x `HEIGHT` pixels.
+            Pygame surface of `WIDTH` x `HEIGHT` pixels, which the next call overwrites.
         """
         self.view.draw(Scene.of(self.env.batch, 0, self._trail))
         return self.view.surface
@@ -194,10 +194,11 @@ class Game:
         self.reset()
 
     def reset(self, target: tuple[float, float] | None = None) -> None:
-        """Begin an episode on all stages.
+        """Begin a new episode on all stages, with the same goal and machine parameters.
 
         Args:
-            target: Target (x, y), m, to approach from the present positions. Default: start and goal of the task.
+            target: Target (x, y), m, which every stage approaches from its present position. Default: goal and common
+                start of the task.
 
         Raises:
             InputError: If a target is given for a task without one, or it is outside the workspace.
@@ -255,7 +256,10 @@ class Game:
 
     @property
     def action(self) -> Array:
-        """Voltages, as fractions of the rated ones, that keys and mouse apply to the first stage, shape (drives,)."""
+        """Voltages that keys and mouse apply, as fractions of the rated voltages, shape (drives,).
+
+        They push the tool of the first stage along the arrow keys or towards the pointer.
+        """
         pygame, keys = self._pygame, self._keys
         if self._pointer is not None:
             push = (np.array(self._pointer) - self.stages[0].position) / FULL_VOLTAGE_DISTANCE
@@ -271,7 +275,7 @@ class Game:
         return np.asarray(min(size, 1.0) * fractions / np.abs(fractions).max())
 
     def advance(self) -> None:
-        """Simulate the control periods of one frame."""
+        """Simulate all stages for the duration of one frame of the window; do nothing while the game is paused."""
         if self.paused:
             return
         self._due += self._periods_per_frame
@@ -282,7 +286,7 @@ class Game:
                 stage.step(action)
 
     def draw(self) -> None:
-        """Draw stages, names, results, voltages and keys into the window."""
+        """Draw the window: all stages with names, results and voltages, and the list of keys."""
         pygame, (width, height) = self._pygame, self._size
         self.window.fill(BACKGROUND)
         for k, stage in enumerate(self.stages):
@@ -312,10 +316,10 @@ class Game:
             self.window.blit(self._small.render(text, True, INK), (center + half + 10, row + 1))
 
     def run(self, frames: int | None = None) -> None:
-        """Play until the user closes the window.
+        """Run the game until the user closes the window.
 
         Args:
-            frames: Number of frames after which to stop. Default: no limit.
+            frames: Number of frames of the window after which to stop. Default: no limit.
         """
         clock, count = self._pygame.time.Clock(), 0
         while not self.done and (frames is None or count < frames):

@@ -139,7 +139,7 @@ def episode_panels(name: str, episodes: Episodes, episode: int = 0) -> list[Pane
         episode: Index of the episode, from 0 to the number of episodes - 1.
 
     Returns:
-        Three plots (`Panel`: title, description, function that draws it).
+        The three plots as data for `write_page` (`Panel`: title, description, function that draws the plot).
     """
     start, goal = 1e3 * episodes.position[episode, 0], 1e3 * episodes.goal[episode, -1]
     final_mm = 1e3 * float(episodes.goal_error[episode, -1])
@@ -175,7 +175,7 @@ def distance_panel(recorded: Mapping[str, Episodes]) -> Panel:
         recorded: Recorded episodes by name of the controller, at least one.
 
     Returns:
-        The plot (`Panel`: title, description, function that draws it), with distances in mm.
+        The plot as data for `write_page` (`Panel`: title, description, function that draws it), distances in mm.
     """
 
     def draw(axes: Any) -> None:
@@ -196,11 +196,11 @@ def interval_panel(title: str, unit: str, scores: Mapping[str, Mapping[str, Any]
     Args:
         title: Caption, the name of the metric.
         unit: Unit of the values; empty for a ratio.
-        scores: `mean` and `ci95` (lower and upper limit), in `unit`, by name of the controller; None where there is no
-            value.
+        scores: By name of the controller, `mean` and `ci95` (lower and upper limit), in `unit`; None if the controller
+            has no value.
 
     Returns:
-        The plot (`Panel`: title, description, function that draws it).
+        The plot as data for `write_page` (`Panel`: title, description, function that draws it).
     """
     known = {name: score for name, score in scores.items() if score}
 
@@ -227,10 +227,10 @@ def success_panel(title: str, success: Mapping[str, Mapping[str, float]]) -> Pan
 
     Args:
         title: Caption.
-        success: Fraction of successful episodes, 0 to 1, by name of the settling band, by name of the controller.
+        success: By name of the controller, the fraction of successful episodes, 0 to 1, by name of the settling band.
 
     Returns:
-        The plot (`Panel`: title, description, function that draws it).
+        The plot as data for `write_page` (`Panel`: title, description, function that draws it).
     """
     bands = list(BANDS)
 

@@ -1,8 +1,10 @@
 """Result files of protocols: write, read and validate them, and compare entries draw by draw.
 
-A result file names the protocol and its digest, the entry with its hash, and the versions of the packages. It holds the
-values of every draw, and the scores that follow from them. Reading it checks the schema, the digest and the number of
-draws, and computes the scores again, so that a file that was edited or belongs to other draws is refused.
+A protocol is a fixed benchmark; its parts are tasks that are scored separately; its draws are the episodes (start, goal
+and machine parameters) that all entries, that is, controllers or agents, face. A result file names the protocol and its
+digest, the entry with its hash, and the versions of the packages. It holds the values of every draw, and the scores
+that follow from them. Reading it checks the schema, the digest and the number of draws, and computes the scores again,
+so that a file that was edited or belongs to other draws is refused.
 """
 
 from __future__ import annotations
@@ -73,15 +75,15 @@ class ResultFile(_Strict):
 
 
 def result_content(protocol: Protocol, entry: Entry, draws: Mapping[str, Draws]) -> dict[str, Any]:
-    """Build the content of a result file.
+    """Build the content of a result file, which holds the scores of one controller or agent in a protocol.
 
     Args:
-        protocol: The benchmark.
-        entry: What was scored.
-        draws: Values of each draw by part and metric, as `run_protocol` returns them.
+        protocol: Benchmark that was run.
+        entry: Name, kind and hash of the controller or agent.
+        draws: Values of all episodes (draws), by part of the protocol and metric, as `run_protocol` returns them.
 
     Returns:
-        Content of the file. `scores` and `draws` depend on the entry and the protocol alone.
+        Content of the file, see `ResultFile`.
     """
     return {
         "schema": SCHEMA,
@@ -114,19 +116,19 @@ def installed_versions(packages: Iterable[str]) -> dict[str, str]:
 
 
 def part_scores(values: Draws, duration_s: float) -> dict[str, Any]:
-    """Compute the scores of one part from the values of its draws.
+    """Compute the scores of one part of a protocol (a task) from the values of its draws (episodes).
 
     Args:
-        values: Lists of B values by metric.
+        values: Values of the B draws by metric, as `draw_values` returns them; None for a draw that does not settle.
         duration_s: Length of an episode, s, which counts as the settling time of a draw that does not settle.
 
     Returns:
-        By metric `mean`, `ci95` (95 % interval of the mean, bootstrap over the draws) and `median`; for a settling time
-        also `success`, the fraction of draws that settle, 0 to 1.
+        By metric `mean`, `ci95` (95 % interval of the mean, bootstrap over the draws) and `median`, in the unit of the
+        metric; for a settling time also `success`, the fraction of draws that settle, 0 to 1.
     """
     scores: dict[str, Any] = {}
     for metric, column in values.items():
-        numbers = filled(column, duration_s)
+        numbers = fill_unsettled(column, duration_s)
         mean = ratio_of_means(numbers, np.ones(len(numbers)), BOOTSTRAP_SEED)
         limits = [round(limit, DIGITS) for limit in mean["ci95"]]
         scores[metric] = {"mean": round(mean["mean"], DIGITS), "ci95": limits}
@@ -136,24 +138,24 @@ def part_scores(values: Draws, duration_s: float) -> dict[str, Any]:
     return scores
 
 
-def filled(column: list[float | None], duration_s: float) -> Array:
-    """Return the values of one metric with the episode's length where a draw does not settle.
+def fill_unsettled(column: list[float | None], duration_s: float) -> Array:
+    """Replace the settling times of draws (episodes) that do not settle by the length of an episode.
 
     Args:
-        column: B values, None for a draw that does not settle.
+        column: B settling times, s, None for a draw that does not settle; values of another metric are not changed.
         duration_s: Length of an episode, s.
 
     Returns:
-        Values, shape (B,).
+        Values, in the unit of the metric, shape (B,).
     """
     return np.array([duration_s if value is None else value for value in column], np.float64)
 
 
 def result_file_name(content: Mapping[str, Any]) -> str:
-    """Return the name of a result file, from protocol and entry.
+    """Return the name of a result file: the names of the protocol and of the controller or agent.
 
     Args:
-        content: Content of the file.
+        content: Content of the file, as `result_content` returns it.
 
     Returns:
         For example "reach-v1_adaptive-pid.json".
@@ -198,8 +200,8 @@ def read_result(path: str | Path) -> ResultFile:
         Content of the file.
 
     Raises:
-        InputError: If the file is not a result file, belongs to an unknown protocol or to other draws, or its scores do
-            not follow from its draws.
+        InputError: If the file is not a result file, belongs to an unknown protocol or to other episodes (draws) than
+            those of the protocol, or its scores do not follow from its values.
     """
     try:
         result = ResultFile.model_validate_json(Path(path).read_bytes())
@@ -256,14 +258,16 @@ def _close(given: Any, computed: Any) -> bool:
 
 @cache
 def protocol_bounds(name: str) -> dict[str, Array]:
-    """Load the shortest settling times to 0.2 mm of a protocol's moves, which `benchmarks.protocol_bounds` computes.
+    """Load the shortest possible settling times of the moves to a fixed goal in a protocol (part "reach").
+
+    They are times to settle within 0.2 mm; `benchmarks.protocol_bounds` computes them.
 
     Args:
         name: Name of the protocol.
 
     Returns:
-        By kind, s, shape (draws,), NaN where unknown: `free`, with voltages that may change at any time, and `held`,
-        with voltages held over each control period. Empty for a protocol without moves.
+        Times of two kinds, s, shape (draws,), NaN where unknown: `free`, for voltages that may change at any time, and
+        `held`, for voltages that are constant over each control period. Empty for a protocol without such moves.
     """
     protocol = get_protocol(name)
     if "reach" not in protocol.parts:
@@ -285,16 +289,19 @@ def protocol_bounds(name: str) -> dict[str, Array]:
     return bounds
 
 
-def over(values: Array, others: Array) -> dict[str, Any] | None:
-    """Compute the ratio of two means over the same draws, with a paired interval.
+def paired_ratio(values: Array, others: Array) -> dict[str, Any] | None:
+    """Compute the ratio of the means of two metrics over the same draws (episodes), with a 95 % interval.
 
     Args:
-        values: Values of each draw, shape (B,), or of S agents that differ in the seed of their training, shape (S, B).
-        others: Values of the same draws to compare with, for example bounds, shape (B,), NaN where unknown.
+        values: Values of the numerator in B draws, shape (B,); for S agents that differ in the seed of their training,
+            shape (S, B).
+        others: Values of the denominator in the same draws, for example shortest possible times, in the same unit,
+            shape (B,), NaN where unknown.
 
     Returns:
-        `mean`: mean of `values` over mean of `others`; `ci95`: 95 % interval, bootstrap over the draws, and over
-        agents where there are several; `draws`: number of draws with both. None if there is none.
+        `mean`: mean of `values` divided by mean of `others`, over the draws in which both are known; `ci95`: [lower,
+        upper limit] of its 95 % interval, by a bootstrap over draws and agents; `draws`: number of these draws. None
+        if there are none.
     """
     both = np.isfinite(others)
     if not both.any():

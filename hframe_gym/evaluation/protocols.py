@@ -1,9 +1,10 @@
 """Protocols: benchmarks in which everything is fixed, so that scores of different people and years are comparable.
 
-A protocol fixes the machine, the tasks, the randomization, sensors, drives, control period, number and seed of the
-draws, and the metrics. A digest of all of this, with the sampled parameters, starts and goals of every draw, is part of
-its definition (`Protocol.digest`). Before a run the digest is computed again: if the package has changed what it
-covers, no result is written, and the benchmark needs a new version (`reach-v2`), never a new digest.
+A protocol fixes the machine, randomization, sensors, drives, control period and metrics. Its *parts* are tasks that are
+scored separately. Its *draws* are the episodes: a start, a goal and sampled machine parameters each, the same for every
+*entry* (the controller or agent that is scored). A digest of all settings and draws is part of the definition
+(`Protocol.digest`). Before a run the digest is computed again: if the package has changed what it covers, no result is
+written, and the benchmark needs a new version (`reach-v2`), never a new digest.
 
     reach-v1    point-to-point moves, full state, ideal drives, randomization "default"
     track-v1    circle, square and Lissajous figure, otherwise as reach-v1
@@ -90,13 +91,14 @@ class Protocol:
         return actuators.apply(machine) if actuators else machine
 
     def scenario(self, part: str) -> Scenario:
-        """Return the simulated episodes of a part.
+        """Return the settings with which the episodes of a part (task) are simulated.
 
         Args:
             part: Name of the part, a key of `parts`.
 
         Returns:
-            Machine, task, randomization, sensors, drives, period, number of episodes and seed.
+            Machine, task, randomization, sensors, drives, period, number of episodes and seed. The machine includes
+            effects that controllers do not know, if the protocol has any.
         """
         machine, rules = as_machine(self.machine), RANDOMIZATION_PRESETS[self.randomize]
         if self.undeclared_effects:
@@ -114,13 +116,15 @@ class Protocol:
         )
 
     def declared_scenario(self, part: str) -> Scenario:
-        """Return what a controller knows about a part: the declared machine, task and period, and the full state.
+        """Return the settings for which a controller is designed that will run in a part (task).
+
+        It does not know undeclared effects of the simulated machine, and is designed for the full state.
 
         Args:
             part: Name of the part, a key of `parts`.
 
         Returns:
-            Scenario for the design of a controller.
+            Scenario with the declared machine, its randomization, and full state in place of the sensors.
         """
         return dataclasses.replace(
             self.scenario(part),
@@ -130,10 +134,10 @@ class Protocol:
         )
 
     def compute_digest(self) -> str:
-        """Compute the digest of the settings and of all draws; takes a second.
+        """Compute the digest of the settings and of all draws (starts, goals, parameters); this takes about a second.
 
         Returns:
-            Digest, equal to `digest` as long as the package gives the benchmark's draws.
+            16 hexadecimal digits, equal to `digest` unless the installed packages give other settings or draws.
         """
         settings = {
             field.name: getattr(self, field.name)
@@ -147,10 +151,10 @@ class Protocol:
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
     def check(self) -> None:
-        """Check that this version of the package gives the benchmark's draws.
+        """Check that the installed packages give the settings and draws of the protocol's definition.
 
         Raises:
-            InputError: If the digest differs.
+            InputError: If the computed digest differs from `digest`.
         """
         digest = self.compute_digest()
         if digest != self.digest:
@@ -197,7 +201,7 @@ PROTOCOLS: dict[str, Protocol] = {
 
 
 def get_protocol(name: str) -> Protocol:
-    """Return a protocol by its name.
+    """Return a benchmark protocol by its name.
 
     Args:
         name: Name with the version, for example "reach-v1".
@@ -214,7 +218,7 @@ def get_protocol(name: str) -> Protocol:
 
 
 class Entry(NamedTuple):
-    """What a result belongs to.
+    """Controller or agent to which a result belongs.
 
     Attributes:
         name: Name in results and on the leaderboard.
@@ -233,15 +237,15 @@ def run_protocol(name: str, protocol: Protocol) -> tuple[Entry, dict[str, Draws]
     Args:
         name: Name as for `make_controller` (a registered controller, `module:name`, a shipped agent or an agent's
             folder), or a folder with one agent per task in the folders `reach` and `track`.
-        protocol: The benchmark.
+        protocol: Benchmark to run.
 
     Returns:
-        entry: Name, kind and hash of what was scored.
-        draws: Values of each draw by part and metric, as `draw_values` returns them.
+        entry: Name, kind and hash of the controller or agent.
+        draws: Values of all draws (episodes), by part (task) and metric, as `draw_values` returns them for a part.
 
     Raises:
         InputError: If the name is unknown, the entry cannot run on the tasks, the simulated motion diverges, or the
-            installed packages give other draws than the benchmark's.
+            installed packages give other draws than those of the protocol.
     """
     protocol.check()
     load_plugins()
@@ -259,23 +263,22 @@ def run_protocol(name: str, protocol: Protocol) -> tuple[Entry, dict[str, Draws]
 
 
 def make_entry(name: str, protocol: Protocol, part: str) -> tuple[Entry, Controller]:
-    """Create the controller of an entry for a part of a protocol.
+    """Create the controller or agent of a given name for a part (task) of a protocol.
 
-    A controller is designed from the declared machine. Where the protocol observes sensors, a controller that needs the
-    full state, and an agent that was trained on it, receives the estimates of a `StateEstimator` of the declared
-    machine.
+    Controllers are designed from the declared machine. If the protocol observes sensors, a controller that needs the
+    full state, or an agent that was trained with it, receives the estimates of a `StateEstimator`.
 
     Args:
         name: Name as for `make_controller`, or a folder with one agent per task in the folders `reach` and `track`.
-        protocol: The benchmark.
-        part: Name of the part.
+        protocol: Benchmark in which it will run.
+        part: Name of the part, a key of `protocol.parts`.
 
     Returns:
-        entry: Name, kind and hash of the entry.
-        controller: The controller, for all draws at once.
+        entry: Name, kind and hash of the controller or agent.
+        controller: The controller, which can control all draws (episodes) at once.
 
     Raises:
-        InputError: If the name is unknown or the entry cannot run on the task.
+        InputError: If the name is unknown or the controller cannot run on the task.
     """
     scenario = protocol.declared_scenario(part)
     collection, folder = name, Path(name) / scenario.task_name
@@ -318,15 +321,15 @@ def _hash(files: tuple[Path, ...]) -> str:
 
 
 def draw_values(episodes: Episodes) -> Draws:
-    """Compute the values of each draw from which scores follow.
+    """Compute the metrics of each draw (episode), from which the scores of a part follow.
 
     Args:
         episodes: B recorded episodes of a part.
 
     Returns:
-        Lists of B values by metric, rounded to `DECIMALS`. Moves to a point: `settling_s.BAND`, the settling time for
-        each band of `BANDS`, s, None if the draw does not settle, and `final_error_mm`. Paths: `contour_rms_mm`,
-        `contour_max_mm`, `tracking_rms_mm`.
+        List of B values for each metric, rounded to `DECIMALS`. For moves to a point: `settling_s.BAND`, the settling
+        time, s, for each name of a band in `BANDS`, None if the draw does not settle; and `final_error_mm`, mm. For
+        paths: `contour_rms_mm`, `contour_max_mm` and `tracking_rms_mm`, mm.
     """
     if episodes.contour is None:
         values: Draws = {}

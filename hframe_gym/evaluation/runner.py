@@ -58,7 +58,7 @@ def evaluate(
     """Simulate controllers on identical episodes and score them.
 
     Args:
-        controllers: One name or several names as for `make_controller`, or controllers by the name in the scores.
+        controllers: One or several names as for `make_controller`, or controllers by the names for the scores.
         machine: Machine, preset name or path of a machine.json; or a `Scenario`, which replaces all further arguments.
         task: "reach", "track", the name of another registered task, or a task object.
         randomize: Preset name or list of randomization rules for the machine's parameters.
@@ -123,15 +123,15 @@ def _describe(scenario: Scenario) -> dict[str, Any]:
 
 
 def rollout(controller: Controller, scenario: Scenario) -> Episodes:
-    """Simulate all episodes of a scenario with one controller, in parallel.
+    """Simulate all episodes of a scenario with one controller, all at the same time, and record them.
 
     Args:
         controller: Controller designed for the scenario's control period. Its memory is cleared first.
         scenario: Machine, task, randomization, sensors and number of episodes.
 
     Returns:
-        `Episodes`: tool positions and goals, m, shape (B, n, axes), voltages, V, shape (B, m, drives), energy, J, and
-        largest belt force, N, shape (B,), of B episodes with m control periods and n = 10 m + 1 samples.
+        B recorded episodes with m control periods and n = 10 m + 1 samples: tool positions and goals, m, shape (B, n,
+        axes), voltages, V, shape (B, m, drives), energy, J, and largest belt force, N, shape (B,).
 
     Raises:
         InputError: If the environment rejects the scenario's options, or the simulated motion diverges.
@@ -172,7 +172,7 @@ class _Recorder:
         energy, peak = np.zeros(count), np.zeros(count)
 
         def record(sample: int) -> None:
-            position[:, sample], goal[:, sample] = simulator.tools(), observation["desired_goal"]
+            position[:, sample], goal[:, sample] = simulator.tool_positions(), observation["desired_goal"]
             if contour is not None:
                 contour[:, sample] = info["contour_m"]
 
@@ -203,7 +203,7 @@ class _Loads:
         self._equations = Equations(machine.replace(effects=()), values)
 
     def largest_tension(self, travel: Array) -> Array:
-        """Return the largest tension (B,) beyond pretension, N, over samples of the travel (k, B, n), m."""
+        """Return the largest difference (B,) of tension and pretension, N, over samples of the travel (k, B, n), m."""
         belts = self._equations.belt_states(_points(travel, np.zeros_like(travel)))
         tensions = np.abs([np.zeros(travel.shape[:2]), *(belt.tension for belt in belts)])  # (belts, k, B)
         return np.asarray(tensions.max(axis=(0, 1)))

@@ -1,4 +1,4 @@
-"""Scenarios for the comparison of controllers, the controllers that run in them, and the episodes they give."""
+"""Scenarios for the comparison of controllers, creation of controllers by name, and recorded episodes."""
 
 from __future__ import annotations
 
@@ -85,12 +85,12 @@ class Scenario:
 
     @property
     def periods(self) -> int:
-        """Number of control periods in an episode, dimensionless: duration_s / period, rounded."""
+        """Number of control periods in an episode: duration_s / period, rounded."""
         return round(self.duration_s / self.period)
 
     @cached_property
     def declared_machine(self) -> Machine:
-        """Machine with its nominal parameters, before randomization; loaded if a name or a path was given."""
+        """Machine with its nominal parameters, before randomization. A preset name or a path is loaded at first use."""
         return as_machine(self.machine)
 
     @property
@@ -105,9 +105,9 @@ class Scenario:
 
     @property
     def controller_task(self) -> Task:
-        """Copy of the task that previews a goal at the end of every control period, as controllers expect.
+        """Copy of the task whose previewed goals lie at the ends of the next control periods, as controllers expect.
 
-        The time that the preview covers stays the same. A task without a preview is returned unchanged.
+        The length of the preview, s, is that of the task; a task without a preview is returned unchanged.
         """
         task = as_task(self.task)
         if not (dataclasses.is_dataclass(task) and hasattr(task, "previews") and hasattr(task, "preview_s")):
@@ -128,7 +128,7 @@ class Episodes:
         volts: Applied voltages, V, shape (B, m, drives).
         rated: Rated voltages, V, shape (drives,).
         energy_J: Energy from the supply minus energy fed back, J, shape (B,).
-        peak_belt_force_N: Largest belt tension beyond pretension, N, shape (B,).
+        peak_belt_force_N: Largest difference between a belt's tension and its pretension, N, shape (B,).
     """
 
     time_s: Array
@@ -142,7 +142,7 @@ class Episodes:
 
     @property
     def goal_error(self) -> Array:
-        """Distance of the tool to its goal at n samples of B episodes, m, shape (B, n)."""
+        """Distances of the tool to its present goal at n samples of B episodes, m, shape (B, n)."""
         return np.linalg.norm(self.position - self.goal, axis=2)
 
 
@@ -170,20 +170,20 @@ def environments_of(scenario: Scenario, **options: Unpack[EnvOptions]) -> HFrame
         **options: Further options of the environments, for example `sensors` and `period`.
 
     Returns:
-        The environments, which are not reset yet.
+        Vector environment, not reset yet.
     """
     common = EnvOptions(machine=scenario.machine, task=scenario.controller_task, randomize=scenario.randomize)
     return HFrameVectorEnv(scenario.episodes, max_episode_steps=None, **common | {"drives": scenario.drives} | options)
 
 
 def episode_conditions(scenario: Scenario) -> EpisodeConditions:
-    """Sample the machine parameters, starts and goals of a scenario's episodes without simulating them.
+    """Sample the machine parameters, starts and goals of a scenario's episodes, without simulating any motion.
 
     Args:
         scenario: Machine, task, randomization, number of episodes and seed.
 
     Returns:
-        Machine; sampled parameters, SI, shape (B, parameters); tool positions at the start and goals, m, (B, axes).
+        Machine, sampled parameters, SI, shape (B, P), and start positions and goals of the tool, m, shape (B, axes).
 
     Raises:
         ValueError: If the environment rejects the scenario's options, for example an unknown task.
@@ -191,7 +191,7 @@ def episode_conditions(scenario: Scenario) -> EpisodeConditions:
     envs = environments_of(scenario)
     observation, _ = envs.reset(seed=scenario.seed)
     goal = np.asarray(observation["desired_goal"], np.float64)
-    return EpisodeConditions(envs.machine, envs.parameters, envs.batch.simulator.tools().copy(), goal)
+    return EpisodeConditions(envs.machine, envs.parameters, envs.batch.simulator.tool_positions().copy(), goal)
 
 
 class ControllerFiles(NamedTuple):
@@ -217,7 +217,7 @@ class ControllerSource(ABC):
     @staticmethod
     @abstractmethod
     def make(name: str, scenario: Scenario) -> Controller | None:
-        """Create the controller of a name, if this source provides it.
+        """Create the controller that this source provides under a name.
 
         Args:
             name: Controller name from the user, for example a path.
@@ -245,7 +245,7 @@ class ControllerSource(ABC):
 
     @staticmethod
     def files(name: str, scenario: Scenario) -> ControllerFiles | None:
-        """List the files of a controller, for results that name what was scored.
+        """List the files that determine a controller, so that results can identify it by their hash.
 
         Args:
             name: Controller name from the user, for example a path.
@@ -325,16 +325,16 @@ def _make_registered(name: str, scenario: Scenario) -> Controller:
 
 
 def period_concern(machine: Machine, period: float) -> str | None:
-    """Describe why a control period is too long for a machine: half the control rate is below its slowest belt mode.
+    """Return a warning if the slowest belt mode of a machine lies above the Nyquist frequency of a control period.
 
-    A sampled controller neither sees nor damps a vibration above half its rate (Nyquist frequency).
+    A sampled controller cannot observe or damp a vibration above half its rate.
 
     Args:
         machine: Machine model.
         period: Control period, s.
 
     Returns:
-        One sentence with a shorter period, or None if the period is short enough.
+        One sentence that suggests a shorter period; None if the period is short enough.
     """
     modes = [frequency for frequency in mode_frequencies(machine) if frequency > 0.0]
     if not modes or min(modes) <= 0.5 / period:

@@ -1,12 +1,13 @@
-"""Effects that act on the simulated machine and that no controller's model declares, drawn anew for every episode.
+"""Effects that act on the simulated machine and that no controller's model declares, sampled anew for every episode.
 
-The simulated machine has every effect of `EFFECT_FAMILIES` at every site listed there, each without influence: with the
-amplitude zero, or a limit so far away that nothing reaches it. Randomization rules then switch on a few of them. An
-effect is on with probability `EXPECTED_EFFECTS` / (number of families * number of its sites), independently of the
-others, so that a family is on with the same probability as any other, and an episode has two effects on average (13 %
-of the episodes have none). The size of an effect that is on is log-uniform from `SMALLEST_SIZE` to 1 times its full
-size, which is what a used machine may plausibly have. Further parameters (wavelengths, phases) have the distributions
-of the table.
+An effect is a modeled deviation from the basic machine, such as cogging; its site is where it acts, such as motor1. The
+simulated machine has every effect of `EFFECT_FAMILIES` at every site listed there. At first each is *off*: its
+parameters are such that it has no influence, for example an amplitude of zero or a limit that nothing reaches.
+Randomization rules then switch a few of them *on*. An effect is on with probability `EXPECTED_EFFECTS` / (number of
+families * number of its sites), independently of the others, so that a family is on with the same probability as any
+other, and an episode has two effects on average (13 % of the episodes have none). The size of an effect that is on is
+log-uniform from `SMALLEST_SIZE` to 1 times its full size, which is what a used machine may plausibly have. Further
+parameters (wavelengths, phases) have the distributions of the table.
 
 Left out are effects that change the machine's structure (`bridge_yaw`, `idler_inertia`, `frame_resonance`), those that
 replace its friction law (`presliding`, `bouc_wen_hysteresis`), and those of the sensors' scale, skew and range, because
@@ -63,13 +64,13 @@ class Sometimes(Distribution):
             raise InputError(f"randomize: the distribution {self} has an invalid probability, constant or sign")
 
     def quantile(self, u: Array) -> Array:
-        """Compute quantiles of the distribution (its inverse cumulative distribution function).
+        """Compute quantiles: the values below which a sample lies with the probabilities u.
 
         Args:
-            u: Cumulative probabilities in (0, 1), shape (k,).
+            u: Probabilities in (0, 1), shape (k,).
 
         Returns:
-            Values that the random number does not exceed with these probabilities, in the unit of `low`, shape (k,).
+            Quantiles, in the unit of `low`, shape (k,).
         """
         size = LogUniform(self.low, self.high)
         below = self.probability if self.otherwise >= self.high else 0.5 * self.probability * self.signed
@@ -110,10 +111,10 @@ class EffectFamily:
     fixed: Mapping[str, float] = field(default_factory=dict)
 
     def distributions(self, site: str) -> Mapping[str, Distribution]:
-        """Return the distributions of the other parameters at a site.
+        """Return the distributions of the parameters other than `size` at a site.
 
         Args:
-            site: One of the sites of the family.
+            site: Place where the effect acts, a key of `ranges`, for example "motor1".
 
         Returns:
             Distributions by name of the parameter.
@@ -167,13 +168,13 @@ EFFECT_FAMILIES: tuple[EffectFamily, ...] = (
 
 
 def with_absent_effects(machine: Machine) -> Machine:
-    """Add all effects of `EFFECT_FAMILIES` to a machine, without influence.
+    """Return a copy of a machine that has all effects of `EFFECT_FAMILIES`, switched off.
 
     Args:
         machine: The H-frame as its controllers know it.
 
     Returns:
-        Copy with the effects, which moves as the machine does until `effect_rules` switch effects on.
+        Copy with the effects. It moves like `machine` until the rules of `effect_rules` switch effects on.
     """
     effects = []
     for family in EFFECT_FAMILIES:
@@ -187,10 +188,11 @@ def with_absent_effects(machine: Machine) -> Machine:
 
 
 def effect_rules() -> tuple[RandomizeParameter, ...]:
-    """Return the randomization rules that switch effects on, for a machine of `with_absent_effects`.
+    """Return the randomization rules that switch on some effects of a machine of `with_absent_effects`.
 
     Returns:
-        One rule per parameter: of a size `Sometimes`, of any other parameter its distribution.
+        One rule per parameter of each effect: a rule with the distribution `Sometimes` for its size, which leaves most
+        effects off, and a rule with the distribution of `EFFECT_FAMILIES` for each other parameter.
     """
     rules = []
     for family in EFFECT_FAMILIES:
@@ -205,14 +207,14 @@ def effect_rules() -> tuple[RandomizeParameter, ...]:
 
 
 def acting_effects(machine: Machine, parameters: Array) -> Machine:
-    """Set the sampled parameters of an episode and remove its effects without influence.
+    """Return the machine of one episode, with its sampled parameters and without the effects that are off.
 
     Args:
         machine: Machine of the environment, with the effects of `with_absent_effects`.
-        parameters: Values of `Machine.parameters` in the episode, SI, shape (P,).
+        parameters: Values of the P `Machine.parameters` in the episode, SI, shape (P,).
 
     Returns:
-        Machine of the episode, which moves as the environment's does.
+        Machine that moves exactly as the one in the episode. It keeps `current_limit`, which acts in every episode.
     """
     values = dict(zip(machine.parameters, np.asarray(parameters, np.float64).tolist(), strict=True))
     sampled = machine.replace(values)

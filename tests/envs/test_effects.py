@@ -56,7 +56,7 @@ def test_motion_equals_the_simulation(name):
         if "yaw" in machine.coordinate_names:
             tool[0] += tool[1] * run.positions[-1][machine.coordinate_names.index("yaw")]
         np.testing.assert_allclose(observation["achieved_goal"], tool, rtol=1e-6)
-        np.testing.assert_allclose(env.batch.simulator.tools()[0], tool, rtol=1e-8)
+        np.testing.assert_allclose(env.batch.simulator.tool_positions()[0], tool, rtol=1e-8)
 
 
 def env_start(env):

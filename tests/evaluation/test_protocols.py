@@ -21,9 +21,9 @@ from hframe_gym.evaluation import (
     Protocol,
     acting_effects,
     episode_conditions,
-    filled,
+    fill_unsettled,
     get_protocol,
-    over,
+    paired_ratio,
     protocol_bounds,
     protocols,
     read_result,
@@ -98,7 +98,7 @@ def test_absent_effects_do_not_change_the_motion() -> None:
         actions = rng.uniform(-1.0, 1.0, (8, 2))
         for env in envs:
             env.step(actions)
-    tools = [env.batch.simulator.tools() for env in envs]
+    tools = [env.batch.simulator.tool_positions() for env in envs]
     np.testing.assert_allclose(tools[1], tools[0], atol=2e-6)
 
 
@@ -143,7 +143,9 @@ def test_acting_effects_move_as_the_environment() -> None:
     single.reset(seed=0, options={"start": conditions.start[draw], "target": conditions.goal[draw]})
     for action in actions:
         single.step(action[draw : draw + 1])
-    np.testing.assert_allclose(single.batch.simulator.tools()[0], env.batch.simulator.tools()[draw], atol=5e-6)
+    np.testing.assert_allclose(
+        single.batch.simulator.tool_positions()[0], env.batch.simulator.tool_positions()[draw], atol=5e-6
+    )
 
 
 def test_sometimes_is_a_log_uniform_number_with_the_given_probability() -> None:
@@ -218,7 +220,7 @@ def test_scores_follow_from_the_draws(content: dict[str, Any], tmp_path: Path) -
     assert score["mean"] == pytest.approx((0.1 + 0.2 + 0.3 + 0.3) / 4)  # a failure counts the length of the episode
     result = read_result(write_result(tmp_path, content))
     assert result.entry.name == "mine"
-    assert filled(result.draws["reach"]["settling_s.0.2mm"], 0.3).tolist() == [0.1, 0.2, 0.3, 0.3]
+    assert fill_unsettled(result.draws["reach"]["settling_s.0.2mm"], 0.3).tolist() == [0.1, 0.2, 0.3, 0.3]
 
 
 @pytest.mark.parametrize(
@@ -284,20 +286,20 @@ def test_agents_of_several_seeds_get_a_row_with_intervals_over_draws_and_seeds(
 def test_the_interval_over_seeds_contains_the_spread_over_seeds() -> None:
     bound = np.linspace(1.0, 2.0, 64)
     seeds = np.stack([factor * bound for factor in (1.0, 1.1, 1.5)])
-    of_one, of_all = over(seeds[0], bound), over(seeds, bound)
+    of_one, of_all = paired_ratio(seeds[0], bound), paired_ratio(seeds, bound)
     assert of_one is not None
     assert of_all is not None
     assert of_one["ci95"] == pytest.approx([1.0, 1.0])
     assert of_all["mean"] == pytest.approx(1.2)
     assert of_all["ci95"] == pytest.approx([1.0, 1.5])  # three of the same seed: one resampling in 27
-    assert over(seeds[:1], bound) == of_one
+    assert paired_ratio(seeds[:1], bound) == of_one
 
 
 def test_ratios_use_the_draws_with_a_known_bound() -> None:
-    ratio = over(np.array([2.0, 4.0, 100.0]), np.array([1.0, 2.0, np.nan]))
+    ratio = paired_ratio(np.array([2.0, 4.0, 100.0]), np.array([1.0, 2.0, np.nan]))
     assert ratio is not None
     assert (ratio["mean"], ratio["draws"]) == (2.0, 2)
-    assert over(np.ones(2), np.full(2, np.nan)) is None
+    assert paired_ratio(np.ones(2), np.full(2, np.nan)) is None
 
 
 def test_stored_bounds_belong_to_the_draws() -> None:

@@ -1,4 +1,4 @@
-"""Base class and registry of tasks: where an episode starts, and where the tool should be at every moment of it."""
+"""Base class and registry of tasks, which define the start position and the goals of an episode."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Task(ABC):
 
     @property
     def parameters(self) -> dict[str, float]:
-        """Nominal values, SI, of randomizable parameters by name; a rule writes `task.speed` for `speed`."""
+        """Nominal values, SI, of the task's parameters that can be randomized, by name without "task."."""
         return {}
 
     def check(self, workspace: Array) -> None:  # noqa: B027  (optional)
@@ -80,6 +80,7 @@ class Task(ABC):
                 Default: nominal values.
 
         Returns:
+            start: Start positions of the tool, m, shape (k, axes).
             plan: Plans, in the format of the task, shape (k, plan_size), `plan_size` being the attribute of the task.
         """
 
@@ -97,7 +98,9 @@ class Task(ABC):
         """
 
     def write_goals(self, plan: Array, elapsed_s: Array, ahead_s: Array, goals: NDArray[np.float32]) -> None:
-        """Write the goals of n episodes at m times each to an array; a task may override it with a faster method.
+        """Write the goals of n episodes at m times each to an array.
+
+        This default calls `goal`; a task may override it with a faster method.
 
         Args:
             plan: Plans from `begin` or `aim`, in the task's format, shape (n, plan_size).
@@ -108,7 +111,9 @@ class Task(ABC):
         goals[:] = self.goal(plan, elapsed_s[:, None] + ahead_s)
 
     def aim(self, target: Array) -> Array:
-        """Make plans whose goals are given targets (option `target` of an environment's `reset`).
+        """Make plans for episodes with given targets (option `target` of an environment's `reset`).
+
+        A plan defines the goals of an episode at all times.
 
         Args:
             target: Target positions of k episodes, m, shape (k, axes).
@@ -122,12 +127,13 @@ class Task(ABC):
         raise InputError(f"task {self.name} has no target; reset takes only the option 'start'")
 
     def contour(self, plan: Array, points: Array, elapsed_s: Array) -> Array | None:
-        """Compute the contour error: the distance of a point to the goal's path, not to the moving goal.
+        """Compute the contour error: the distance from the tool to the path on which the goal moves.
 
         Args:
             plan: Plans of n episodes from `begin`, in the task's format, shape (n, plan_size).
             points: One tool position per episode, m, shape (n, axes).
-            elapsed_s: Times since the reset, s, shape (n,); the search starts at the goals of these times.
+            elapsed_s: Times since the reset, s, shape (n,). The nearest point is searched around the goals of these
+                times, because a path may cross itself.
 
         Returns:
             Distances, m, shape (n,); None for a task without a path, which is the default.
@@ -144,7 +150,7 @@ def as_task(task: TaskLike, **settings: Any) -> Task:
 
     Args:
         task: Registered name ("reach", "track"), `package.module:name`, or a `Task`, which is returned unchanged.
-        **settings: Keywords of the task's class if a name is given, for example speed=0.2; else ignored.
+        **settings: Keywords of the task's class, for example speed=0.2, if `task` is a name; otherwise ignored.
 
     Returns:
         Task.
@@ -164,7 +170,7 @@ def check_point(label: str, points: Array, workspace: Array) -> None:
     """Check that points lie in the workspace; its edge counts as inside.
 
     Args:
-        label: Name of the option that the points come from, for the message.
+        label: Name of the option that gave the points, for the error message.
         points: Points, m, shape (axes,) or (k, axes).
         workspace: One row per axis of the tool, columns low and high, m, shape (axes, 2).
 
@@ -242,12 +248,12 @@ class ReferenceTrajectories:
         return self._task.goal(self._plans[index], self._elapsed_s(index)).astype(np.float32)
 
     def add_blank(self, observation: dict[str, NDArray[np.float32]]) -> None:
-        """Add arrays for the goals to an observation, without initial values.
+        """Add arrays for the goals to an observation; `write` fills them.
 
         Args:
-            observation: Arrays by key for `count` environments. Gets `desired_goal`, m, float32, shape (count, axes),
-                which holds the goals already if these do not move, and for a task with p future goals `preview`, m,
-                shape (count, axes * p).
+            observation: Arrays by key for `count` environments. Receives `desired_goal`, m, float32, shape (count,
+                axes), and for a task with p future goals `preview`, m, float32, shape (count, axes * p). Goals that do
+                not move are filled in already.
         """
         if not self.moving:
             observation["desired_goal"] = self._fixed_goals.copy()
@@ -263,8 +269,9 @@ class ReferenceTrajectories:
 
         Args:
             index: Indices of the environments, shape (k,), or a slice of them; other rows are not changed.
-            observation: Output: `desired_goal`, m, shape (count, axes), and `preview`, m, shape
-                (count, axes * previews): the axes of the next future goal, then of the one after it, ...
+            observation: Arrays by key from `add_blank`. Written are `desired_goal`, m, shape (count, axes), and for a
+                task with p future goals `preview`, m, shape (count, axes * p): all axes of the first future goal, then
+                of the second, ...
         """
         if not self.moving:
             observation["desired_goal"][index] = self._fixed_goals[index]
@@ -291,7 +298,7 @@ class ReferenceTrajectories:
         return self._task.goal(self._plans[b : b + 1], elapsed_s[None])[0].astype(np.float32)
 
     def contour(self, index: Index | slice, tools: Array) -> Array | None:
-        """Compute the contour errors: the distances of tool positions to the paths of their goals.
+        """Compute the contour errors: the distances from tool positions to the paths on which the goals move.
 
         Args:
             index: Indices of k environments, shape (k,), or a slice of them.

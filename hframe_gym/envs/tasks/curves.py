@@ -52,7 +52,7 @@ class Curve(Protocol):
 
     @property
     def data(self) -> CurveData:
-        """Curve for `write_points`: vertices x, y, m, shape (n, 2), and their arc lengths, m, shape (n,)."""
+        """The curve as compiled functions such as `write_points` take it; `CurveData` documents the arrays' shapes."""
 
     @property
     def extent(self) -> Array:
@@ -94,7 +94,7 @@ class Circle(Curve):
 
     @property
     def data(self) -> CurveData:
-        """Circle for `write_points`: radius, m, no vertices, shape (0, 2), and arc lengths, m, shape (2,)."""
+        """The circle as compiled functions such as `write_points` take it; `CurveData` documents the arrays' shapes."""
         return CurveData(self.radius, True, np.zeros((0, 2)), np.array([0.0, self.length]))
 
     @property
@@ -119,11 +119,11 @@ class Circle(Curve):
         return _new_points(self, s)
 
     def distance(self, points: Array, s: Array) -> Array:
-        """Compute the distances of n points to the circle, | |p| - radius |.
+        """Compute the distances of n points p to the circle, | |p| - radius |.
 
         Args:
             points: Points x, y, m, shape (n, 2).
-            s: Approximate arc lengths of the nearest points, m, shape (n,); not used, because the distance is exact.
+            s: Approximate arc lengths of the nearest points, m, shape (n,); not used, because the formula is exact.
 
         Returns:
             Distances, m, shape (n,).
@@ -179,8 +179,8 @@ class Polyline:
     def distance(self, points: Array, s: Array) -> Array:
         """Compute the distances of n points to the part of the curve near s.
 
-        Only the part of the curve within an arc length of pi d before and after s is searched, where d is the distance
-        from the point to the curve's point at s. Where the curve crosses itself, the other branch is therefore ignored.
+        Searched is the part within an arc length of pi d before and after s, where d is the distance from the point to
+        the curve's point at s. Where the curve crosses itself, a distant branch is therefore ignored.
 
         Args:
             points: Points x, y, m, shape (n, 2).
@@ -206,7 +206,7 @@ def _new_points(curve: Curve, s: Array) -> Array:
 
 @compiled
 def write_points(s: Any, curve: Any, x: Any, y: Any) -> None:
-    """Compute the points of a curve at n arc lengths, as `Curve.point` does.
+    """Write the points of a curve at n arc lengths to two arrays.
 
     Args:
         s: Arc lengths from the start of the curve, m, any real number, shape (n,).

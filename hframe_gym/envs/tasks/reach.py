@@ -73,13 +73,15 @@ class Reach(Task):
         return points[0], points[1]
 
     def aim(self, target: Array) -> Array:
-        """Make plans for given targets; a plan (the goals of an episode at all times) of this task is its target.
+        """Make plans for episodes with given targets.
+
+        A plan defines the goals of an episode at all times. For this task it is the target itself.
 
         Args:
             target: Target positions, m, shape (k, axes).
 
         Returns:
-            The same array as plans, shape (k, axes).
+            Plans, which are the same array, m, shape (k, axes).
         """
         return target
 

@@ -19,7 +19,7 @@ from .curves import SHAPES, Curve, Polyline, write_points
 
 # Columns of a plan: index of the path, its center (m), direction (+1 or -1), arc length at the start (m), speed (m/s).
 PATH, CENTER, DIRECTION, START, SPEED = 0, slice(1, 3), 3, 4, 5
-_EPISODES = 64  # that are computed together
+_EPISODES = 64  # number of episodes that are computed together
 
 
 @TASKS.register("track")
@@ -169,6 +169,7 @@ class Track(Task):
             parameters: Values of "speed" in each episode, m/s, shape (k,). Default: the nominal speed.
 
         Returns:
+            start: Start positions of the tool, which are the first goals, x, y, m, shape (k, 2).
             plan: Index of the path, center x, y (m), direction (+1 or -1), arc length at the start (m), speed (m/s),
                 shape (k, 6).
         """
@@ -194,7 +195,7 @@ class Track(Task):
             target: Target positions, m, shape (k, axes); not used.
 
         Returns:
-            Never returns; the plans of other tasks have the shape (k, plan_size).
+            Nothing, because the error is always raised; other tasks return plans of shape (k, plan_size).
 
         Raises:
             InputError: Always; the message names the option that moves the path.
@@ -221,7 +222,9 @@ class Track(Task):
         return out.reshape(*elapsed_s.shape, 2)
 
     def write_goals(self, plan: Array, elapsed_s: Array, ahead_s: Array, goals: NDArray[np.float32]) -> None:
-        """Write the goals of n episodes at m times each to an array; fast if all episodes follow the same curve.
+        """Write the goals of n episodes at m times each to an array.
+
+        This is faster than `goal` if the task has only one curve, whose file (if any) gives no times.
 
         Args:
             plan: Path of each episode, as `begin` chose it, shape (n, 6): path index, center x, y (m), direction (+1 or
@@ -238,13 +241,14 @@ class Track(Task):
         _write_goals(plan, elapsed_s, ahead_s, self.lead_s, length, curve.data, goals)
 
     def contour(self, plan: Array, points: Array, elapsed_s: Array) -> Array:
-        """Compute the contour error: the distance of one point per episode to the path, near the present goal.
+        """Compute the contour error: the distance from one point per episode to the path near the present goal.
 
         Args:
             plan: Path of each of n episodes, as `begin` chose it, shape (n, 6): path index, center x, y (m), direction
                 (+1 or -1), arc length at the start (m), speed (m/s).
             points: One point x, y per episode, m, shape (n, 2).
-            elapsed_s: Times since the reset, s, shape (n,); the search starts at the goal of this time.
+            elapsed_s: Times since the reset, s, shape (n,). The nearest point is searched around the goals of these
+                times, because a path may cross itself.
 
         Returns:
             Distances, m, shape (n,).
@@ -323,8 +327,8 @@ def _write_goals(plan: Any, elapsed_s: Any, ahead_s: Any, lead_s: float, length:
 def arc_lengths(plan: Any, elapsed_s: Any, lead_s: float, length: float) -> Any:
     """Compute the arc lengths of the goals of n episodes along their paths at m times each.
 
-    A goal starts at rest and reaches its speed after lead_s. On an open path it slows down to rest at the end; a speed
-    above length / lead_s is reduced to this value.
+    A goal starts at rest and reaches its speed after `lead_s`. On an open path it slows down in the same way and rests
+    at the end; a speed above length / lead_s is reduced to this value.
 
     Args:
         plan: Plans from `Track.begin`, shape (n, 6). Used are direction (+1 or -1), arc length at the start (m) and
