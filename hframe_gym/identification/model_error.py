@@ -22,19 +22,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from ..machine import Machine
 from .criteria import SelectionCriteria
 from .dataset import Dataset, PreparedRecording
 from .estimation import Fit, fit, prediction_cost
 from .free_parameters import bounded_step, prior_precision
 from .linearization import NormalEquations, ResidualModel
-from .prediction import (
-    POLISH_STEP,
-    SEARCH_BANDWIDTH,
-    SEARCH_STEP,
-    SIMULATION,
-    map_runs,
-    sensor_bandwidths,
-)
+from .prediction import POLISH_STEP, SEARCH_BANDWIDTH, SEARCH_STEP, SIMULATION, map_runs, sensor_bandwidths
 
 Array = NDArray[np.float64]
 
@@ -162,33 +156,38 @@ def polish(fitted: Fit, data: Dataset) -> Fit:
 
 
 def refined_in_simulation(fitted: Fit, data: Dataset) -> Fit:
-    """Fit the parameters again so that the simulation of the machine has the smallest error.
+    """Fit the parameters again so that the machine is better in simulation.
 
     An observer (feedback of the measurements) makes the fit robust against errors of the model, but it hides slow
     errors and the information that they contain about the parameters. The final machine is used in simulation.
-    Therefore fits at all smaller observer bandwidths are compared by the error of their simulation. A fit in simulation
-    is compared as well; because its parameters adapt to errors of the model, its error is measured by cross-validation
-    over the runs.
+    Therefore fits at all smaller bandwidths are compared, by the product of two costs: that of the simulation, and that
+    of the prediction at the given bandwidth. The simulation alone does not suffice: where small differences of the
+    parameters grow without limit, wrong parameters may simulate best by chance. A fit in simulation is compared as
+    well; because its parameters adapt to errors of the model, its simulation is measured by cross-validation.
 
     Args:
         fitted: Final fit at any observer bandwidth.
         data: Runs that were fitted.
 
     Returns:
-        Fit of the same k parameters (theta of shape (k,)) with the best simulation, with the shortest integration step.
-        The given fit if none is better, or if there is only one run, which permits no cross-validation.
+        Fit of the same k parameters (theta of shape (k,)) with the smallest product, with the shortest integration
+        step. The given fit if none is better, or if there is only one run, which permits no cross-validation.
     """
     if fitted.bandwidth == SIMULATION or len(data.runs) == 1:
         return fitted
+
+    def cost(machine: Machine, bandwidth: float) -> float:
+        return prediction_cost(machine, data, bandwidth, longest_step=POLISH_STEP)
+
     best, narrower = fitted, fitted
-    least = prediction_cost(fitted.machine, data, SIMULATION, longest_step=POLISH_STEP)
+    least = cost(fitted.machine, SIMULATION) * cost(fitted.machine, fitted.bandwidth)
     for bandwidth in BANDWIDTHS[BANDWIDTHS.index(fitted.bandwidth) + 1 : -1]:
         narrower = at_bandwidth(narrower, bandwidth, data)
-        cost = prediction_cost(narrower.machine, data, SIMULATION, longest_step=POLISH_STEP)
-        if cost < least:
-            best, least = narrower, cost
+        product = cost(narrower.machine, SIMULATION) * cost(narrower.machine, fitted.bandwidth)
+        if product < least:
+            best, least = narrower, product
     simulated = at_bandwidth(best, SIMULATION, data)
-    if _cross_validated_cost(simulated, data) < least:
+    if _cross_validated_cost(simulated, data) * cost(simulated.machine, fitted.bandwidth) < least:
         best = simulated
     return best if best is fitted else polish(best, data)
 
