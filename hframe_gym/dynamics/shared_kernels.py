@@ -99,11 +99,12 @@ def share_kernel(machine: Machine, effects: Sequence[AppliedEffect]) -> None:
 
     Args:
         machine: Machine with the effects (deviations from the nominal model) that it has already.
-        effects: Further effects that may be added to it, alone or in any combination.
+        effects: Further effects that may be added to it, alone or in any combination. Effects that differ in parameter
+            values only, which are data of the kernel, may occur several times.
     """
-    additional = [effect for effect in effects if _can_be_absent(effect)]
+    additional = {effect.label: effect for effect in effects if _can_be_absent(effect)}
     if additional:
-        _SHARED.append(_SharedKernel(machine.with_effects(*additional)))
+        _SHARED.append(_SharedKernel(machine.with_effects(*additional.values())))
 
 
 def rollout_kernel(

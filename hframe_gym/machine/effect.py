@@ -299,15 +299,17 @@ class AppliedEffect:
         return dataclasses.replace(self, parameters=dict(parameters))
 
     def check_site(self, machine: Machine) -> None:
-        """Raise an error if a machine lacks the component on which the effect acts (its site).
+        """Raise an error if the effect cannot be added to a machine at its site.
 
         Args:
-            machine: Machine to check.
+            machine: Machine without the effect.
 
         Raises:
-            ValueError: If the machine has no such coordinate, drive, belt or sensor channel; the message lists the
-                possible sites.
+            ValueError: If the machine has no such coordinate, drive, belt or sensor channel (the message lists the
+                possible sites), or has the effect at this site already.
         """
+        if any(present.label == self.label for present in machine.effects):
+            raise ValueError(f"effect {self.label}: machine {machine.name!r} has it already")
         sites = self.definition.possible_sites(machine)
         if self.site not in sites:
             choices = ", ".join(sites)

@@ -305,7 +305,7 @@ class Machine:
             The extended machine.
 
         Raises:
-            ValueError: If the machine lacks the site of an effect, or components that the effect needs.
+            ValueError: If the machine lacks the site of an effect or components that it needs, or has it already.
         """
         machine = self
         for effect in effects:

@@ -171,3 +171,21 @@ def test_every_effect_of_a_coordinate_has_a_kernel_on_a_single_axis() -> None:
         values = {p.name: min(max(0.5, p.lower), p.upper) for p in effect.parameters}
         text = kernel_source_text(axis.with_effects(effect.at("x", **values)))
         assert "def " in text, effect.name
+
+
+def test_two_shapes_of_one_effect_act_once(hframe: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A search shares one kernel among several periods of a candidate; its force must not be counted once for each."""
+    cogging = EFFECTS["cogging"]
+    machine, other = (hframe.with_effects(cogging.at("motor1", A=0.02, n=n, p=0.0)) for n in (10.0, 24.0))
+    time_s, voltages = np.arange(400) * 1e-3, np.full((400, 2), 4.0)
+    alone = simulate(machine, time_s, voltages).positions
+    monkeypatch.setattr(kernel, "_KERNELS", {})
+    monkeypatch.setattr(shared_kernels, "_SHARED", deque())
+    share_kernel(hframe, [*machine.effects, *other.effects])
+    np.testing.assert_array_equal(simulate(machine, time_s, voltages).positions, alone)
+
+
+def test_a_machine_has_an_effect_only_once_at_a_site(hframe: Machine) -> None:
+    cogging = EFFECTS["cogging"].at("motor1", A=0.02, n=10.0, p=0.0)
+    with pytest.raises(ValueError, match="cogging@motor1: machine 'hframe' has it already"):
+        hframe.with_effects(cogging, cogging)
