@@ -64,8 +64,10 @@ def table_candidates(
         criteria: Decision thresholds; `max_tables_per_coordinate` is the number of best tables per coordinate.
 
     Returns:
-        These tables as candidates, coordinate by coordinate; each has one basis function per knot.
+        These tables as candidates, coordinate by coordinate, without those that the machine has already; each has one
+        basis function per knot.
     """
+    present = {e.label for e in machine.effects}
     motion_and_force = missing_force(machine, data)
     variables = table_variables(machine, data)
     ranked: list[tuple[float, Table]] = []
@@ -90,7 +92,7 @@ def table_candidates(
         chosen += at_site[:count]
         for variable in ("time", f"position of {site}"):
             chosen += [table for table in at_site[count:] if table.effect.endswith(f"[{variable}]")][:1]
-    return [_candidate(table, scales) for table in chosen]
+    return [_candidate(table, scales) for table in chosen if f"{table.effect}@{table.site}" not in present]
 
 
 def table_variables(machine: Machine, data: Dataset) -> dict[str, Array]:

@@ -1,8 +1,7 @@
 """Fit candidate effects together with the machine's parameters, with few iterations, so that they can be ranked.
 
-An effect is a deviation from the nominal model. A structural effect adds coordinates. A trial is the fit of a machine
-with one candidate effect, the last one in its list. The cost is chi-squared, the sum of squared residuals in units of
-the sensors' noise.
+An effect is a deviation from the nominal model; a structural one adds coordinates. A trial is the fit of a machine with
+one candidate effect, its last one. The cost is chi-squared, the sum of squared residuals in units of the noise.
 """
 
 from __future__ import annotations
@@ -35,9 +34,9 @@ _TRIAL_ITERATIONS, _TRIAL_TOLERANCE = 8, 1e-3  # A trial need not converge fully
 def trial_fits(current: Fit, data: Dataset, enough: float, criteria: SelectionCriteria) -> list[Fit]:
     """Fit the machine with each of the most promising effects (deviations from the model), one at a time.
 
-    A linearized model ranks the candidates by the reduction of chi-squared; the best few are fitted. If a parameter of
-    the fit without candidates is at its limit, that fit may be in a local minimum; the candidates are then also ranked
-    at the declared parameters and fitted from there.
+    A linearized model ranks the candidates by the reduction of chi-squared; the best few are fitted. If a parameter is
+    at its limit, or no candidate is promising although much error is left, the fit without candidates may be in a local
+    minimum. The candidates are then also ranked at the declared parameters and fitted from there.
 
     Args:
         current: Fit without candidates; the trials have its observer bandwidth.
@@ -49,7 +48,8 @@ def trial_fits(current: Fit, data: Dataset, enough: float, criteria: SelectionCr
         One fit (machine, parameters theta, shape (k,), cost) per candidate, after few iterations, in no given order.
     """
     trials = _trial_fits_from(current, current, data, enough, criteria)
-    if any(f.at_limit(t) for f, t in zip(current.free, current.theta, strict=True)):
+    none = not trials and current.chi2 > criteria.explained_chi2
+    if none or any(f.at_limit(t) for f, t in zip(current.free, current.theta, strict=True)):
         trials += _trial_fits_from(_at_declared_parameters(current, data), current, data, enough, criteria)
     return trials
 
