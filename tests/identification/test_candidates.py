@@ -7,8 +7,11 @@ import pytest
 
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification.candidates import Candidate, effect_parameters, periodogram_peaks, slow_rates
+from hframe_gym.identification.criteria import SelectionCriteria
 from hframe_gym.identification.dataset import TypicalScales
+from hframe_gym.identification.nonparametric import table_candidates
 from hframe_gym.machine import Machine
+from tests.identification.axis_results import AXIS, axis_runs
 
 pytestmark = pytest.mark.unit
 
@@ -73,3 +76,13 @@ def test_a_force_has_at_least_one_period(hframe: Machine) -> None:
     span = np.ptp(data[:, 0])
     assert periodogram_peaks(data, friction=False).min() >= 2 * np.pi / span * 0.999
     assert periodogram_peaks(data, friction=True).min() < 2 * np.pi / span
+
+
+def test_a_table_that_the_machine_has_is_not_proposed_again() -> None:
+    data = axis_runs(AXIS.with_effects(EFFECTS["quadratic_drag"].at("x", c=5.0)), rows=1000, volts=6.0)
+    scales = TypicalScales({"x": {"force": 2.0, "speed": 0.5}}, {})
+    first, *others = table_candidates(AXIS, data, scales, SelectionCriteria())
+    tabled = AXIS.with_effects(first.applied(np.ones(len(first.columns))))
+    labels = [candidate.label for candidate in table_candidates(tabled, data, scales, SelectionCriteria())]
+    assert others
+    assert first.label not in labels

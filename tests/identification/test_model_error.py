@@ -286,6 +286,25 @@ def test_the_final_fit_is_the_one_that_simulates_best(
     assert costs[0] <= costs[1]
 
 
+def test_a_simulation_that_is_best_by_chance_does_not_win(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where small errors grow without limit, a machine that contradicts the data may simulate them best."""
+    # Cost of the simulation and of the prediction at 30 rad/s, by the bandwidth of the fit, rad/s.
+    costs = {30.0: (4e6, 1.0), 15.0: (3e6, 1.1), 7.0: (1e6, 9.0), 3.0: (6e5, 200.0), 0.0: (6e5, 200.0)}
+
+    def fit_at(bandwidth: float) -> Fit:
+        fitted = fit_with(chi2=1.0, bandwidth=bandwidth)
+        return dataclasses.replace(fitted, machine=dataclasses.replace(fitted.machine, name=str(bandwidth)))
+
+    def cost(machine: Machine, data: object, bandwidth: float, longest_step: float) -> float:
+        return costs[float(machine.name)][0 if bandwidth == 0.0 else 1]
+
+    monkeypatch.setattr(model_error, "at_bandwidth", lambda fitted, bandwidth, data: fit_at(bandwidth))
+    monkeypatch.setattr(model_error, "polish", lambda fitted, data: fitted)
+    monkeypatch.setattr(model_error, "prediction_cost", cost)
+    monkeypatch.setattr(model_error, "_cross_validated_cost", lambda fitted, data: costs[fitted.bandwidth][0])
+    assert model_error.refined_in_simulation(fit_at(30.0), runs("abcd")).bandwidth == 15.0
+
+
 def test_a_fit_in_simulation_stays_as_it_is(axis: Machine) -> None:
     data = recordings(axis)
     best = fit_with_model_error(fitted_axis(axis, data), data)

@@ -44,23 +44,60 @@ def test_a_spring_stronger_than_the_drive_is_found(axis: Machine) -> None:
     assert result.effects[0].effect.parameters["k"] == pytest.approx(3000.0, rel=0.01)
 
 
-@pytest.mark.parametrize("at_limit", [False, True])
+@pytest.mark.parametrize(("at_limit", "chi2", "promising"), [(True, 1.0, True), (False, 9.0, False)])
 def test_candidates_are_also_tried_from_the_declared_parameters(
-    axis: Machine, monkeypatch: pytest.MonkeyPatch, at_limit: bool
+    axis: Machine, monkeypatch: pytest.MonkeyPatch, at_limit: bool, chi2: float, promising: bool
 ) -> None:
+    """If a parameter is at its limit, or if nothing is promising although much error is left."""
+    starts = _starts_of_trials(axis, monkeypatch, at_limit=at_limit, chi2=chi2, promising=promising)
+    assert len(starts) == 2
+    assert np.any(starts[0].theta)
+    np.testing.assert_array_equal(starts[1].theta, 0.0)
+    assert starts[1].machine.parameters == pytest.approx(axis.parameters)
+
+
+@pytest.mark.parametrize(("chi2", "promising"), [(9.0, True), (1.2, False)])
+def test_other_candidates_are_tried_from_the_present_fit(
+    axis: Machine, monkeypatch: pytest.MonkeyPatch, chi2: float, promising: bool
+) -> None:
+    starts = _starts_of_trials(axis, monkeypatch, at_limit=False, chi2=chi2, promising=promising)
+    assert len(starts) == 1
+    assert np.any(starts[0].theta)
+
+
+def _starts_of_trials(
+    axis: Machine, monkeypatch: pytest.MonkeyPatch, *, at_limit: bool, chi2: float, promising: bool
+) -> list[Fit]:
+    """Return the fits from which `trial_fits` starts."""
     starts: list[Fit] = []
-    monkeypatch.setattr(trial_fits, "_trial_fits_from", lambda start, *rest: starts.append(start) or [])
+
+    def trials(start: Fit, current: Fit, *rest: object) -> list[Fit]:
+        starts.append(start)
+        return [current] if promising else []
+
+    monkeypatch.setattr(trial_fits, "_trial_fits_from", trials)
     data = prepare(recordings(axis, 2), axis)
-    current = fit(axis, default_free_parameters(axis), data, SEARCH_BANDWIDTH)
-    if at_limit:
-        limit = np.array([f.theta_limit if f.name == "x.mass" else 0.1 for f in current.free])
-        current = dataclasses.replace(current, theta=limit)
-    trial_fits.trial_fits(current, data, 0.1, SelectionCriteria())
-    assert starts[0] is current
-    assert len(starts) == (2 if at_limit else 1)
-    if at_limit:
-        np.testing.assert_array_equal(starts[1].theta, 0.0)
-        assert starts[1].machine.parameters == pytest.approx(axis.parameters)
+    fitted = fit(axis, default_free_parameters(axis), data, SEARCH_BANDWIDTH)
+    theta = np.array([f.theta_limit if at_limit and f.name == "x.mass" else 0.1 for f in fitted.free])
+    trial_fits.trial_fits(
+        dataclasses.replace(fitted, theta=theta, cost=chi2 * fitted.count), data, 0.1, SelectionCriteria()
+    )
+    return starts
+
+
+def test_a_force_that_exceeds_friction_is_found(axis: Machine) -> None:
+    """The voltage holds a tilted axis; without the force, a fit makes friction and masses stand in for it."""
+    force = -3.0 * axis.parameters["x.coulomb"]
+    rig = axis.with_effects(EFFECTS["constant_force"].at("x", size=force))
+    drive = axis.drives[0]
+    hold = -force * axis.travel_per_unit[0] * drive.resistance / (drive.Kt * drive.gear_ratio)
+    runs = [
+        dataclasses.replace(run, inputs=run.inputs + hold, outputs=outputs)
+        for run in recordings(axis, 4)
+        for outputs in [simulate(rig, run.time_s, run.inputs + hold).outputs]
+    ]
+    result = identify(runs, axis)
+    assert [s.effect.label for s in result.effects] in (["constant_force@x"], ["voltage_offset@motor"])
 
 
 def test_the_better_one_of_two_shapes_is_kept(axis: Machine) -> None:
