@@ -182,7 +182,9 @@ class _Search:
             current, effects = search.settle_rivals(current, effects)
             current, effects = search.prune(polish(current, data), effects)
             simulated = refined_in_simulation(current, data)
-            if simulated.bandwidth == SIMULATION != current.bandwidth:  # without the error that an observer causes
+            # Without the error that an observer causes, unless the simulation leaves more than the observer corrects.
+            accurate = self._explains(simulated) or not self._explains(current)
+            if simulated.bandwidth == SIMULATION != current.bandwidth and accurate:
                 current, effects = search.prune(simulated, effects)
         return current, effects, tuple(search.considered.values())
 

@@ -24,6 +24,7 @@ class ScriptedSearch:
         self.pruned: tuple[SelectedEffect, ...] | None = None
         self.wide = 10.0  # chi-squared at the bandwidth of the search
         self.suspect: str | None = None
+        self.simulated: float | None = None  # chi-squared of a fit in simulation that replaces one with an observer
         script = self
 
         class FakeEffectSearch:
@@ -32,13 +33,14 @@ class ScriptedSearch:
 
             def run(self, current: Fit, chosen: tuple[SelectedEffect, ...] = ()) -> Any:
                 found = script.effects or chosen
-                return fit_with(*(s.effect for s in found), chi2=script.after), found
+                bandwidth = 0.0 if script.simulated is None else 30.0
+                return fit_with(*(s.effect for s in found), chi2=script.after, bandwidth=bandwidth), found
 
             def settle_rivals(self, current: Fit, chosen: tuple[SelectedEffect, ...]) -> Any:
                 return current, chosen
 
             def prune(self, current: Fit, chosen: tuple[SelectedEffect, ...]) -> Any:
-                return current, chosen if script.pruned is None else script.pruned
+                return current, chosen if script.pruned is None or current.bandwidth else script.pruned
 
         replaced: Mapping[str, Callable[..., Any]] = {
             "fit": lambda machine, free, data, bandwidth, theta=None: fit_with(*machine.effects, chi2=script.before),
@@ -51,7 +53,9 @@ class ScriptedSearch:
             "prediction_cost": lambda machine, data, bandwidth: (
                 COUNT * (script.wide if bandwidth and machine.effects else 10.0)
             ),
-            "refined_in_simulation": lambda fitted, data: fitted,
+            "refined_in_simulation": lambda fitted, data: (
+                fitted if script.simulated is None else fit_with(*fitted.machine.effects, chi2=script.simulated)
+            ),
             "add_tables": lambda start, known, data, criteria, max_tables, log: (
                 script.tables.pop(0) if script.tables else (start, known)
             ),
@@ -100,6 +104,19 @@ def test_known_effects_are_reported_if_they_remove_three_quarters(
     assert outcome.verdict == verdict
     # An effect that was found but is not reported is not forgotten.
     assert [c.effect for c in outcome.considered] == ([] if verdict == "effect_found" else [PUSH])
+
+
+@pytest.mark.parametrize(
+    ("chi2", "simulated", "examined"), [(1.2, 1.4, True), (1.2, 9.0, False), (3.0, 9.0, True), (3.0, 1.4, True)]
+)
+def test_effects_are_examined_in_simulation_unless_it_is_worse(
+    scripted_search: ScriptedSearch, chi2: float, simulated: float, examined: bool
+) -> None:
+    """Where small errors grow without limit, a simulation says nothing about effects that an observer confirms."""
+    scripted_search.effects, scripted_search.after, scripted_search.simulated = (selected(PUSH),), chi2, simulated
+    scripted_search.pruned = ()
+    outcome = scripted_search.run()
+    assert (outcome.selected == ()) == examined
 
 
 def test_nothing_is_found_where_nothing_was_selected(scripted_search: ScriptedSearch) -> None:
