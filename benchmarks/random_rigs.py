@@ -34,6 +34,7 @@ from hframe_gym.atomic_files import write_text
 from hframe_gym.distributed import LOCAL_RAY, map_tasks
 from hframe_gym.identification import identify
 from hframe_gym.machine import BUILTIN_MACHINES
+from tests.rigs.fresh_process import in_fresh_process
 from tests.rigs.random_rigs import draw_rig
 
 CACHE = Path("out/random_rigs")
@@ -76,7 +77,7 @@ def run_rig(index: int, *, seed: int, log: bool = False) -> Row:
             session.recordings, BUILTIN_MACHINES["hframe"](), log=partial(print, flush=True) if log else None
         )
         seconds = {"wall": time.perf_counter() - wall, "cpu": time.process_time() - cpu}
-        return score_rig(session, result, seconds)
+        return in_fresh_process(score_rig, session, result, seconds)
     except Exception as error:  # an error on one rig must not lose the hours of the others
         return {"rig": rig.name, "truth": rig.describe(), "failed": "".join(traceback.format_exception(error))}
 

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from hframe_gym.identification import identify, simulate_recording, write_result
-from hframe_gym.recordings import load_machine
+from hframe_gym.recordings import Recording, load_machine
+from tests.reference_simulator import Array
 from tests.rigs.cases import Case, cases, effect
+from tests.rigs.fresh_process import in_fresh_process
 from tests.rigs.recording_sessions import record
 
 pytestmark = pytest.mark.slow
@@ -28,6 +30,12 @@ TILT_AND_RANGE = Case(
 )
 
 
+def simulation_errors(file: Path, recordings: list[Recording]) -> list[Array]:
+    """Return the errors of a written machine on some runs."""
+    machine = load_machine(file)
+    return [simulate_recording(machine, recording).error for recording in recordings]
+
+
 @pytest.mark.parametrize("name", [*LIBRARY, TILT_AND_RANGE.name])
 def test_simulate_reproduces_the_errors_of_the_report(name: str, tmp_path: Path) -> None:
     case = cases().get(name, TILT_AND_RANGE)
@@ -37,11 +45,11 @@ def test_simulate_reproduces_the_errors_of_the_report(name: str, tmp_path: Path)
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     curves = np.load(tmp_path / "out" / "evidence.npz")
     for stage, file in (("declared", "declared.json"), ("before", "before.json"), ("after", "machine.json")):
-        machine = load_machine(tmp_path / "out" / file)
-        errors = {run: simulate_recording(machine, recordings[run]).error for run in report["runs"]["held_out"]}
-        for run, error in errors.items():
+        machine, held_out = load_machine(tmp_path / "out" / file), report["runs"]["held_out"]
+        errors = in_fresh_process(simulation_errors, tmp_path / "out" / file, [recordings[run] for run in held_out])
+        for run, error in zip(held_out, errors, strict=True):
             reported = np.sqrt(np.nanmean(curves[f"{run}/{stage}"] ** 2, axis=0))
             np.testing.assert_allclose(np.sqrt(np.nanmean(error**2, axis=0)), reported, rtol=0.05)
-        complete = np.sqrt(np.nanmean(np.concatenate(list(errors.values())) ** 2, axis=0))
+        complete = np.sqrt(np.nanmean(np.concatenate(errors) ** 2, axis=0))
         stated = [report[stage]["held_out"][channel]["rmse"] for channel in machine.output_channels]
         np.testing.assert_allclose(complete, stated, rtol=0.05)
