@@ -49,16 +49,38 @@ def _as_crossq(recipe: Recipe) -> Recipe:
     return replace(_without("algorithm", "tau")(recipe), kind="crossq")
 
 
+def _outputs_are_voltages(recipe: Recipe) -> Recipe:
+    """Return the recipe of SAC without the parts of `apg_mix`, with settings that were chosen for it.
+
+    The policy's outputs are the two voltages, scaled by the distance to the goal; nothing is held, nothing estimated.
+    """
+    changed = _with("env", num_envs=32)(replace(recipe, steps=160_000, actuation={"least": 0.06}, features={}))
+    return _with(
+        "algorithm",
+        learning_rate=[1e-3, 5e-5],
+        buffer_size=160_000,
+        learning_starts=3_000,
+        gradient_steps=4,
+        target_entropy=-2.0,
+    )(changed)
+
+
+def _voltages_of_crossq(recipe: Recipe) -> Recipe:
+    """Return the recipe of SAC for CrossQ, without the parts of `apg_mix`."""
+    return _as_crossq(_outputs_are_voltages(recipe))
+
+
 def _many_environments(recipe: Recipe) -> Recipe:
-    """Return a recipe of SAC for CrossQ with the same number of updates, each from twice as many new steps."""
-    changed = _with("algorithm", gradient_steps=8, batch_size=512, learning_starts=12_000, buffer_size=320_000)(recipe)
-    return replace(_as_crossq(_with("env", num_envs=128)(changed)), steps=320_000)
+    """Return the same recipe with the same number of updates, each from twice as many new steps."""
+    changed = _with("algorithm", gradient_steps=8, batch_size=512, learning_starts=12_000, buffer_size=320_000)
+    return replace(_with("env", num_envs=128)(changed(_voltages_of_crossq(recipe))), steps=320_000)
 
 
 def _parts_of_apg(recipe: Recipe) -> Recipe:
-    """Return a recipe of SAC for CrossQ, with the actuation and features of the recipe `apg`."""
+    """Return the recipe of SAC for CrossQ, with the actuation and features of the recipe `apg`."""
     other = load_recipe("apg", "reach")
-    return replace(_as_crossq(recipe), actuation=other.actuation, features=other.features, steps=120_000)
+    changed = _voltages_of_crossq(recipe)
+    return replace(changed, actuation=other.actuation, features=other.features, steps=120_000)
 
 
 VARIANTS: dict[str, tuple[str, Callable[[Recipe], Recipe]]] = {
@@ -72,13 +94,13 @@ VARIANTS: dict[str, tuple[str, Callable[[Recipe], Recipe]]] = {
     "PPO": ("ppo", lambda recipe: recipe),
 }
 OFF_POLICY: dict[str, tuple[str, Callable[[Recipe], Recipe]]] = {
-    "SAC": ("sac", lambda recipe: recipe),
-    "TQC, settings of SAC": ("sac", lambda recipe: replace(recipe, kind="tqc")),
-    "CrossQ, settings of SAC": ("sac", _as_crossq),
-    "CrossQ, 128 environments, batches of 512": ("sac", _many_environments),
+    "SAC, outputs are voltages": ("sac", _outputs_are_voltages),
+    "TQC, outputs are voltages": ("sac", lambda recipe: replace(_outputs_are_voltages(recipe), kind="tqc")),
+    "CrossQ, outputs are voltages": ("sac", _voltages_of_crossq),
+    "CrossQ, outputs are voltages, 128 environments, batches of 512": ("sac", _many_environments),
     "CrossQ, estimates and held action of apg": ("sac", _parts_of_apg),
     "CrossQ, 120000 steps": ("crossq", lambda recipe: replace(recipe, steps=120_000)),
-    "SAC, settings of TQC": ("tqc", lambda recipe: replace(recipe, kind="sac")),
+    "SAC": ("sac", lambda recipe: recipe),
     "TQC": ("tqc", lambda recipe: recipe),
     "CrossQ": ("crossq", lambda recipe: recipe),
 }

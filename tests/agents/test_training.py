@@ -120,7 +120,7 @@ class _Killed(BaseException):
     ("algorithm", "steps"),
     [
         ("ppo", 14_000),
-        ("sac", 6_400),
+        ("sac", 12_800),
         ("crossq", 6_400),
         pytest.param("tqc", 6_400, marks=pytest.mark.slow),
         pytest.param("sac_her", 6_400, marks=pytest.mark.slow),
