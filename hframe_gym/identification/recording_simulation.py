@@ -19,6 +19,7 @@ from ..recordings import Recording, fill_gaps, only_measurements
 from .criteria import SelectionCriteria
 from .dataset import Dataset, PreparedRecording, with_encoder_zeros
 from .encoder_zeros import EncoderZeros
+from .initial_rest import count_resting_rows, without_moving_start
 from .initial_state import measured_initial_state, model_initial_state
 from .inverse_dynamics import force_error
 from .prediction import POLISH_STEP, map_runs
@@ -26,7 +27,6 @@ from .residual import errors_by_channel, simulation_error
 from .rest_measurement import (
     InitialState,
     behind_belts,
-    count_resting_rows,
     max_zero_means,
     sensor_zero_error,
 )
@@ -62,7 +62,8 @@ def simulate_recording(machine: Machine, recording: Recording) -> SimulatedRecor
     """Simulate a machine over a recording and compare it with the measurements.
 
     The simulation starts from the most probable state, see `initial_state_of_recording`, and uses no feedback of the
-    measurements. Samples that the logger dropped are filled in before the simulation. Outliers are ignored.
+    measurements. Samples that the logger dropped are filled in before the simulation. Outliers are ignored, and so is
+    motion that precedes the rest at the beginning of the run.
 
     Args:
         machine: Machine, declared or identified.
@@ -75,7 +76,7 @@ def simulate_recording(machine: Machine, recording: Recording) -> SimulatedRecor
     Raises:
         NotFiniteError: If the motion diverges.
     """
-    cleaned = fill_gaps(only_measurements(recording, machine))
+    cleaned = _cleaned(recording, machine)
     initial = _initial_state(machine, cleaned)
     motion = simulate(
         machine, cleaned.time_s, cleaned.inputs, initial.start(machine), offset=initial.offset, longest_step=POLISH_STEP
@@ -111,12 +112,17 @@ def initial_state_of_recording(machine: Machine, recording: Recording) -> Initia
         simulation diverges, the zeros are those of the measurements at rest. `warnings` lists what could not be
         determined.
     """
-    return _initial_state(machine, fill_gaps(only_measurements(recording, machine)))
+    return _initial_state(machine, _cleaned(recording, machine))
+
+
+def _cleaned(recording: Recording, machine: Machine) -> Recording:
+    """Return a recording without outliers, gaps, and measurements before the machine came to rest."""
+    return fill_gaps(without_moving_start(only_measurements(recording, machine), machine))
 
 
 def _initial_state(machine: Machine, recording: Recording) -> InitialState:
     """Return the initial state of a recording without gaps and outliers."""
-    rows = count_resting_rows(recording)
+    rows = count_resting_rows(recording, machine)
     channels = recording.outputs.T
     quanta = np.array([sensor_quantum([c], s.resolution) for c, s in zip(channels, machine.sensors, strict=True)])
     noise = np.array(
@@ -127,7 +133,7 @@ def _initial_state(machine: Machine, recording: Recording) -> InitialState:
     refined = bool(machine.effects) and bool(initial.offset_known.any())
     initial = dataclasses.replace(initial, zeros_refined=refined)
     state = model_initial_state(machine, initial)
-    max_means = max_zero_means(behind_belts(machine), quanta)
+    max_means = max_zero_means(behind_belts(machine), quanta, noise, rows)
     measured = np.isfinite(usable.outputs)
 
     def errors(states: Array, outputs: Array) -> Array:

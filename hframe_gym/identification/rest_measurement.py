@@ -1,9 +1,9 @@
 """Estimate from the measurements at rest the initial position of a run and the zero of every sensor.
 
-A recording begins at rest; the rows before the first input change measure the position there. The zero of a sensor is
-its measurement at position 0. Sensors with a fixed zero (called lasers here) determine the position of the tool. The
-angles of the pulleys follow from unstretched belts or from encoders whose zero is known. An unknown zero is the
-measurement at rest minus the reading that the model computes for the estimated state.
+A recording begins at rest; the rows before the first input change measure the position there (`initial_rest`). The
+zero of a sensor is its measurement at position 0. Sensors with a fixed zero (called lasers here) determine the position
+of the tool. The angles of the pulleys follow from unstretched belts or from encoders whose zero is known. An unknown
+zero is the measurement at rest minus the reading that the model computes for the estimated state.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from ..dynamics.effect_instances import instances_with_state
 from ..machine import Machine
 from ..recordings import Recording
 from .encoder_zeros import EncoderZeros
+from .initial_rest import count_resting_rows
 
 Array = NDArray[np.float64]
 # Weights of encoders that matter only where no laser measures: behind stretched belts, and with an unknown zero.
@@ -102,23 +103,6 @@ class InitialState:
         return self.state[: len(self.state) // 2]
 
 
-def count_resting_rows(recording: Recording) -> int:
-    """Count the rows at the beginning of a run in which the machine is at rest.
-
-    The row in which an input first changes is included, because its measurement still precedes the motion.
-
-    Args:
-        recording: The run (times, s; voltages, V; measurements, m or rad).
-
-    Returns:
-        Number of rows, at least 1; 1 if an input is not zero in the first row.
-    """
-    changes = np.flatnonzero(np.any(recording.inputs != recording.inputs[0], axis=1))
-    if np.any(recording.inputs[0]):
-        return 1  # The machine is driven from its first row on; only that row is certainly at rest.
-    return int(changes[0]) + 1 if len(changes) else len(recording.time_s)
-
-
 def settled_rows(resting_rows: int) -> slice:
     """Return the slice of the later half of the rows at rest, where a vibration from before the run has decayed.
 
@@ -146,7 +130,7 @@ def estimate_initial_state(recording: Recording, machine: Machine, zeros: Encode
     Returns:
         Positions at rest, m or rad, zeros of the sensors, shape (sensors,), and warnings about what is not measured.
     """
-    rows = count_resting_rows(recording)
+    rows = count_resting_rows(recording, machine)
     zeros = zeros or EncoderZeros.of_machine(machine).without(np.ones(len(machine.sensors), np.bool_))
     at_rest = recording.outputs[settled_rows(rows)]
     measured = np.asarray(np.isfinite(at_rest).any(axis=0))
@@ -285,24 +269,27 @@ def sensor_zero_error(error: Array, weights: Array, resting_rows: int, max_mean:
     return np.asarray((at_rest + np.clip(of_run - at_rest, -max_mean, max_mean))[:, None, :])
 
 
-def max_zero_means(behind: NDArray[np.bool_], quanta: Array) -> Array:
+def max_zero_means(behind: NDArray[np.bool_], quanta: Array, noise: Array, resting_rows: int) -> Array:
     """Return the limits up to which a mean prediction error counts as an error of each sensor's zero.
 
-    The zero is the measurement at position 0. The rows at rest determine it only to within the quantization; for an
-    encoder behind belts not at all, because friction holds an unknown stretch of the belts at rest. The limits are used
-    by `sensor_zero_error`.
+    The zero is the measurement at position 0. The rows at rest determine it only to within the quantization, a single
+    row only to within the noise; for an encoder behind belts they do not determine it at all, because friction holds an
+    unknown stretch of the belts at rest. The limits are used by `sensor_zero_error`.
 
     Args:
         behind: True for encoders behind belts, see `behind_belts`, shape (sensors,).
         quanta: Quantization steps of the sensors, in their units, 0 where there is none, shape (sensors,).
+        noise: Standard deviations of the sensors' noise, in their units, shape (sensors,).
+        resting_rows: Number of rows at rest at the beginning of the run, at least 1.
 
     Returns:
-        Limits, in the sensors' units, shape (sensors,): infinite behind belts, otherwise half a quantization step.
+        Limits, in the sensors' units, shape (sensors,): infinite behind belts, otherwise half a quantization step, and
+        at least two standard deviations of the noise if only one row is at rest.
     """
-    return np.where(behind, np.inf, quanta / 2)
+    return np.where(behind, np.inf, np.maximum(quanta / 2, 2.0 * noise if resting_rows == 1 else 0.0))
 
 
-def max_fitted_zero_means(behind: NDArray[np.bool_], quanta: Array, at_rest: NDArray[np.bool_]) -> Array:
+def max_fitted_zero_means(limits: Array, quanta: Array, at_rest: NDArray[np.bool_]) -> Array:
     """Return the limits up to which, in a fit, a mean prediction error counts as an error of each sensor's zero.
 
     They differ from those of `max_zero_means` for a sensor without quantization. It gives the initial position, and the
@@ -310,16 +297,16 @@ def max_fitted_zero_means(behind: NDArray[np.bool_], quanta: Array, at_rest: NDA
     over the run is the best estimate of this constant. If it remained in the residual, parameters would adapt to it.
 
     Args:
-        behind: True for encoders behind belts, see `behind_belts`, shape (sensors,).
+        limits: Limits by `max_zero_means`, in the sensors' units, shape (sensors,).
         quanta: Quantization steps of the sensors, in their units, 0 where there is none, shape (sensors,).
         at_rest: True for sensors that measured at rest, shape (sensors,). For all others the limits do not differ,
             because their later measurements determine the initial position.
 
     Returns:
-        Limits, in the sensors' units, shape (sensors,): infinite behind belts and for sensors without quantization that
-        measured at rest, otherwise half a quantization step.
+        Limits, in the sensors' units, shape (sensors,): infinite for sensors without quantization that measured at
+        rest, otherwise those given.
     """
-    return np.where((quanta == 0.0) & at_rest, np.inf, max_zero_means(behind, quanta))
+    return np.where((quanta == 0.0) & at_rest, np.inf, limits)
 
 
 def behind_belts(machine: Machine) -> NDArray[np.bool_]:

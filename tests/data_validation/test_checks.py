@@ -171,11 +171,54 @@ def test_the_quantum_of_an_encoder_is_not_lost_among_resting_runs(runs: list[Rec
 def test_a_run_that_does_not_begin_at_rest_is_advice(hframe: Machine) -> None:
     time = np.arange(1000) * 1e-3
     inputs = np.full((1000, 2), -3.0)
-    findings = check_recordings([Recording("push", time, inputs, hframe.simulate(time, inputs).outputs)], hframe)
-    assert any(f.run == "push" and f.message.startswith("begins with an input, so only") for f in findings)
+    outputs = hframe.simulate(time, inputs).outputs
+    moving = Recording("push", time[:800], inputs[200:], outputs[200:])
+    assert "push: begins in motion, but the initial velocity is taken as 0" in " ".join(
+        str(f) for f in check_recordings([moving], hframe)
+    )
     inputs[:20] = 0.0
     findings = check_recordings([Recording("push", time, inputs, hframe.simulate(time, inputs).outputs)], hframe)
     assert any(f.run == "push" and f.message.startswith("21 rows (20 ms) at rest before") for f in findings)
+
+
+def test_a_run_that_begins_with_an_input_but_without_motion_is_no_finding(
+    runs: list[Recording], hframe: Machine
+) -> None:
+    """A controller is active from the first row on; its user cannot do anything about that."""
+    closed_loop = [dataclasses.replace(run, inputs=run.inputs + 1e-3) for run in runs]
+    advice = [f.message for f in check_recordings(closed_loop, hframe) if f.severity == "advice"]
+    assert not [message for message in advice if "at rest" in message or "begins" in message]
+
+
+@pytest.mark.parametrize("dead", [1, 8])
+def test_motion_without_any_voltage_is_a_fault(dead: int, runs: list[Recording], hframe: Machine) -> None:
+    """The voltage column of some or of all runs is dead."""
+    without = [dataclasses.replace(run, inputs=0.0 * run.inputs) for run in runs[:dead]] + runs[dead:]
+    for findings in (check_recordings(without, hframe), check_before_fit(without, hframe)):
+        lines = faults(findings)
+        assert all("move while v1_V and v2_V are 0 throughout: the voltage was not logged" in line for line in lines)
+        assert len(lines) == dead
+        assert all("x_m" in line for line in lines)
+
+
+def test_motion_before_the_first_input_is_advice(runs: list[Recording], hframe: Machine) -> None:
+    late = 30  # rows of 1 ms
+    shifted = [dataclasses.replace(run, inputs=np.vstack([np.zeros((late, 2)), run.inputs[:-late]])) for run in runs]
+    findings = check_recordings(shifted, hframe)
+    assert faults(findings) == []
+    lines = [f.message for f in findings if "before the first input: is v1_V and v2_V logged late" in f.message]
+    assert len(lines) >= 2
+    assert any(f.channel == "x_m" and f.severity == "note" and f.message.startswith("noise") for f in findings)
+
+
+def test_a_machine_that_still_swings_when_a_run_begins_is_advice(runs: list[Recording], hframe: Machine) -> None:
+    rows = np.arange(len(runs[0].time_s))[:, None]
+    swing = 2e-3 * np.cos(2 * np.pi * rows / 40) * np.exp(-rows / 10) * hframe.sensor_matrix[:, :1].T
+    swinging = [dataclasses.replace(run, outputs=run.outputs + swing) for run in runs]
+    findings = check_recordings(swinging, hframe)
+    assert [f.run for f in findings if "still moves when the run begins" in f.message] == [run.name for run in runs]
+    [line] = [f.message for f in findings if f.channel == "x_m" and f.message.startswith("noise")]
+    assert float(line.split()[1]) < 30e-6
 
 
 def test_runs_whose_clock_restarts_are_noted(runs: list[Recording], hframe: Machine) -> None:
