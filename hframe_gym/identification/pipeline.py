@@ -98,7 +98,7 @@ def identify(
     unused += (_CONTRADICTION.format(outcome.contradiction),) if outcome.contradiction else ()
     unused += tuple(map(_HELD_OUT_CONTRADICTION.format, differing))
     result = _result(outcome, machine, ranges, validation, as_measured, criteria)
-    for warning in result.limit_warnings:
+    for warning in (*result.limit_warnings, *result.divergence_warnings):
         log(f"warning: {warning}")
     log(f"verdict: {result.verdict}")
     return dataclasses.replace(result, seconds=time.perf_counter() - began, excluded=(*unused, *excluded))

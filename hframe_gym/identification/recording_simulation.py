@@ -23,7 +23,7 @@ from .initial_rest import count_resting_rows, without_moving_start
 from .initial_state import measured_initial_state, model_initial_state
 from .inverse_dynamics import force_error
 from .prediction import POLISH_STEP, map_runs
-from .residual import errors_by_channel, simulation_error
+from .residual import ChannelError, errors_by_channel
 from .rest_measurement import (
     InitialState,
     behind_belts,
@@ -188,7 +188,8 @@ def evaluate_held_out(
 
     Returns:
         The machine with these zeros, its errors by channel, and its simulation errors (measured minus simulated), m or
-        rad, shape (n, sensors) for each run. If the motion of a run diverges, only finite errors are evaluated.
+        rad, shape (n, sensors) for each run. If the motion of a run diverges, `diverged` names it, its errors are NaN,
+        and no error is given for any channel.
 
     Raises:
         KeyError: If the recording of a run is missing.
@@ -197,19 +198,24 @@ def evaluate_held_out(
     refined = refine_starts(held_out, machine, fitted)
     measured = {recording.name: recording for recording in recordings}
 
-    def simulated(run: PreparedRecording) -> tuple[Array, tuple[str, ...]]:
-        """Return the errors at the rows of the prepared run (n, sensors), and the warnings about its start."""
+    def simulated(run: PreparedRecording) -> tuple[Array, tuple[str, ...], bool]:
+        """Return the errors at the rows of a run (n, sensors), warnings about its start, and whether it diverges."""
         recording = measured[run.name]
         try:
             simulation = simulate_recording(machine, recording)
         except NotFiniteError:
-            return simulation_error(machine, run, refined), run.initial.warnings
+            return np.full(run.outputs.shape, np.nan), run.initial.warnings, True
         error = np.full(run.outputs.shape, np.nan)  # rows that the preparation inserted in gaps stay NaN
         error[np.isin(run.time_s, recording.time_s)] = simulation.error
-        return error, simulation.initial.warnings
+        return error, simulation.initial.warnings, False
 
     results = list(map_runs(simulated, refined))
-    errors = {run.name: error for run, (error, _) in zip(refined.runs, results, strict=True)}
+    errors = {run.name: error for run, (error, *_) in zip(refined.runs, results, strict=True)}
+    diverged = tuple(run.name for run, (*_, infinite) in zip(refined.runs, results, strict=True) if infinite)
     channels = errors_by_channel(list(errors.values()), machine, held_out.noise)
-    warnings = tuple(warning for _, lines in results for warning in lines)
-    return ModelEvaluation(machine, PredictionErrors(channels, force_error(machine, refined)), errors, warnings)
+    if diverged:  # an error over the other runs would be compared with those of other machines over all runs
+        channels = dict.fromkeys(channels, ChannelError(None, None))
+    warnings = tuple(warning for _, lines, _ in results for warning in lines)
+    return ModelEvaluation(
+        machine, PredictionErrors(channels, force_error(machine, refined)), errors, warnings, diverged
+    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -97,7 +98,10 @@ def verdict_sentence(report: Mapping[str, Any], channels: Sequence[str]) -> str:
         stage: 100 * report[stage]["held_out"]["force_error"] if by_force else _noise_ratio(report, stage, channels)
         for stage in _STAGES
     }
-    before, after = number(errors["before"]), number(errors["after"])
+    before, after = (
+        number(errors[stage]) if math.isfinite(errors[stage]) else "infinitely many (its simulation diverges)"
+        for stage in ("before", "after")
+    )
     if errors["declared"] < _CLEARLY_BETTER * errors["before"]:  # The refit minimizes short predictions.
         before += f" (with the declared parameters: {number(errors['declared'])})"
     if report["verdict"] == "effect_found":
@@ -106,12 +110,12 @@ def verdict_sentence(report: Mapping[str, Any], channels: Sequence[str]) -> str:
         subject, pronoun = ("an effect", "it") if single else (f"{len(report['effects'])} effects", "them")
         return (
             f"The machine has {subject} that its model lacks: {names}. With {pronoun}, the error on the held-out runs "
-            f"falls from {before} to {after} {unit}." + ("" if by_force else _remainder(report))
+            f"falls from {before} to {after} {unit}.{_remainder(report)}"
         )
     if report["verdict"] == "no_effect":
         return (
             "No effect is missing: with refitted parameters, the error of the declared model on the held-out runs is "
-            f"{before} {unit}." + ("" if by_force else _remainder(report))
+            f"{before} {unit}.{_remainder(report)}"
         )
     return (
         f"The error of the refitted model on the held-out runs is {before} {unit}, and no known effect "
@@ -152,7 +156,10 @@ def _tiles(report: Mapping[str, Any], channels: Sequence[str]) -> list[dict[str,
         if by_force:
             value, note = f"{number(100 * errors['force_error'])} %", "of the drives' force"
         else:
-            value, note = f"{number(_noise_ratio(report, stage, channels))} × noise", _largest_position_error(errors)
+            ratio = _noise_ratio(report, stage, channels)
+            value, note = f"{number(ratio)} × noise", _largest_position_error(errors)
+            if not math.isfinite(ratio):
+                value, note = "none", "the simulation diverges"
         tiles.append({"name": name, "value": value, "note": note})
     if report["effects"] and report.get("explained") is not None:
         note = "of the squared error beyond the noise"
@@ -179,10 +186,12 @@ def _channel_row(report: Mapping[str, Any], channel: str) -> dict[str, Any]:
     """Return the errors of one channel for each machine, in one readable unit and in multiples of the noise."""
     row: dict[str, Any] = {"name": channel}
     factor, unit = readable_unit(channel, report["before"]["held_out"][channel]["rmse"] or 0.0)
+    measured = any(report[stage]["held_out"][channel]["rmse"] is not None for stage in _STAGES)
+    absent = "diverges" if measured else "not measured"
     for stage in _STAGES:
         rmse, ratio = (report[stage]["held_out"][channel][key] for key in ("rmse", "noise_ratio"))
         row[stage] = {
-            "size": "not measured" if rmse is None else f"{number(factor * rmse)} {unit}",
+            "size": absent if rmse is None else f"{number(factor * rmse)} {unit}",
             "ratio": "" if ratio is None else f"{number(ratio)} × noise",
         }
     return row
@@ -302,10 +311,10 @@ def _next_steps(saved: SavedResult, folder: Path) -> list[dict[str, str]]:
         steps.append({"text": text, "command": f"hframe effects new NAME --from {folder}"})
     if report["verdict"] == "unexplained":
         text = (
-            "Check wiring, units and clock of the recordings, and record slow and fast motion over the full travel; "
-            "then look for a physical cause of the dependence in the section Residual force."
+            "Look for a physical cause of the dependence in the section Residual force. Record runs that isolate it, "
+            "slow and fast, of one axis at a time and over the full travel, and identify again with them."
         )
-        return [*steps, {"text": text, "command": next_command(report["verdict"], saved.machine, folder)}]
+        return [*steps, {"text": text, "command": f"hframe identify RUNS --out {folder}"}]
     which = "corrected" if report["effects"] else "refitted"
     text = f'Design and compare controllers on the {which} machine; in Python: gym.make("HFrame-v0", machine=...).'
     return [*steps, {"text": text, "command": next_command(report["verdict"], saved.machine, folder)}]

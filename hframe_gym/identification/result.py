@@ -76,12 +76,14 @@ class ModelEvaluation:
         errors: Simulation errors by name of the held-out run, in the sensors' units, NaN where not measured, shape
             (n, sensors) each.
         warnings: What could not be determined about the initial states of these runs, one sentence each.
+        diverged: Names of the held-out runs on which the simulation diverges; then `held_out` has no channel errors.
     """
 
     machine: Machine
     held_out: PredictionErrors
     errors: Mapping[str, Array] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    diverged: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -169,7 +171,12 @@ class IdentificationResult:
 
     @property
     def explained(self) -> float:
-        """Fraction (at most 1) of the squared error beyond noise, on held-out runs, that all the effects remove."""
+        """Fraction (at most 1) of the squared error beyond noise, on held-out runs, that all the effects remove.
+
+        It is NaN if the simulation of the refitted machine diverges.
+        """
+        if self.before.diverged:
+            return float("nan")
         before, after = (max(e.held_out.noise_ratio**2 - 1.0, 0.0) for e in (self.before, self.after))
         return 1.0 - after / before if self.effects and before > 0.0 else 0.0
 
@@ -183,6 +190,19 @@ class IdentificationResult:
         """Masses, belt stiffnesses and torque constants at the limit of the fit, one sentence each."""
         machine = self.after.machine if self.effects else self.before.machine
         return tuple(parameters_at_limit(machine, self.declared.machine).values())
+
+    @property
+    def divergence_warnings(self) -> tuple[str, ...]:
+        """Machines whose simulation diverges on a held-out run, one sentence each."""
+        stages = {"declared": self.declared, "refitted": self.before, "corrected": self.after}
+        return tuple(
+            f"The simulation of the {stage} machine diverges on {', '.join(evaluation.diverged)}, where it is not "
+            "corrected by measurements, so it has no error. If the real machine stayed within its travel there, the "
+            "drives got less than the recorded voltage (limit of the amplifier, emergency stop, wrong scale of the "
+            "column), or masses or belts are declared wrong."
+            for stage, evaluation in stages.items()
+            if evaluation.diverged
+        )
 
     @property
     def initial_state_warnings(self) -> tuple[str, ...]:
@@ -266,7 +286,7 @@ def write_result(
     """
     arrays: dict[str, Any] = {name: values.astype(np.float32) for name, values in plot_data(result).items()}
     proposed = [comparison.as_json() for comparison in formulas]
-    warnings = [*warnings, *result.limit_warnings, *result.initial_state_warnings]
+    warnings = [*warnings, *result.limit_warnings, *result.divergence_warnings, *result.initial_state_warnings]
     report = result.as_json() | {"warnings": warnings, "proposed_formulas": proposed}
     with output_batch(folder):
         save_machine(result.declared.machine, folder / "declared.json")
