@@ -50,7 +50,7 @@ def force_error(machine: Machine, data: Dataset) -> float | None:
     squared_error, squared_force = 0.0, 0.0  # sums over runs, drives and samples
     for run in data.runs:
         measured = run.outputs[:, [direct[name] for name in machine.coordinate_names]]
-        complete = np.isfinite(measured).all(axis=1)
+        complete = np.asarray(np.isfinite(measured).all(axis=1))
         first = int(np.argmax(complete))  # a run that began in motion lacks the measurements before its rest
         if not complete[first:].all():
             continue

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
 from hframe_gym.data_validation import check_before_fit, check_recordings
 from hframe_gym.machine import Machine
-from hframe_gym.recordings import Recording
+from hframe_gym.recordings import Recording, load_machine
 from tests.data_validation.planted_mistakes import PHI1, X, Y, faults, measure, with_column
 
 
@@ -39,6 +40,50 @@ def test_an_encoder_that_keeps_its_value_is_stuck(runs: list[Recording], hframe:
     [warning] = check_before_fit([with_column(runs[1:2], PHI1, stick)[0]], hframe)
     assert warning.channel == "phi1_rad"
     assert "stuck" in warning.message
+
+
+def axis_runs(outputs_of: Callable[[np.ndarray, np.random.Generator], np.ndarray]) -> list[Recording]:
+    """Return three runs of an axis at 1 kHz that is pushed back and forth from 0.2 s on."""
+    axis, time = load_machine("axis"), np.arange(2000) * 1e-3
+    volts = (6.0 * np.sign(np.sin(4 * np.pi * (time - 0.2))) * (time >= 0.2))[:, None]
+    motion = axis.simulate(time, volts).outputs
+    rng = np.random.default_rng(4)
+    return [Recording(f"run_{k}", 3.0 * k + time, volts, outputs_of(motion.copy(), rng)) for k in range(3)]
+
+
+def noisy(motion: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return a laser's measurements."""
+    return motion + rng.normal(0.0, 20e-6, motion.shape)
+
+
+def test_the_only_sensor_that_loses_its_noise_is_stuck() -> None:
+    """Nothing else shows that it should move, but no sensor at rest is without noise."""
+    axis, runs = load_machine("axis"), axis_runs(noisy)
+    assert faults(check_before_fit(runs, axis)) == []
+    runs[1].outputs[1400:] = runs[1].outputs[1400]
+    [line] = faults(check_before_fit(runs, axis))
+    assert "run_1, x_m: for 0.599 s, without the noise that it has at rest, it stays at" in line
+
+
+@pytest.mark.parametrize("rest", [0, 1])
+def test_a_sensor_without_noise_that_rests_is_not_stuck(rest: int) -> None:
+    """Measurements in steps, or of a simulation, are equal at rest."""
+    axis = load_machine("axis")
+    runs = axis_runs(lambda motion, rng: np.rint(motion / 1e-4) * 1e-4 if rest else motion)
+    still = [dataclasses.replace(r, inputs=r.inputs.copy(), outputs=r.outputs.copy()) for r in runs]
+    for run in still:
+        run.inputs[1000:], run.outputs[1000:] = 0.0, run.outputs[1000]
+    assert [f for f in check_before_fit(still, axis) if "it stays at" in f.message] == []
+
+
+def test_an_encoder_that_keeps_its_value_while_its_drive_pushes_both_ways_is_suspect() -> None:
+    axis = load_machine("axis")
+    runs = axis_runs(lambda motion, rng: np.rint(motion / 1e-4) * 1e-4)
+    runs[2].outputs[800:] = runs[2].outputs[800]
+    lines = [f for f in check_before_fit(runs, axis) if "it stays at" in f.message]
+    assert [(f.severity, f.run) for f in lines] == [("advice", "run_2")]
+    assert "while its drive pushes in both directions" in lines[0].message
+    assert "is the sensor stuck, or was the drive off?" in lines[0].message
 
 
 @pytest.mark.parametrize("lasers", [True, False])
