@@ -254,8 +254,14 @@ def cramer_rao_bounds(data: Dataset, machine: Machine, names: Sequence[str] = ()
     References:
         Ljung, System Identification (1999), section 7.4.
     """
+    names = names or [f.name for f in default_free_parameters(machine)]
+    return _joint_bounds(*_relative_information(data, machine, names))
+
+
+def _relative_information(data: Dataset, machine: Machine, names: Sequence[str]) -> tuple[list[str], Array]:
+    """Return the parameters that are not zero, and the information matrix (k, k) of their relative changes."""
     # Derivatives are with respect to relative changes of the parameters, which do not exist for a value of zero.
-    names = [n for n in (names or [f.name for f in default_free_parameters(machine)]) if machine.parameters[n] != 0.0]
+    names = [name for name in names if machine.parameters[name] != 0.0]
     data = dataclasses.replace(data, runs=tuple(_first_rows(run, _MAX_ROWS) for run in data.runs))
     forward, backward = (_residual_model(data, machine, names, direction) for direction in (1.0, -1.0))
     at_declared = np.zeros(len(names))
@@ -266,33 +272,63 @@ def cramer_rao_bounds(data: Dataset, machine: Machine, names: Sequence[str] = ()
         opposite = backward.linearize_run(run, at_declared)  # derivatives with respect to decreases
         return NormalEquations.from_rows((rows.jacobian - opposite.jacobian) / 2, rows.residual)
 
-    return _joint_bounds(names, NormalEquations.total(map_runs(normal_equations, data)).information)
+    return names, NormalEquations.total(map_runs(normal_equations, data)).information
 
 
 def check_parameters(data: Dataset, machine: Machine) -> list[Finding]:
     """Report how precisely the recordings can determine each parameter that identification refits.
 
-    The precision is the Cramer-Rao bound: the smallest standard deviation of any unbiased estimate.
+    The precision is the Cramer-Rao bound: the smallest standard deviation of any unbiased estimate. Viscous friction
+    and back-EMF of a motor brake its motion alike; where nothing separates them, the precision of their sum is given.
 
     Args:
         data: Runs prepared by `identification.prepare` (times, voltages, measurements, SI), in which the machine moves.
         machine: Declared machine.
 
     Returns:
-        One finding (severity, channel, message) per parameter: advice if it has no influence or its relative standard
-        deviation is at least 10 %, otherwise a note.
+        One finding (severity, channel, message) per parameter or sum: advice if it has no influence or its relative
+        standard deviation is at least 10 %, otherwise a note.
     """
+    names, information = _relative_information(data, machine, [f.name for f in default_free_parameters(machine)])
+    bounds = _joint_bounds(names, information)
+    sums = _inseparable_damping(bounds, machine)
+    rows = [i for i, name in enumerate(names) if name not in sums]
+    alone = _joint_bounds([names[i] for i in rows], information[np.ix_(rows, rows)])
+    damping = {bound.name: bound.relative_std for bound in alone}  # with a known back-EMF constant
     findings = []
-    for bound in cramer_rao_bounds(data, machine):
+    for ke, (viscous, fraction) in sums.items():
+        relative_std = damping.pop(viscous) * fraction
+        message = (
+            f"only their sum can be determined, with a standard error of at least {100 * relative_std:.2g} %: viscous "
+            "friction and back-EMF brake the motor alike. Neither is needed alone"
+        )
+        severity: Severity = "advice" if relative_std > _LARGE_STD else "note"
+        findings.append(Finding(severity, "", f"{viscous} and {ke}", message))
+    for bound in bounds:
+        if bound.name not in damping:
+            continue
         if not np.isfinite(bound.relative_std):
             findings.append(Finding("advice", "", bound.name, "has no influence on these runs"))
             continue
         message = f"standard error at least {100 * bound.relative_std:.2g} %"
         if abs(bound.correlation) > _INSEPARABLE:
             message += f"; cannot be separated from {bound.partner} (correlation {bound.correlation:+.3f})"
-        severity: Severity = "advice" if bound.relative_std > _LARGE_STD else "note"
+        severity = "advice" if bound.relative_std > _LARGE_STD else "note"
         findings.append(Finding(severity, "", bound.name, message))
     return findings
+
+
+def _inseparable_damping(bounds: Sequence[CramerRaoBound], machine: Machine) -> dict[str, tuple[str, float]]:
+    """Return back-EMF constants that nothing separates from a viscous friction, its name, and its part of their sum."""
+    correlated = {(b.name, b.partner) for b in bounds if b.correlation < -_INSEPARABLE}
+    sums = {}
+    for drive in machine.drives:
+        viscous, ke = f"{drive.coordinate}.viscous", f"{drive.name}.Ke"
+        if correlated & {(viscous, ke), (ke, viscous)}:
+            back_emf = drive.gain * drive.Ke * drive.gear_ratio  # N s/m or Nm s/rad
+            friction = machine.parameters[viscous]
+            sums[ke] = (viscous, friction / (friction + back_emf))
+    return sums
 
 
 def _first_rows(run: PreparedRecording, count: int) -> PreparedRecording:

@@ -20,6 +20,7 @@ from hframe_gym.identification.residual import ChannelError, Dependence
 from hframe_gym.identification.result import PredictionErrors, Verdict
 from hframe_gym.identification.saved_result import next_command
 from hframe_gym.machine import Machine, Uncertainty
+from hframe_gym.web_page import Panel, save_panels
 from tests.identification.axis_results import AXIS, axis_result, axis_runs
 
 pytestmark = pytest.mark.unit
@@ -207,3 +208,14 @@ def test_what_is_left_is_stated_also_if_errors_are_those_of_the_force(verdict: s
 def test_after_an_unexplained_error_comes_the_report_and_not_the_check_that_has_passed() -> None:
     assert next_command("unexplained", AXIS, Path("out/rig")) == "hframe report out/rig --open"
     assert next_command("no_effect", AXIS, Path("out/rig")).startswith("hframe evaluate pid --machine out/rig/machine")
+
+
+def test_titles_in_picture_files_are_not_cut_off(tmp_path: Path) -> None:
+    panel = Panel(
+        "Force that the model lacks on carriage_x, against velocity of carriage_x", "", lambda axes: None, 2.8
+    )
+    save_panels([panel], tmp_path / "plot.svg")
+    texts = re.findall(r"<text[^>]*>([^<]*)</text>|<tspan[^>]*>([^<]*)</tspan>", (tmp_path / "plot.svg").read_text())
+    title = [line for pair in texts for line in pair if re.search("[a-z]{2}", line)]
+    assert " ".join(title) == panel.title
+    assert max(map(len, title)) <= 44
