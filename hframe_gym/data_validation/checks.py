@@ -11,8 +11,9 @@ from ..identification import Dataset, prepare
 from ..identification.initial_rest import InitialRest, initial_rest, without_moving_start
 from ..machine import Machine
 from ..recordings import Recording, only_measurements, without_repetitions
-from .excitation import check_excitation, check_parameters, constant_inputs
+from .excitation import check_excitation, constant_inputs
 from .findings import Finding, Severity
+from .identifiability import check_parameters
 from .sampling import check_sampling, overlapping_clocks, sampling_rate, slow_sensors, times_in_milliseconds
 from .stuck_outputs import stuck_outputs
 from .wiring import check_wiring
@@ -25,6 +26,7 @@ _MOVES = 0.1  # fraction of a channel's span in all runs; a run without input th
 _START_S, _START_SPEED = 0.02, 0.1  # s, and fraction of the top speed; a run that begins faster begins in motion
 _NOISE_SPAN = 8.0  # peak-to-peak noise in standard deviations
 _MIN_RESTING_ROWS = 30  # rows of all runs; with fewer, noise is estimated from rows in motion
+_ROUNDED = 1.01  # times the rounding error; a sensor with less noise has none beside it
 _MORE_NOISE = 3.0  # ratio of measured to declared noise above which the noise is reported as advice
 
 
@@ -204,7 +206,8 @@ def _sensor_noise(data: Dataset, machine: Machine) -> list[Finding]:
         steps = f", steps of {quantum:.3g} {unit}" if quantum else ""
         declared = max(sensor.noise, sensor.resolution / np.sqrt(12))
         message = f"noise {noise:.3g} {unit}{steps} (declared: noise {sensor.noise:.3g}, steps {sensor.resolution:.3g})"
-        if not sensor.noise and sum(run.initial.resting_rows for run in data.runs) < _MIN_RESTING_ROWS:
+        rounded = noise <= _ROUNDED * quantum / np.sqrt(12)
+        if not sensor.noise and not rounded and sum(run.initial.resting_rows for run in data.runs) < _MIN_RESTING_ROWS:
             message += ", estimated during motion: too few rows are at rest"
         severity: Severity = "advice" if 0 < _MORE_NOISE * declared < noise else "note"
         findings.append(Finding(severity, "", sensor.channel, message))

@@ -59,7 +59,7 @@ def initial_rest(recording: Recording, machine: Machine) -> InitialRest:
         machine: Machine with the sensors.
 
     Returns:
-        Rows at rest, and the sensors that move before the first input.
+        Rows at rest (numbers), and the sensors that move before the first input (mask of shape (sensors,)).
     """
     rows = _rows_without_input(recording)
     rest = InitialRest(0, rows, rows, np.zeros(recording.outputs.shape[1], np.bool_))

@@ -222,9 +222,11 @@ def prediction_error(run: PreparedRecording, data: Dataset, measurements: Array,
     error: Array = run.outputs - measurements
     if not measured.all():
         error = np.where(measured, error, 0.0)
-    max_mean = max_zero_means(data.behind_belts, data.quantum, data.noise, run.initial.resting_rows)
-    if fitted:
-        max_mean = max_fitted_zero_means(max_mean, data.quantum, run.initial.measured_at_rest)
+    max_mean = (
+        max_fitted_zero_means(data.behind_belts, data.quantum, run.initial.measured_at_rest)
+        if fitted
+        else max_zero_means(data.behind_belts, data.quantum)
+    )
     error -= sensor_zero_error(error, run.weights if fitted else measured, run.initial.resting_rows, max_mean)
     return error
 

@@ -133,7 +133,7 @@ def _initial_state(machine: Machine, recording: Recording) -> InitialState:
     refined = bool(machine.effects) and bool(initial.offset_known.any())
     initial = dataclasses.replace(initial, zeros_refined=refined)
     state = model_initial_state(machine, initial)
-    max_means = max_zero_means(behind_belts(machine), quanta, noise, rows)
+    max_means = max_zero_means(behind_belts(machine), quanta)
     measured = np.isfinite(usable.outputs)
 
     def errors(states: Array, outputs: Array) -> Array:

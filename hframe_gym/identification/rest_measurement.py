@@ -25,6 +25,7 @@ from .initial_rest import count_resting_rows
 Array = NDArray[np.float64]
 # Weights of encoders that matter only where no laser measures: behind stretched belts, and with an unknown zero.
 _STRETCHED_WEIGHT, _FALLBACK_WEIGHT = 1e-3, 1e-6
+_FIRST_ROWS = 5  # rows from which a zero is estimated if only one row is at rest
 # m; typical stretch of the belts at full voltage or speed, and the part of it that a linear model leaves.
 _TYPICAL_STRETCH, _STRETCH_RESIDUAL = 0.3e-3, 0.1e-3
 
@@ -247,9 +248,9 @@ def _position_warning(
 def sensor_zero_error(error: Array, weights: Array, resting_rows: int, max_mean: Array) -> Array:
     """Estimate the errors of the sensors' zeros (measurements at position 0) from prediction errors over a run.
 
-    The estimate is the mean error over the later half of the rows at rest, plus the difference from there to the mean
-    error over the complete run, limited to +- `max_mean`. The limit is needed because a constant force may also cause a
-    mean error.
+    The estimate is the mean error over the later half of the rows at rest (over the first rows if only one is at rest),
+    plus the difference from there to the mean error over the complete run, limited to +- `max_mean`. The limit is
+    needed because a constant force may also cause a mean error.
 
     Args:
         error: Measured minus predicted values of a batch of predictions over n samples, in the sensors' units, 0 where
@@ -261,7 +262,8 @@ def sensor_zero_error(error: Array, weights: Array, resting_rows: int, max_mean:
     Returns:
         Errors of the zeros, in the sensors' units, shape (batch, 1, sensors), to be subtracted from `error`.
     """
-    rest = settled_rows(resting_rows)
+    # A single row has the noise of one measurement; in the next ones, the prediction hardly deviates yet.
+    rest = settled_rows(resting_rows) if resting_rows > 1 else slice(_FIRST_ROWS)
     at_rest, of_run = (
         (error[:, rows] * weights[rows]).sum(axis=1) / np.maximum(weights[rows].sum(axis=0), 1e-12)
         for rows in (rest, slice(None))
@@ -269,27 +271,24 @@ def sensor_zero_error(error: Array, weights: Array, resting_rows: int, max_mean:
     return np.asarray((at_rest + np.clip(of_run - at_rest, -max_mean, max_mean))[:, None, :])
 
 
-def max_zero_means(behind: NDArray[np.bool_], quanta: Array, noise: Array, resting_rows: int) -> Array:
+def max_zero_means(behind: NDArray[np.bool_], quanta: Array) -> Array:
     """Return the limits up to which a mean prediction error counts as an error of each sensor's zero.
 
-    The zero is the measurement at position 0. The rows at rest determine it only to within the quantization, a single
-    row only to within the noise; for an encoder behind belts they do not determine it at all, because friction holds an
-    unknown stretch of the belts at rest. The limits are used by `sensor_zero_error`.
+    The zero is the measurement at position 0. The rows at rest determine it only to within the quantization; for an
+    encoder behind belts not at all, because friction holds an unknown stretch of the belts at rest. The limits are used
+    by `sensor_zero_error`.
 
     Args:
         behind: True for encoders behind belts, see `behind_belts`, shape (sensors,).
         quanta: Quantization steps of the sensors, in their units, 0 where there is none, shape (sensors,).
-        noise: Standard deviations of the sensors' noise, in their units, shape (sensors,).
-        resting_rows: Number of rows at rest at the beginning of the run, at least 1.
 
     Returns:
-        Limits, in the sensors' units, shape (sensors,): infinite behind belts, otherwise half a quantization step, and
-        at least two standard deviations of the noise if only one row is at rest.
+        Limits, in the sensors' units, shape (sensors,): infinite behind belts, otherwise half a quantization step.
     """
-    return np.where(behind, np.inf, np.maximum(quanta / 2, 2.0 * noise if resting_rows == 1 else 0.0))
+    return np.where(behind, np.inf, quanta / 2)
 
 
-def max_fitted_zero_means(limits: Array, quanta: Array, at_rest: NDArray[np.bool_]) -> Array:
+def max_fitted_zero_means(behind: NDArray[np.bool_], quanta: Array, at_rest: NDArray[np.bool_]) -> Array:
     """Return the limits up to which, in a fit, a mean prediction error counts as an error of each sensor's zero.
 
     They differ from those of `max_zero_means` for a sensor without quantization. It gives the initial position, and the
@@ -297,16 +296,16 @@ def max_fitted_zero_means(limits: Array, quanta: Array, at_rest: NDArray[np.bool
     over the run is the best estimate of this constant. If it remained in the residual, parameters would adapt to it.
 
     Args:
-        limits: Limits by `max_zero_means`, in the sensors' units, shape (sensors,).
+        behind: True for encoders behind belts, see `behind_belts`, shape (sensors,).
         quanta: Quantization steps of the sensors, in their units, 0 where there is none, shape (sensors,).
         at_rest: True for sensors that measured at rest, shape (sensors,). For all others the limits do not differ,
             because their later measurements determine the initial position.
 
     Returns:
-        Limits, in the sensors' units, shape (sensors,): infinite for sensors without quantization that measured at
-        rest, otherwise those given.
+        Limits, in the sensors' units, shape (sensors,): infinite behind belts and for sensors without quantization that
+        measured at rest, otherwise half a quantization step.
     """
-    return np.where((quanta == 0.0) & at_rest, np.inf, limits)
+    return np.where((quanta == 0.0) & at_rest, np.inf, max_zero_means(behind, quanta))
 
 
 def behind_belts(machine: Machine) -> NDArray[np.bool_]:

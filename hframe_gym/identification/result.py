@@ -171,14 +171,9 @@ class IdentificationResult:
 
     @property
     def explained(self) -> float:
-        """Fraction (at most 1) of the squared error beyond noise, on held-out runs, that all the effects remove.
-
-        It is NaN if the simulation of the refitted machine diverges.
-        """
-        if self.before.diverged:
-            return float("nan")
+        """Fraction (at most 1) of the squared error beyond noise, on held-out runs, that all the effects remove."""
         before, after = (max(e.held_out.noise_ratio**2 - 1.0, 0.0) for e in (self.before, self.after))
-        return 1.0 - after / before if self.effects and before > 0.0 else 0.0
+        return 0.0 if not self.effects or before <= 0.0 else 1.0 - after / before  # NaN if one diverges
 
     @property
     def left(self) -> float:
@@ -194,15 +189,12 @@ class IdentificationResult:
     @property
     def divergence_warnings(self) -> tuple[str, ...]:
         """Machines whose simulation diverges on a held-out run, one sentence each."""
-        stages = {"declared": self.declared, "refitted": self.before, "corrected": self.after}
-        return tuple(
-            f"The simulation of the {stage} machine diverges on {', '.join(evaluation.diverged)}, where it is not "
-            "corrected by measurements, so it has no error. If the real machine stayed within its travel there, the "
-            "drives got less than the recorded voltage (limit of the amplifier, emergency stop, wrong scale of the "
-            "column), or masses or belts are declared wrong."
-            for stage, evaluation in stages.items()
-            if evaluation.diverged
+        models = (("declared", self.declared), ("refitted", self.before), ("corrected", self.after))
+        cause = (
+            "less than the recorded voltage acts (amplifier limit, emergency stop, wrong scale), or masses are wrong"
         )
+        text = f"The simulation of the {{}} machine diverges on {{}}, so it has no error: {cause}."
+        return tuple(text.format(stage, ", ".join(model.diverged)) for stage, model in models if model.diverged)
 
     @property
     def initial_state_warnings(self) -> tuple[str, ...]:
@@ -285,9 +277,8 @@ def write_result(
         OSError: If a file cannot be written.
     """
     arrays: dict[str, Any] = {name: values.astype(np.float32) for name, values in plot_data(result).items()}
-    proposed = [comparison.as_json() for comparison in formulas]
     warnings = [*warnings, *result.limit_warnings, *result.divergence_warnings, *result.initial_state_warnings]
-    report = result.as_json() | {"warnings": warnings, "proposed_formulas": proposed}
+    report = result.as_json() | {"warnings": warnings, "proposed_formulas": [c.as_json() for c in formulas]}
     with output_batch(folder):
         save_machine(result.declared.machine, folder / "declared.json")
         save_machine(result.before.machine, folder / "before.json")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hframe_gym.data_validation import cramer_rao_bounds
-from hframe_gym.data_validation.excitation import check_parameters
+from hframe_gym.data_validation.identifiability import check_parameters
 from hframe_gym.identification import prepare
 from hframe_gym.machine import BUILTIN_MACHINES, Coordinate, Machine
 from hframe_gym.recordings import Recording

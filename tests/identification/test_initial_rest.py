@@ -7,7 +7,7 @@ import pytest
 
 from hframe_gym.identification import prepare, simulate_recording
 from hframe_gym.identification.initial_rest import count_resting_rows, initial_rest, without_moving_start
-from hframe_gym.identification.rest_measurement import max_zero_means
+from hframe_gym.identification.rest_measurement import sensor_zero_error
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import Recording, load_machine
 
@@ -93,7 +93,8 @@ def test_a_run_without_any_input_rests_until_it_moves(axis: Machine) -> None:
     assert REST - 20 < count_resting_rows(dead, axis) <= REST + 10
 
 
-def test_a_single_row_at_rest_gives_the_zero_to_within_its_noise() -> None:
-    behind, quanta, noise = np.array([True, False, False]), np.array([1.0, 1.0, 0.0]), np.array([0.3, 0.3, 0.1])
-    np.testing.assert_allclose(max_zero_means(behind, quanta, noise, 50), [np.inf, 0.5, 0.0])
-    np.testing.assert_allclose(max_zero_means(behind, quanta, noise, 1), [np.inf, 0.6, 0.2])
+def test_a_single_row_at_rest_does_not_add_its_noise_to_all_errors() -> None:
+    rng = np.random.default_rng(5)
+    error = rng.normal(0.0, 1.0, (400, 300, 1))
+    zero = sensor_zero_error(error, np.ones((300, 1)), 1, np.zeros(1))
+    assert zero.std() == pytest.approx(1.0 / np.sqrt(5.0), rel=0.15)
