@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import re
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,6 +18,7 @@ from .atomic_files import atomic_file, write_text
 
 MISSING_EXTRA = "reports need more packages: pip install 'hframe_gym[report]'"
 PANEL_WIDTH = 3.6  # in; 346 px, so that text keeps its size on a phone
+TITLE_CHARACTERS = 44  # of a line of a title in a picture file, as many as a panel is wide
 MAX_COLUMNS = 3  # panels beside each other in a picture file
 
 # Colors by role, for light and for dark displays. Every color has a contrast of at least 4.5 (text) or 3 (lines) to
@@ -181,7 +183,8 @@ def save_panels(panels: Sequence[Panel], path: Path) -> None:
         grid = figure.subplots(rows, columns, squeeze=False).ravel()
         for axes, panel in zip(grid, panels, strict=False):
             panel.draw(axes)
-            axes.set_title(panel.title, loc="left", pad=22 if axes.get_legend() else 6)
+            title = textwrap.fill(panel.title, TITLE_CHARACTERS)
+            axes.set_title(title, loc="left", pad=22 if axes.get_legend() else 6)
         for axes in grid[len(panels) :]:
             axes.set_visible(False)
         with atomic_file(path) as file:

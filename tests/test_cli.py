@@ -23,13 +23,14 @@ from rich.table import Table
 
 from hframe_gym.cli import control_commands
 from hframe_gym.cli import tables as cli_tables
+from hframe_gym.cli.support import log_time_estimate
 from hframe_gym.controllers import CONTROLLERS, ModelBasedController
 from hframe_gym.data_validation import Finding, print_findings
 from hframe_gym.effects import EFFECTS
 from hframe_gym.errors import InputError
 from hframe_gym.identification import simulate_recording
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
-from hframe_gym.recordings import load_recording, machine_to_dict
+from hframe_gym.recordings import Recording, load_recording, machine_to_dict
 
 pytestmark = pytest.mark.integration
 
@@ -562,3 +563,12 @@ def test_a_scorecard_of_one_axis_has_its_positions(hframe_command: Command, tmp_
         r"Path of the tool under pid, from -?\d+ mm to the goal at -?\d+ mm", (tmp_path / "scorecard.html").read_text()
     )
     assert "Next: hframe train ppo --machine axis --task reach" in out
+
+
+def test_the_estimate_of_the_duration_does_not_refuse_a_machine_that_diverges(hframe: Machine) -> None:
+    """Identification uses observers; a command that an amplifier clips need not move the simulated machine as real."""
+    time_s = np.arange(50) * 1e-3
+    wild = Recording("run_1", time_s, np.full((50, 2), 1e6), np.zeros((50, 4)))
+    lines: list[str] = []
+    log_time_estimate([wild], hframe, lines.append)
+    assert lines == []

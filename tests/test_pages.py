@@ -190,7 +190,8 @@ def test_the_report_of_an_unexplained_error_compares_declared_and_refitted(pages
     text = pages["unexplained"].read_text()
     assert "Unexplained error" in text
     assert "The force that the model lacks on x depends most on velocity of x" in text
-    assert "hframe check RUNS" in text
+    assert "Record runs that isolate it" in text
+    assert "hframe check" not in text
     assert "with effects" not in text
 
 

@@ -244,11 +244,12 @@ def log_time_estimate(recordings: Sequence[Recording], machine: Machine, log: Ca
         machine: Machine as declared.
         log: Called with a line of text.
     """
+    from ..dynamics import simulate_batch
 
     def simulate(rows: int | None) -> float:
         begin = time.perf_counter()
         for recording in recordings:
-            machine.simulate(recording.time_s[:rows], recording.inputs[:rows])
+            simulate_batch(machine, recording.time_s[:rows], recording.inputs[:rows])  # raises nothing if it diverges
         return time.perf_counter() - begin
 
     simulate(2)  # compiles

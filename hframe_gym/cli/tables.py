@@ -41,11 +41,12 @@ def identification_table(report: Mapping[str, Any], channels: Sequence[str]) -> 
         table.add_column(column, justify="right")  # a narrow terminal shows the multiple on a second line
     errors = [report[stage]["held_out"] for stage in ("declared", "before", "after")]
     for channel in channels:
-        if errors[0][channel]["rmse"] is None:
-            table.add_row(escape(channel), *["not measured"] * len(errors))
-        else:
-            cells = (e[channel] for e in errors)
-            table.add_row(escape(channel), *(f"{cell['rmse']:.3g} ({number(cell['noise_ratio'])}x)" for cell in cells))
+        cells = [e[channel] for e in errors]
+        absent = "diverges" if any(cell["rmse"] is not None for cell in cells) else "not measured"
+        texts = [
+            absent if cell["rmse"] is None else f"{cell['rmse']:.3g} ({number(cell['noise_ratio'])}x)" for cell in cells
+        ]
+        table.add_row(escape(channel), *texts)
     if "force_error" in errors[0]:
         table.add_row("force, relative", *(f"{100 * e['force_error']:.2f} %" for e in errors))
     return table

@@ -4,8 +4,8 @@ Each check returns findings (`Finding`): the severity ("fault", "advice" or "not
 """
 
 from .checks import check_before_fit, check_recordings
-from .excitation import CramerRaoBound, cramer_rao_bounds
 from .findings import Finding, group_findings, print_findings, refuse_faults, write_findings
+from .identifiability import CramerRaoBound, cramer_rao_bounds
 
 __all__ = [
     "CramerRaoBound",

@@ -7,26 +7,27 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..dynamics import stiffness_matrix
-from ..identification import Dataset, estimate_initial_state, prepare
+from ..identification import Dataset, prepare
+from ..identification.initial_rest import InitialRest, initial_rest, without_moving_start
 from ..machine import Machine
-from ..recordings import Recording, bridge_blanks, only_measurements, without_repetitions
-from .excitation import check_excitation, check_parameters, constant_inputs
+from ..recordings import Recording, only_measurements, without_repetitions
+from .excitation import check_excitation, constant_inputs
 from .findings import Finding, Severity
+from .identifiability import check_parameters
 from .sampling import check_sampling, overlapping_clocks, sampling_rate, slow_sensors, times_in_milliseconds
-from .wiring import check_wiring, rigid_misfit, rigid_prediction
+from .stuck_outputs import stuck_outputs
+from .wiring import check_wiring
 
 Array = NDArray[np.float64]
 
 _MIN_REST = 0.05  # s; a shorter rest hardly determines the initial state and the sensors' zeros
 _REST_TOLERANCE = 1e-6  # s; times in a file are rounded
-_STUCK_AFTER = 0.1  # s; a channel that is constant for a shorter time is not stuck
-_LONGEST_BLANK = 0.02  # s; longer times between two measurements are not bridged
-_MOVES = 0.1  # fraction of a channel's span in the run; a channel that should have moved by less may have been at rest
-_STRETCH_MARGIN = 2.0  # factor by which the declared friction, drives and stiffness may be wrong
+_MOVES = 0.1  # fraction of a channel's span in all runs; a run without input that moves by more has lost its input
+_START_S, _START_SPEED = 0.02, 0.1  # s, and fraction of the top speed; a run that begins faster begins in motion
 _NOISE_SPAN = 8.0  # peak-to-peak noise in standard deviations
+_MIN_RESTING_ROWS = 30  # rows of all runs; with fewer, noise is estimated from rows in motion
+_ROUNDED = 1.01  # times the rounding error; a sensor with less noise has none beside it
 _MORE_NOISE = 3.0  # ratio of measured to declared noise above which the noise is reported as advice
-_CONSISTENT = 0.3  # fraction of the motion; other channels that contradict each other by more prove nothing
 
 
 def check_recordings(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
@@ -46,12 +47,12 @@ def check_recordings(recordings: Sequence[Recording], machine: Machine) -> list[
     if wrong_times := times_in_milliseconds(recordings):
         return wrong_times
     cleaned = [only_measurements(recording, machine) for recording in recordings]
-    data = prepare(cleaned, machine)
+    data = prepare([without_moving_start(recording, machine) for recording in cleaned], machine)
     moving = [recording.name for recording in cleaned if _moves(recording, data) and len(recording.time_s) > 2]
     findings = [sampling_rate(recordings), *overlapping_clocks(recordings), *_sensor_noise(data, machine)]
     findings += _faults_and_advice(recordings, cleaned, data, moving, machine)
     for recording in cleaned:
-        findings += _check_initial_rest(recording, machine) + _unmeasured_outputs(recording, machine)
+        findings += _short_rest(recording, data, machine) + _unmeasured_outputs(recording, machine)
         if not _moves(recording, data):
             message = "nothing moves in this run: it only determines the noise of the sensors"
             findings.append(Finding("advice", recording.name, "", message))
@@ -79,7 +80,7 @@ def check_before_fit(recordings: Sequence[Recording], machine: Machine) -> list[
     if wrong_times := times_in_milliseconds(recordings):
         return wrong_times
     cleaned = [only_measurements(recording, machine) for recording in recordings]
-    data = prepare(cleaned, machine)
+    data = prepare([without_moving_start(recording, machine) for recording in cleaned], machine)
     moving = [recording.name for recording in cleaned if _moves(recording, data) and len(recording.time_s) > 2]
     findings = _faults_and_advice(recordings, cleaned, data, moving, machine) + constant_inputs(recordings, machine)
     return _by_severity([finding for finding in findings if finding.severity != "note"])
@@ -92,17 +93,18 @@ def _faults_and_advice(
     moving: Sequence[str],
     machine: Machine,
 ) -> list[Finding]:
-    """Check slow sensors, sampling, outliers, stuck outputs and wiring.
+    """Check slow sensors, sampling, outliers, motion without input, stuck outputs and wiring.
 
     The runs are given as recorded, without outliers (`cleaned`), and prepared for a fit (`data`).
     """
     findings = slow_sensors(recordings, machine)
     for recording, without in zip(recordings, cleaned, strict=True):
         findings += check_sampling(recording) + _outliers(without_repetitions(recording), without, machine)
+    findings += _motion_without_input(cleaned, machine)
     if not moving:
         message = "nothing moves in any run: are the drives powered and the sensors connected?"
         return [*findings, Finding("fault", "", "", message)]
-    findings += _stuck_outputs([recording for recording in cleaned if recording.name in moving], machine)
+    findings += stuck_outputs([recording for recording in cleaned if recording.name in moving], machine)
     return findings + check_wiring(data.with_runs(moving), machine)
 
 
@@ -112,16 +114,85 @@ def _by_severity(findings: Sequence[Finding]) -> list[Finding]:
     return sorted(findings, key=lambda finding: order.index(finding.severity))
 
 
-def _check_initial_rest(recording: Recording, machine: Machine) -> list[Finding]:
-    """Report a run that does not begin at rest long enough to determine the initial state and the sensors' zeros."""
-    rows = estimate_initial_state(recording, machine).resting_rows
-    seconds = float(recording.time_s[min(rows, len(recording.time_s)) - 1] - recording.time_s[0])
+def _motion_without_input(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
+    """Report runs in which the machine moves before the first input, or without any."""
+    spans = _spans(np.concatenate([recording.outputs for recording in recordings]))
+    findings = []
+    for recording in recordings:
+        rest = initial_rest(recording, machine)
+        if not rest.moving.any():
+            continue
+        names = [channel for channel, moving in zip(machine.output_channels, rest.moving, strict=True) if moving]
+        severity: Severity = "advice"
+        if not np.any(recording.inputs) and np.any((_spans(recording.outputs) > _MOVES * spans)[rest.moving]):
+            severity = "fault"
+        message = _describe_motion(recording, rest, names, machine)
+        findings.append(Finding(severity, recording.name, "", message))
+    return findings
+
+
+def _describe_motion(recording: Recording, rest: InitialRest, names: Sequence[str], machine: Machine) -> str:
+    """Return a sentence about the motion of some sensors without input, and what to do about it."""
+    sensors = f"{', '.join(names)} move{'s' if len(names) == 1 else ''}"
+    inputs = " and ".join(machine.input_channels)
+    if not np.any(recording.inputs):
+        return (
+            f"{sensors} while {inputs} {'is' if len(machine.drives) == 1 else 'are'} 0 throughout: the voltage was not "
+            "logged, or something else moved the machine. Correct the column, or delete the run"
+        )
+    if rest.lead_s:
+        return (
+            f"{sensors} {1e3 * rest.lead_s:.0f} ms or more before the first input: is {inputs} logged late, or did "
+            "something else move the machine? A fit needs the voltage at the time at which it acts"
+        )
+    if rest.first:
+        milliseconds = 1e3 * float(recording.time_s[rest.first] - recording.time_s[0])
+        return (
+            f"the machine still moves when the run begins: the first {milliseconds:.0f} ms are not used. Let it come "
+            "to rest before the recording"
+        )
+    return (
+        "the machine moves before the first input, so only the first row counts as at rest, with a velocity of 0. Let "
+        "it come to rest before the recording, unless a force or an offset of the voltage moves it"
+    )
+
+
+def _spans(outputs: Array) -> Array:
+    """Return the peak-to-peak value of each channel, 0 where nothing was measured, shape (sensors,)."""
+    return np.nan_to_num(np.fmax.reduce(outputs) - np.fmin.reduce(outputs))
+
+
+def _short_rest(recording: Recording, data: Dataset, machine: Machine) -> list[Finding]:
+    """Report a run that begins in motion, or whose rest is too short for the initial state and the sensors' zeros.
+
+    A run that begins with an input but without motion, as under closed-loop control, has a known initial state.
+    """
+    rest = initial_rest(recording, machine)
+    if rest.moving.any():
+        return []  # reported by `_motion_without_input`
+    if rest.rows == 1:
+        if not _begins_in_motion(recording, data):
+            return []
+        message = "begins in motion, but the initial velocity is taken as 0: begin the recording at rest"
+        return [Finding("advice", recording.name, "", message)]
+    seconds = float(recording.time_s[rest.rows - 1] - recording.time_s[0])
     if seconds >= _MIN_REST - _REST_TOLERANCE:
         return []
-    rest = f"{rows} rows ({1e3 * seconds:.3g} ms) at rest before the first input"
-    if rows == 1:
-        rest = "begins with an input, so only its first row counts as at rest"
-    return [Finding("advice", recording.name, "", f"{rest}: initial state and zeros of the encoders are uncertain")]
+    message = (
+        f"{rest.rows} rows ({1e3 * seconds:.3g} ms) at rest before the first input: initial state and zeros of the "
+    )
+    return [Finding("advice", recording.name, "", f"{message}encoders are uncertain")]
+
+
+def _begins_in_motion(recording: Recording, data: Dataset) -> bool:
+    """Return whether a channel moves at the start at a considerable fraction of its top speed."""
+    rows = max(1, round(_START_S / data.period))
+    if len(recording.time_s) <= rows:
+        return False
+    changes = np.abs(recording.outputs[rows:] - recording.outputs[:-rows])
+    top = np.percentile(np.nan_to_num(changes), 99, axis=0)
+    least = np.maximum(_NOISE_SPAN * data.noise, 2 * data.quantum)
+    return bool(np.any(changes[0] > np.maximum(_START_SPEED * top, least)))
 
 
 def _sensor_noise(data: Dataset, machine: Machine) -> list[Finding]:
@@ -135,6 +206,9 @@ def _sensor_noise(data: Dataset, machine: Machine) -> list[Finding]:
         steps = f", steps of {quantum:.3g} {unit}" if quantum else ""
         declared = max(sensor.noise, sensor.resolution / np.sqrt(12))
         message = f"noise {noise:.3g} {unit}{steps} (declared: noise {sensor.noise:.3g}, steps {sensor.resolution:.3g})"
+        rounded = noise <= _ROUNDED * quantum / np.sqrt(12)
+        if not sensor.noise and not rounded and sum(run.initial.resting_rows for run in data.runs) < _MIN_RESTING_ROWS:
+            message += ", estimated during motion: too few rows are at rest"
         severity: Severity = "advice" if 0 < _MORE_NOISE * declared < noise else "note"
         findings.append(Finding(severity, "", sensor.channel, message))
     return findings
@@ -171,120 +245,3 @@ def _outliers(recording: Recording, cleaned: Recording, machine: Machine) -> lis
             message = f"{number} in row {row + 1} ({values[row]:.4g}): excluded, as if these cells were empty"
             findings.append(Finding("advice", recording.name, channel, message))
     return findings
-
-
-def _stuck_outputs(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
-    """Report outputs that keep one value while they should move.
-
-    If this value is the smallest or the largest over all runs, a sensor with a fixed zero may have reached the end of
-    its range (advice), which identification handles. Otherwise the channel is stuck (fault).
-    """
-    findings = []
-    # Ends of the channels' spans over all runs, (2, sensors).
-    spans = [_ends(recording.outputs) for recording in recordings]
-    ends = np.array([np.fmin.reduce([low for low, _ in spans]), np.fmax.reduce([high for _, high in spans])])
-    for recording in recordings:
-        inside = bridge_blanks(_without_ends(recording.outputs, ends, machine), recording.time_s, _LONGEST_BLANK)
-        for j, sensor in enumerate(machine.sensors):
-            seconds, value = _longest_stuck_interval(recording, inside, j, ends[:, j], machine)
-            if not seconds:
-                continue
-            stays = f"for {seconds:.3g} s, while other channels move, it stays at {value:.4g}"
-            if not sensor.incremental and value in ends[:, j]:
-                severity: Severity = "advice"
-                message = f"{stays}, the end of its span: clipped? A fit leaves these rows out"
-            else:
-                severity = "fault"
-                message = f"{stays}: stuck. Leave these cells empty, or delete the run"
-            findings.append(Finding(severity, recording.name, sensor.channel, message))
-    return findings
-
-
-def _ends(outputs: Array) -> tuple[Array, Array]:
-    """Return the smallest and the largest measurement of each channel, NaN where it has none."""
-    return np.fmin.reduce(outputs, axis=0), np.fmax.reduce(outputs, axis=0)
-
-
-def _without_ends(outputs: Array, ends: Array, machine: Machine) -> Array:
-    """Return outputs (n, sensors) with NaN where a sensor with a fixed zero may be at the end of its range."""
-    margin = np.array([max(3 * sensor.noise, sensor.resolution) for sensor in machine.sensors])
-    fixed = np.array([not sensor.incremental for sensor in machine.sensors])
-    at_end = (outputs <= ends[0] + margin) | (outputs >= ends[1] - margin)
-    return np.where(at_end & fixed, np.nan, outputs)
-
-
-def _longest_stuck_interval(
-    recording: Recording, inside: Array, channel: int, ends: Array, machine: Machine
-) -> tuple[float, float]:
-    """Return duration, s, and value of the longest interval in which a channel is stuck; 0 s if there is none.
-
-    Args:
-        recording: Run with n rows.
-        inside: Its outputs without those that may be clipped, shape (n, sensors).
-        channel: Index of the sensor.
-        ends: Smallest and largest measurement of the sensor over all runs, shape (2,).
-        machine: Declared machine.
-    """
-    measured = np.flatnonzero(np.isfinite(recording.outputs[:, channel]))
-    values, time_s = recording.outputs[measured, channel], recording.time_s[measured]
-    prediction = rigid_prediction(inside, channel, machine)
-    constant = np.concatenate([[False], np.diff(values) == 0.0, [False]])
-    intervals = np.flatnonzero(np.diff(constant.astype(int))).reshape(-1, 2)  # first and last sample of each
-    seconds = time_s[intervals[:, 1]] - time_s[intervals[:, 0]]
-    for k in np.argsort(-seconds):
-        if seconds[k] <= _STUCK_AFTER:
-            break
-        rows = slice(measured[intervals[k, 0]], measured[intervals[k, 1]] + 1)
-        value = float(values[intervals[k, 0]])
-        if prediction is not None:
-            predicted, weights = prediction
-            allowed = max(_MOVES * _span(predicted), _span_at_rest(recording.inputs[rows], channel, weights, machine))
-            stuck = _span(predicted[rows]) > allowed and _consistent(inside[rows], channel, machine)
-        else:
-            # An encoder has no end of its range, and nothing else shows whether it should have moved.
-            at_end = value in ends and ends[0] < ends[1] and not machine.sensors[channel].incremental
-            stuck = bool(at_end) and _others_move(recording, channel, rows)
-        if stuck:
-            return float(seconds[k]), value
-    return 0.0, 0.0
-
-
-def _consistent(outputs: Array, channel: int, machine: Machine) -> bool:
-    """Return whether the other channels do not contradict each other; True if they are not redundant."""
-    others = outputs.copy()
-    others[:, channel] = np.nan
-    complete = np.isfinite(others) | ~np.isfinite(others).any(axis=0)
-    first = int(np.argmax(complete.all(axis=1)))
-    return rigid_misfit(others - others[first], machine) < _CONSISTENT
-
-
-def _span(values: Array) -> float:
-    """Return the peak-to-peak value of the measured rows, 0 if there are none."""
-    return float(np.nanmax(values) - np.nanmin(values)) if np.isfinite(values).any() else 0.0
-
-
-def _span_at_rest(inputs: Array, channel: int, weights: Array, machine: Machine) -> float:
-    """Return how much the prediction of a channel may move while its coordinate is held by friction.
-
-    Friction holds the coordinate while belts and drives pull on it, so the belts can stretch by up to the friction
-    force in either direction, plus the change of the drives' forces. Noise of the other channels adds to it.
-    """
-    sensor = machine.sensors[channel]
-    index = machine.coordinate_names.index(sensor.coordinate)
-    coordinate = machine.coordinates[index]
-    belt_force = sum(
-        drive.gain * float(np.ptp(voltages)) / machine.coordinate(drive.coordinate).travel_per_unit
-        for drive, voltages in zip(machine.drives, inputs.T, strict=True)
-    )
-    force_span = 2 * coordinate.coulomb + belt_force * coordinate.travel_per_unit
-    stiffness = stiffness_matrix(machine)[index, index]
-    stretch_span = abs(sensor.row[sensor.coordinate]) * force_span / stiffness if stiffness else 0.0
-    noise = np.array([max(s.noise, s.resolution) for s in machine.sensors])
-    return _STRETCH_MARGIN * stretch_span + _NOISE_SPAN * float(np.linalg.norm(weights * noise))
-
-
-def _others_move(recording: Recording, channel: int, rows: slice) -> bool:
-    """Return whether any other output moves in an interval by a fraction of its span in the run."""
-    others = [k for k in range(recording.outputs.shape[1]) if k != channel]
-    spans = [(_span(recording.outputs[rows, k]), _span(recording.outputs[:, k])) for k in others]
-    return any(in_interval > _MOVES * in_run > 0 for in_interval, in_run in spans)

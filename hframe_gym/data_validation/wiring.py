@@ -39,6 +39,7 @@ _SPEED_FACTOR = 8.0  # factor between measured and simulated speed beyond which 
 _CONTRADICTION = 4.0  # factor between measured motion and prediction by other channels that proves a contradiction
 _UNIT_TOLERANCE = 2.0  # factor between measured and simulated speed, beyond that of a unit, that a model may cause
 _CAUSE = "is its unit or gain wrong?"
+_LESS_VOLTAGE = "is it blocked, or does less than the recorded voltage act (amplifier limit, emergency stop)?"
 # Suspected unit by the unit of the channel: value per m or rad, and its name.
 _SUSPECTS = {"m": ((1000.0, "millimeters"), (0.001, "kilometers")), "rad": ((180 / np.pi, "degrees"),)}
 
@@ -269,7 +270,7 @@ def _units(measured: Array, simulated: Array, data: Dataset, machine: Machine) -
             cause = f"is the column in {suspects[0][1]}, not in {unit}?" if suspects else _CAUSE
             message = f"moves {factor:.3g} times as fast as the machine simulates: {cause}"
         else:
-            message = f"moves at {factor:.2g} of the simulated speed: {_CAUSE[:-1]}, or is it blocked?"
+            message = f"moves at {factor:.2g} of the simulated speed: {_CAUSE[:-1]}, {_LESS_VOLTAGE}"
         findings.append(Finding("fault" if certain else "advice", "", sensor.channel, message))
     return findings
 

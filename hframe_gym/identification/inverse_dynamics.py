@@ -32,11 +32,12 @@ def force_error(machine: Machine, data: Dataset) -> float | None:
 
     Args:
         machine: Machine to evaluate.
-        data: Measured runs (times, voltages, measurements, SI); those with missing measurements are left out.
+        data: Measured runs (times, voltages, measurements, SI); those with measurements missing after their rest are
+            left out.
 
     Returns:
         Error over all runs, dimensionless. None if the machine has belts, if a coordinate lacks a drive or a sensor
-        that measures only this coordinate, or if no run has complete measurements.
+        that measures only this coordinate, or if no run has complete measurements from its rest on.
 
     References:
         Janot, Gautier and Brunot (2019), the EMPS benchmark.
@@ -49,8 +50,12 @@ def force_error(machine: Machine, data: Dataset) -> float | None:
     squared_error, squared_force = 0.0, 0.0  # sums over runs, drives and samples
     for run in data.runs:
         measured = run.outputs[:, [direct[name] for name in machine.coordinate_names]]
-        if not np.all(np.isfinite(measured)):
+        complete = np.asarray(np.isfinite(measured).all(axis=1))
+        first = int(np.argmax(complete))  # a run that began in motion lacks the measurements before its rest
+        if not complete[first:].all():
             continue
+        measured = measured[first:]
+        run = dataclasses.replace(run, time_s=run.time_s[first:], inputs=run.inputs[first:])
         period = float(np.median(np.diff(run.time_s)))
         cutoff = min(0.45 / period, _FORCE_CUTOFF)  # Hz
         position = signal.sosfiltfilt(signal.butter(4, 2 * cutoff * period, output="sos"), measured, axis=0)

@@ -24,6 +24,7 @@ from .forward_selection import (
     SelectedEffect,
 )
 from .held_out import contradicting_held_out_runs, error_reduction, held_out_gain, hold_out, is_excited
+from .initial_rest import without_moving_start
 from .recording_simulation import evaluate_held_out
 from .residual import is_white, rank_dependences
 from .result import IdentificationResult, RejectedEffect
@@ -97,7 +98,7 @@ def identify(
     unused += (_CONTRADICTION.format(outcome.contradiction),) if outcome.contradiction else ()
     unused += tuple(map(_HELD_OUT_CONTRADICTION.format, differing))
     result = _result(outcome, machine, ranges, validation, as_measured, criteria)
-    for warning in result.limit_warnings:
+    for warning in (*result.limit_warnings, *result.divergence_warnings):
         log(f"warning: {warning}")
     log(f"verdict: {result.verdict}")
     return dataclasses.replace(result, seconds=time.perf_counter() - began, excluded=(*unused, *excluded))
@@ -122,14 +123,16 @@ def _refuse_unusable(recordings: Sequence[Recording], held_names: Sequence[str])
 
 
 def _cleaned(recording: Recording, machine: Machine, log: Log) -> Recording:
-    """Return a recording without repetitions and outliers, and log how many there were."""
+    """Return a recording without repetitions, outliers and motion before the rest, and log how many there were."""
     measured = without_repetitions(recording)
-    cleaned = without_outliers(measured, machine)
-    for before, after, what in ((recording, measured, "repetitions"), (measured, cleaned, "outliers")):
+    inside = without_outliers(measured, machine)
+    cleaned = without_moving_start(inside, machine)
+    removed = ((recording, measured, "repetitions"), (measured, inside, "outliers"), (inside, cleaned, "moving start"))
+    for before, after, what in removed:
         if after is not before:
             count = np.isfinite(before.outputs).sum(axis=0) - np.isfinite(after.outputs).sum(axis=0)
             found = ", ".join(f"{n} of {c}" for n, c in zip(count, machine.output_channels, strict=True) if n)
-            log(f"{recording.name}: {what} are not used: {found}")
+            log(f"{recording.name}: {what} not used: {found}")
     return cleaned
 
 

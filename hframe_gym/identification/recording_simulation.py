@@ -19,14 +19,14 @@ from ..recordings import Recording, fill_gaps, only_measurements
 from .criteria import SelectionCriteria
 from .dataset import Dataset, PreparedRecording, with_encoder_zeros
 from .encoder_zeros import EncoderZeros
+from .initial_rest import count_resting_rows, without_moving_start
 from .initial_state import measured_initial_state, model_initial_state
 from .inverse_dynamics import force_error
 from .prediction import POLISH_STEP, map_runs
-from .residual import errors_by_channel, simulation_error
+from .residual import ChannelError, errors_by_channel
 from .rest_measurement import (
     InitialState,
     behind_belts,
-    count_resting_rows,
     max_zero_means,
     sensor_zero_error,
 )
@@ -62,7 +62,8 @@ def simulate_recording(machine: Machine, recording: Recording) -> SimulatedRecor
     """Simulate a machine over a recording and compare it with the measurements.
 
     The simulation starts from the most probable state, see `initial_state_of_recording`, and uses no feedback of the
-    measurements. Samples that the logger dropped are filled in before the simulation. Outliers are ignored.
+    measurements. Samples that the logger dropped are filled in before the simulation. Outliers are ignored, and so is
+    motion that precedes the rest at the beginning of the run.
 
     Args:
         machine: Machine, declared or identified.
@@ -75,7 +76,7 @@ def simulate_recording(machine: Machine, recording: Recording) -> SimulatedRecor
     Raises:
         NotFiniteError: If the motion diverges.
     """
-    cleaned = fill_gaps(only_measurements(recording, machine))
+    cleaned = _cleaned(recording, machine)
     initial = _initial_state(machine, cleaned)
     motion = simulate(
         machine, cleaned.time_s, cleaned.inputs, initial.start(machine), offset=initial.offset, longest_step=POLISH_STEP
@@ -111,12 +112,17 @@ def initial_state_of_recording(machine: Machine, recording: Recording) -> Initia
         simulation diverges, the zeros are those of the measurements at rest. `warnings` lists what could not be
         determined.
     """
-    return _initial_state(machine, fill_gaps(only_measurements(recording, machine)))
+    return _initial_state(machine, _cleaned(recording, machine))
+
+
+def _cleaned(recording: Recording, machine: Machine) -> Recording:
+    """Return a recording without outliers, gaps, and measurements before the machine came to rest."""
+    return fill_gaps(without_moving_start(only_measurements(recording, machine), machine))
 
 
 def _initial_state(machine: Machine, recording: Recording) -> InitialState:
     """Return the initial state of a recording without gaps and outliers."""
-    rows = count_resting_rows(recording)
+    rows = count_resting_rows(recording, machine)
     channels = recording.outputs.T
     quanta = np.array([sensor_quantum([c], s.resolution) for c, s in zip(channels, machine.sensors, strict=True)])
     noise = np.array(
@@ -182,7 +188,8 @@ def evaluate_held_out(
 
     Returns:
         The machine with these zeros, its errors by channel, and its simulation errors (measured minus simulated), m or
-        rad, shape (n, sensors) for each run. If the motion of a run diverges, only finite errors are evaluated.
+        rad, shape (n, sensors) for each run. If the motion of a run diverges, `diverged` names it, its errors are NaN,
+        and no error is given for any channel.
 
     Raises:
         KeyError: If the recording of a run is missing.
@@ -191,19 +198,24 @@ def evaluate_held_out(
     refined = refine_starts(held_out, machine, fitted)
     measured = {recording.name: recording for recording in recordings}
 
-    def simulated(run: PreparedRecording) -> tuple[Array, tuple[str, ...]]:
-        """Return the errors at the rows of the prepared run (n, sensors), and the warnings about its start."""
+    def simulated(run: PreparedRecording) -> tuple[Array, tuple[str, ...], bool]:
+        """Return the errors at the rows of a run (n, sensors), warnings about its start, and whether it diverges."""
         recording = measured[run.name]
         try:
             simulation = simulate_recording(machine, recording)
         except NotFiniteError:
-            return simulation_error(machine, run, refined), run.initial.warnings
+            return np.full(run.outputs.shape, np.nan), run.initial.warnings, True
         error = np.full(run.outputs.shape, np.nan)  # rows that the preparation inserted in gaps stay NaN
         error[np.isin(run.time_s, recording.time_s)] = simulation.error
-        return error, simulation.initial.warnings
+        return error, simulation.initial.warnings, False
 
     results = list(map_runs(simulated, refined))
-    errors = {run.name: error for run, (error, _) in zip(refined.runs, results, strict=True)}
+    errors = {run.name: error for run, (error, *_) in zip(refined.runs, results, strict=True)}
+    diverged = tuple(run.name for run, (*_, infinite) in zip(refined.runs, results, strict=True) if infinite)
     channels = errors_by_channel(list(errors.values()), machine, held_out.noise)
-    warnings = tuple(warning for _, lines in results for warning in lines)
-    return ModelEvaluation(machine, PredictionErrors(channels, force_error(machine, refined)), errors, warnings)
+    if diverged:  # an error over the other runs would be compared with those of other machines over all runs
+        channels = dict.fromkeys(channels, ChannelError(None, None))
+    warnings = tuple(warning for _, lines, _ in results for warning in lines)
+    return ModelEvaluation(
+        machine, PredictionErrors(channels, force_error(machine, refined)), errors, warnings, diverged
+    )

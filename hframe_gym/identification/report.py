@@ -24,7 +24,8 @@ _VERDICTS = {  # heading and tone of the page
     "unexplained": ("Unexplained error", "warning"),
 }
 _STAGES = ("declared", "before", "after")
-_NOTICEABLE_ERROR = 1.3  # Remaining error over noise from which the report says that something is unexplained.
+_NOTICEABLE_ERROR = 1.3  # Remaining error over noise that the report calls unexplained.
+_DIVERGES = "infinitely many (its simulation diverges)"
 _CLEARLY_BETTER = 0.9  # Fraction of the refitted machine's error below which that of the declared one is mentioned.
 _MAX_NOISE_RATIO = 50.0  # Simulation error over noise beyond which the simulation drifted, if a force error exists.
 
@@ -97,7 +98,7 @@ def verdict_sentence(report: Mapping[str, Any], channels: Sequence[str]) -> str:
         stage: 100 * report[stage]["held_out"]["force_error"] if by_force else _noise_ratio(report, stage, channels)
         for stage in _STAGES
     }
-    before, after = number(errors["before"]), number(errors["after"])
+    before, after = (number(errors[stage]).replace("nan", _DIVERGES) for stage in ("before", "after"))
     if errors["declared"] < _CLEARLY_BETTER * errors["before"]:  # The refit minimizes short predictions.
         before += f" (with the declared parameters: {number(errors['declared'])})"
     if report["verdict"] == "effect_found":
@@ -106,12 +107,12 @@ def verdict_sentence(report: Mapping[str, Any], channels: Sequence[str]) -> str:
         subject, pronoun = ("an effect", "it") if single else (f"{len(report['effects'])} effects", "them")
         return (
             f"The machine has {subject} that its model lacks: {names}. With {pronoun}, the error on the held-out runs "
-            f"falls from {before} to {after} {unit}." + ("" if by_force else _remainder(report))
+            f"falls from {before} to {after} {unit}.{_remainder(report)}"
         )
     if report["verdict"] == "no_effect":
         return (
             "No effect is missing: with refitted parameters, the error of the declared model on the held-out runs is "
-            f"{before} {unit}." + ("" if by_force else _remainder(report))
+            f"{before} {unit}.{_remainder(report)}"
         )
     return (
         f"The error of the refitted model on the held-out runs is {before} {unit}, and no known effect "
@@ -133,8 +134,7 @@ def _drifts(report: Mapping[str, Any], channels: Sequence[str]) -> bool:
 
 def _remainder(report: Mapping[str, Any]) -> str:
     """Return a sentence about the error that the machine of the verdict leaves, "" if it is the sensors' noise."""
-    left = report.get("left")
-    if left is None or left < _NOTICEABLE_ERROR:
+    if (left := report.get("left")) is None or left < _NOTICEABLE_ERROR:
         return ""
     return (
         f" An error of {number(left)} times the sensors' noise is left (root mean square over all channels), which no "
@@ -152,7 +152,8 @@ def _tiles(report: Mapping[str, Any], channels: Sequence[str]) -> list[dict[str,
         if by_force:
             value, note = f"{number(100 * errors['force_error'])} %", "of the drives' force"
         else:
-            value, note = f"{number(_noise_ratio(report, stage, channels))} × noise", _largest_position_error(errors)
+            ratio = number(_noise_ratio(report, stage, channels)).replace("nan", "∞")
+            value, note = f"{ratio} × noise", _largest_position_error(errors)
         tiles.append({"name": name, "value": value, "note": note})
     if report["effects"] and report.get("explained") is not None:
         note = "of the squared error beyond the noise"
@@ -169,7 +170,7 @@ def _largest_position_error(errors: Mapping[str, Any]) -> str:
     measured = {c: e["rmse"] for c, e in errors.items() if isinstance(e, dict) and e["rmse"] is not None}
     positions = {c: rmse for c, rmse in measured.items() if c.endswith("_m")} or measured
     if not positions:
-        return "not measured"
+        return "diverges, or not measured"
     channel = max(positions, key=lambda c: positions[c])
     factor, unit = readable_unit(channel, positions[channel])
     return f"{number(factor * positions[channel])} {unit} rms at {channel}"
@@ -178,11 +179,13 @@ def _largest_position_error(errors: Mapping[str, Any]) -> str:
 def _channel_row(report: Mapping[str, Any], channel: str) -> dict[str, Any]:
     """Return the errors of one channel for each machine, in one readable unit and in multiples of the noise."""
     row: dict[str, Any] = {"name": channel}
-    factor, unit = readable_unit(channel, report["before"]["held_out"][channel]["rmse"] or 0.0)
-    for stage in _STAGES:
-        rmse, ratio = (report[stage]["held_out"][channel][key] for key in ("rmse", "noise_ratio"))
+    errors = {stage: report[stage]["held_out"][channel] for stage in _STAGES}
+    factor, unit = readable_unit(channel, errors["before"]["rmse"] or 0.0)
+    absent = "diverges" if any(error["rmse"] is not None for error in errors.values()) else "not measured"
+    for stage, error in errors.items():
+        rmse, ratio = error["rmse"], error["noise_ratio"]
         row[stage] = {
-            "size": "not measured" if rmse is None else f"{number(factor * rmse)} {unit}",
+            "size": absent if rmse is None else f"{number(factor * rmse)} {unit}",
             "ratio": "" if ratio is None else f"{number(ratio)} × noise",
         }
     return row
@@ -282,8 +285,7 @@ def _remaining_error(report: Mapping[str, Any]) -> list[str]:
 
 def _next_steps(saved: SavedResult, folder: Path) -> list[dict[str, str]]:
     """Return what to do next: sentences, each with a command or an empty string."""
-    report = saved.report
-    steps = []
+    report, steps = saved.report, []
     if report["warnings"]:
         text = f"Read the findings about the recordings ({len(report['warnings'])}) at the end of this page."
         steps.append({"text": text, "command": ""})
@@ -302,10 +304,10 @@ def _next_steps(saved: SavedResult, folder: Path) -> list[dict[str, str]]:
         steps.append({"text": text, "command": f"hframe effects new NAME --from {folder}"})
     if report["verdict"] == "unexplained":
         text = (
-            "Check wiring, units and clock of the recordings, and record slow and fast motion over the full travel; "
-            "then look for a physical cause of the dependence in the section Residual force."
+            "Look for a physical cause of the dependence in the section Residual force. Record runs that isolate it, "
+            "slow and fast, of one axis at a time and over the full travel, and identify again with them."
         )
-        return [*steps, {"text": text, "command": next_command(report["verdict"], saved.machine, folder)}]
+        return [*steps, {"text": text, "command": f"hframe identify RUNS --out {folder}"}]
     which = "corrected" if report["effects"] else "refitted"
     text = f'Design and compare controllers on the {which} machine; in Python: gym.make("HFrame-v0", machine=...).'
     return [*steps, {"text": text, "command": next_command(report["verdict"], saved.machine, folder)}]

@@ -1,9 +1,9 @@
 """Estimate from the measurements at rest the initial position of a run and the zero of every sensor.
 
-A recording begins at rest; the rows before the first input change measure the position there. The zero of a sensor is
-its measurement at position 0. Sensors with a fixed zero (called lasers here) determine the position of the tool. The
-angles of the pulleys follow from unstretched belts or from encoders whose zero is known. An unknown zero is the
-measurement at rest minus the reading that the model computes for the estimated state.
+A recording begins at rest; the rows before the first input change measure the position there (`initial_rest`). The
+zero of a sensor is its measurement at position 0. Sensors with a fixed zero (called lasers here) determine the position
+of the tool. The angles of the pulleys follow from unstretched belts or from encoders whose zero is known. An unknown
+zero is the measurement at rest minus the reading that the model computes for the estimated state.
 """
 
 from __future__ import annotations
@@ -20,10 +20,12 @@ from ..dynamics.effect_instances import instances_with_state
 from ..machine import Machine
 from ..recordings import Recording
 from .encoder_zeros import EncoderZeros
+from .initial_rest import count_resting_rows
 
 Array = NDArray[np.float64]
 # Weights of encoders that matter only where no laser measures: behind stretched belts, and with an unknown zero.
 _STRETCHED_WEIGHT, _FALLBACK_WEIGHT = 1e-3, 1e-6
+_FIRST_ROWS = 5  # rows from which a zero is estimated if only one row is at rest
 # m; typical stretch of the belts at full voltage or speed, and the part of it that a linear model leaves.
 _TYPICAL_STRETCH, _STRETCH_RESIDUAL = 0.3e-3, 0.1e-3
 
@@ -102,23 +104,6 @@ class InitialState:
         return self.state[: len(self.state) // 2]
 
 
-def count_resting_rows(recording: Recording) -> int:
-    """Count the rows at the beginning of a run in which the machine is at rest.
-
-    The row in which an input first changes is included, because its measurement still precedes the motion.
-
-    Args:
-        recording: The run (times, s; voltages, V; measurements, m or rad).
-
-    Returns:
-        Number of rows, at least 1; 1 if an input is not zero in the first row.
-    """
-    changes = np.flatnonzero(np.any(recording.inputs != recording.inputs[0], axis=1))
-    if np.any(recording.inputs[0]):
-        return 1  # The machine is driven from its first row on; only that row is certainly at rest.
-    return int(changes[0]) + 1 if len(changes) else len(recording.time_s)
-
-
 def settled_rows(resting_rows: int) -> slice:
     """Return the slice of the later half of the rows at rest, where a vibration from before the run has decayed.
 
@@ -146,7 +131,7 @@ def estimate_initial_state(recording: Recording, machine: Machine, zeros: Encode
     Returns:
         Positions at rest, m or rad, zeros of the sensors, shape (sensors,), and warnings about what is not measured.
     """
-    rows = count_resting_rows(recording)
+    rows = count_resting_rows(recording, machine)
     zeros = zeros or EncoderZeros.of_machine(machine).without(np.ones(len(machine.sensors), np.bool_))
     at_rest = recording.outputs[settled_rows(rows)]
     measured = np.asarray(np.isfinite(at_rest).any(axis=0))
@@ -263,9 +248,9 @@ def _position_warning(
 def sensor_zero_error(error: Array, weights: Array, resting_rows: int, max_mean: Array) -> Array:
     """Estimate the errors of the sensors' zeros (measurements at position 0) from prediction errors over a run.
 
-    The estimate is the mean error over the later half of the rows at rest, plus the difference from there to the mean
-    error over the complete run, limited to +- `max_mean`. The limit is needed because a constant force may also cause a
-    mean error.
+    The estimate is the mean error over the later half of the rows at rest (over the first rows if only one is at rest),
+    plus the difference from there to the mean error over the complete run, limited to +- `max_mean`. The limit is
+    needed because a constant force may also cause a mean error.
 
     Args:
         error: Measured minus predicted values of a batch of predictions over n samples, in the sensors' units, 0 where
@@ -277,7 +262,8 @@ def sensor_zero_error(error: Array, weights: Array, resting_rows: int, max_mean:
     Returns:
         Errors of the zeros, in the sensors' units, shape (batch, 1, sensors), to be subtracted from `error`.
     """
-    rest = settled_rows(resting_rows)
+    # A single row has the noise of one measurement; in the next ones, the prediction hardly deviates yet.
+    rest = settled_rows(resting_rows) if resting_rows > 1 else slice(_FIRST_ROWS)
     at_rest, of_run = (
         (error[:, rows] * weights[rows]).sum(axis=1) / np.maximum(weights[rows].sum(axis=0), 1e-12)
         for rows in (rest, slice(None))

@@ -76,12 +76,14 @@ class ModelEvaluation:
         errors: Simulation errors by name of the held-out run, in the sensors' units, NaN where not measured, shape
             (n, sensors) each.
         warnings: What could not be determined about the initial states of these runs, one sentence each.
+        diverged: Names of the held-out runs on which the simulation diverges; then `held_out` has no channel errors.
     """
 
     machine: Machine
     held_out: PredictionErrors
     errors: Mapping[str, Array] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    diverged: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -171,7 +173,7 @@ class IdentificationResult:
     def explained(self) -> float:
         """Fraction (at most 1) of the squared error beyond noise, on held-out runs, that all the effects remove."""
         before, after = (max(e.held_out.noise_ratio**2 - 1.0, 0.0) for e in (self.before, self.after))
-        return 1.0 - after / before if self.effects and before > 0.0 else 0.0
+        return 0.0 if not self.effects or before <= 0.0 else 1.0 - after / before  # NaN if one diverges
 
     @property
     def left(self) -> float:
@@ -183,6 +185,16 @@ class IdentificationResult:
         """Masses, belt stiffnesses and torque constants at the limit of the fit, one sentence each."""
         machine = self.after.machine if self.effects else self.before.machine
         return tuple(parameters_at_limit(machine, self.declared.machine).values())
+
+    @property
+    def divergence_warnings(self) -> tuple[str, ...]:
+        """Machines whose simulation diverges on a held-out run, one sentence each."""
+        models = (("declared", self.declared), ("refitted", self.before), ("corrected", self.after))
+        cause = (
+            "less than the recorded voltage acts (amplifier limit, emergency stop, wrong scale), or masses are wrong"
+        )
+        text = f"The simulation of the {{}} machine diverges on {{}}, so it has no error: {cause}."
+        return tuple(text.format(stage, ", ".join(model.diverged)) for stage, model in models if model.diverged)
 
     @property
     def initial_state_warnings(self) -> tuple[str, ...]:
@@ -265,9 +277,8 @@ def write_result(
         OSError: If a file cannot be written.
     """
     arrays: dict[str, Any] = {name: values.astype(np.float32) for name, values in plot_data(result).items()}
-    proposed = [comparison.as_json() for comparison in formulas]
-    warnings = [*warnings, *result.limit_warnings, *result.initial_state_warnings]
-    report = result.as_json() | {"warnings": warnings, "proposed_formulas": proposed}
+    warnings = [*warnings, *result.limit_warnings, *result.divergence_warnings, *result.initial_state_warnings]
+    report = result.as_json() | {"warnings": warnings, "proposed_formulas": [c.as_json() for c in formulas]}
     with output_batch(folder):
         save_machine(result.declared.machine, folder / "declared.json")
         save_machine(result.before.machine, folder / "before.json")

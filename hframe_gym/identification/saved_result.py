@@ -294,10 +294,10 @@ def next_command(verdict: str, machine: Machine, folder: Path) -> str:
         folder: Folder of the result.
 
     Returns:
-        Command line that evaluates a controller on the machine; for the verdict "unexplained", the one that checks the
-        recordings again.
+        Command line that evaluates a controller on the machine; for the verdict "unexplained", the one that opens the
+        report, which shows what the residual depends on and what to record next.
     """
     if verdict == "unexplained":
-        return "hframe check RUNS"
+        return f"hframe report {folder} --open"
     randomize = " --randomize identified" if machine.uncertainty else ""
     return f"hframe evaluate pid --machine {folder / 'machine.json'}{randomize} --html --out {folder / 'control'}"

@@ -92,8 +92,8 @@ def sensor_noise(channel: Sequence[Array], resting_rows: Sequence[int], quantum:
     rounding = quantum / np.sqrt(12)
     # An estimate of zero (a channel without any noise) is replaced by the declared value or by the differences.
     if rows >= _MIN_RESTING_ROWS:
-        return max(float(np.sqrt(squares / rows)), rounding) or declared or _difference_noise(channel)
-    return max(rounding, declared or _difference_noise(channel))
+        return max(float(np.sqrt(squares / rows)), rounding) or declared or difference_noise(channel)
+    return max(rounding, declared or difference_noise(channel))
 
 
 _REST_S = 0.02  # s; a quantized measurement that stays the same for longer shows that the sensor is at rest
@@ -132,8 +132,15 @@ _MIN_JITTER_ROWS = 50  # measured rows of a run
 _FIFTH_DIFFERENCE_VARIANCE = 252.0  # of white noise with variance 1: the sum of the squared binomial coefficients
 
 
-def _difference_noise(channel: Sequence[Array]) -> float:
-    """Return the noise that third differences show; smooth motion has hardly any (von Neumann 1941)."""
+def difference_noise(channel: Sequence[Array]) -> float:
+    """Estimate a sensor's noise from third differences, which smooth motion hardly changes (von Neumann 1941).
+
+    Args:
+        channel: Measurements of the sensor by run, in its unit, each of shape (n,), NaN where not measured.
+
+    Returns:
+        Standard deviation in the sensor's unit, at least 1e-12; 1 without measurements.
+    """
     differences = np.concatenate([np.diff(values[np.isfinite(values)], n=3) for values in channel])
     if len(differences) == 0:
         return 1.0

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
 from hframe_gym.data_validation import check_before_fit, check_recordings
 from hframe_gym.machine import Machine
-from hframe_gym.recordings import Recording
+from hframe_gym.recordings import Recording, load_machine
 from tests.data_validation.planted_mistakes import PHI1, X, Y, faults, measure, with_column
 
 
@@ -39,6 +40,50 @@ def test_an_encoder_that_keeps_its_value_is_stuck(runs: list[Recording], hframe:
     [warning] = check_before_fit([with_column(runs[1:2], PHI1, stick)[0]], hframe)
     assert warning.channel == "phi1_rad"
     assert "stuck" in warning.message
+
+
+def axis_runs(outputs_of: Callable[[np.ndarray, np.random.Generator], np.ndarray]) -> list[Recording]:
+    """Return three runs of an axis at 1 kHz that is pushed back and forth from 0.2 s on."""
+    axis, time = load_machine("axis"), np.arange(2000) * 1e-3
+    volts = (6.0 * np.sign(np.sin(4 * np.pi * (time - 0.2))) * (time >= 0.2))[:, None]
+    motion = axis.simulate(time, volts).outputs
+    rng = np.random.default_rng(4)
+    return [Recording(f"run_{k}", 3.0 * k + time, volts, outputs_of(motion.copy(), rng)) for k in range(3)]
+
+
+def noisy(motion: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return a laser's measurements."""
+    return motion + rng.normal(0.0, 20e-6, motion.shape)
+
+
+def test_the_only_sensor_that_loses_its_noise_is_stuck() -> None:
+    """Nothing else shows that it should move, but no sensor at rest is without noise."""
+    axis, runs = load_machine("axis"), axis_runs(noisy)
+    assert faults(check_before_fit(runs, axis)) == []
+    runs[1].outputs[1400:] = runs[1].outputs[1400]
+    [line] = faults(check_before_fit(runs, axis))
+    assert "run_1, x_m: for 0.599 s, without the noise that it has at rest, it stays at" in line
+
+
+@pytest.mark.parametrize("rest", [0, 1])
+def test_a_sensor_without_noise_that_rests_is_not_stuck(rest: int) -> None:
+    """Measurements in steps, or of a simulation, are equal at rest."""
+    axis = load_machine("axis")
+    runs = axis_runs(lambda motion, rng: np.rint(motion / 1e-4) * 1e-4 if rest else motion)
+    still = [dataclasses.replace(r, inputs=r.inputs.copy(), outputs=r.outputs.copy()) for r in runs]
+    for run in still:
+        run.inputs[1000:], run.outputs[1000:] = 0.0, run.outputs[1000]
+    assert [f for f in check_before_fit(still, axis) if "it stays at" in f.message] == []
+
+
+def test_an_encoder_that_keeps_its_value_while_its_drive_pushes_both_ways_is_suspect() -> None:
+    axis = load_machine("axis")
+    runs = axis_runs(lambda motion, rng: np.rint(motion / 1e-4) * 1e-4)
+    runs[2].outputs[800:] = runs[2].outputs[800]
+    lines = [f for f in check_before_fit(runs, axis) if "it stays at" in f.message]
+    assert [(f.severity, f.run) for f in lines] == [("advice", "run_2")]
+    assert "while its drive pushes in both directions" in lines[0].message
+    assert "is the sensor stuck, or was the drive off?" in lines[0].message
 
 
 @pytest.mark.parametrize("lasers", [True, False])
@@ -171,11 +216,54 @@ def test_the_quantum_of_an_encoder_is_not_lost_among_resting_runs(runs: list[Rec
 def test_a_run_that_does_not_begin_at_rest_is_advice(hframe: Machine) -> None:
     time = np.arange(1000) * 1e-3
     inputs = np.full((1000, 2), -3.0)
-    findings = check_recordings([Recording("push", time, inputs, hframe.simulate(time, inputs).outputs)], hframe)
-    assert any(f.run == "push" and f.message.startswith("begins with an input, so only") for f in findings)
+    outputs = hframe.simulate(time, inputs).outputs
+    moving = Recording("push", time[:800], inputs[200:], outputs[200:])
+    assert "push: begins in motion, but the initial velocity is taken as 0" in " ".join(
+        str(f) for f in check_recordings([moving], hframe)
+    )
     inputs[:20] = 0.0
     findings = check_recordings([Recording("push", time, inputs, hframe.simulate(time, inputs).outputs)], hframe)
     assert any(f.run == "push" and f.message.startswith("21 rows (20 ms) at rest before") for f in findings)
+
+
+def test_a_run_that_begins_with_an_input_but_without_motion_is_no_finding(
+    runs: list[Recording], hframe: Machine
+) -> None:
+    """A controller is active from the first row on; its user cannot do anything about that."""
+    closed_loop = [dataclasses.replace(run, inputs=run.inputs + 1e-3) for run in runs]
+    advice = [f.message for f in check_recordings(closed_loop, hframe) if f.severity == "advice"]
+    assert not [message for message in advice if "at rest" in message or "begins" in message]
+
+
+@pytest.mark.parametrize("dead", [1, 8])
+def test_motion_without_any_voltage_is_a_fault(dead: int, runs: list[Recording], hframe: Machine) -> None:
+    """The voltage column of some or of all runs is dead."""
+    without = [dataclasses.replace(run, inputs=0.0 * run.inputs) for run in runs[:dead]] + runs[dead:]
+    for findings in (check_recordings(without, hframe), check_before_fit(without, hframe)):
+        lines = faults(findings)
+        assert all("move while v1_V and v2_V are 0 throughout: the voltage was not logged" in line for line in lines)
+        assert len(lines) == dead
+        assert all("x_m" in line for line in lines)
+
+
+def test_motion_before_the_first_input_is_advice(runs: list[Recording], hframe: Machine) -> None:
+    late = 30  # rows of 1 ms
+    shifted = [dataclasses.replace(run, inputs=np.vstack([np.zeros((late, 2)), run.inputs[:-late]])) for run in runs]
+    findings = check_recordings(shifted, hframe)
+    assert faults(findings) == []
+    lines = [f.message for f in findings if "before the first input: is v1_V and v2_V logged late" in f.message]
+    assert len(lines) >= 2
+    assert any(f.channel == "x_m" and f.severity == "note" and f.message.startswith("noise") for f in findings)
+
+
+def test_a_machine_that_still_swings_when_a_run_begins_is_advice(runs: list[Recording], hframe: Machine) -> None:
+    rows = np.arange(len(runs[0].time_s))[:, None]
+    swing = 2e-3 * np.cos(2 * np.pi * rows / 40) * np.exp(-rows / 10) * hframe.sensor_matrix[:, :1].T
+    swinging = [dataclasses.replace(run, outputs=run.outputs + swing) for run in runs]
+    findings = check_recordings(swinging, hframe)
+    assert [f.run for f in findings if "still moves when the run begins" in f.message] == [run.name for run in runs]
+    [line] = [f.message for f in findings if f.channel == "x_m" and f.message.startswith("noise")]
+    assert float(line.split()[1]) < 30e-6
 
 
 def test_runs_whose_clock_restarts_are_noted(runs: list[Recording], hframe: Machine) -> None:

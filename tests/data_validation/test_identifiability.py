@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hframe_gym.data_validation import cramer_rao_bounds
+from hframe_gym.data_validation.identifiability import check_parameters
 from hframe_gym.identification import prepare
 from hframe_gym.machine import BUILTIN_MACHINES, Coordinate, Machine
 from hframe_gym.recordings import Recording
@@ -70,3 +71,20 @@ def test_friction_of_a_motor_is_inseparable_from_its_back_emf(hframe: Machine) -
     assert friction.correlation < -0.999
     assert friction.relative_std > 0.1
     assert friction.relative_std > back_emf.relative_std
+
+
+def test_the_sum_of_viscous_friction_and_back_emf_is_reported_and_not_each_alone() -> None:
+    """An axis whose friction alone is as large as this sum is equivalent, so the bounds are equal."""
+    axis = BUILTIN_MACHINES["axis"]()
+    drive = axis.drives[0]
+    total = axis.parameters["x.viscous"] + drive.gain * drive.gear_ratio * drive.Ke
+    equivalent = axis.replace({"x.viscous": total, f"{drive.name}.Ke": 0.0})
+    time = np.arange(1500) * 1e-3
+    inputs = 4.0 * np.sign(np.sin(6.0 * time))[:, None]
+    data = prepare([Recording("r", time, inputs, axis.simulate(time, inputs).outputs)], axis)
+    [damping] = [f for f in check_parameters(data, axis) if "viscous" in f.channel or "Ke" in f.channel]
+    assert (damping.severity, damping.channel) == ("note", f"x.viscous and {drive.name}.Ke")
+    [expected] = [b for b in cramer_rao_bounds(data, equivalent) if b.name == "x.viscous"]
+    assert "only their sum can be determined" in damping.message
+    stated = float(damping.message.partition("at least ")[2].partition(" %")[0])
+    assert stated == pytest.approx(100 * expected.relative_std, rel=0.05)

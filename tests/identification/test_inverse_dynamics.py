@@ -55,3 +55,14 @@ def test_dry_friction_holds_a_force_up_to_its_limit_at_rest(coulomb: float, expe
     machine = axis(3.0, 5.0).replace({"x.coulomb": coulomb})
     data = prepare([Recording("r", time, np.ones((1000, 1)), position)], machine)
     assert force_error(machine, data) == pytest.approx(expected, abs=0.02)
+
+
+def test_a_run_that_lacks_the_measurements_before_its_rest_has_a_force_error() -> None:
+    time = np.arange(2000) * 1e-3
+    position = 0.1 * np.sin(2.0 * time)[:, None]
+    position[:200] = np.nan
+    machine = axis(3.0, 5.0)
+    error = force_error(machine, prepare([Recording("r", time, np.ones((2000, 1)), position)], machine))
+    assert error is not None
+    position[1000] = np.nan
+    assert force_error(machine, prepare([Recording("r", time, np.ones((2000, 1)), position)], machine)) is None

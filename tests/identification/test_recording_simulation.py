@@ -179,3 +179,16 @@ def test_runs_that_nothing_locates_are_left_out(hframe: Machine) -> None:
     data, warnings = with_known_positions(prepare([lost], hframe))
     assert [run.name for run in data.runs] == ["run_0"]
     assert warnings == ()
+
+
+def test_a_machine_whose_simulation_diverges_on_a_held_out_run_has_no_error(
+    hframe: Machine, session: list[Recording]
+) -> None:
+    """The logged command is far above what the amplifier gives; observers still follow the real motion."""
+    wild = dataclasses.replace(session[4], inputs=1e6 * session[4].inputs)
+    data = prepare([*session[:4], wild], hframe)
+    evaluation = evaluate_held_out(hframe, data, data.with_runs(["run_3", "run_4"]), [*session[:4], wild])
+    assert evaluation.diverged == ("run_4",)
+    assert np.isnan(evaluation.errors["run_4"]).all()
+    assert np.isfinite(evaluation.errors["run_3"]).all()
+    assert {(e.rmse, e.noise_ratio) for e in evaluation.held_out.channels.values()} == {(None, None)}

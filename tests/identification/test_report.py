@@ -16,9 +16,11 @@ from hframe_gym.effects.smooth_table import KNOTS
 from hframe_gym.identification import Dataset, IdentificationResult, write_result
 from hframe_gym.identification.experiment_design import FILE, ExperimentDesign
 from hframe_gym.identification.report import build_report, verdict_sentence
-from hframe_gym.identification.residual import Dependence
-from hframe_gym.identification.result import Verdict
+from hframe_gym.identification.residual import ChannelError, Dependence
+from hframe_gym.identification.result import PredictionErrors, Verdict
+from hframe_gym.identification.saved_result import next_command
 from hframe_gym.machine import Machine, Uncertainty
+from hframe_gym.web_page import Panel, save_panels
 from tests.identification.axis_results import AXIS, axis_result, axis_runs
 
 pytestmark = pytest.mark.unit
@@ -175,3 +177,45 @@ def test_a_refit_that_worsens_the_simulation_is_compared_with_the_declared_machi
     stages = {stage: {"held_out": {"x_m": {"rmse": 1e-3, "noise_ratio": ratio}}} for stage, ratio in ratios.items()}
     report = {"verdict": "effect_found", "effects": [{"name": "cogging", "site": "motor"}], **stages}
     assert "falls from 40 (with the declared parameters: 20) to 10 times" in verdict_sentence(report, ["x_m"])
+
+
+def test_a_machine_that_diverges_has_no_error_but_a_cause(data: Dataset, tmp_path: Path) -> None:
+    result = result_of(data, "no_effect", AXIS)
+    none = dict.fromkeys(AXIS.output_channels, ChannelError(None, None))
+    diverged = dataclasses.replace(
+        result.before, held_out=PredictionErrors(none, result.before.held_out.force), diverged=("run_2",)
+    )
+    result = dataclasses.replace(result, declared=diverged, before=diverged)
+    page = page_of(result, tmp_path)
+    assert "infinitely many (its simulation diverges) times the sensors&#39; noise" in page
+    assert "The simulation of the declared machine diverges on run_2" in page
+    assert "(amplifier limit, emergency stop, wrong scale)" in page
+    assert "nan" not in page.replace("finance", "").lower().split("<body", 1)[1].split("<svg", 1)[0]
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert report["declared"]["held_out"]["x_m"] == {"rmse": None, "noise_ratio": None}
+    assert np.isnan(dataclasses.replace(result_of(data, "effect_found", STRIBECK), before=diverged).explained)
+
+
+@pytest.mark.parametrize("verdict", ["effect_found", "no_effect", "unexplained"])
+def test_what_is_left_is_stated_also_if_errors_are_those_of_the_force(verdict: str) -> None:
+    errors = {"held_out": {"x_m": {"rmse": 1.0, "noise_ratio": 900.0}, "force_error": 0.06}}
+    report = {"verdict": verdict, "effects": [{"name": "cogging", "site": "motor"}], "left": 900.0}
+    sentence = verdict_sentence(report | dict.fromkeys(("declared", "before", "after"), errors), ["x_m"])
+    assert "6 % of the drives' force" in sentence
+    assert ("An error of 900 times the sensors' noise is left" in sentence) == (verdict != "unexplained")
+
+
+def test_after_an_unexplained_error_comes_the_report_and_not_the_check_that_has_passed() -> None:
+    assert next_command("unexplained", AXIS, Path("out/rig")) == "hframe report out/rig --open"
+    assert next_command("no_effect", AXIS, Path("out/rig")).startswith("hframe evaluate pid --machine out/rig/machine")
+
+
+def test_titles_in_picture_files_are_not_cut_off(tmp_path: Path) -> None:
+    panel = Panel(
+        "Force that the model lacks on carriage_x, against velocity of carriage_x", "", lambda axes: None, 2.8
+    )
+    save_panels([panel], tmp_path / "plot.svg")
+    texts = re.findall(r"<text[^>]*>([^<]*)</text>|<tspan[^>]*>([^<]*)</tspan>", (tmp_path / "plot.svg").read_text())
+    title = [line for pair in texts for line in pair if re.search("[a-z]{2}", line)]
+    assert " ".join(title) == panel.title
+    assert max(map(len, title)) <= 44

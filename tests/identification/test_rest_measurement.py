@@ -80,11 +80,11 @@ def test_an_axis_with_an_encoder_only_needs_no_warning(hframe: Machine) -> None:
     assert initial.warnings == ()
 
 
-def test_a_run_that_is_driven_from_its_first_row_rests_one_row() -> None:
+def test_a_run_that_is_driven_from_its_first_row_rests_one_row(hframe: Machine) -> None:
     outputs = np.zeros((30, 4))
-    assert count_resting_rows(recording(outputs, 0)) == 1
-    assert count_resting_rows(recording(outputs, 12)) == 13
-    assert count_resting_rows(recording(outputs, 30)) == 30
+    assert count_resting_rows(recording(outputs, 0), hframe) == 1
+    assert count_resting_rows(recording(outputs, 12), hframe) == 13
+    assert count_resting_rows(recording(outputs, 30), hframe) == 30
     assert settled_rows(13) == slice(6, 13)
 
 

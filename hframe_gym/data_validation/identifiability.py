@@ -1,0 +1,182 @@
+"""Check identifiability: Cramer-Rao bounds of the parameters.
+
+The bounds are evaluated for simulations of the declared machine, with white residuals of the size of the sensors'
+noise. A fit of real data has larger errors, because no model is exact.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..identification import Dataset, FreeParameter, PreparedRecording, default_free_parameters
+from ..identification.linearization import NormalEquations, ResidualModel
+from ..identification.prediction import SIMULATION, map_runs
+from ..machine import Machine
+from .findings import Finding, Severity
+
+Array = NDArray[np.float64]
+
+_MAX_ROWS = 20_000  # rows of a run that are simulated
+_LARGE_STD = 0.1  # relative standard deviation above which a parameter is reported as poorly identifiable
+_INSEPARABLE = 0.98  # correlation above which two parameters are reported as inseparable
+_NO_INFLUENCE = 1e-12  # sensitivity relative to the largest one below which a parameter has no influence
+_SINGULAR = 1e-13  # eigenvalue of the normalized information matrix below which a combination is not determined
+
+
+@dataclass(frozen=True)
+class CramerRaoBound:
+    """Lower bound on the standard deviation of one parameter that is estimated jointly with others.
+
+    Attributes:
+        name: Full name of the parameter, e.g. `x.coulomb`.
+        relative_std: Smallest possible standard deviation divided by the absolute value of the parameter; infinite if
+            the parameter has no influence on the measurements.
+        partner: Name of the parameter with the largest absolute correlation, "" if there is no other.
+        correlation: Correlation of the estimates of the two, in [-1, 1].
+    """
+
+    name: str
+    relative_std: float
+    partner: str
+    correlation: float
+
+
+def cramer_rao_bounds(data: Dataset, machine: Machine, names: Sequence[str] = ()) -> list[CramerRaoBound]:
+    """Compute the Cramer-Rao bounds on the standard deviations of parameters that are estimated jointly.
+
+    The bounds hold for the declared machine, simulated without feedback, with white sensor noise and without priors.
+    At most 20000 rows of each run are used.
+
+    Args:
+        data: Runs prepared by `identification.prepare` (times, voltages, measurements, noise).
+        machine: Declared machine, whose parameter values are the expansion point.
+        names: Full names of the parameters. Default: those that identification refits. Parameters whose value is zero
+            are left out.
+
+    Returns:
+        One bound per parameter, in the order of `names`: smallest possible standard deviation divided by the value,
+        dimensionless, and the largest correlation with another parameter.
+
+    Raises:
+        KeyError: If the machine has no parameter of a given name.
+
+    References:
+        Ljung, System Identification (1999), section 7.4.
+    """
+    names = names or [f.name for f in default_free_parameters(machine)]
+    return _joint_bounds(*_relative_information(data, machine, names))
+
+
+def _relative_information(data: Dataset, machine: Machine, names: Sequence[str]) -> tuple[list[str], Array]:
+    """Return the parameters that are not zero, and the information matrix (k, k) of their relative changes."""
+    # Derivatives are with respect to relative changes of the parameters, which do not exist for a value of zero.
+    names = [name for name in names if machine.parameters[name] != 0.0]
+    data = dataclasses.replace(data, runs=tuple(_first_rows(run, _MAX_ROWS) for run in data.runs))
+    forward, backward = (_residual_model(data, machine, names, direction) for direction in (1.0, -1.0))
+    at_declared = np.zeros(len(names))
+
+    def normal_equations(run: PreparedRecording) -> NormalEquations:
+        """Use central differences; rounding in forward ones would seem to separate inseparable parameters."""
+        rows = forward.linearize_run(run, at_declared)
+        opposite = backward.linearize_run(run, at_declared)  # derivatives with respect to decreases
+        return NormalEquations.from_rows((rows.jacobian - opposite.jacobian) / 2, rows.residual)
+
+    return names, NormalEquations.total(map_runs(normal_equations, data)).information
+
+
+def check_parameters(data: Dataset, machine: Machine) -> list[Finding]:
+    """Report how precisely the recordings can determine each parameter that identification refits.
+
+    The precision is the Cramer-Rao bound: the smallest standard deviation of any unbiased estimate. Viscous friction
+    and back-EMF of a motor brake its motion alike; where nothing separates them, the precision of their sum is given.
+
+    Args:
+        data: Runs prepared by `identification.prepare` (times, voltages, measurements, SI), in which the machine moves.
+        machine: Declared machine.
+
+    Returns:
+        One finding (severity, channel, message) per parameter or sum: advice if it has no influence or its relative
+        standard deviation is at least 10 %, otherwise a note.
+    """
+    names, information = _relative_information(data, machine, [f.name for f in default_free_parameters(machine)])
+    bounds = _joint_bounds(names, information)
+    sums = _inseparable_damping(bounds, machine)
+    rows = [i for i, name in enumerate(names) if name not in sums]
+    alone = _joint_bounds([names[i] for i in rows], information[np.ix_(rows, rows)])
+    damping = {bound.name: bound.relative_std for bound in alone}  # with a known back-EMF constant
+    findings = []
+    for ke, (viscous, fraction) in sums.items():
+        relative_std = damping.pop(viscous) * fraction
+        message = (
+            f"only their sum can be determined, with a standard error of at least {100 * relative_std:.2g} %: viscous "
+            "friction and back-EMF brake the motor alike. Neither is needed alone"
+        )
+        severity: Severity = "advice" if relative_std > _LARGE_STD else "note"
+        findings.append(Finding(severity, "", f"{viscous} and {ke}", message))
+    for bound in bounds:
+        if bound.name not in damping:
+            continue
+        if not np.isfinite(bound.relative_std):
+            findings.append(Finding("advice", "", bound.name, "has no influence on these runs"))
+            continue
+        message = f"standard error at least {100 * bound.relative_std:.2g} %"
+        if abs(bound.correlation) > _INSEPARABLE:
+            message += f"; cannot be separated from {bound.partner} (correlation {bound.correlation:+.3f})"
+        severity = "advice" if bound.relative_std > _LARGE_STD else "note"
+        findings.append(Finding(severity, "", bound.name, message))
+    return findings
+
+
+def _inseparable_damping(bounds: Sequence[CramerRaoBound], machine: Machine) -> dict[str, tuple[str, float]]:
+    """Return back-EMF constants that nothing separates from a viscous friction, its name, and its part of their sum."""
+    correlated = {(b.name, b.partner) for b in bounds if b.correlation < -_INSEPARABLE}
+    sums = {}
+    for drive in machine.drives:
+        viscous, ke = f"{drive.coordinate}.viscous", f"{drive.name}.Ke"
+        if correlated & {(viscous, ke), (ke, viscous)}:
+            back_emf = drive.gain * drive.Ke * drive.gear_ratio  # N s/m or Nm s/rad
+            friction = machine.parameters[viscous]
+            sums[ke] = (viscous, friction / (friction + back_emf))
+    return sums
+
+
+def _first_rows(run: PreparedRecording, count: int) -> PreparedRecording:
+    """Return a run without the rows after the first ones."""
+    by_row = ("time_s", "inputs", "outputs", "noise", "weights")
+    rows = None if run.rows is None else run.rows[:count]
+    return dataclasses.replace(run, rows=rows, **{name: getattr(run, name)[:count] for name in by_row})
+
+
+def _residual_model(data: Dataset, machine: Machine, names: Sequence[str], direction: float) -> ResidualModel:
+    """Return the residual as a function of relative changes, positive or negative, without priors."""
+    free = tuple(
+        FreeParameter(name, value, prior=np.inf, scale=direction * abs(value), lower=-np.inf)
+        for name, value in ((name, machine.parameters[name]) for name in names)
+    )
+    return ResidualModel(machine, free, data, SIMULATION)
+
+
+def _joint_bounds(names: Sequence[str], information: Array) -> list[CramerRaoBound]:
+    """Invert an information matrix (k, k) of relative changes, without the parameters that have no influence."""
+    sensitivity = np.sqrt(np.diag(information))
+    influential = sensitivity > _NO_INFLUENCE * max(float(sensitivity.max(initial=0.0)), 1e-300)
+    kept = [name for name, used in zip(names, influential, strict=True) if used]
+    scale = sensitivity[influential]
+    normalized = information[np.ix_(influential, influential)] / np.outer(scale, scale)
+    # Parameters that cannot be separated make the matrix singular; rounding may even make an eigenvalue negative.
+    eigenvalues, eigenvectors = np.linalg.eigh(normalized)
+    covariance = (eigenvectors / np.maximum(eigenvalues, _SINGULAR)) @ eigenvectors.T
+    std = np.sqrt(np.diag(covariance))
+    bounds = {}
+    for i, name in enumerate(kept):
+        correlations = covariance[i] / np.maximum(std[i] * std, 1e-300)
+        correlations[i] = 0.0
+        closest = int(np.argmax(np.abs(correlations)))
+        partner = kept[closest] if len(kept) > 1 else ""
+        bounds[name] = CramerRaoBound(name, float(std[i] / scale[i]), partner, float(correlations[closest]))
+    return [bounds.get(name, CramerRaoBound(name, float("inf"), "", 0.0)) for name in names]

@@ -1,0 +1,192 @@
+"""Find outputs that are stuck at one value or clipped at the end of a sensor's range."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..dynamics import stiffness_matrix
+from ..identification.initial_rest import count_resting_rows
+from ..machine import Machine
+from ..recordings import Recording, bridge_blanks
+from .findings import Finding, Severity
+from .wiring import rigid_misfit, rigid_prediction
+
+Array = NDArray[np.float64]
+
+_STUCK_AFTER = 0.1  # s; a channel that is constant for a shorter time is not stuck
+_LONGEST_BLANK = 0.02  # s; longer times between two measurements are not bridged
+_MOVES = 0.1  # fraction of a channel's span in the run; a channel that should have moved by less may have been at rest
+_STRETCH_MARGIN = 2.0  # factor by which the declared friction, drives and stiffness may be wrong
+_NOISE_SPAN = 8.0  # peak-to-peak noise in standard deviations
+_MIN_PAIRS, _MAX_EQUAL = 30, 0.01  # successive measurements at rest, and fraction of equal ones, of a noisy sensor
+# Multiple of the declared friction and fraction of the rated force that certainly move a coordinate, and the fraction
+# of an interval in which they act in each direction.
+_PUSH, _RATED_PUSH, _MIN_PUSHED = 5.0, 0.2, 0.1
+_DRIVEN = "while its drive pushes in both directions"
+_CONSISTENT = 0.3  # fraction of the motion; other channels that contradict each other by more prove nothing
+
+
+def stuck_outputs(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
+    """Report outputs that keep one value while they should move.
+
+    Other channels show that it should move. Without them, two observations show it: a channel that has noise at rest
+    loses it (fault), or the drive pushes the coordinate in both directions by several times its friction (advice,
+    because the drive may have been off).
+
+    If the value is the smallest or the largest over all runs, a sensor with a fixed zero may have reached the end of
+    its range (advice), which identification handles. Otherwise the channel is stuck (fault).
+
+    Args:
+        recordings: Runs in which the machine moves (times, s; voltages, V; measurements, m or rad).
+        machine: Declared machine.
+
+    Returns:
+        At most one finding for each run and channel.
+    """
+    findings = []
+    # Ends of the channels' spans over all runs, (2, sensors).
+    spans = [_ends(recording.outputs) for recording in recordings]
+    ends = np.array([np.fmin.reduce([low for low, _ in spans]), np.fmax.reduce([high for _, high in spans])])
+    noisy = _noisy_at_rest(recordings, machine)
+    for recording in recordings:
+        inside = bridge_blanks(_without_ends(recording.outputs, ends, machine), recording.time_s, _LONGEST_BLANK)
+        for j, sensor in enumerate(machine.sensors):
+            seconds, value, reason = _longest_stuck_interval(recording, inside, j, ends[:, j], bool(noisy[j]), machine)
+            if not seconds:
+                continue
+            stays = f"for {seconds:.3g} s, {reason}, it stays at {value:.4g}"
+            severity: Severity = "advice"
+            if not sensor.incremental and value in ends[:, j]:
+                message = f"{stays}, the end of its span: clipped? A fit leaves these rows out"
+            elif reason == _DRIVEN:
+                message = f"{stays}: is the sensor stuck, or was the drive off? Leave these rows out of the run"
+            else:
+                severity = "fault"
+                message = f"{stays}: stuck. Leave these cells empty, or delete the run"
+            findings.append(Finding(severity, recording.name, sensor.channel, message))
+    return findings
+
+
+def _ends(outputs: Array) -> tuple[Array, Array]:
+    """Return the smallest and the largest measurement of each channel, NaN where it has none."""
+    return np.fmin.reduce(outputs, axis=0), np.fmax.reduce(outputs, axis=0)
+
+
+def _without_ends(outputs: Array, ends: Array, machine: Machine) -> Array:
+    """Return outputs (n, sensors) with NaN where a sensor with a fixed zero may be at the end of its range."""
+    margin = np.array([max(3 * sensor.noise, sensor.resolution) for sensor in machine.sensors])
+    fixed = np.array([not sensor.incremental for sensor in machine.sensors])
+    at_end = (outputs <= ends[0] + margin) | (outputs >= ends[1] - margin)
+    return np.where(at_end & fixed, np.nan, outputs)
+
+
+def _longest_stuck_interval(
+    recording: Recording, inside: Array, channel: int, ends: Array, noisy: bool, machine: Machine
+) -> tuple[float, float, str]:
+    """Return duration, s, value and reason of the longest interval in which a channel is stuck; 0 s if there is none.
+
+    Args:
+        recording: Run with n rows.
+        inside: Its outputs without those that may be clipped, shape (n, sensors).
+        channel: Index of the sensor.
+        ends: Smallest and largest measurement of the sensor over all runs, shape (2,).
+        noisy: Whether the sensor has noise at rest.
+        machine: Declared machine.
+    """
+    measured = np.flatnonzero(np.isfinite(recording.outputs[:, channel]))
+    values, time_s = recording.outputs[measured, channel], recording.time_s[measured]
+    prediction = rigid_prediction(inside, channel, machine)
+    constant = np.concatenate([[False], np.diff(values) == 0.0, [False]])
+    intervals = np.flatnonzero(np.diff(constant.astype(int))).reshape(-1, 2)  # first and last sample of each
+    seconds = time_s[intervals[:, 1]] - time_s[intervals[:, 0]]
+    for k in np.argsort(-seconds):
+        if seconds[k] <= _STUCK_AFTER:
+            break
+        rows = slice(measured[intervals[k, 0]], measured[intervals[k, 1]] + 1)
+        value = float(values[intervals[k, 0]])
+        if prediction is not None:
+            predicted, weights = prediction
+            allowed = max(_MOVES * _span(predicted), _span_at_rest(recording.inputs[rows], channel, weights, machine))
+            stuck = _span(predicted[rows]) > allowed and _consistent(inside[rows], channel, machine)
+        else:
+            # An encoder has no end of its range, and nothing else shows whether it should have moved.
+            at_end = value in ends and ends[0] < ends[1] and not machine.sensors[channel].incremental
+            stuck = bool(at_end) and _others_move(recording, channel, rows)
+        if stuck:
+            return float(seconds[k]), value, "while other channels move"
+        if noisy and value not in ends:
+            return float(seconds[k]), value, "without the noise that it has at rest"
+        if prediction is None and value not in ends and _is_driven(recording.inputs[rows], channel, machine):
+            return float(seconds[k]), value, _DRIVEN
+    return 0.0, 0.0, ""
+
+
+def _noisy_at_rest(recordings: Sequence[Recording], machine: Machine) -> NDArray[np.bool_]:
+    """Return for each sensor whether hardly any two successive measurements at rest are equal."""
+    equal, pairs = np.zeros(len(machine.sensors)), np.zeros(len(machine.sensors))
+    for recording in recordings:
+        steps = np.diff(recording.outputs[: count_resting_rows(recording, machine)], axis=0)
+        equal += np.count_nonzero(steps == 0.0, axis=0)
+        pairs += np.count_nonzero(np.isfinite(steps), axis=0)
+    return (pairs >= _MIN_PAIRS) & (equal <= _MAX_EQUAL * pairs)
+
+
+def _is_driven(inputs: Array, channel: int, machine: Machine) -> bool:
+    """Return whether a drive pushes the sensor's coordinate in both directions, far beyond the declared friction.
+
+    An end stop holds a machine in one direction only. Machines with belts are left out: a carriage at rest may stretch
+    them.
+    """
+    sensor = machine.sensors[channel]
+    if machine.belts or machine.spring_loaded or len(sensor.row) > 1:
+        return False
+    columns = [j for j, drive in enumerate(machine.drives) if drive.coordinate == sensor.coordinate]
+    friction = machine.coordinate(sensor.coordinate).coulomb
+    force = sum((machine.drives[j].gain * inputs[:, j] for j in columns), np.zeros(len(inputs)))
+    rated = sum(machine.drives[j].gain * machine.drives[j].rated_voltage for j in columns)
+    least = max(_PUSH * friction, _RATED_PUSH * rated)
+    return bool(columns) and bool(min(np.mean(force > least), np.mean(force < -least)) > _MIN_PUSHED)
+
+
+def _consistent(outputs: Array, channel: int, machine: Machine) -> bool:
+    """Return whether the other channels do not contradict each other; True if they are not redundant."""
+    others = outputs.copy()
+    others[:, channel] = np.nan
+    complete = np.isfinite(others) | ~np.isfinite(others).any(axis=0)
+    first = int(np.argmax(complete.all(axis=1)))
+    return rigid_misfit(others - others[first], machine) < _CONSISTENT
+
+
+def _span(values: Array) -> float:
+    """Return the peak-to-peak value of the measured rows, 0 if there are none."""
+    return float(np.nanmax(values) - np.nanmin(values)) if np.isfinite(values).any() else 0.0
+
+
+def _span_at_rest(inputs: Array, channel: int, weights: Array, machine: Machine) -> float:
+    """Return how much the prediction of a channel may move while its coordinate is held by friction.
+
+    Friction holds the coordinate while belts and drives pull on it, so the belts can stretch by up to the friction
+    force in either direction, plus the change of the drives' forces. Noise of the other channels adds to it.
+    """
+    sensor = machine.sensors[channel]
+    index = machine.coordinate_names.index(sensor.coordinate)
+    coordinate = machine.coordinates[index]
+    belt_force = sum(
+        drive.gain * float(np.ptp(voltages)) / machine.coordinate(drive.coordinate).travel_per_unit
+        for drive, voltages in zip(machine.drives, inputs.T, strict=True)
+    )
+    force_span = 2 * coordinate.coulomb + belt_force * coordinate.travel_per_unit
+    stiffness = stiffness_matrix(machine)[index, index]
+    stretch_span = abs(sensor.row[sensor.coordinate]) * force_span / stiffness if stiffness else 0.0
+    noise = np.array([max(s.noise, s.resolution) for s in machine.sensors])
+    return _STRETCH_MARGIN * stretch_span + _NOISE_SPAN * float(np.linalg.norm(weights * noise))
+
+
+def _others_move(recording: Recording, channel: int, rows: slice) -> bool:
+    """Return whether any other output moves in an interval by a fraction of its span in the run."""
+    others = [k for k in range(recording.outputs.shape[1]) if k != channel]
+    spans = [(_span(recording.outputs[rows, k]), _span(recording.outputs[:, k])) for k in others]
+    return any(in_interval > _MOVES * in_run > 0 for in_interval, in_run in spans)

@@ -1,0 +1,192 @@
+"""Find the rest at the beginning of a run: rows in which no voltage is applied and no sensor shows motion.
+
+The inputs alone do not show rest: a machine may still swing when a log begins, and a voltage that is logged late, or
+not at all, is 0 while the machine moves. Counted as rest, such motion would become noise and wrong zeros of sensors.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..machine import Machine
+from ..recordings import Recording
+from .sensor_properties import difference_noise, sensor_quantum
+
+Array = NDArray[np.float64]
+_MIN_ROWS = 16  # rows without input; fewer do not show whether the machine moves
+_BLOCK_S, _MIN_BLOCKS = 0.01, 8  # duration, s, and number of the blocks of rows whose medians are compared
+_STILL_BLOCKS = 5  # blocks that show that a run begins at rest, however long no voltage is applied
+_STILL_NOISE = 8.0  # standard deviations of the noise by which the median of a block varies at most at rest
+_STILL_RANGE = 3.0  # times the range of the still blocks, likewise; slow noise varies by about as much everywhere
+_STILL_SPAN = 1e-4  # fraction of a channel's span in the run that counts as rest, whatever its noise
+# Fraction of the span that slow noise (of a filtered sensor) may reach; more is motion, even if it never ceases.
+_SLOW_NOISE_SPAN = 1e-3
+
+
+class InitialRest(NamedTuple):
+    """The rest at the beginning of a run.
+
+    Attributes:
+        first: First row at rest; larger than 0 if the machine still moves when the run begins and settles before the
+            first input.
+        rows: Number of rows up to the end of the rest, those before `first` included; 1 if only the first row counts.
+        without_input: Number of rows at the beginning in which all inputs are 0, and the row in which one first
+            changes; 1 if an input is not 0 in the first row.
+        moving: True for each sensor that moves in these rows, shape (sensors,).
+        lead_s: Time by which motion begins before the first input at the latest, s; 0 if it does not.
+    """
+
+    first: int
+    rows: int
+    without_input: int
+    moving: NDArray[np.bool_]
+    lead_s: float = 0.0
+
+
+def initial_rest(recording: Recording, machine: Machine) -> InitialRest:
+    """Find the rest at the beginning of a run by its inputs and its sensors.
+
+    The rows before the first input are divided into blocks. The machine is at rest where the median of no sensor
+    departs from those of the last quarter of the blocks (it settled) or of the first blocks (it moves before the input)
+    by more than noise and quantization explain. If it moves in both, only its first row is used.
+
+    Args:
+        recording: The run (times, s; voltages, V; measurements, m or rad, NaN where not measured).
+        machine: Machine with the sensors.
+
+    Returns:
+        Rows at rest (numbers), and the sensors that move before the first input (mask of shape (sensors,)).
+    """
+    rows = _rows_without_input(recording)
+    rest = InitialRest(0, rows, rows, np.zeros(recording.outputs.shape[1], np.bool_))
+    if rows < _MIN_ROWS:
+        return rest
+    outputs = recording.outputs[:rows]
+    tolerance, span = _tolerances(recording, rows, machine)
+    period = float(np.median(np.diff(recording.time_s)))
+    size = max(2, min(round(_BLOCK_S / period), rows // _MIN_BLOCKS))
+    medians = _block_medians(outputs, size)
+    quarter = max(2, len(medians) // 4)
+    settles, settling = _departure(medians[::-1], quarter, tolerance)  # as seen from the end
+    departs, departing = _departure(medians, min(quarter, _STILL_BLOCKS), tolerance)
+    moving = settling | departing
+    ranges = _ranges(medians)
+    if not moving.any():  # motion that neither begins nor ceases, unless it is so small that it may be slow noise
+        moving = ranges > np.maximum(tolerance, _SLOW_NOISE_SPAN * span)
+        return rest._replace(rows=1, moving=moving) if moving.any() else rest
+    driven = rows < len(recording.time_s)
+    if settles and (driven or not departs):
+        return rest._replace(first=size * (len(medians) - settles + 1), moving=moving)
+    if departs:
+        still = size * (departs - 1)
+        lead = _lead(recording.time_s[:rows], outputs, still, tolerance) if driven else 0.0
+        return rest._replace(rows=still, moving=moving, lead_s=lead)
+    return rest._replace(rows=1, moving=moving)
+
+
+def count_resting_rows(recording: Recording, machine: Machine) -> int:
+    """Count the rows at the beginning of a run in which the machine is at rest.
+
+    The row in which an input first changes is included, because its measurement still precedes the motion. Rows without
+    measurement count as at rest, see `without_moving_start`.
+
+    Args:
+        recording: The run (times, s; voltages, V; measurements, m or rad).
+        machine: Machine with the sensors.
+
+    Returns:
+        Number of rows, at least 1; 1 if an input is not zero in the first row or the machine moves there.
+    """
+    rest = initial_rest(recording, machine)
+    return 1 if rest.first else rest.rows
+
+
+def without_moving_start(recording: Recording, machine: Machine) -> Recording:
+    """Remove the measurements before the machine came to rest, if it still moves when the run begins.
+
+    The velocity at the first row is unknown, but the rest that follows gives the initial state. A simulation that
+    begins with this state and without input remains at rest until the first input, so times and inputs are kept.
+
+    Args:
+        recording: The run (times, s; voltages, V; measurements, m or rad).
+        machine: Machine with the sensors.
+
+    Returns:
+        Copy in which these measurements, m or rad, shape (n, sensors), are NaN; the same object if the run begins at
+        rest or the machine does not come to rest before the first input.
+    """
+    first = initial_rest(recording, machine).first
+    if not first:
+        return recording
+    outputs = recording.outputs.copy()
+    outputs[:first] = np.nan
+    return dataclasses.replace(recording, outputs=outputs)
+
+
+def _rows_without_input(recording: Recording) -> int:
+    """Return the number of rows up to the first change of an input, at least 1; 1 if an input is not zero at first."""
+    changes = np.flatnonzero(np.any(recording.inputs != recording.inputs[0], axis=1))
+    if np.any(recording.inputs[0]):
+        return 1  # The machine is driven from its first row on; only that row is certainly at rest.
+    return int(changes[0]) + 1 if len(changes) else len(recording.time_s)
+
+
+def _tolerances(recording: Recording, rows: int, machine: Machine) -> tuple[Array, Array]:
+    """Return by how much each sensor varies at rest, and its span in the run, in its unit, shape (sensors,) each."""
+    tolerances, spans = [], []
+    for values, sensor in zip(recording.outputs.T, machine.sensors, strict=True):
+        measured = values[np.isfinite(values)]
+        span = float(np.ptp(measured)) if len(measured) else 0.0
+        rounding = sensor_quantum([values], sensor.resolution) / np.sqrt(12)
+        noise = max(difference_noise([values[:rows]]), rounding, sensor.noise)
+        tolerances.append(max(_STILL_NOISE * noise, _STILL_SPAN * span))
+        spans.append(span)
+    return np.array(tolerances), np.array(spans)
+
+
+def _block_medians(outputs: Array, size: int) -> Array:
+    """Return the medians of blocks of rows, shape (blocks, sensors), NaN where nothing was measured."""
+    blocks = outputs[: len(outputs) // size * size].reshape(-1, size, outputs.shape[1])
+    medians = np.full((len(blocks), outputs.shape[1]), np.nan)
+    measured = np.isfinite(blocks).any(axis=1)
+    for k, j in np.argwhere(measured):
+        medians[k, j] = np.nanmedian(blocks[k, :, j])
+    return medians
+
+
+def _departure(medians: Array, count: int, tolerance: Array) -> tuple[int, NDArray[np.bool_]]:
+    """Return after how many blocks a channel that is still in the first ones departs, and which channels do.
+
+    Args:
+        medians: Medians of the blocks, shape (blocks, sensors).
+        count: Number of the first blocks, in which all channels must be still.
+        tolerance: Largest variation at rest, shape (sensors,).
+
+    Returns:
+        Number of blocks before the first departure, 0 if there is none or a channel moves in the first ones already,
+        and a mask of the channels that depart, shape (sensors,).
+    """
+    reference = medians[:count]
+    still = _ranges(reference)
+    quiet = still <= tolerance
+    center = np.fmin.reduce(reference) / 2 + np.fmax.reduce(reference) / 2
+    departed = np.abs(medians - center) > np.maximum(tolerance, _STILL_RANGE * still)  # NaN: not departed
+    departing = departed.any(axis=0) & quiet
+    first = int(np.argmax(departed[:, departing].any(axis=1))) if departing.any() and quiet.all() else 0
+    return first, departing
+
+
+def _lead(time_s: Array, outputs: Array, still: int, tolerance: Array) -> float:
+    """Return the time, s, from the last row in which all channels are as in the first `still` rows to the last row."""
+    middle = np.array([np.nanmedian(c) if np.isfinite(c).any() else np.nan for c in outputs[:still].T])
+    departed = (np.abs(outputs - middle) > tolerance / 2).any(axis=1)
+    return float(time_s[-1] - time_s[np.flatnonzero(~departed)[-1]])
+
+
+def _ranges(medians: Array) -> Array:
+    """Return the peak-to-peak values of the measured blocks, 0 without any, shape (sensors,)."""
+    return np.nan_to_num(np.fmax.reduce(medians) - np.fmin.reduce(medians))

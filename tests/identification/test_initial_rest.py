@@ -1,0 +1,100 @@
+"""Tests of the rest at the beginning of a run: motion without input is neither rest nor noise."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hframe_gym.identification import prepare, simulate_recording
+from hframe_gym.identification.initial_rest import count_resting_rows, initial_rest, without_moving_start
+from hframe_gym.identification.rest_measurement import sensor_zero_error
+from hframe_gym.machine import Machine
+from hframe_gym.recordings import Recording, load_machine
+
+pytestmark = pytest.mark.unit
+NOISE = 20e-6  # m
+ROWS, REST = 1000, 150
+
+
+@pytest.fixture(scope="module")
+def axis() -> Machine:
+    return load_machine("axis")
+
+
+def run(motion: np.ndarray, seed: int = 0, late: int = 0) -> Recording:
+    """Return a noisy run of an axis: a given motion (m) at 1 kHz, then a fast one from row `REST` - `late` on."""
+    rng = np.random.default_rng(seed)
+    rows = np.arange(ROWS)
+    position = np.pad(motion, (0, ROWS - len(motion)), mode="edge")
+    position += 0.1 * (1.0 - np.cos(0.01 * np.maximum(rows - REST + late, 0)))
+    volts = np.where(rows >= REST, 3.0, 0.0)[:, None]
+    return Recording(f"run_{seed}", rows * 1e-3, volts, (position + rng.normal(0.0, NOISE, ROWS))[:, None])
+
+
+def swing(decay: float) -> np.ndarray:
+    """Return a swing of 5 mm and 80 ms period over the rows without input, m; decay time in rows."""
+    rows = np.arange(REST + 1)
+    return 5e-3 * np.cos(2 * np.pi * rows / 80) * np.exp(-rows / decay)
+
+
+def test_all_rows_before_the_first_input_are_rest_if_only_noise_is_measured(axis: Machine) -> None:
+    recordings = [run(np.zeros(REST), seed) for seed in range(50)]
+    assert {count_resting_rows(recording, axis) for recording in recordings} == {REST + 1}
+    assert all(without_moving_start(recording, axis) is recording for recording in recordings)
+
+
+def test_slow_noise_of_a_filtered_sensor_is_rest(axis: Machine) -> None:
+    for seed in range(20):
+        slow = np.convolve(np.random.default_rng(seed).normal(0.0, 1.0, ROWS + 60), np.hanning(60), "same")[30:-30]
+        recording = run(np.zeros(REST), seed)
+        outputs = NOISE * slow[:, None] / slow.std()
+        outputs[REST:, 0] += np.linspace(0.0, 0.3, ROWS - REST)
+        assert count_resting_rows(Recording("slow", recording.time_s, recording.inputs, outputs), axis) == REST + 1
+
+
+def test_a_swing_that_settles_before_the_first_input_is_not_used(axis: Machine) -> None:
+    recordings = [run(swing(decay=12.0), seed) for seed in range(3)]
+    cleaned = [without_moving_start(recording, axis) for recording in recordings]
+    for recording in cleaned:
+        removed = np.isnan(recording.outputs[:, 0])
+        assert 30 < np.count_nonzero(removed) < 110
+        assert not removed[110:].any()
+        assert count_resting_rows(recording, axis) == REST + 1
+    data = prepare(cleaned, axis)
+    assert data.noise[0] == pytest.approx(NOISE, rel=0.2)
+    np.testing.assert_allclose([r.initial.position[0] for r in data.runs], 0.0, atol=NOISE)
+    simulated = simulate_recording(axis, recordings[0])
+    assert np.isnan(simulated.error[:30]).all()
+    assert abs(simulated.initial.position[0]) < NOISE
+
+
+def test_a_swing_that_does_not_settle_is_neither_rest_nor_noise(axis: Machine) -> None:
+    swinging = [run(swing(decay=300.0), seed) for seed in range(3)]
+    assert [initial_rest(recording, axis).rows for recording in swinging] == [1, 1, 1]
+    assert [count_resting_rows(recording, axis) for recording in swinging] == [1, 1, 1]
+    assert all(without_moving_start(recording, axis) is recording for recording in swinging)
+    data = prepare([*swinging, run(np.zeros(REST), 9)], axis)
+    assert data.noise[0] == pytest.approx(NOISE, rel=0.2)
+    assert data.runs[0].initial.position[0] == pytest.approx(5e-3, abs=4 * NOISE)
+
+
+def test_motion_before_the_first_input_ends_the_rest(axis: Machine) -> None:
+    """The voltage was logged 30 ms late; the motion begins slowly, so it is seen a little later."""
+    rest = initial_rest(run(np.zeros(REST), late=30), axis)
+    assert REST - 50 < rest.rows <= REST - 20
+    assert rest.first == 0
+    assert 0.015 < rest.lead_s <= 0.031
+    assert rest.moving.tolist() == [True]
+
+
+def test_a_run_without_any_input_rests_until_it_moves(axis: Machine) -> None:
+    recording = run(np.zeros(REST))
+    dead = Recording("dead", recording.time_s, 0.0 * recording.inputs, recording.outputs)
+    assert REST - 20 < count_resting_rows(dead, axis) <= REST + 10
+
+
+def test_a_single_row_at_rest_does_not_add_its_noise_to_all_errors() -> None:
+    rng = np.random.default_rng(5)
+    error = rng.normal(0.0, 1.0, (400, 300, 1))
+    zero = sensor_zero_error(error, np.ones((300, 1)), 1, np.zeros(1))
+    assert zero.std() == pytest.approx(1.0 / np.sqrt(5.0), rel=0.15)
