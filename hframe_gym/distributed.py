@@ -96,8 +96,8 @@ def map_tasks(
 def files_of(write: Callable[[Path], Result]) -> tuple[Result, dict[str, bytes]]:
     """Run a function that writes files to a folder, and return the contents of these files.
 
-    The folder is temporary. A worker process sends its output to the calling program in this way, which writes it with
-    `write_files`.
+    The folder is temporary. A worker process calls this function and returns the contents to the calling program. The
+    calling program writes them with `write_files`.
 
     Args:
         write: Function that takes the path of an empty folder and writes files to it.

@@ -49,7 +49,8 @@ class BeltEquations(ParameterizedMachine):
 
         Returns:
             One `BeltState` per belt, in the machine's order: extension (m), its rate (m/s), stiffness (N/m), tension
-            (N) and further forces (N), each of shape (...).
+            (N), the force due to the change of stiffness with length (N), and the tension minus this force (N), each of
+            shape (...).
         """
         travel = [self._belt_travel(i, point) for i in range(len(point.travel))]  # with eccentric pulleys
         speed = [v * arm for v, arm in zip(point.speed, self._lever_arms(point), strict=True)]

@@ -46,8 +46,9 @@ class StepState:
 def reference_step(equations: Equations, state: StepState, voltages: Sequence[float], h: float) -> StepState:
     """Advance a machine by one step of the integrator, in plain Python, as a reference for the compiled code.
 
-    The forces are evaluated half a step ahead and once more at a corrected point (Takahashi and Imada 1984; Chin 1997).
-    Then each coordinate moves exactly as this force, held constant, and viscous and Coulomb friction determine.
+    The forces are evaluated at the half-way point of the step, and again at this point displaced by h^2/12 times the
+    acceleration, which raises the accuracy (Takahashi and Imada 1984; Chin 1997). The second force is held constant.
+    The motion of each coordinate under it and under viscous and Coulomb friction is computed in closed form.
 
     Args:
         equations: Equations of motion of the machine, with floats as parameters.

@@ -256,9 +256,9 @@ class Game:
 
     @property
     def action(self) -> Array:
-        """Voltages that keys and mouse apply, as fractions of the rated voltages, shape (drives,).
+        """Voltages that the user applies with keys and mouse, as fractions of the rated voltages, shape (drives,).
 
-        They push the tool of the first stage along the arrow keys or towards the pointer.
+        They push the tool in the direction of the arrow keys, or from its position in the left view to the pointer.
         """
         pygame, keys = self._pygame, self._keys
         if self._pointer is not None:

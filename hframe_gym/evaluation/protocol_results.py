@@ -200,8 +200,9 @@ def read_result(path: str | Path) -> ResultFile:
         Content of the file.
 
     Raises:
-        InputError: If the file is not a result file, belongs to an unknown protocol or to other episodes (draws) than
-            those of the protocol, or its scores do not follow from its values.
+        InputError: If the file is not a result file, names an unknown protocol, or does not have the parts, metrics
+            and draws (episodes) of that protocol. Also if its scores differ from those computed from its draws.
+        OSError: If the file cannot be read.
     """
     try:
         result = ResultFile.model_validate_json(Path(path).read_bytes())

@@ -309,8 +309,9 @@ def periodogram_peaks(motion: Array, *, friction: bool) -> Array:
 def slow_rates(position: Array) -> Array:
     """Return a grid of spatial rates (2 pi / period) of slow variations of friction over the position.
 
-    The grid has 0.5 to 6 periods over the range of the positions. It is tried in addition to `periodogram_peaks`,
-    because noise in the missing force can hide slow variations that are visible in the position error of a simulation.
+    The rates have 0.5 to 6 periods over the range of the positions. They are tried in addition to `periodogram_peaks`,
+    which may miss slow variations: the force that the model lacks is estimated with much noise. A simulation with such
+    a variation can nevertheless predict the positions better.
 
     Args:
         position: Positions of one coordinate over all rows of all runs, in its unit, shape (n,).

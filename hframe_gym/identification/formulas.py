@@ -175,7 +175,8 @@ def propose_formulas(machine: Machine, table: AppliedEffect) -> tuple[ProposedFo
         table: One of `tables_of(machine)`.
 
     Returns:
-        At most three formulas by increasing number of parameters, without errors on runs; one is recommended.
+        At most three formulas by increasing number of parameters; one is recommended. Their errors on runs are not
+        computed: `fitted` is None and `held_out` is empty.
 
     Raises:
         ImportError: If scikit-learn is not installed; the message names the extra `formulas`.

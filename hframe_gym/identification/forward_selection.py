@@ -265,11 +265,15 @@ class EffectSearch:
         return current, tuple(s.with_values(current.machine) for s in selected)
 
     def prune(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection:
-        """Remove effects (deviations from the model) that fail a test beside all other effects, weakest first.
+        """Remove effects (deviations from the model) that later effects have made superfluous.
 
-        The tests are those of `evidence`; later effects may have made earlier ones superfluous. A structural effect,
-        which adds coordinates, is kept if another effect acts on one of them. Removed effects are added to
-        `considered`.
+        Each effect is tested while the machine has all other selected effects, the one with the smallest gain first.
+        The machine is fitted without the effect, and this fit is compared with the one that includes it. The effect is
+        kept if it reduces the error by enough and passes all tests of `evidence`: for example, other runs must confirm
+        it, and chance must not explain the reduction. After a removal, the remaining effects are tested again.
+
+        A structural effect, which adds coordinates, is kept if another effect acts on one of them. Removed effects are
+        added to `considered`.
 
         Args:
             current: Fit of the machine with all selected effects; its observer bandwidth is used throughout.

@@ -18,17 +18,18 @@ from .saved_result import SavedResult, load_result
 def formulas_of_folder(folder: Path, name: str, table: str = "") -> tuple[ProposedFormula, ...]:
     """Return formulas that can take the place of a table of a saved identification.
 
-    These are the formulas that `hframe identify` compared with the table. If it compared none, formulas are fitted to
-    the values of the table and have no errors on runs.
+    These are the formulas that `hframe identify` compared with the table, with their fitted parameters and the errors
+    of the machine with each formula on the recorded runs. If it compared none, formulas are fitted to the values of the
+    table. Their errors on runs are then unknown: `fitted` is None and `held_out` is empty.
 
     Args:
         folder: Folder that `write_result` wrote.
-        name: Name to give to the formulas as effects, a Python identifier in lower case that no effect has.
+        name: Name of the effect that each formula defines: a Python identifier in lower case, different from the names
+            of existing effects.
         table: Label of the table, for example "smooth_force[position of x]@x". Default: the first one.
 
     Returns:
-        Formulas by increasing number of parameters, with the values and errors of the saved identification; one is
-        recommended.
+        Formulas by increasing number of parameters; one is recommended.
 
     Raises:
         InputError: If the folder has no result or no such table, or the name cannot be used.

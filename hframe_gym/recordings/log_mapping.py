@@ -75,7 +75,7 @@ class ChannelSource:
 
 
 def read_mapping_file(path: str | Path) -> MappingOptions:
-    """Read a mapping file, which states the columns of a log and their units by channel of the machine.
+    """Read a mapping file, which assigns a column of a log and its unit to each channel of the machine.
 
     It is TOML or JSON with up to three tables: `map` (column of each channel), `unit` and `scale` (factor).
 
