@@ -175,7 +175,7 @@ def render_card(card: Mapping[str, Any]) -> str:
 
     Args:
         card: Contents of card.json as `train` returns them: name, task, seed, machine, settings (the recipe), package
-            versions and learning curve; `kept`, `scores` and `failures` are optional.
+            versions and learning curve. Optional: `kept` (training steps of the saved agent), `scores`, `failures`.
 
     Returns:
         Text of the page in Markdown.

@@ -157,7 +157,7 @@ class EpisodeStarts:
         return True
 
     def clear(self) -> None:
-        """Remove all marks; call it when the first observations of the episodes have been processed."""
+        """Mark no machine as starting an episode; call it when the first observations have been processed."""
         self.mask = np.zeros(len(self.mask), np.bool_)
 
 

@@ -138,8 +138,10 @@ def check_supported(machine: Machine) -> None:
         machine: Machine with its effects (deviations from the nominal model).
 
     Raises:
-        InputError: If an effect delays the drives, has a memory, changes a current in another way than `current_limit`
-            or is not differentiable, or if the bridge yaws (the tool position then contains a product of coordinates).
+        InputError: If the bridge yaws (the tool position then contains a product of coordinates), or if an effect is
+            not supported. Not supported are a dead time of the drives, an internal state other than the displacement
+            since the start, a motion of a sensor instead of the tool, a change of the motor current by another effect
+            than `current_limit`, and formulas that are not differentiable.
     """
     for effect in machine.effects:
         reason = _unsupported_because(effect)
