@@ -36,7 +36,8 @@ Array = NDArray[np.float64]
 TAYLOR_DEGREE, HALVINGS = 8, 7  # of the matrix exponential; the period over 2^7 is far below that of any belt mode
 VELOCITY_SCALE_S = 0.01  # s, typical position error over velocity error, for the condition of W_N
 FRICTION_SPEED, FRICTION_TRAVEL = 0.02, 1e-3  # m/s and m, over which the expected direction of friction changes
-SIMULATED_PERIODS, CORRECTIONS = 6, 2  # longest plan that is simulated, and how often it is corrected
+SIMULATED_PERIODS, CORRECTIONS = 6, 5  # longest plan that is simulated, and how often it is corrected
+SHORTER = 0.5  # factor of a correction after one that did not help
 INTEGRATION_STEP = 1e-3  # s; the corrections need no higher accuracy
 SWITCHING_S = 1e-9  # s, length of the interval in which the last voltage is applied, for a dead time
 # m/V: final error (velocities in units of 0.1 m/s per mm) that is as costly as 1 V. It matters for plans of so few
@@ -215,16 +216,19 @@ class SimulatedTransfers:
         planned = np.einsum("bkij,bj->bki", costates[..., :-1], error / scale) + costates[..., -1]
         count = len(self._simulated)
         best, least = planned[:, :count], np.full((len(state), count), np.inf)
+        change, length = np.zeros_like(best), np.ones_like(least)
         for _ in range(CORRECTIONS if count else 0):
             missed = self._final_states(pulse, planned[:, :count], state, parameters, last_volts)
             missed = (missed - self._model.goal_state(goal)[:, None]) / scale
             missed = np.nan_to_num(missed, nan=1.0, posinf=1.0, neginf=-1.0)
             distance = np.linalg.norm(missed, axis=2)
-            change = np.linalg.solve(gramian[:, :count], missed[..., None])[..., 0]
-            # A plan that ends farther away than the one before is not used.
-            better = (distance < least)[..., None]
+            # A plan that ends farther away than the one before is not used; the next correction is then shorter.
+            closer = distance < least
+            better = closer[..., None]
             best, least = np.where(better, planned[:, :count], best), np.minimum(distance, least)
-            planned[:, :count] = np.where(better, best - change, best)
+            change = np.where(better, np.linalg.solve(gramian[:, :count], missed[..., None])[..., 0], change)
+            length = np.where(closer, 1.0, SHORTER * length)
+            planned[:, :count] = best - length[..., None] * change
         return PlannedTransfers(np.einsum("bkij,bkj->bki", first, planned), gains)
 
     def _costates(self, matrices: tuple[Array, Array, Array], force: Array) -> tuple[Array, Array, Array]:
