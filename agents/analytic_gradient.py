@@ -40,7 +40,6 @@ from .differentiable_episode import (
     path_errors,
     reach_cost,
 )
-from .features import LARGEST_WEIGHTED
 from .sb3_adapters import ResidualActionVecEnv, set_mean_action_to_zero
 
 LARGEST_NORM = 1.0  # of the gradient with respect to the weights
@@ -214,12 +213,11 @@ class AnalyticPolicyGradient:
         goal, observation = entries["desired_goal"], entries["observation"]
         distance = torch.linalg.vector_norm(goal - observation[:, : goal.shape[1]], dim=1)
         speed = torch.linalg.vector_norm(observation[:, self.mapping.tool_speeds], dim=1)
-        transfers = None
-        if self.mapping.bank:
-            gains = torch.from_numpy(self.mapping.bank.gains(goal.numpy())).float()
-            error = observation - torch.from_numpy(self.mapping.bank.at_rest(goal.numpy())).float()
-            transfers = torch.einsum("bkij,bj->bki", gains, error).clip(-LARGEST_WEIGHTED, LARGEST_WEIGHTED)
-        return self.mapping.combine(limited(output), distance, speed, entries["last_action"], transfers)
+        laws = None
+        if self.mapping.laws:  # linear in the state; what they were designed with counts as constant
+            volts, gains = (torch.from_numpy(values).float() for values in self.mapping.laws)
+            laws = volts + torch.einsum("bkij,bj->bki", gains, observation - observation.detach())
+        return self.mapping.combine(limited(output), distance, speed, entries["last_action"], laws)
 
     def _base_action(self, entries: Mapping[str, Any], state: Any) -> Any:
         """Return the actions (B, drives) of the base controller as a linear function of the state (B, 2 n), or zero."""

@@ -9,8 +9,8 @@ for several scales: linear well below a scale, logarithmic above it. Errors ente
 features are one matrix product followed by one logarithm: gain * sign(z M) * log(1 + |z M|).
 
 A *transfer* is a motion of given duration that brings the machine to rest at its goal with the least sum of squared
-voltages (`MinimumEnergyTransfers`); its first voltage is a linear feedback law. `TransferBank` holds several of these
-laws; a policy can form a weighted mean of their voltages (residual_action.py).
+voltages. `TransferBank` and `PlanBank` compute the first voltages of several transfers; a policy can form a weighted
+mean of them (residual_action.py).
 
 This module needs NumPy only; sb3_adapters.py evaluates the features in torch.
 """
@@ -18,12 +18,20 @@ This module needs NumPy only; sb3_adapters.py evaluates the features in torch.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..controllers import MinimumEnergyTransfers, MotionModel, OperatingPointGrid, PreviewGains, scaled_machine
+from ..controllers import (
+    MinimumEnergyTransfers,
+    MotionModel,
+    OperatingPointGrid,
+    ParameterFilter,
+    PreviewGains,
+    SimulatedTransfers,
+    scaled_machine,
+)
 from ..controllers.finite_horizon_control import VOLTAGE_CHANGE_WEIGHT
 from ..errors import InputError
 from ..machine import Machine, rest_state
@@ -219,6 +227,19 @@ def _scaled_columns(columns: Array, scales: Sequence[float], largest: float) -> 
     return np.hstack([columns / scale for scale in scales]), np.concatenate(gains)
 
 
+class FeedbackLaws(NamedTuple):
+    """Voltages of K feedback laws in the present state, and their derivatives.
+
+    Attributes:
+        volts: Voltages divided by the rated voltages, not limited, shape (batch, K, drives).
+        gains: Derivatives of the voltages by the full-state observation, per unit of an entry (m, rad, m/s or rad/s),
+            shape (batch, K, drives, entries).
+    """
+
+    volts: Array
+    gains: Array
+
+
 class TransferBank:
     """First voltages of K minimum-energy transfers (motions to rest at the goal) of several durations and designs.
 
@@ -255,42 +276,65 @@ class TransferBank:
         self._of_observation = _state_of_observation(self._model)
         self.size = self._gains.shape[1]
 
-    def gains(self, goal: NDArray[Any]) -> Array:
-        """Return the feedback gains of all K transfers (motions to rest) to given goals.
-
-        A transfer's voltages are its gains times the difference between the observation and `at_rest(goal)`.
-
-        Args:
-            goal: Tool positions of the goals, m, shape (batch, axes).
-
-        Returns:
-            Gains, fractions of the rated voltage per unit of an entry of the full-state observation (m, rad, m/s or
-            rad/s), shape (batch, K, drives, entries).
-        """
-        return self._gains[self._grid.nearest(np.asarray(goal, np.float64))] @ self._of_observation
-
-    def at_rest(self, goal: NDArray[Any]) -> Array:
-        """Return the full-state observations of machines at rest with unstretched belts and their tools at the goals.
+    def laws(
+        self, observation: NDArray[Any], goal: NDArray[Any], last_action: NDArray[Any], estimates: Array
+    ) -> FeedbackLaws:
+        """Compute the voltages of the first period of every transfer from the present state to the goal.
 
         Args:
+            observation: Present full-state observations, m, rad, m/s and rad/s, shape (batch, entries).
             goal: Tool positions of the goals, m, shape (batch, axes).
+            last_action: Voltages of the period before, shape (batch, drives); not used, see `PlanBank`.
+            estimates: Estimates of the parameters, shape (batch, size); not used, see `PlanBank`.
 
         Returns:
-            Arrays like `observation` of an environment with the sensors "state": positions of the tool's axes and of
-            the driven coordinates, m and rad, then their velocities, which are 0, m/s and rad/s, shape (batch,
-            entries).
+            `FeedbackLaws`: voltages, shape (batch, K, drives), and their derivatives.
         """
-        return self._model.observation(self._model.goal_state(goal))
+        gains = self._gains[self._grid.nearest(np.asarray(goal, np.float64))] @ self._of_observation
+        at_rest = self._model.observation(self._model.goal_state(goal))
+        return FeedbackLaws(np.einsum("bkij,bj->bki", gains, observation - at_rest), gains)
 
-    def voltages(self, observation: NDArray[Any], goal: NDArray[Any]) -> Array:
-        """Compute the first voltages of all K transfers (motions to rest at the goal) from the present state.
+
+class PlanBank:
+    """First voltages of K transfers, planned in every period for the machine as estimated (`SimulatedTransfers`).
+
+    Args:
+        machine: Machine with its declared parameters.
+        period: Control period, s.
+        estimator: Estimator of the parameters, whose estimates `laws` receives.
+        durations: Durations of the transfers in periods, ascending.
+
+    Attributes:
+        size: Number K of transfers.
+
+    Raises:
+        InputError: If the durations are not positive and ascending.
+    """
+
+    def __init__(self, machine: Machine, period: float, estimator: ParameterFilter, durations: Sequence[int]) -> None:
+        self._model, self._estimator, self.size = MotionModel(machine), estimator, len(durations)
+        self._transfers = SimulatedTransfers(self._model, period, durations)
+        self._of_observation = _state_of_observation(self._model)
+
+    def laws(
+        self, observation: NDArray[Any], goal: NDArray[Any], last_action: NDArray[Any], estimates: Array
+    ) -> FeedbackLaws:
+        """Compute the voltages of the first period of every transfer from the present state to the goal.
 
         Args:
-            observation: Present full-state observations, with the entries of `at_rest`, shape (batch, entries).
+            observation: Present full-state observations, m, rad, m/s and rad/s, shape (batch, entries).
             goal: Tool positions of the goals, m, shape (batch, axes).
+            last_action: Voltages of the period before, divided by the rated voltages, shape (batch, drives).
+            estimates: Estimates of the parameters by the estimator, shape (batch, size of the estimates).
 
         Returns:
-            Voltages divided by the rated voltages, limited to LARGEST_WEIGHTED, shape (batch, K, drives).
+            `FeedbackLaws`: voltages, shape (batch, K, drives), and their derivatives.
         """
-        volts = np.einsum("bkij,bj->bki", self.gains(goal), observation - self.at_rest(goal))
-        return np.asarray(volts.clip(-LARGEST_WEIGHTED, LARGEST_WEIGHTED))
+        rated = self._model.rated
+        planned = self._transfers.plan(
+            self._model.state({"observation": observation}),
+            np.asarray(goal, np.float64),
+            self._estimator.parameters(estimates),
+            last_action * rated,
+        )
+        return FeedbackLaws(planned.volts / rated, planned.gains / rated[:, None] @ self._of_observation)

@@ -1,14 +1,15 @@
 """Residual action: base controller plus policy output, scaled by an authority that shrinks near the goal.
 
-    action = base + held * last action + authority * output + sum of weight * transfer voltage
+    action = base + held * last action + authority * output + sum of weight * voltage of a feedback law
     authority = min(most, least + distance / full_at_m + speed / full_at_m_s)
     held = max(0, 1 - distance / hold_m - speed / hold_m_s), 0 by default
 
 With the tool at rest at the goal, 0.1 V moves it by 0.1 mm in one control period. A policy explores with the same noise
 everywhere; the authority makes that noise small at the goal and large far from it. Where the last action is held, the
 policy's output is a change of the voltage, which accumulates until it overcomes friction, as with an integrator. A
-transfer is a motion that brings the tool to rest at its goal (`TransferBank`). The previous observation and action let
-the policy infer masses and friction, which it cannot observe; a `ParameterFilter` can add estimates of them.
+feedback law is the first voltage of a motion that brings the tool to rest at its goal (`TransferBank`, `PlanBank`). The
+previous observation and action let the policy infer masses and friction, which it cannot observe; a `ParameterFilter`
+can add estimates of them.
 Training and the finished agent use this one implementation.
 """
 
@@ -25,7 +26,7 @@ from numpy.typing import NDArray
 from ..controllers import CONTROLLERS, EpisodeStarts, MotionModel, ParameterFilter
 from ..errors import InputError
 from ..machine import Machine
-from .features import TransferBank
+from .features import LARGEST_WEIGHTED, FeedbackLaws, PlanBank, TransferBank
 
 Array = NDArray[np.float64]
 Observation = Mapping[str, NDArray[Any]]
@@ -97,6 +98,7 @@ class ResidualAction:
         base: Name of a registered controller whose action the policy corrects; None: the policy acts alone.
         estimates: Whether to estimate friction, masses and belts without a base, for the observation `estimates`.
         transfers: Durations of transfers whose voltages the policy weights, see `TransferBank`; empty: none.
+        plans: Durations of transfers of the machine as estimated instead, in periods, see `PlanBank`; empty: none.
         **authority: Keyword arguments of `Authority`, which limits the policy's part of the action.
 
     Attributes:
@@ -105,10 +107,11 @@ class ResidualAction:
         tool_speeds: Columns of `observation` with the tool velocity along its axes.
         base: Controller whose action the policy corrects, or None.
         bank: Transfers whose voltages the policy weights, or None.
+        laws: Voltages of the bank in this period and their derivatives by the observation; None without a bank.
 
     Raises:
-        InputError: If no controller is registered under the name of the base. Agents are data: their files cannot name
-            a module to import.
+        InputError: If no controller is registered under the name of the base (agents are data: their files cannot name
+            a module to import), or there are plans without estimates or beside transfers.
     """
 
     def __init__(
@@ -118,6 +121,7 @@ class ResidualAction:
         base: str | None = None,
         estimates: bool = False,
         transfers: Sequence[int] = (),
+        plans: Sequence[int] = (),
         **authority: float,
     ) -> None:
         self.authority, self.period = Authority(**authority), period
@@ -126,19 +130,23 @@ class ResidualAction:
         self.base = CONTROLLERS.get(base)(machine, period) if base else None
         # Attributes of an adaptive base that it adds to the observation, with their numbers of columns.
         self._base_features: dict[str, int] = getattr(self.base, "feature_sizes", {})
-        self.bank = TransferBank(machine, period, transfers) if transfers else None
         self._drives = len(machine.drives)
         axes = machine.tool_axes
         first = len({*axes, *(drive.coordinate for drive in machine.drives)})  # after all positions
         self.tool_speeds = slice(first, first + len(axes))
         self._model = MotionModel(machine) if estimates else None
         self._filter = ParameterFilter(self._model, period) if self._model else None
+        if plans and (transfers or not self._filter):
+            raise InputError("plans need estimates = true and no transfers")
+        self.bank: TransferBank | PlanBank | None = TransferBank(machine, period, transfers) if transfers else None
+        if plans and self._filter:
+            self.bank = PlanBank(machine, period, self._filter, plans)
+        self.laws: FeedbackLaws | None = None
         self._starts = EpisodeStarts()
         self._observation: NDArray[Any] = np.zeros((0, 0))  # `observation` of this period, (batch, entries)
         self._last_observation: NDArray[Any] = np.zeros((0, 0))  # and of the previous period
         self._last_action = self._base_action = np.zeros((0, 0))  # (batch, drives)
         self._distance = self._speed = np.zeros(0)  # m and m/s, (batch,)
-        self._transfers: Array | None = None  # voltages of the bank, (batch, K, drives)
 
     def action_space(self) -> spaces.Box:
         """Build the space of the policy's outputs.
@@ -212,7 +220,8 @@ class ResidualAction:
         self._distance = np.linalg.norm(goal - state[:, : goal.shape[1]], axis=1)
         self._speed = np.linalg.norm(state[:, self.tool_speeds], axis=1)
         if self.bank:
-            self._transfers = self.bank.voltages(state, goal)
+            estimates = self._filter.estimates if self._filter else np.zeros((len(state), 0))
+            self.laws = self.bank.laws(state, goal, self._last_action, estimates)
         if self.base:
             self._base_action = np.clip(self.base.act(observation), -1.0, 1.0)
         return {**observation, **self.history()}
@@ -254,36 +263,38 @@ class ResidualAction:
             Voltages divided by the rated voltages, limited to [-1, 1], shape (batch, drives).
         """
         base_action = self._base_action if self.base else 0.0
-        action = self.combine(output, self._distance, self._speed, self._last_action, self._transfers) + base_action
+        volts = self.laws.volts if self.laws else None
+        action = self.combine(output, self._distance, self._speed, self._last_action, volts) + base_action
         self.replace_last_action(np.clip(action, -1.0, 1.0))
         return self._last_action
 
-    def combine(self, output: Any, distance: Any, speed: Any, last_action: Any, transfers: Any = None) -> Any:
+    def combine(self, output: Any, distance: Any, speed: Any, last_action: Any, laws: Any = None) -> Any:
         """Compute the policy's part of the actions: without the base action, and not limited to [-1, 1].
 
-        It works on arrays and on torch tensors, so that training can differentiate it. A transfer is a motion to rest
-        at the goal; the policy can weight the voltages of several ones.
+        It works on arrays and on torch tensors, so that training can differentiate it. A feedback law is the first
+        voltage of a motion to rest at the goal; the policy can weight those of several motions.
 
         Args:
             output: Policy outputs, shape (batch, drives); with K transfers (batch, drives + K), weights last.
             distance: Distances to the goal, m, shape (batch,).
             speed: Tool speeds, m/s, shape (batch,).
             last_action: Actions of the previous period, shape (batch, drives).
-            transfers: First voltages of the K transfers in `bank`, divided by the rated voltages, shape (batch, K,
-                drives). Default: no transfers.
+            laws: Voltages of the K feedback laws in `bank`, divided by the rated voltages, shape (batch, K, drives).
+                Default: no laws.
 
         Returns:
-            held * last action + authority * output + weighted mean of the transfers' voltages, with `held` and
-            authority as `Authority` computes them; divided by the rated voltages, of the type of `output`, shape
-            (batch, drives).
+            held * last action + authority * output + weighted mean of the laws' voltages, each limited to
+            LARGEST_WEIGHTED, with `held` and authority as `Authority` computes them; divided by the rated voltages, of
+            the type of `output`, shape (batch, drives).
         """
         held = self.authority.held(distance, speed) * last_action.clip(-LARGEST_HELD, LARGEST_HELD)
         action = held + self.authority(distance, speed) * output[:, : self._drives]
-        if transfers is None:
+        if laws is None:
             return action
         # exp(WEIGHT_SCALE * output), as a power of 2 because this works for arrays and for tensors.
         weights = 2.0 ** (WEIGHT_SCALE / np.log(2.0) * output[:, self._drives :])
-        return action + (weights[..., None] * transfers).sum(1) / weights.sum(1)[:, None]
+        limited = laws.clip(-LARGEST_WEIGHTED, LARGEST_WEIGHTED)
+        return action + (weights[..., None] * limited).sum(1) / weights.sum(1)[:, None]
 
     def replace_last_action(self, actions: Array) -> None:
         """Record the applied actions, if they differ from those that `action` returned last.

@@ -3,6 +3,7 @@
 base                    interface, registry, full-state and output-feedback controllers
 motion_model            machine model for controller design, and the operating points of its linearizations
 finite_horizon_control  point-to-point transfers, and tracking of a previewed goal
+linear_motion           linear models of different machines, and transfers planned with them and simulated
 input_compensation      dead time and static nonlinearities of the drives
 model_based_controller  controller that combines the three modules above (`pid`)
 adaptive_controller     gain scheduling on estimates of friction, masses and belt stiffness (`adaptive-pid`)
@@ -29,6 +30,7 @@ from .base import (
 )
 from .finite_horizon_control import MinimumEnergyTransfers, PreviewGains, PreviewTracker
 from .input_compensation import DeadTime, InputInversion
+from .linear_motion import SimulatedTransfers
 from .model_based_controller import ModelBasedController
 from .motion_model import MotionModel, OperatingPointGrid
 from .parameter_estimators import ParameterFilter, ParameterWindow
@@ -56,6 +58,7 @@ __all__ = [
     "PredictiveController",
     "PreviewGains",
     "PreviewTracker",
+    "SimulatedTransfers",
     "StateEstimator",
     "TextbookPID",
     "check_period",

@@ -37,6 +37,7 @@ from numpy.typing import NDArray
 
 from ..dynamics import mode_frequencies
 from .base import check_period
+from .linear_motion import reachability, state_scale
 from .motion_model import MotionModel, OperatingPointGrid
 
 Array = NDArray[np.float64]
@@ -48,7 +49,6 @@ MAX_TRANSFER_S = 10.0  # s, longest transfer of a stage that friction leaves wit
 # Periods at the end of a transfer whose voltages are checked against the limits, beside the first; the voltage of the
 # cruise is largest in the first period.
 CHECKED_FINAL_PERIODS = 7
-VELOCITY_SCALE_S = 0.01  # s, typical position error over velocity error, for the condition of W_N
 # m/V, the weight w: tool error that is as costly as a voltage change of 1 V. Tuned: a smaller weight makes the voltages
 # more active and the tool no more accurate.
 VOLTAGE_CHANGE_WEIGHT = 3e-5
@@ -124,18 +124,11 @@ class MinimumEnergyTransfers:
 
     def _design(self, A: Array, B: Array) -> Array:
         """Compute `gains` from A (points, 2 n, 2 n) and B (points, 2 n, inputs)."""
-        states = A.shape[1]
-        scale = _state_scale(states)
-        A = A / scale[:, None] * scale
-        scaled_B = B / scale[:, None]
-        W = np.zeros_like(A)
-        power = np.broadcast_to(np.eye(states), A.shape)  # A^(N-1)
+        scale = state_scale(A.shape[1])
         back: list[Array] = []  # B' A'^j
         gains = []
-        for N in range(1, self.longest + 1):
-            back.append((power @ scaled_B).transpose(0, 2, 1))
-            W = W + (power @ scaled_B) @ back[-1]
-            power = power @ A
+        for N, (pulse, W, power) in enumerate(reachability(A, B, self.longest), 1):
+            back.append(pulse.transpose(0, 2, 1))
             if self.shortest > N:
                 continue
             error_to_costate = np.linalg.pinv(W, rcond=1e-15, hermitian=True) @ power / scale
@@ -193,7 +186,7 @@ class MinimumEnergyTransfers:
         error = self.model.goal_state(start) - self.model.goal_state(goal)
         N = int(self.select(error, goal, (-limit[None], limit[None]), np.array([self.shortest])).periods[0])
         A, B = self._matrices[int(self.grid.nearest(goal)[0])]
-        scale = _state_scale(len(A))
+        scale = state_scale(len(A))
         A, B = A / scale[:, None] * scale, B / scale[:, None]
         powers = [np.eye(len(A))]
         for _ in range(N):
@@ -342,8 +335,3 @@ class PreviewTracker:
 def _matvec(matrices: Array, vectors: Array) -> Array:
     """Multiply matrices (B, i, j) by vectors (B, j)."""
     return np.asarray(np.einsum("bij,bj->bi", matrices, vectors))
-
-
-def _state_scale(states: int) -> Array:
-    """Return units (2 n,) in which positions and velocities have similar size, so that W_N is well conditioned."""
-    return np.repeat([1.0, 1.0 / VELOCITY_SCALE_S], states // 2)

@@ -28,13 +28,13 @@ from ..machine import Machine
 from .base import CONTROLLERS, Feedback, FullStateController, Mask
 from .finite_horizon_control import HORIZON_S, longest_transfer_s
 from .input_compensation import DeadTime, InputInversion
+from .linear_motion import LinearMotion, opposing_friction
 from .motion_model import MotionModel, OperatingPointGrid
 from .parameter_estimators import ParameterWindow
-from .predictive_plans import ArrivalPlanner, LinearMotion, PlanSimulation
+from .predictive_plans import ArrivalPlanner, PlanSimulation
 
 Array = NDArray[np.float64]
 LONGEST_PERIODS = 60  # until the tool arrives; a longer way is planned again on the way
-FRICTION_SPEED, FRICTION_TRAVEL = 0.02, 1e-3  # m/s and m, over which the expected direction of friction changes
 ARRIVED = 1.2e-4  # m, predicted error of a plan that arrives in time
 DELAYS = (-1, 0, 1, 2, 3)  # periods by which the arrival may change from one period to the next, in the order tried
 # Periods before the arrival in which a plan is corrected by simulations, and simulated periods after the arrival.
@@ -74,9 +74,6 @@ class PredictiveController(FullStateController):
         self._simulation = PlanSimulation(self._prompt_model, period, REFINED_PERIODS + PERIODS_BEYOND)
         self._path_planner: _PathPlanner | None = None  # created when the length of the preview is known
         self._follows_path = False  # whether the goal moved in the last period
-        declared = self._prompt_model.machine.parameters
-        self._coulomb_columns = [list(declared).index(f"{c}.coulomb") for c in machine.coordinate_names]
-        self._declared_coulomb = np.array(list(declared.values()))[self._coulomb_columns]
         self.feature_sizes = {"estimates": self.estimator.size}
         self._resize(0)
 
@@ -158,7 +155,9 @@ class PredictiveController(FullStateController):
         goal = goals[:, 0]
         error = state - self.model.goal_state(goal)
         elapsed_s = self._elapsed.astype(np.float64) * self.period
-        force = self._friction(state, error, parameters) + self.model.effect_force(state, elapsed_s)
+        force = opposing_friction(self._prompt_model, state, error, parameters) + self.model.effect_force(
+            state, elapsed_s
+        )
         force += self.estimator.offset @ self.model.drive.T
         self._arrival_planner.predict(self._linear.matrices(parameters, goal), error, force)
         plans = self._plan_arrival()
@@ -170,14 +169,6 @@ class PredictiveController(FullStateController):
             rows = np.flatnonzero(chosen)
             volts[rows] = self._refine(rows, state, parameters, goal, commands)
         return volts
-
-    def _friction(self, state: Array, error: Array, parameters: Array) -> Array:
-        """Return the friction force (B, n), N, that acts until the arrival, against the motion or the way ahead."""
-        n = len(self.model.mass)
-        moving = np.tanh(state[:, n:] / FRICTION_SPEED)
-        ahead = -np.tanh(error[:, :n] / FRICTION_TRAVEL)
-        level: Array = self.model.coulomb * _ratio(parameters[:, self._coulomb_columns], self._declared_coulomb)
-        return -level * (moving + (1.0 - np.abs(moving)) * ahead)
 
     def _plan_arrival(self) -> Array:
         """Return the voltages (B, periods, drives), V, of plans with the earliest arrival, and update its period."""
@@ -313,8 +304,3 @@ class _PathPlanner:
         gains = -np.linalg.solve(normal, R.transpose(0, 2, 1) @ self._by_state)[:, : len(self._rated)]
         inside = np.abs(self._volts[:, 0]) < self._rated
         return np.asarray(gains * inside[:, :, None])
-
-
-def _ratio(values: Array, declared: Array) -> Array:
-    """Return values (B, k) over declared values (k,), 1 where these are zero."""
-    return values / np.where(declared, declared, 1.0) + (declared == 0.0)

@@ -1,6 +1,5 @@
-"""Plans of a predictive controller: linear models of batches of different machines, and voltages that arrive in time.
+"""Plans of a predictive controller for batches of different machines: voltages that arrive in time.
 
-`LinearMotion`     Linear models of B different machines.
 `ArrivalPlanner`   Voltages within their limits that bring the tool to its goal in K periods and keep it there (the
                    solution of a quadratic program for each machine); the belts come to rest after the tool.
 `PlanSimulation`   Simulation of plans, and correction of the last periods of a plan by simulations. They contain static
@@ -12,19 +11,17 @@ References:
 
 from __future__ import annotations
 
-import dataclasses
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..dynamics import Equations, MotionPoint, mode_frequencies, rollout
-from .finite_horizon_control import VELOCITY_SCALE_S
+from ..dynamics import mode_frequencies, rollout
+from .linear_motion import state_scale
 from .motion_model import MotionModel
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
-TAYLOR_DEGREE, HALVINGS = 8, 7  # of the matrix exponential; the period over 2^7 is far below that of any belt mode
 # Arrival: unit of the tool's errors, m, weight of the belts' motion at the end of the plan, and of the voltages as
 # fractions of their limits. The tool's error counts most.
 TOOL_UNIT, REST_WEIGHT, EFFORT_WEIGHT = 1e-4, 0.1, 1e-2
@@ -37,62 +34,6 @@ SAMPLE_UNIT, ROBUST_UNITS, LARGE_WEIGHT = 2e-5, 10.0, 0.02
 CORRECTIONS = ((1e-2, 1.0), (1e-2, 0.5), (1.0, 1.0), (30.0, 1.0))
 REFINEMENTS, SAMPLES = 2, 4  # iterations per period, and samples of the tool per period
 INTEGRATION_STEP = 5e-4  # s, that of the environments
-
-
-class LinearMotion:
-    """Discrete-time linear models of B machines with different parameters, for voltages that are held over a period.
-
-    The state is belt travel (radius * angle of a rotary coordinate) of n coordinates and its velocity.
-
-    Args:
-        model: Model of the machine with its declared parameters.
-        period: Control period, s.
-    """
-
-    def __init__(self, model: MotionModel, period: float) -> None:
-        self._model, self._period = model, period
-        self._machine = dataclasses.replace(model.machine, effects=())
-        self._extension = model.machine.belt_matrix / model.machine.travel_per_unit  # per belt travel, (belts, n)
-
-    def matrices(self, parameters: Array, position: Array) -> tuple[Array, Array, Array]:
-        """Linearize machines, without Coulomb friction and effects, and discretize them with zero-order hold.
-
-        Args:
-            parameters: Parameters of B machines in the order of `Machine.parameters`, SI, shape (B, P).
-            position: Tool positions of the linearization, m, shape (B, axes).
-
-        Returns:
-            A: System matrices of the states (see the class), shape (B, 2 n, 2 n).
-            B: Input matrices of the voltages, m/V and m/(Vs), shape (B, 2 n, drives).
-            E: Input matrices of a force on each coordinate, m/N and m/(Ns), shape (B, 2 n, n).
-        """
-        model, n, drives = self._model, len(self._model.mass), len(self._model.rated)
-        equations = Equations(self._machine, dict(zip(model.machine.parameters, parameters.T, strict=True)))
-        travel = position @ model.rigid.T
-        belts = equations.belt_states(MotionPoint(list(travel.T), list(np.zeros_like(travel).T)))
-        values = [belt.stiffness for belt in belts] + [equations.mass(i) for i in range(n)]
-        stiffness, mass = np.split(np.array([value + np.zeros(len(parameters)) for value in values]).T, [len(belts)], 1)
-        rates = np.zeros((len(parameters), 3 * n + drives, 3 * n + drives))
-        rates[:, :n, n : 2 * n] = np.eye(n)
-        rates[:, n : 2 * n, :n] = -np.einsum("bk,ki,kj->bij", stiffness, self._extension, self._extension)
-        rates[:, n : 2 * n, n : 2 * n] = -np.diag(model.viscous)
-        rates[:, n : 2 * n, 2 * n : 2 * n + drives] = model.drive
-        rates[:, n : 2 * n, 2 * n + drives :] = np.eye(n)
-        rates[:, n : 2 * n] /= mass[:, :, None]
-        discrete = _exponential(rates * self._period)[:, : 2 * n]
-        return discrete[:, :, : 2 * n], discrete[:, :, 2 * n : 2 * n + drives], discrete[:, :, 2 * n + drives :]
-
-
-def _exponential(matrices: Array) -> Array:
-    """Return the exponentials of many small matrices (B, m, m), by a Taylor series and repeated squaring."""
-    power = step = matrices / 2**HALVINGS
-    result = np.eye(step.shape[1]) + step
-    for degree in range(2, TAYLOR_DEGREE + 1):
-        power = power @ step / degree
-        result = result + power
-    for _ in range(HALVINGS):
-        result = result @ result
-    return result
 
 
 class ArrivalPlan(NamedTuple):
@@ -121,7 +62,7 @@ class ArrivalPlanner:
         modes = [frequency for frequency in mode_frequencies(model.machine) if frequency > 0.0]
         rest_s = REST_MODE_PERIODS / min(modes) if modes else 0.0
         self._hold = max(3, int(np.ceil(rest_s / period - 0.3)))  # planned periods after the arrival
-        self._scale = np.repeat([1.0, 1.0 / VELOCITY_SCALE_S], len(model.mass))
+        self._scale = state_scale(2 * len(model.mass))
 
     def predict(self, matrices: tuple[Array, Array, Array], error: Array, force: Array) -> None:
         """Predict the motion at 0 V and the responses to voltages, and store both for `plan` and `gain`.

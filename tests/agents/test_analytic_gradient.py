@@ -101,6 +101,7 @@ def build(actuation=None, task="reach", machine=MACHINE, **settings):
 
 
 BANK = {"least": 0.1, "transfers": [0, 2, 6, 12, 20, 24]}
+PLANS = {"least": 0.1, "estimates": True, "plans": [3, 5, 12, 24]}
 
 
 @pytest.mark.parametrize(
@@ -109,10 +110,11 @@ BANK = {"least": 0.1, "transfers": [0, 2, 6, 12, 20, 24]}
         (None, "reach", MACHINE),
         (None, "track", MACHINE),
         (BANK, "reach", MACHINE),
+        (PLANS, "reach", MACHINE),
         ({"base": "predictive", "least": 0.5}, "track", MACHINE),
         (None, "reach", with_dead_time(6e-3)),
     ],
-    ids=["reach", "track", "weighted transfers", "with a base", "dead time"],
+    ids=["reach", "track", "weighted transfers", "weighted plans", "with a base", "dead time"],
 )
 def test_the_gradient_of_an_episode_predicts_how_its_cost_changes(actuation, task, machine):
     algorithm = build(actuation, task, machine)
@@ -148,8 +150,9 @@ def test_the_first_policy_is_its_base():
     np.testing.assert_allclose(algorithm.mapping.action(outputs), observation["base_action"], atol=1e-7)
 
 
-def test_the_policy_that_is_trained_acts_as_the_one_that_is_saved():
-    algorithm = build(BANK)
+@pytest.mark.parametrize("actuation", [BANK, PLANS], ids=["transfers", "plans"])
+def test_the_policy_that_is_trained_acts_as_the_one_that_is_saved(actuation):
+    algorithm = build(actuation)
     observation = algorithm.env.reset()
     algorithm.policy.load_state_dict(algorithm._trained.state_dict())
     outputs, _ = algorithm.policy.predict(observation, deterministic=True)

@@ -18,7 +18,16 @@ def test_shipped_agents_are_found_by_name_and_by_prefix(name, expected, task):
 
 
 def test_names_of_the_shipped_agents():
-    assert shipped_agent_names() == ("apg", "apg_mix", "apg_predictive", "apg_wide", "ppo", "residual", "sac")
+    assert shipped_agent_names() == (
+        "apg",
+        "apg_mix",
+        "apg_plan",
+        "apg_predictive",
+        "apg_wide",
+        "ppo",
+        "residual",
+        "sac",
+    )
 
 
 def test_unknown_shipped_agent_is_refused_with_a_list():

@@ -81,7 +81,8 @@ def test_outputs_weight_the_voltages_of_transfers():
     outputs = mapping.action_space().shape[0]
     assert outputs == 2 + 3 + 3 * len(BANK)
     observation = rest_observation(MACHINE, (0.1, 0.0), (0.095, 0.0))
-    shortest, longer, longest = mapping.bank.voltages(observation["observation"], observation["desired_goal"])[0, :3]
+    mapping.augment(observation)
+    shortest, longer, longest = mapping.laws.volts[0, :3]
     assert np.abs(shortest).max() > np.abs(longer).max() > np.abs(longest).max() > 0.0
 
     def action(index):
@@ -94,8 +95,30 @@ def test_outputs_weight_the_voltages_of_transfers():
     # exp(2 * WEIGHT_SCALE) is a weight of 20 000 to 1.
     assert action(1) == pytest.approx(longer, abs=1e-3)
     assert action(2) == pytest.approx(longest, abs=1e-3)
-    at_goal = rest_observation(MACHINE, (0.1, 0.0), (0.1, 0.0))
-    assert np.abs(mapping.bank.voltages(at_goal["observation"], at_goal["desired_goal"])).max() < 1e-3
+    mapping.reset()
+    mapping.augment(rest_observation(MACHINE, (0.1, 0.0), (0.1, 0.0)))
+    assert np.abs(mapping.laws.volts).max() < 1e-3
+
+
+def test_plans_follow_the_estimates():
+    envs = HFrameVectorEnv(4, randomize="default")
+    mapping = ResidualAction(MACHINE, 0.01, least=0.0, full_at_m=np.inf, estimates=True, plans=[3, 6, 20])
+    assert mapping.action_space().shape == (2 + 3,)
+    observation, _ = envs.reset(seed=0)
+    gains = []
+    for _ in range(4):
+        mapping.augment(observation)
+        gains.append(mapping.laws.gains[:, 2])
+        observation = envs.step(mapping.action(np.tile([0.0, 0.0, -1.0, -1.0, 1.0], (4, 1))).astype(np.float32))[0]
+    # The same for all machines at first, then different.
+    assert np.ptp(gains[0], axis=0).max() < 0.05 * np.abs(gains[0]).max()
+    assert np.ptp(gains[-1], axis=0).max() > 0.05 * np.abs(gains[-1]).max()
+
+
+@pytest.mark.parametrize("further", [{}, {"estimates": True, "transfers": [0]}], ids=["no estimates", "transfers"])
+def test_plans_without_estimates_or_beside_transfers_are_refused(further):
+    with pytest.raises(InputError, match="plans need estimates = true and no transfers"):
+        ResidualAction(MACHINE, 0.01, plans=[4], **further)
 
 
 def test_transfers_that_the_machine_lacks_are_refused():
