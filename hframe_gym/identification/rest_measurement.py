@@ -248,9 +248,10 @@ def _position_warning(
 def sensor_zero_error(error: Array, weights: Array, resting_rows: int, max_mean: Array) -> Array:
     """Estimate the errors of the sensors' zeros (measurements at position 0) from prediction errors over a run.
 
-    The estimate is the mean error over the later half of the rows at rest (over the first rows if only one is at rest),
-    plus the difference from there to the mean error over the complete run, limited to +- `max_mean`. The limit is
-    needed because a constant force may also cause a mean error.
+    The estimate is the mean error over the later half of the rows at rest, plus the difference from there to the mean
+    error over the complete run, limited to +- `max_mean`. The limit is needed because a constant force may also cause a
+    mean error. If only one row is at rest, the first rows reduce the noise of a sensor without quantization; the others
+    have none to reduce, and are precise enough to show that the prediction deviates after the first row.
 
     Args:
         error: Measured minus predicted values of a batch of predictions over n samples, in the sensors' units, 0 where
@@ -262,12 +263,14 @@ def sensor_zero_error(error: Array, weights: Array, resting_rows: int, max_mean:
     Returns:
         Errors of the zeros, in the sensors' units, shape (batch, 1, sensors), to be subtracted from `error`.
     """
-    # A single row has the noise of one measurement; in the next ones, the prediction hardly deviates yet.
     rest = settled_rows(resting_rows) if resting_rows > 1 else slice(_FIRST_ROWS)
     at_rest, of_run = (
         (error[:, rows] * weights[rows]).sum(axis=1) / np.maximum(weights[rows].sum(axis=0), 1e-12)
         for rows in (rest, slice(None))
     )  # weighted means, (batch, sensors)
+    if resting_rows == 1:
+        quantized = (max_mean > 0.0) & np.isfinite(max_mean)
+        at_rest = np.where(quantized, error[:, 0], at_rest)
     return np.asarray((at_rest + np.clip(of_run - at_rest, -max_mean, max_mean))[:, None, :])
 
 

@@ -98,3 +98,11 @@ def test_a_single_row_at_rest_does_not_add_its_noise_to_all_errors() -> None:
     error = rng.normal(0.0, 1.0, (400, 300, 1))
     zero = sensor_zero_error(error, np.ones((300, 1)), 1, np.zeros(1))
     assert zero.std() == pytest.approx(1.0 / np.sqrt(5.0), rel=0.15)
+
+
+def test_a_quantized_sensor_shows_that_a_machine_moves_after_its_only_row_at_rest() -> None:
+    """EMPS begins at 7 mm/s, which a sensor with steps of 50 nm sees in every row; noise of 10 um would hide it."""
+    error = np.zeros((1, 300, 1))
+    error[0, :, 0] = 7e-6 * np.arange(300)
+    zero = sensor_zero_error(error, np.ones((300, 1)), 1, np.array([25e-9]))
+    assert abs(zero[0, 0, 0]) <= 25e-9
