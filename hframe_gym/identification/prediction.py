@@ -227,7 +227,8 @@ def prediction_error(run: PreparedRecording, data: Dataset, measurements: Array,
         if fitted
         else max_zero_means(data.behind_belts, data.quantum)
     )
-    error -= sensor_zero_error(error, run.weights if fitted else measured, run.initial.resting_rows, max_mean)
+    weights = run.weights if fitted else measured
+    error -= sensor_zero_error(error, weights, run.initial.resting_rows, max_mean, data.quantum)
     return error
 
 

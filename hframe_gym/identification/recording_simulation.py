@@ -146,7 +146,7 @@ def _initial_state(machine: Machine, recording: Recording) -> InitialState:
     def weighted_errors(states: Array) -> Array:
         """Return errors without those of the zeros, in units of the noise, shape (B, n * sensors)."""
         error = errors(states, usable.outputs)
-        error = np.where(measured, error - sensor_zero_error(error, measured, rows, max_means), 0.0)
+        error = np.where(measured, error - sensor_zero_error(error, measured, rows, max_means, quanta), 0.0)
         return np.asarray((error / np.where(noise > 0.0, noise, np.inf)).reshape(len(states), -1))
 
     start = most_probable_start(machine, initial, state, weighted_errors)
@@ -154,7 +154,7 @@ def _initial_state(machine: Machine, recording: Recording) -> InitialState:
     error = errors(start, recording.outputs)
     if not np.isfinite(error).all():
         return initial
-    offset = sensor_zero_error(error, np.isfinite(recording.outputs), rows, max_means)[0, 0]
+    offset = sensor_zero_error(error, np.isfinite(recording.outputs), rows, max_means, quanta)[0, 0]
     return dataclasses.replace(initial, offset=offset)
 
 

@@ -25,7 +25,7 @@ from .initial_rest import count_resting_rows
 Array = NDArray[np.float64]
 # Weights of encoders that matter only where no laser measures: behind stretched belts, and with an unknown zero.
 _STRETCHED_WEIGHT, _FALLBACK_WEIGHT = 1e-3, 1e-6
-_FIRST_ROWS = 5  # rows from which a zero is estimated if only one row is at rest
+_FIRST_ROWS = 5  # rows from which the zero of a noisy sensor is estimated if only one row is at rest
 # m; typical stretch of the belts at full voltage or speed, and the part of it that a linear model leaves.
 _TYPICAL_STRETCH, _STRETCH_RESIDUAL = 0.3e-3, 0.1e-3
 
@@ -245,13 +245,13 @@ def _position_warning(
     )
 
 
-def sensor_zero_error(error: Array, weights: Array, resting_rows: int, max_mean: Array) -> Array:
+def sensor_zero_error(error: Array, weights: Array, resting_rows: int, max_mean: Array, quanta: Array) -> Array:
     """Estimate the errors of the sensors' zeros (measurements at position 0) from prediction errors over a run.
 
     The estimate is the mean error over the later half of the rows at rest, plus the difference from there to the mean
     error over the complete run, limited to +- `max_mean`. The limit is needed because a constant force may also cause a
-    mean error. If only one row is at rest, the first rows reduce the noise of a sensor without quantization; the others
-    have none to reduce, and are precise enough to show that the prediction deviates after the first row.
+    mean error. A single row at rest has the noise of one measurement; for a sensor without quantization, the first rows
+    of the run replace it.
 
     Args:
         error: Measured minus predicted values of a batch of predictions over n samples, in the sensors' units, 0 where
@@ -259,18 +259,18 @@ def sensor_zero_error(error: Array, weights: Array, resting_rows: int, max_mean:
         weights: Weights of the measurements in the means, dimensionless, 0 where not measured, shape (n, sensors).
         resting_rows: Number of rows at rest at the beginning of the run, at least 1.
         max_mean: Limit of the difference, in the sensors' units, shape (sensors,), see `max_zero_means`.
+        quanta: Quantization steps of the sensors, in their units, 0 where there is none, shape (sensors,).
 
     Returns:
         Errors of the zeros, in the sensors' units, shape (batch, 1, sensors), to be subtracted from `error`.
     """
-    rest = settled_rows(resting_rows) if resting_rows > 1 else slice(_FIRST_ROWS)
-    at_rest, of_run = (
-        (error[:, rows] * weights[rows]).sum(axis=1) / np.maximum(weights[rows].sum(axis=0), 1e-12)
-        for rows in (rest, slice(None))
-    )  # weighted means, (batch, sensors)
+
+    def mean(rows: slice) -> Array:  # (batch, sensors)
+        return np.asarray((error[:, rows] * weights[rows]).sum(axis=1) / np.maximum(weights[rows].sum(axis=0), 1e-12))
+
+    at_rest, of_run = mean(settled_rows(resting_rows)), mean(slice(None))
     if resting_rows == 1:
-        quantized = (max_mean > 0.0) & np.isfinite(max_mean)
-        at_rest = np.where(quantized, error[:, 0], at_rest)
+        at_rest = np.where(quanta > 0.0, at_rest, mean(slice(_FIRST_ROWS)))
     return np.asarray((at_rest + np.clip(of_run - at_rest, -max_mean, max_mean))[:, None, :])
 
 

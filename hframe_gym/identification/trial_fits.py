@@ -48,8 +48,8 @@ def trial_fits(current: Fit, data: Dataset, enough: float, criteria: SelectionCr
         One fit (machine, parameters theta, shape (k,), cost) per candidate, after few iterations, in no given order.
     """
     trials = _trial_fits_from(current, current, data, enough, criteria)
-    none = not trials and current.chi2 > criteria.explained_chi2
-    if none or any(f.at_limit(t) for f, t in zip(current.free, current.theta, strict=True)):
+    nothing_promising = not trials and current.chi2 > criteria.explained_chi2
+    if nothing_promising or any(f.at_limit(t) for f, t in zip(current.free, current.theta, strict=True)):
         trials += _trial_fits_from(_at_declared_parameters(current, data), current, data, enough, criteria)
     return trials
 

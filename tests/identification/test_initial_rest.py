@@ -96,7 +96,7 @@ def test_a_run_without_any_input_rests_until_it_moves(axis: Machine) -> None:
 def test_a_single_row_at_rest_does_not_add_its_noise_to_all_errors() -> None:
     rng = np.random.default_rng(5)
     error = rng.normal(0.0, 1.0, (400, 300, 1))
-    zero = sensor_zero_error(error, np.ones((300, 1)), 1, np.zeros(1))
+    zero = sensor_zero_error(error, np.ones((300, 1)), 1, np.zeros(1), np.zeros(1))
     assert zero.std() == pytest.approx(1.0 / np.sqrt(5.0), rel=0.15)
 
 
@@ -104,5 +104,5 @@ def test_a_quantized_sensor_shows_that_a_machine_moves_after_its_only_row_at_res
     """EMPS begins at 7 mm/s, which a sensor with steps of 50 nm sees in every row; noise of 10 um would hide it."""
     error = np.zeros((1, 300, 1))
     error[0, :, 0] = 7e-6 * np.arange(300)
-    zero = sensor_zero_error(error, np.ones((300, 1)), 1, np.array([25e-9]))
+    zero = sensor_zero_error(error, np.ones((300, 1)), 1, np.array([25e-9]), np.array([50e-9]))
     assert abs(zero[0, 0, 0]) <= 25e-9

@@ -117,5 +117,5 @@ def test_the_zero_error_is_the_mean_at_rest_and_a_limited_part_of_the_mean() -> 
     error = np.full((1, 100, 2), 3.0)
     error[:, 20:] += 0.5
     measured = np.ones((100, 2), np.bool_)
-    zero = sensor_zero_error(error, measured, 20, np.array([np.inf, 0.1]))
+    zero = sensor_zero_error(error, measured, 20, np.array([np.inf, 0.1]), np.array([0.2, 0.2]))
     np.testing.assert_allclose(zero, [[[3.4, 3.1]]])
