@@ -29,14 +29,14 @@ _END_FRACTION = 0.005  # Fraction of the measurements at one outermost value abo
 
 # Periodogram. Rates are counted in periods over the range of the positions. Less than one period of a force cannot be
 # distinguished from a spring.
-_MIN_FRICTION_PERIODS, _MIN_FORCE_PERIODS, _MAX_PERIODS = 0.5, 1.0, 150.0
+_MIN_FRICTION_PERIODS, _MIN_FORCE_PERIODS, _MAX_PERIODS = 0.5, 1.0, 1000.0
+_ROWS_PER_PERIOD = 4.0  # Shorter periods, of which most of the motion has fewer rows, are not tried.
 _LEAST_PERIOD_PRIOR = 0.1  # relative
-_POINTS_PER_PERIOD = 4  # Grid points per resolvable period.
-_BAND_EDGES = (3.0, 12.0, 40.0)
+_POINTS_PER_PERIOD = 4  # Rates of the grid per period over the range.
+_CELLS_PER_POINT = 16  # Cells of the position per point of the grid: the shortest period has 64 cells.
+_BAND_EDGES = (3.0, 12.0, 40.0, 150.0)
 _SLOW_PERIODS = np.concatenate([np.arange(0.5, 3.0, 0.25), np.arange(3.0, 6.1, 0.5)])
-_MAX_RATES = 6
-_MAX_ROWS = 3000
-_CHUNKS = 8  # Chunks of the grid, so that the recursion of the phase does not accumulate rounding errors.
+_MAX_RATES = 7
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,7 @@ def candidates(
         if replaces_model_part(effect) or effect.refitted:
             continue
         for site in effect_sites(effect, machine):
-            if f"{effect.name}@{site}" in present:
+            if f"{effect.name}@{site}" in present or (effect.beside and f"{effect.beside}@{site}" not in present):
                 continue
             at_site = _scales_at(effect, site, machine, scales)
             for shape in _shapes(effect, site, machine, data, at_site, missing_force, slow_friction):
@@ -257,8 +257,9 @@ def periodogram_peaks(motion: Array, *, friction: bool) -> Array:
     """Find the strongest spatial rates (2 pi / period over position) of the missing force by a periodogram.
 
     The missing force is the force that the model lacks. At each rate, a sine and a cosine of the position are fitted to
-    it by least squares, together with a constant, viscous and dry friction. Rates from 1 (friction: 0.5) to 150 periods
-    over the range of the positions are tried.
+    it by least squares, together with a constant, viscous and dry friction. Rates from 1 (friction: 0.5) to 1000
+    periods over the range of the positions are tried, but no period of which most of the motion has fewer than four
+    rows.
 
     Args:
         motion: Position, velocity and missing force of one coordinate, in its units, one column each, shape (n, 3).
@@ -266,9 +267,9 @@ def periodogram_peaks(motion: Array, *, friction: bool) -> Array:
             force.
 
     Returns:
-        At most six rates, rad per unit of position, shape (rates,). First the strongest of each of four bands (limits:
-        3, 12 and 40 periods over the range), by decreasing strength, then the strongest of the others. Empty if the
-        position does not change.
+        At most seven rates, rad per unit of position, shape (rates,). First the strongest of each of five bands
+        (limits: 3, 12, 40 and 150 periods over the range), by decreasing strength, then the strongest of the others.
+        Empty if the position does not change.
 
     References:
         Lomb (1976), Least-squares frequency analysis of unequally spaced data.
@@ -277,33 +278,27 @@ def periodogram_peaks(motion: Array, *, friction: bool) -> Array:
     span = float(np.ptp(position))
     if span <= 0.0:
         return np.zeros(0)
+    fewest = _MIN_FRICTION_PERIODS if friction else _MIN_FORCE_PERIODS
     moving = np.abs(velocity) > 0.02 * np.percentile(np.abs(velocity), 99)
-    thin = max(1, int(moving.sum()) // _MAX_ROWS)  # every how many rows are used
-    position, velocity, force = (column[moving][::thin] for column in (position, velocity, force))
+    travel = float(np.percentile(np.abs(np.diff(position))[moving[1:]], 25))  # from one row to the next
+    most = min(_MAX_PERIODS, max(span / (_ROWS_PER_PERIOD * travel), 2.0 * fewest)) if travel > 0.0 else _MAX_PERIODS
+    position, velocity, force = (column[moving] for column in (position, velocity, force))
     # Orthonormal basis of constant, viscous and dry friction, whose best fit is subtracted from the force.
     basis, _ = np.linalg.qr(np.stack([np.ones_like(position), velocity, np.sign(velocity)], axis=1))
     force = force - basis @ (basis.T @ force)
-    fewest = _MIN_FRICTION_PERIODS if friction else _MIN_FORCE_PERIODS
-    count = int((_MAX_PERIODS - fewest) * _POINTS_PER_PERIOD)
-    first, step = 2 * np.pi / span * np.array([fewest, 1.0 / _POINTS_PER_PERIOD])
-    grid = first + step * np.arange(count)
     sign = np.sign(velocity) if friction else np.ones_like(velocity)
-    power = np.concatenate(
-        [
-            _explained_power(len(rates), position, rates[0], step, sign, force, basis)
-            for rates in np.array_split(grid, _CHUNKS)
-        ]
-    )
+    points = np.arange(round(_POINTS_PER_PERIOD * fewest), round(_POINTS_PER_PERIOD * most) + 1)
+    power = _explained_power(points, position, sign, force, basis)
     # First the best rate of each band, because the noise of the missing force grows with it; then the best of all.
-    band = np.searchsorted(_BAND_EDGES, grid * span / (2 * np.pi))
+    band = np.searchsorted(_BAND_EDGES, points / _POINTS_PER_PERIOD)
     best_of_band = [np.flatnonzero(band == k)[np.argmax(power[band == k])] for k in np.unique(band)]
-    peaks: list[float] = []
+    peaks: list[int] = []
     for k in (*sorted(best_of_band, key=lambda k: -power[k]), *np.argsort(-power)):
-        if all(abs(grid[k] - other) > 1.5 * np.pi / span for other in peaks):  # not the flank of another peak
-            peaks.append(float(grid[k]))
+        if all(abs(points[k] - other) > 0.75 * _POINTS_PER_PERIOD for other in peaks):  # not the flank of another peak
+            peaks.append(int(points[k]))
         if len(peaks) == _MAX_RATES:
             break
-    return np.array(peaks)
+    return 2 * np.pi / (_POINTS_PER_PERIOD * span) * np.array(peaks)
 
 
 def slow_rates(position: Array) -> Array:
@@ -323,20 +318,25 @@ def slow_rates(position: Array) -> Array:
     return np.asarray(2 * np.pi / span * _SLOW_PERIODS if span > 0.0 else np.zeros(0))
 
 
-def _explained_power(
-    count: int, position: Array, first: float, step: float, sign: Array, force: Array, basis: Array
-) -> Array:
-    """Return the square sum that a sine and a cosine at each rate first + k step explain beyond the basis (count,).
+def _explained_power(points: NDArray[np.int64], position: Array, sign: Array, force: Array, basis: Array) -> Array:
+    """Return the square sum that a sine and a cosine at each point of the grid explain beyond the basis (points,).
 
-    The waves of a rate are those of the rate before, turned by the step; their squares are waves of twice the rate.
+    Their products with force and basis are Fourier transforms over the position. Each row is distributed over the two
+    nearest cells of a grid of positions, in proportion to its distance from them, so that the transforms are fast ones.
     """
-    factors = np.empty((count, len(position)), np.complex128)
-    factors[0] = np.exp(1j * first * position)
-    factors[1:] = np.exp(1j * step * position)
-    waves = np.multiply.accumulate(factors, axis=0)
-    projection = waves @ (sign * force)
-    in_basis = waves @ (sign[:, None] * basis)
-    double_rate = np.einsum("kn,kn->k", waves, waves)
+    cells = 2 ** int(np.ceil(np.log2(_CELLS_PER_POINT * (points[-1] + 1))))  # over _POINTS_PER_PERIOD times the range
+    place = (position - position.min()) * (cells / (_POINTS_PER_PERIOD * np.ptp(position)))
+    left = place.astype(np.int64)
+
+    def transform(values: Array, points: NDArray[np.int64]) -> NDArray[np.complex128]:
+        weight = values * (place - left)
+        sums = np.bincount(left, values - weight, cells) + np.bincount(left + 1, weight, cells)
+        # The division undoes the smoothing by the distribution over two cells.
+        return np.asarray(np.fft.rfft(sums)[points].conj() / np.sinc(points / cells) ** 2)
+
+    projection = transform(sign * force, points)
+    in_basis = np.stack([transform(sign * column, points) for column in basis.T], axis=1)
+    double_rate = transform(np.ones_like(position), 2 * points)
     cc = 0.5 * (len(position) + double_rate.real) - np.sum(in_basis.real**2, axis=1)
     ss = 0.5 * (len(position) - double_rate.real) - np.sum(in_basis.imag**2, axis=1)
     cs = 0.5 * double_rate.imag - np.sum(in_basis.real * in_basis.imag, axis=1)

@@ -55,13 +55,11 @@ class EffectParameter:
         scale: Typical size of the parameter, relative to the typical value of its unit on the machine (for example the
             Coulomb friction for N).
         grid: Initial values of a search, relative to the same typical value.
-        largest: Largest value that a search may give the parameter, relative to the same typical value. Beyond it the
-            effect cannot be distinguished from another one: a hysteresis that extends over a longer distance than the
-            motion acts as a spring.
+        largest: Largest value that a search may give the parameter, relative to the same typical value. A larger one
+            would make the effect act as another: hysteresis over a longer distance than the motion is a spring.
         role: What the parameter does. "amplitude": with the value zero the effect is absent. "phase" shifts the sine of
             the amplitude, so that both together are linear. "period" (m or rad) and "rate" (rad per position) are
-            searched on a grid that follows from the distance traveled. "fixed" is not fitted. "shape" is everything
-            else.
+            searched on a grid that follows from the distance traveled. "fixed" is not fitted, "shape" is the rest.
     """
 
     name: str
@@ -135,6 +133,7 @@ class Effect:
         refitted: Whether changed parameters of the machine can represent the effect, so that no search tests it.
         against: Variable `u` of a tabulated effect ("position of y", "velocity of y", "path of y", "time").
         coordinate: Name of the coordinate that `structure` adds, on which the force acts.
+        beside: Name of another effect. A search tries this effect only where that one has been identified.
     """
 
     name: str
@@ -168,6 +167,7 @@ class Effect:
     refitted: bool = False
     against: str = ""
     coordinate: str = ""
+    beside: str = ""
 
     def parameter(self, name: str) -> EffectParameter:
         """Return the declaration of one parameter of the effect (deviation from the nominal model): unit, bounds, role.

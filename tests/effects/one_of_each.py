@@ -111,6 +111,12 @@ _CASES = (
         {"wave_force": _turned(0.03), "wave_number": (23.6,) * 4, "wave_phase": _turned(0.5)},
     ),
     Case(
+        "second_cogging",
+        "motor1",
+        {"A": 0.02, "n": 47.2, "p": 1.5},
+        {"wave_force": _turned(0.02), "wave_number": (47.2,) * 4, "wave_phase": _turned(1.5)},
+    ),
+    Case(
         "unbalance",
         "phi1",
         {"A": 0.03, "p": 0.5},

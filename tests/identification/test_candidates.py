@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hframe_gym.effects import EFFECTS
-from hframe_gym.identification.candidates import Candidate, effect_parameters, periodogram_peaks, slow_rates
+from hframe_gym.identification.candidates import Candidate, candidates, effect_parameters, periodogram_peaks, slow_rates
 from hframe_gym.identification.criteria import SelectionCriteria
 from hframe_gym.identification.dataset import TypicalScales
 from hframe_gym.identification.nonparametric import table_candidates
@@ -86,3 +86,23 @@ def test_a_table_that_the_machine_has_is_not_proposed_again() -> None:
     labels = [candidate.label for candidate in table_candidates(tabled, data, scales, SelectionCriteria())]
     assert others
     assert first.label not in labels
+
+
+def test_the_rate_of_many_short_periods_is_the_first_peak() -> None:
+    """300 periods over the range of the motion, of which slow motion has enough rows."""
+    rate = 300 * 2 * np.pi / np.ptp(motion(1.0, friction=False)[:, 0])
+    data = motion(rate, friction=False)
+    assert abs(periodogram_peaks(data, friction=False)[0] - rate) < 0.5 * rate / 300
+
+
+def test_second_cogging_is_a_candidate_only_beside_cogging() -> None:
+    data = axis_runs(AXIS, rows=1000, volts=6.0)
+    scales = TypicalScales({"x": {"force": 2.0, "speed": 0.5, "position": 0.2}}, {})
+    missing = {"x": motion(100.0, friction=False)}
+
+    def labels(machine: Machine) -> set[str]:
+        return {candidate.label for candidate in candidates(machine, data, scales, missing)}
+
+    assert "cogging@motor" in labels(AXIS)
+    assert "second_cogging@motor" not in labels(AXIS)
+    assert "second_cogging@motor" in labels(AXIS.with_effects(EFFECTS["cogging"].at("motor", A=0.5, n=100.0, p=0.0)))

@@ -129,6 +129,7 @@ PAIRS = (
     ("presliding@phi1", "input_delay@drives"),
     ("belt_play@belts", "position_friction@x"),
     ("dead_band@motor1", "voltage_offset@motor2"),
+    ("cogging@motor1", "second_cogging@motor1"),
 )
 TRIPLES = (
     ("stribeck_friction@x", "input_delay@drives", "cable_spring@y"),

@@ -262,6 +262,12 @@ def effect(name: str, site: str, size: float) -> HiddenEffect:
             pulley = partial(change_site, sites=COORDINATES, site=f"phi{site[-1]}")
             build = partial(pulley, wave_force=torque, wave_number=order, wave_phase=0.5)
             return _hidden(name, site, build, {"A": torque, "n": order}, forces=("A",))
+        case "second_cogging":  # beside cogging at full size, which has the same motor
+            torque, order = 0.4 * size * 0.03, 2 * 4 * 5.9
+            pulley = partial(change_site, sites=COORDINATES, site=f"phi{site[-1]}")
+            return _hidden(
+                name, site, partial(pulley, wave_second=0.4 * size), {"A": torque, "n": order}, forces=("A",)
+            )
         case "unbalance":
             torque = size * 0.03
             build = partial(coordinate, wave_force=torque, wave_number=1.0, wave_phase=0.5)
